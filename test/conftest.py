@@ -173,7 +173,7 @@ class StageClient(Client):
         """Spin until a block bears a flag; a fast stage may have passed it since."""
         self.until_any(lambda block: block.flags & flag, seen)
 
-    def wait(self, future):
+    def wait(self, future, waiting=None):
         self.until(future.done)
         return future.result()
 

@@ -2,6 +2,7 @@
 """Calls survive a lost answer, and end when a node does."""
 
 import queue
+import re
 import threading
 import time
 from types import SimpleNamespace
@@ -14,15 +15,18 @@ from piezo_interfaces.action import PlayWaveform
 from piezo_interfaces.srv import LoadFeedforward, StopRecording
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.experimental import EventsExecutor
+from std_srvs.srv import Trigger
 
 from piezo_client import client as client_module
-from piezo_client.client import Client, ServiceFailed
-from piezo_ros.deadlines import set_deadline, why_too_late
+from piezo_client.client import Client, GoalFailed, ServiceFailed
+from piezo_ros import deadlines
+from piezo_ros.deadlines import seconds_since, set_deadline, why_too_late
 from piezo_ros.late_responses import create_late_service
-from piezo_ros.requests import calls
+from piezo_ros.requests import calls, servers
 from piezo_ros.requests.calls import ActionCaller, CallFailed, call_service, number_request
 from piezo_ros.requests.servers import Waiting, server_of
 from piezo_ros.stage_runs import described_stage
+from piezo_ros.transitions import answer_impossible_transitions
 
 TIMEOUT_S = 300.0
 
@@ -67,7 +71,7 @@ class Spinning:
 @pytest.fixture
 def namespace(request):
     """A namespace of each test's own: a server that has just ended is still seen for a while."""
-    return "/" + request.node.name
+    return "/" + re.sub(r"\W+", "_", request.node.name)
 
 
 @pytest.fixture
@@ -228,6 +232,72 @@ def talkative_action(spinning):
     return cancelled
 
 
+@pytest.fixture
+def deaf_action(spinning, monkeypatch):
+    """A server that goes on when its goal is cancelled, until it is allowed to end."""
+    monkeypatch.setattr(servers, "WORD_AFTER_S", 0.2)
+    server, may_end = spinning("server"), threading.Event()
+
+    def end(handle):
+        handle.canceled()
+        return PlayWaveform.Result(message="cancelled", last_sample=7)
+
+    def work(handle):
+        may_end.wait(TIMEOUT_S)
+        handle.execute(end)
+
+    server.make(ActionServer, server.node, PlayWaveform, "play_waveform", end,
+                handle_accepted_callback=lambda handle: threading.Thread(
+                    target=work, args=(handle,)).start(),
+                cancel_callback=lambda handle: CancelResponse.ACCEPT)
+    yield may_end
+    may_end.set()
+
+
+class Words(list):
+    """What a node logs; the first word lets something happen."""
+
+    def __init__(self, node, may_end, monkeypatch):
+        super().__init__()
+        self._may_end = may_end
+        monkeypatch.setattr(node, "get_logger", lambda: SimpleNamespace(
+            warning=self.say, error=self.say))
+
+    def say(self, text):
+        self.append(text)
+        self._may_end.set()
+
+
+def test_node_that_waits_for_a_cancelled_goal_says_for_whom(spinning, deaf_action, monkeypatch):
+    asking = spinning("asking")
+    caller = asking.make(ActionCaller, asking.node, PlayWaveform, "play_waveform")
+    words = Words(asking.node, deaf_action, monkeypatch)
+    assert caller.run(PlayWaveform.Goal(), cancelled=lambda: True).last_sample == 7
+    assert "/server has not answered play_waveform for" in words[0]
+
+
+def test_client_that_waits_for_a_cancelled_goal_says_for_whom(
+        deaf_action, namespace, monkeypatch):
+    with Client(namespace, "asking") as client:
+        words = Words(client.node, deaf_action, monkeypatch)
+        with pytest.raises(GoalFailed, match="cancelled"):
+            client.goal("play_waveform", cancel_after_s=0.0)
+    assert "/server has not answered play_waveform for" in words[0]
+
+
+def test_client_that_gives_a_cancelled_goal_up_says_so(deaf_action, namespace, monkeypatch):
+    monkeypatch.setattr(client_module, "CANCEL_TIMEOUT_S", 0.5)
+
+    def interrupt():
+        raise KeyboardInterrupt
+
+    with Client(namespace, "asking") as client:
+        words = Words(client.node, threading.Event(), monkeypatch)
+        with pytest.raises(KeyboardInterrupt):
+            client.goal("play_waveform", why_stop=interrupt)
+    assert "/server has not ended the goal within 0.5 s" in words[-1]
+
+
 def refuse(feedback):
     raise ValueError(f"no more than {feedback.fraction}")
 
@@ -275,34 +345,72 @@ def outcome_of(work):
 
 @pytest.fixture
 def hesitant(spinning):
-    """A server that gets round to a request only after its client gave it up; what it got, did."""
+    """A server that gets round to a request only after it was given up; what it got, and did."""
     server, got, acted = spinning("server"), queue.SimpleQueue(), []
-    service = server.make(create_late_service, server.node, LoadFeedforward, "load_feedforward",
-                          lambda request, late: acted.append(request))
-    callback = service.callback
 
-    def hesitate(request, response):
-        while not why_too_late(request):
-            time.sleep(0.01)
-        answer = callback(request, response)
-        got.put(request)
-        return answer
+    def serve(service_type, name, is_given_up, **options):
+        service = server.make(create_late_service, server.node, service_type, name,
+                              lambda request, late: acted.append(request), **options)
+        begin = service.send_response
 
-    service.callback = hesitate
+        def hesitate(call, header):
+            while not is_given_up(call[0], header):
+                time.sleep(0.01)
+            begin(call, header)
+            got.put(call[0])
+
+        service.send_response = hesitate
+
+    def is_old(request, header):
+        return seconds_since(header.source_timestamp) > deadlines.LONGEST_DELAY_S
+
+    serve(LoadFeedforward, "load_feedforward", lambda request, header: why_too_late(request))
+    serve(Trigger, "reset", is_old)
+    serve(Trigger, "emergency_stop", is_old, acts_late=True)
     return got, acted
 
 
-def test_request_is_not_acted_upon_after_its_client_gave_it_up(spinning, hesitant):
+@pytest.mark.parametrize(("service_type", "name"), [
+    (LoadFeedforward, "load_feedforward"), (Trigger, "reset")])
+def test_request_is_not_acted_upon_after_its_client_gave_it_up(
+        spinning, hesitant, monkeypatch, service_type, name):
+    monkeypatch.setattr(deadlines, "LONGEST_DELAY_S", 0.5)
     got, acted = hesitant
     asking = spinning("asking")
-    client = asking.make(asking.node.create_client, LoadFeedforward, "load_feedforward")
-    with pytest.raises(CallFailed, match="/server did not answer|gave this request up"):
-        call_service(asking.node, client, LoadFeedforward.Request(), timeout_s=0.5)
+    client = asking.make(asking.node.create_client, service_type, name)
+    with pytest.raises(CallFailed, match="/server did not answer|gave this request up|given it up"):
+        call_service(asking.node, client, service_type.Request(), timeout_s=0.5)
     assert got.get(timeout=TIMEOUT_S)
     assert not acted
 
 
-def test_request_without_a_deadline_may_always_act():
+def test_what_leads_to_rest_acts_however_late_it_comes(spinning, hesitant, monkeypatch):
+    monkeypatch.setattr(deadlines, "LONGEST_DELAY_S", 0.5)
+    got, acted = hesitant
+    asking = spinning("asking")
+    client = asking.make(asking.node.create_client, Trigger, "emergency_stop")
+    with pytest.raises(CallFailed, match="did not answer"):
+        call_service(asking.node, client, Trigger.Request(), timeout_s=0.5)
+    assert got.get(timeout=TIMEOUT_S)
+    assert len(acted) == 1
+
+
+def test_transition_is_refused_once_its_client_may_have_given_it_up(spinning, monkeypatch):
+    monkeypatch.setattr(deadlines, "LONGEST_DELAY_S", -1.0)
+    server, asking, acted = spinning("server"), spinning("asking"), []
+    server.make(server.node.create_service, ChangeState, "stage/change_state",
+                lambda request, response: acted.append(request) or response)
+    answer_impossible_transitions(server.node)
+    client = asking.make(asking.node.create_client, ChangeState, "stage/change_state")
+    while not asking.make(client.service_is_ready):
+        pass
+    answers = queue.SimpleQueue()
+    asking.make(client.call_async, ChangeState.Request()).add_done_callback(answers.put)
+    assert not answers.get(timeout=TIMEOUT_S).result().success
+    assert not acted
+
+
+def test_request_whose_deadline_was_left_out_may_always_act():
     assert not why_too_late(LoadFeedforward.Request())
     request = LoadFeedforward.Request(deadline=Time(sec=1))
     assert "gave this request up" in why_too_late(request)

@@ -3,6 +3,7 @@
 
 import array
 import hashlib
+import os
 import re
 import signal
 
@@ -124,12 +125,16 @@ def test_every_message_is_recorded_and_numbers_are_told(recorder, tmp_path):
 def test_attachment_may_come_as_path_and_hash_of_a_file(recorder, tmp_path):
     content, file = b'{"level_count": 50}', tmp_path / "mine.json"
     file.write_bytes(content)
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("/dev/zero")
     of_the_file = {"attachment_names": ["model.json"], "attachment_contents": [""],
                    "attachment_sha256": [hashlib.sha256(content).hexdigest()]}
     other = hashlib.sha256(b"other").hexdigest()
     for fields, reason in (
             ({"attachment_sha256": [other]}, "another sha256"),
-            ({"attachment_paths": ["/dev/zero"]}, "not a regular file"),
+            ({"attachment_paths": ["/dev/zero"]}, "is outside"),
+            ({"attachment_paths": [str(tmp_path / "link")]}, "is outside"),
+            ({"attachment_paths": [str(tmp_path / "pipe")]}, "is a pipe"),
             ({"attachment_paths": [str(tmp_path)]}, "is a directory"),
             ({"attachment_paths": [str(tmp_path / "none")]}, "No such file")):
         refused = recorder.start(tmp_path, "run", **{

@@ -199,13 +199,15 @@ class Client:
                 self.spin_until(result.done, cancel_after_s)
                 handle.cancel_goal_async()
             cause = why_stop and self._stop_if(why_stop, handle, result)
-            message = self.wait(result).result
+            cancelled = cause or cancel_after_s is not None
+            message = self.wait(
+                result, Waiting(self.node, ACTIONS[name][1]) if cancelled else None).result
             if cause:
                 message.success, message.message = False, cause
         except GoalFailed:
             raise
         except BaseException:  # Ctrl-C, or what on_feedback raised
-            self._cancel(handle, result)
+            self._cancel(handle, result, ACTIONS[name][1])
             raise
         finally:
             self._running = None
@@ -259,10 +261,10 @@ class Client:
                 raise
             except BaseException:
                 if sent:  # the goal is on its way, and must not run on alone
-                    self._withdraw(client, number, action_type)
+                    self._withdraw(client, number, action_type, topic)
                 raise
         if handle is None:
-            self._withdraw(client, number, action_type)
+            self._withdraw(client, number, action_type, topic)
             raise GoalFailed(name, action_type.Result(message=(
                 f"{self._server(topic)} did not say whether it took the goal: look at its log, "
                 "send the goal again")))
@@ -294,17 +296,25 @@ class Client:
                 self._await(client.server_is_ready, topic)
         return None
 
-    def _withdraw(self, client: PatientActionClient, number: UUID,
-                  action_type: MessageType) -> None:
+    def _withdraw(self, client: PatientActionClient, number: UUID, action_type: MessageType,
+                  topic: str) -> None:
         """Cancel a goal of which nobody knows whether it runs; wait for its end if it does."""
         handle = ClientGoalHandle(
             client, number, action_type.Impl.SendGoalService.Response(accepted=True))
-        self._cancel(handle, handle.get_result_async())
+        self._cancel(handle, handle.get_result_async(), topic)
 
-    def _cancel(self, handle: ClientGoalHandle, result: Future) -> None:
-        """Cancel a goal; wait for its end."""
+    def _cancel(self, handle: ClientGoalHandle, result: Future, topic: str) -> None:
+        """Cancel a goal; wait for its end, but not for ever."""
         handle.cancel_goal_async()
-        self.spin_until(result.done, CANCEL_TIMEOUT_S)
+        waiting, begun_s = Waiting(self.node, topic), time.monotonic()
+        while not self.spin_until(result.done, ALIVE_PERIOD_S):
+            waited_s = time.monotonic() - begun_s
+            waiting.look(waited_s)
+            if waited_s > CANCEL_TIMEOUT_S:
+                self.node.get_logger().error(
+                    f"{self._server(topic)} has not ended the goal within {CANCEL_TIMEOUT_S:g} s "
+                    "of its being cancelled: look whether the stage is at rest, or stop it")
+                return
 
     def call(self, service_type: MessageType, name: str, /, **fields: Any) -> Message:
         """Call a service and return its response.
@@ -389,10 +399,19 @@ class Client:
                 if namespace == own and not name.startswith(("_", "client"))
                 and name != self.node.get_name()}
 
-    def wait(self, future: Future) -> Message:
-        """Spin until a future is done; return its result."""
+    def wait(self, future: Future, waiting: Waiting | None = None) -> Message:
+        """Spin until a future is done; return its result.
+
+        Parameters
+        ----------
+        waiting : Waiting, optional
+            Logs for whom, where nothing else tells of it.
+        """
+        begun_s = time.monotonic()
         while not self.spin_until(future.done, ALIVE_PERIOD_S):
             self.check()
+            if waiting:
+                waiting.look(time.monotonic() - begun_s)
         return future.result()
 
     def check(self) -> None:

@@ -8,7 +8,6 @@ import signal
 import sys
 from collections.abc import Callable
 from os import PathLike
-from pathlib import Path
 
 from piezo_client.client import GoalFailed
 from piezo_client.overview import stages_seen, status_lines
@@ -16,6 +15,8 @@ from piezo_client.references import harmonic, triangle
 from piezo_client.stage import Stage
 from piezo_common.command_line import BAD_INPUT, INTERRUPTED
 from piezo_common.progress_line import ProgressLine
+from piezo_common.text_file import read_bounded_text
+from piezo_models.model_file import LARGEST_FILE_BYTES
 from piezo_models.model_summary import shortfall
 from piezo_recorder.reading.waveform_file import read_waveform
 
@@ -102,7 +103,7 @@ def _track(stage: Stage, options: argparse.Namespace) -> list[str]:
 def _shortfall(model: str | PathLike[str]) -> str:
     """Say what is inadequate of a model whose file is on this machine; the nodes check the file."""
     try:
-        document = json.loads(Path(model).read_text(encoding="utf-8"))
+        document = json.loads(read_bounded_text(model, LARGEST_FILE_BYTES))
         return shortfall(document.get("adequacy", {}), document.get("errors", {}))
     except (OSError, ValueError, LookupError, AttributeError, TypeError):
         return ""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Requests and goals say until when they may act: one that was given up must not act later."""
+"""Requests say until when they may act, or when they were sent: one given up must not act."""
 
 import time
 
@@ -9,6 +9,8 @@ from piezo_ros.messages import Message
 
 NANOSECONDS = 1_000_000_000
 NEVER = Time()
+LONGEST_DELAY_S = 10.0
+"""Between the sending of a request that cannot bear a deadline and the moment in which it acts."""
 
 
 def set_deadline(request: Message, patience_s: float) -> None:
@@ -26,22 +28,39 @@ def set_deadline(request: Message, patience_s: float) -> None:
         request.deadline = Time(sec=nanoseconds // NANOSECONDS, nanosec=nanoseconds % NANOSECONDS)
 
 
-def why_too_late(request: Message) -> str:
+def why_too_late(request: Message, age_s: float = 0.0) -> str:
     """Say why a request must not act any more; empty where it may.
 
     Parameters
     ----------
     request : message
-        A request or a goal; one without a deadline may always act.
+        A request or a goal; one whose deadline was left out may always act.
+    age_s : float
+        Time since it was sent (s), which decides where it cannot bear a deadline.
     """
-    deadline = getattr(request, "deadline", NEVER)
-    if deadline == NEVER:
+    deadline = getattr(request, "deadline", None)
+    if deadline is None:
+        late_s = age_s - LONGEST_DELAY_S
+        reason = f"it was sent {age_s:.3g} s ago, and its client may have given it up"
+    elif deadline == NEVER:
         return ""
-    late_s = time.time() - deadline.sec - deadline.nanosec / NANOSECONDS
+    else:
+        late_s = time.time() - deadline.sec - deadline.nanosec / NANOSECONDS
+        reason = f"its client gave this request up {late_s:.3g} s ago"
     if late_s <= 0.0:
         return ""
-    return (f"its client gave this request up {late_s:.3g} s ago: ask again; between two machines, "
-            "compare their clocks")
+    return f"{reason}: ask again; between two machines, compare their clocks"
+
+
+def seconds_since(sent_ns: int) -> float:
+    """Return how long ago a request was sent (s); 0 where that is not known.
+
+    Parameters
+    ----------
+    sent_ns : int
+        Source timestamp of the middleware, by the wall clock of the client.
+    """
+    return max(time.time_ns() - sent_ns, 0) / NANOSECONDS if sent_ns > 0 else 0.0
 
 
 def asks_the_same(one: Message, other: Message | None) -> bool:

@@ -2,12 +2,13 @@
 """Services that are answered later than they are called, while the executor goes on."""
 
 import threading
+import time
 from collections.abc import Callable
 
 from rclpy.node import Node
 from rclpy.service import Service
 
-from piezo_ros.deadlines import why_too_late
+from piezo_ros.deadlines import seconds_since, why_too_late
 from piezo_ros.messages import Message, MessageType
 
 
@@ -24,10 +25,13 @@ class LateResponse:
     Attributes
     ----------
     response : message
+    asked_s : float
+        When the client sent its request, by the monotonic clock (s).
     """
 
     def __init__(self, node: Node, response: Message) -> None:
         self.response = response
+        self.asked_s = time.monotonic()
         self._node = node
         self._lock = threading.Lock()
         self._given = False
@@ -67,33 +71,36 @@ class LateResponse:
 
 
 def create_late_service(node: Node, service_type: MessageType, name: str,
-                        callback: Callable[[Message, LateResponse], object]) -> Service:
+                        callback: Callable[[Message, LateResponse], object],
+                        acts_late: bool = False) -> Service:
     """Create a service whose callback need not answer before it returns.
 
-    A request whose deadline has passed is refused, and logged; its response has ``success`` and
+    A request that comes too late is refused, and logged; its response has ``success`` and
     ``message``.
 
     Parameters
     ----------
     callback : callable
         ``callback(request, late)`` with a `LateResponse`, which somebody gives in the end.
+    acts_late : bool
+        Leave it to the callback what becomes of a request that comes too late.
     """
-    def begin(request: Message, response: Message) -> LateResponse:
-        late = LateResponse(node, response)
-        if reason := why_too_late(request):
-            response.success, response.message = False, f"{name} refused: {reason}"
-            node.get_logger().warning(response.message)
+    service = node.create_service(
+        service_type, name, lambda request, response: (request, LateResponse(node, response)))
+    send_response = service.send_response
+
+    def begin(call: tuple[Message, LateResponse], header: Message) -> None:
+        (request, late), age_s = call, seconds_since(header.source_timestamp)
+        late.asked_s -= age_s
+        if not acts_late and (reason := why_too_late(request, age_s)):
+            late.response.success, late.response.message = False, f"{name} refused: {reason}"
+            node.get_logger().warning(late.response.message)
             late.give()
         else:
             callback(request, late)
-        return late
-
-    service = node.create_service(service_type, name, begin)
-    send_response = service.send_response
-
-    def send_later(late: LateResponse, header: Message) -> None:
         late.send_by(lambda response: send_response(response, header))
 
-    # The executor passes on what the callback returns as if it were the response.
-    service.send_response = send_later  # type: ignore[method-assign, assignment]
+    # The executor passes on what the callback returns as if it were the response, with the header
+    # that says when the request was sent.
+    service.send_response = begin  # type: ignore[method-assign, assignment]
     return service

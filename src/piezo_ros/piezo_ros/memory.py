@@ -6,8 +6,8 @@ import resource
 from contextlib import suppress
 from pathlib import Path
 
-OOM_SCORE = 500
-"""Added to the kernel's score of a process that is to be ended before the stage; 1000 at most."""
+OOM_SCORE, MOST_OOM_SCORE = 500, 1000
+"""Added to the kernel's score of a process that is to be ended before the stage, and its most."""
 
 CONTROL_GROUP_LIMITS = ("/sys/fs/cgroup/memory.max",
                         "/sys/fs/cgroup/memory/memory.limit_in_bytes")
@@ -43,5 +43,5 @@ def end_before_stage() -> None:
     """Have the kernel end this process before the stage when memory runs out."""
     score = Path("/proc/self/oom_score_adj")
     with suppress(OSError, ValueError):  # only Linux has it
-        score.write_text(str(max(OOM_SCORE, int(score.read_text(encoding="ascii")))),
-                         encoding="ascii")
+        inherited = int(score.read_text(encoding="ascii"))
+        score.write_text(str(min(inherited + OOM_SCORE, MOST_OOM_SCORE)), encoding="ascii")

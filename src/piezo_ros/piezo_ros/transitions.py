@@ -1,20 +1,22 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Answer requests for transitions that a lifecycle node cannot make in its present state."""
-
-from collections.abc import Callable
+"""Answer requests for transitions that a lifecycle node cannot make, or should not any more."""
 
 from lifecycle_msgs.srv import ChangeState
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.service import Service
+
+from piezo_ros.deadlines import seconds_since, why_too_late
+from piezo_ros.messages import Message
 
 RCLError = rclpy_implementation.RCLError
-ChangeStateCallback = Callable[[ChangeState.Request, ChangeState.Response], ChangeState.Response]
 
 
 def answer_impossible_transitions(node: Node) -> None:
     """Make a node answer an impossible ``change_state`` with false, and log why.
 
-    rclpy raises an error in the executor instead, which ends the node without an answer.
+    rclpy raises an error in the executor instead, which ends the node without an answer. A request
+    that comes too late is refused as well: its client may have given it up.
 
     Parameters
     ----------
@@ -23,20 +25,27 @@ def answer_impossible_transitions(node: Node) -> None:
     """
     for service in node.services:
         if service.srv_type is ChangeState:
-            service.callback = _answering(node, service.callback)
+            _answer_all(node, service)
 
 
-def _answering(node: Node, change_state: ChangeStateCallback) -> ChangeStateCallback:
-    def answer(
-            request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
+def _answer_all(node: Node, service: Service) -> None:
+    change_state, send_response = service.callback, service.send_response
+
+    def answer(call: tuple[ChangeState.Request, ChangeState.Response], header: Message) -> None:
+        request, response = call
+        reason = why_too_late(request, seconds_since(header.source_timestamp))
         try:
-            return change_state(request, response)
+            if not reason:
+                response = change_state(request, response)
         except RCLError:
+            reason = ("it does not lead on from the present state; "
+                      "ask get_available_transitions which do")
+        if reason:
             wanted = request.transition.label or request.transition.id
-            node.get_logger().warning(
-                f"transition {wanted} refused: it does not lead on from the present state; "
-                "ask get_available_transitions which do")
+            node.get_logger().warning(f"transition {wanted} refused: {reason}")
             response.success = False
-            return response
+        send_response(response, header)
 
-    return answer
+    # As in `create_late_service`.
+    service.callback = lambda *call: call  # type: ignore[assignment, return-value]
+    service.send_response = answer  # type: ignore[method-assign, assignment]

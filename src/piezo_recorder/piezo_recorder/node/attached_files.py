@@ -2,6 +2,7 @@
 """Attachments of a recording that come as the path and the hash of a file."""
 
 import hashlib
+from collections.abc import Callable
 from itertools import zip_longest
 
 from piezo_interfaces.srv import StartRecording
@@ -12,8 +13,14 @@ MOST_BYTES = 64_000_000
 """A model of 1000 levels has a third of that."""
 
 
-def read_attachments(request: StartRecording.Request) -> tuple[dict[str, bytes], list[str], str]:
+def read_attachments(request: StartRecording.Request, readable: Callable[[str], str],
+                     ) -> tuple[dict[str, bytes], list[str], str]:
     """Read what is to be kept inside a recording.
+
+    Parameters
+    ----------
+    readable : callable
+        Returns the path of a file to read; raises ValueError where it must not be read.
 
     Returns
     -------
@@ -32,7 +39,7 @@ def read_attachments(request: StartRecording.Request) -> tuple[dict[str, bytes],
         if not path:
             continue
         try:
-            contents[name] = _read(path, sha256)
+            contents[name] = _read(readable(path), sha256)
         except (OSError, ValueError) as error:
             unread.append(name)
             reasons.append(f"the attachment {name} cannot be kept: {path!r}: "

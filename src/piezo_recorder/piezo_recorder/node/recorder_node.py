@@ -157,7 +157,8 @@ class Recorder(LifecycleNode):
         if recording and asks_the_same(request, self._started) and request.client:
             response.success, response.path = True, recording.path
             return response
-        attachments, response.unread_attachments, unread = read_attachments(request)
+        attachments, response.unread_attachments, unread = read_attachments(
+            request, self._data_root.readable)
         refusal = refusal or unread
         if not refusal:
             try:

@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Read a voltage to play from a table of samples."""
 
+import io
 from pathlib import Path
 
 import numpy as np
 
 from piezo_common.arrays import FloatArray
+from piezo_common.regular_file import UnreadableFile, open_regular
+
+LARGEST_BYTES = 1_000_000_000
+"""Some minutes of the sample clock; a table without line ends is read at once."""
 
 UNEVEN = 1e-3
 """Largest deviation of a row's instant, in sample periods; a table in microseconds rounds less."""
@@ -22,10 +27,19 @@ def read_waveform(path: Path) -> tuple[FloatArray, float]:
     Raises
     ------
     ValueError
-        If there are no such columns, fewer than two rows, or the rows are not uniform.
+        If it is no regular file of a bounded size, there are no such columns, fewer than two rows,
+        or the rows are not uniform.
     """
     try:
-        table = np.genfromtxt(path, delimiter=",", names=True, encoding="utf-8")
+        with open_regular(path, LARGEST_BYTES) as raw, io.TextIOWrapper(
+                io.BufferedReader(raw), encoding="utf-8") as stream:
+            table = np.genfromtxt(stream, delimiter=",", names=True)
+    except UnreadableFile as error:
+        raise ValueError(f"{path} {error}: give a CSV file with the columns "
+                         "time_s,voltage_v") from None
+    except OSError as error:
+        raise ValueError(f"{path} cannot be read ({error.strerror}): "
+                         "give a CSV file with the columns time_s,voltage_v") from None
     except ValueError as error:
         raise ValueError(f"{path} is no table of numbers: {str(error).splitlines()[0]}; give a "
                          "CSV file with the columns time_s,voltage_v") from None

@@ -2,6 +2,7 @@
 """A voltage to play comes from a table as it stands there, or is refused in one line."""
 
 import csv
+import os
 
 import pytest
 
@@ -37,3 +38,14 @@ def test_table_that_cannot_be_played_is_refused_in_one_line(tmp_path, header, ro
     with pytest.raises(ValueError, match=said) as refused:
         read_waveform(path)
     assert "\n" not in str(refused.value)
+
+
+def test_what_is_no_file_of_a_bounded_size_is_refused_without_being_read(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with open(tmp_path / "sparse", "wb") as sparse:
+        sparse.truncate(3 * 2**30)
+    for path, said in (("/dev/zero", "is a device"), (tmp_path / "pipe", "is a pipe"),
+                       (tmp_path / "sparse", "more than the"), (tmp_path, "is a directory"),
+                       (tmp_path / "none", "No such file")):
+        with pytest.raises(ValueError, match=said):
+            read_waveform(path)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Call services and actions from a thread while the executor spins in another."""
 
+import math
 import queue
 import secrets
 import time
@@ -221,12 +222,15 @@ class ActionCaller:
         return look
 
     def _end(self, handle: ClientGoalHandle, cancelled: Callable[[], bool]) -> Message:
-        asked = False
+        waiting, asked_s = Waiting(self._node, self._name), math.inf
 
         def look() -> None:
-            nonlocal asked
-            if cancelled() and not asked:
-                asked = True
+            nonlocal asked_s
+            now_s = time.monotonic()
+            if asked_s < now_s:
+                waiting.look(now_s - asked_s)
+            elif cancelled():
+                asked_s = now_s
                 self._in_executor(handle.cancel_goal_async)
 
         return self._await(handle.get_result_async, None, look)

@@ -3,6 +3,7 @@
 
 import math
 import secrets
+import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -61,6 +62,7 @@ class StageCommands:
         self._feedforward: Feedforward | None = None
         self._feedforward_id = 0
         self._law: CheckedLaw | None = None
+        self._begun_s = -math.inf
 
     def play(self, voltage_v: npt.ArrayLike, sample_period_s: float, repeats: int = 1,
              hold_at_end: bool = False, client: str = "") -> tuple[int, int]:
@@ -282,10 +284,16 @@ class StageCommands:
         samples = ticks * self._ticks.samples_per_tick or math.inf
         self._engine.begin(Program(
             [Phase("track", self._feedforward, samples, FLAG_TRACKING)]), client, added)
+        self._begun_s = time.monotonic()
         return self._engine.tick
 
-    def stop_tracking(self) -> None:
+    def stop_tracking(self, asked_s: float = math.inf) -> None:
         """End the tracking.
+
+        Parameters
+        ----------
+        asked_s : float
+            When somebody asked for it, by the monotonic clock (s): a run that began later goes on.
 
         Raises
         ------
@@ -293,20 +301,27 @@ class StageCommands:
         """
         if self._engine.phase_name != "track":
             raise StageRefusal(f"the stage does not track ({self._engine.phase_name})")
+        if asked_s < self._begun_s:
+            raise StageRefusal("the present run began after this was asked for: ask again")
         self._engine.return_to_rest()
 
-    def reset(self) -> None:
+    def reset(self, asked_s: float = math.inf) -> None:
         """Take commands again after a stop.
+
+        Parameters
+        ----------
+        asked_s : float
+            See `StopLatch.reset`.
 
         Raises
         ------
         StageRefusal
-            While the voltage still returns to rest.
+            While the voltage still returns to rest, or where it was stopped later.
         """
         engine = self._engine
         if not engine.idle or engine.stop_cause and engine.voltage_v != engine.rest_voltage_v:
             raise StageRefusal("the stage still returns to rest: reset it afterwards")
-        self._latch.reset()
+        self._latch.reset(asked_s)
         self._guards.begin()
 
     def _require_room(self, samples: float, voltage_v: np.ndarray, hold_at_end: bool) -> None:

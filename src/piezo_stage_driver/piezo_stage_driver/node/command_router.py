@@ -84,8 +84,7 @@ class CommandRouter:
             if self._lockstep:
                 self.supervisor.attend()
         elif command.name == "reset":
-            self._latch.reset()
-            command.finish()
+            command.run_by(self._latch.reset)
         else:
             command.finish(error=StageRefusal(NOT_ACTIVE))
 

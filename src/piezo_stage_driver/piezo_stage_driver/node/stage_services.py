@@ -50,10 +50,12 @@ class StageServices:
                 (LoadFeedback, "load_feedback", self._on_load_feedback),
                 (ReplaceFeedforward, "replace_feedforward", self._on_replace_feedforward),
                 (StartTracking, "start_tracking", self._on_start_tracking),
-                (Trigger, "stop_tracking", self._on_stop_tracking),
-                (Trigger, "emergency_stop", self._on_emergency_stop),
                 (Trigger, "reset", self._on_reset)):
             create_late_service(node, service_type, name, callback)
+        # What leads to rest is better late than never.
+        create_late_service(node, Trigger, "stop_tracking", self._on_stop_tracking, acts_late=True)
+        create_late_service(
+            node, Trigger, "emergency_stop", self._on_emergency_stop, acts_late=True)
 
     def settle(self) -> None:
         """Answer the emergency stops that have ended, or have taken too long; from any thread."""
@@ -144,10 +146,10 @@ class StageServices:
                       request.onboard, request.feedforward_id, fill=fill)
 
     def _on_stop_tracking(self, request: Trigger.Request, late: LateResponse) -> None:
-        self._ask(late, "stop_tracking")
+        self._ask(late, "stop_tracking", late.asked_s)
 
     def _on_reset(self, request: Trigger.Request, late: LateResponse) -> None:
-        self._ask(late, "reset")
+        self._ask(late, "reset", late.asked_s)
 
     def _on_emergency_stop(self, request: Trigger.Request, late: LateResponse) -> None:
         wait_s = self._stop_timeout_s + self._router.seconds_to_rest

@@ -41,6 +41,15 @@ class Command:
         """Tell the client; for who has claimed the command."""
         self._on_done(value, error)
 
+    def run_by(self, method: Callable[..., Any]) -> None:
+        """Call a method with the arguments, and tell the client; for who claimed the command."""
+        try:
+            value = method(*self.arguments)
+        except ValueError as error:
+            self.finish(error=error)
+        else:
+            self.finish(value)
+
 
 class CommandQueue:
     """Commands in the order in which they came.

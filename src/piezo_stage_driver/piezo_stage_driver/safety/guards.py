@@ -7,10 +7,13 @@ answer before it acts. Their answer is empty, or the cause of a stop.
 
 import math
 import threading
+import time
+from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from piezo_stage_driver.engine.program import StageRefusal
 from piezo_stage_driver.safety.sample_kernels import extremes, fourth_difference, tick_means
 
 # Of the sample clock. Single samples far off are glitches, not the loss of the sensor.
@@ -22,24 +25,44 @@ RESPONSE_PATIENCE_SAMPLES = 800
 class StopLatch:
     """Keep why the stage is stopped, until somebody resets it; any thread may stop it.
 
+    Parameters
+    ----------
+    clock : callable
+        Returns the time (s).
+
     Attributes
     ----------
     cause : str
         Of the first stop; empty where there was none.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.cause = ""
+        self._clock, self._stopped_s = clock, -math.inf
         self._lock = threading.Lock()
 
     def stop(self, cause: str) -> None:
         """Keep the cause, unless one is kept already."""
         with self._lock:
-            self.cause = self.cause or cause
+            self.cause, self._stopped_s = self.cause or cause, self._clock()
 
-    def reset(self) -> None:
-        """Forget the cause."""
-        self.cause = ""
+    def reset(self, asked_s: float = math.inf) -> None:
+        """Forget the cause.
+
+        Parameters
+        ----------
+        asked_s : float
+            When somebody asked for it (s): who did so before the last stop did not mean that.
+
+        Raises
+        ------
+        StageRefusal
+        """
+        with self._lock:
+            if self.cause and asked_s < self._stopped_s:
+                raise StageRefusal("the stage was stopped after this was asked for "
+                                   f"({self.cause}): look why, then ask again")
+            self.cause = ""
 
 
 class Stretch(NamedTuple):

@@ -195,8 +195,7 @@ class StageSupervisor:
         if takes or not command.claim():
             return
         if command.name == "reset" and not self.active:
-            self._latch.reset()
-            command.finish()
+            command.run_by(self._latch.reset)
         else:
             command.finish(error=StageRefusal(NOT_ACTIVE))
 

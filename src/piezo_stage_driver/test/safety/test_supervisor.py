@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What the supervisor lets happen: a machine of invariants also passes where nothing ever acts."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -120,6 +122,41 @@ def test_stop_leads_back_from_the_next_tick_on_and_latches_at_rest(stage):
     stage.supervisor.tick()
     assert "somebody stopped it" in stage.told[-2] and stage.told[-1] is None
     assert stage.supervisor.state is State.IDLE and stage.supervisor.cause == ""
+
+
+def test_reset_that_was_asked_for_before_the_last_stop_does_not_release_it(stage):
+    stage.supervisor.stop("the first")
+    stage.tick_until(State.LATCHED)
+    asked_s = time.monotonic()
+    stage.supervisor.stop("the second")
+    stage.ask("reset", asked_s)
+    stage.supervisor.tick()
+    assert "stopped after this was asked for (the first)" in stage.told[-1]
+    assert stage.supervisor.cause
+    stage.ask("reset", time.monotonic())
+    stage.supervisor.tick()
+    assert stage.told[-1] is None and not stage.supervisor.cause
+
+
+def test_reset_asked_for_before_the_stop_of_a_stage_that_is_not_active_is_refused(stage):
+    stage.supervisor.leave("it was deactivated")
+    stage.tick_until(State.INACTIVE)
+    asked_s = time.monotonic()
+    stage.supervisor.stop("somebody stopped it")
+    stage.ask("reset", asked_s)
+    assert "stopped after this was asked for" in stage.told[-1] and stage.supervisor.cause
+
+
+def test_run_goes_on_where_a_stop_was_asked_for_before_it_began(stage):
+    asked_s = time.monotonic()
+    stage.track()
+    stage.ask("stop_tracking", asked_s)
+    stage.supervisor.tick()
+    assert "began after this was asked for" in stage.told[-1]
+    assert stage.supervisor.state is State.TRACKING
+    stage.ask("stop_tracking", time.monotonic())
+    stage.supervisor.tick()
+    assert stage.told[-1] is None
 
 
 def test_cancelled_waveform_returns_to_rest_from_the_next_tick_on(stage):
