@@ -260,23 +260,6 @@ def propagated(sensitivity: FloatArray, covariance: FloatArray) -> FloatArray:
     return result
 
 
-def are_equal(
-    vector: FloatArray, covariance: FloatArray, one: int, other: int,
-) -> bool:
-    """Tell whether two of the parameters of a fit do not differ significantly.
-
-    Parameters
-    ----------
-    vector : ndarray, shape (P,)
-    covariance : ndarray, shape (P, P)
-    one, other : int
-        Their places.
-    """
-    variance = covariance[one, one] + covariance[other, other] - 2.0 * covariance[one, other]
-    difference = abs(vector[one] - vector[other])
-    return bool(difference <= SIGNIFICANT * np.sqrt(max(variance, 0.0)))
-
-
 def parameter_deviations(jacobian: FloatArray) -> FloatArray:
     """Return standard deviations of the parameters of a fit whose residual has variance 1.
 

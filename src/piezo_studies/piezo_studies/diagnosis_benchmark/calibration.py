@@ -8,13 +8,11 @@ neural networks".
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from piezo_identification.diagnosis.joint.probabilities import NONE, SOMETHING_ELSE
 from piezo_studies.diagnosis_benchmark.outcome import CLEAR, outcome, strongest
 
 BINS = 10
-LARGEST_TEMPERATURE = 100.0
 LEAST_PROBABILITY = 1e-12
 
 
@@ -128,33 +126,6 @@ def reliability(probabilities, true, bins=BINS):
         error += counts[-1] * abs(stated[-1] - came_true[-1])
     return Reliability(tuple(edges.tolist()), tuple(stated), tuple(came_true), tuple(counts),
                        float(error / max(1, len(probabilities))))
-
-
-def fitted_temperature(results):
-    """Return the temperature that makes the probabilities of some cases most likely.
-
-    It is to be tested on the cases of another seed.
-
-    Parameters
-    ----------
-    results : list of dict
-
-    Returns
-    -------
-    float
-        By which the logarithms of the probabilities are to be divided.
-    """
-    told = [result for result in results if result.get("probabilities")]
-
-    def surprise(logarithm):
-        return -sum(np.log(max(LEAST_PROBABILITY, sum(
-            share for label, share in tempered(
-                result["probabilities"], np.exp(logarithm)).items()
-            if is_true(result, label)))) for result in told)
-
-    solution = minimize_scalar(
-        surprise, bounds=(0.0, np.log(LARGEST_TEMPERATURE)), method="bounded")
-    return float(np.exp(solution.x))
 
 
 def tempered(probabilities, temperature):

@@ -61,11 +61,6 @@ class ModeOrder:
         return text + " lag" * self.sensor_lags + " coupled" * self.is_coupled
 
     @property
-    def all_modes(self) -> int:
-        """Number of modes, in series and side by side."""
-        return self.modes + self.beside
-
-    @property
     def parameters(self) -> int:
         """Length of the vector: the lags, two numbers for a mode in series, more beside."""
         return self.positive + self.shares
@@ -79,12 +74,6 @@ class ModeOrder:
     def shares(self) -> int:
         """Numbers at the end of the vector that are parts of the displacement."""
         return self.beside * (1 + self.is_coupled)
-
-    def holds(self, smaller: "ModeOrder") -> bool:
-        """Whether every model of the smaller order is a limit of those of this one."""
-        return (self.modes >= smaller.modes and self.antiresonances >= smaller.antiresonances
-                and self.beside >= smaller.beside and self.sensor_lags >= smaller.sensor_lags
-                and self.is_coupled == smaller.is_coupled)
 
 
 @dataclass(frozen=True)
