@@ -20,10 +20,6 @@ class LateResponse:
     ----------
     response : message
         To be filled in.
-
-    Attributes
-    ----------
-    response : message
     """
 
     def __init__(self, node: Node, response: Message) -> None:

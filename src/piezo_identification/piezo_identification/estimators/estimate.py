@@ -115,7 +115,6 @@ class Estimate:
 
     Parameters
     ----------
-    model : CreepDynamics, ElectricVibrationDynamics or ResponseModel
     standard_deviations : dict of str to float or tuple of float
         Of every physical parameter, under the names and in the shapes of the model's fields. They
         follow from the sensitivities at the optimum and the variance of the residual, which holds

@@ -188,7 +188,6 @@ def estimate_linear_dynamics(
     ----------
     creep, hysteresis : sequence of Recording
         Without gaps; empty for none.
-    dynamics : sequence of Recording, or FrequencyResponse
     method : str
         One of `METHODS`; a frequency response has its own.
     order : ResponseOrder

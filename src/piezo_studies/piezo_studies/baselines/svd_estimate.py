@@ -130,11 +130,9 @@ def density_of_weights(method, weights_um, voltage_v, levels_v, offset_um=0.0, *
 
     Parameters
     ----------
-    method : str
     weights_um : ndarray, shape (L (L + 1) / 2,)
     voltage_v : ndarray, shape (N,)
     levels_v : ndarray, shape (L + 1,)
-    offset_um : float
     **results
         Further fields of `DensityEstimate`.
     """

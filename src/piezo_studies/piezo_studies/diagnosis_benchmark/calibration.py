@@ -109,7 +109,6 @@ def reliability(probabilities, true, bins=BINS):
     ----------
     probabilities : (n,) array of float
     true : (n,) array of bool
-    bins : int
     """
     edges = np.linspace(0.0, 1.0, bins + 1)
     number = np.minimum((np.asarray(probabilities) * bins).astype(int), bins - 1)
@@ -134,7 +133,6 @@ def tempered(probabilities, temperature):
     Parameters
     ----------
     probabilities : dict of str to float
-    temperature : float
     """
     powers = {label: max(share, LEAST_PROBABILITY) ** (1.0 / temperature)
               for label, share in probabilities.items()}

@@ -37,7 +37,6 @@ class ResponseColumn:
 
     Attributes
     ----------
-    label : str
     unit : str
         As `plain` writes it; empty where it is not said.
     """
