@@ -25,19 +25,11 @@ class WaveformSettings:
     smallest_reversal : float
         Part of the voltage's range below which a way back is noise and no reversal, where branches
         are told apart by their duration.
-    smallest_branch : float
-        Part of the distance between two levels below which a way back is no reversal, where samples
-        are taken at the levels.
-    level_slack : float
-        Part of the distance between two levels by which a branch may end before a level that it
-        counts as reaching. Half a quantum of any converter lies within it.
     """
 
     level_tolerance: float = 0.01
     slow_branch_s: float = 0.05
     smallest_reversal: float = 1e-3
-    smallest_branch: float = 0.25
-    level_slack: float = 1e-3
 
 
 SETTINGS = WaveformSettings()
@@ -166,38 +158,3 @@ def slow_branches(time_s: FloatArray, voltage_v: FloatArray) -> NDArray[np.bool_
     for start, end in zip(points[:-1], points[1:], strict=True):
         slow[start : end + 1] = time_s[end] - time_s[start] > SETTINGS.slow_branch_s
     return slow
-
-
-def sample_by_voltage(voltage_v: FloatArray, levels_v: FloatArray) -> NDArray[np.intp]:
-    """Choose the samples nearest to the levels: the input-based sampling rule (4.9)-(4.10).
-
-    Between two reversals every level is taken once, where the voltage comes nearest to it. L
-    harmonics of rising amplitude from level 0 give L (L + 1) + 1 samples.
-
-    Parameters
-    ----------
-    voltage_v : ndarray, shape (N,)
-    levels_v : ndarray, shape (L + 1,)
-        Uniform and increasing.
-
-    Returns
-    -------
-    ndarray of int
-        Increasing.
-    """
-    spacing_v = levels_v[1] - levels_v[0]
-    points = turning_points(voltage_v, SETTINGS.smallest_branch * spacing_v)
-    samples = [np.array([0])]
-    for start, end in zip(points[:-1], points[1:], strict=True):
-        branch_v = voltage_v[start : end + 1]
-        direction = 1.0 if branch_v[-1] >= branch_v[0] else -1.0
-        rising_v = np.maximum.accumulate(direction * branch_v)
-        wanted_v = np.sort(direction * levels_v)
-        slack_v = SETTINGS.level_slack * spacing_v
-        wanted_v = wanted_v[
-            (wanted_v >= rising_v[0] - slack_v) & (wanted_v <= rising_v[-1] + slack_v)
-        ]
-        after = np.clip(np.searchsorted(rising_v, wanted_v), 1, rising_v.size - 1)
-        nearer = np.abs(rising_v[after - 1] - wanted_v) <= np.abs(rising_v[after] - wanted_v)
-        samples.append(start + after - nearer)
-    return np.unique(np.concatenate(samples))

@@ -5,7 +5,6 @@ import pytest
 from piezo_identification.experiments.input_designs import (
     stair_amplitudes,
     stair_harmonics,
-    stair_sample_times,
 )
 from piezo_studies.baselines.polynomial_drift import remove_polynomial_drift
 from piezo_studies.baselines.projection import projection
@@ -16,6 +15,7 @@ from piezo_studies.baselines.relay_regression import (
     excitation_rank,
     relay_rows,
 )
+from piezo_studies.baselines.sampling_rules import stair_sample_times
 from piezo_studies.baselines.svd_estimate import density_by_svd, truncated_svd
 
 
