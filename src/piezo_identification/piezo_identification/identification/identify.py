@@ -172,7 +172,9 @@ def identify(
         stages.begin("validation", 0.95)
         errors = validation_errors(fitted.model, recordings)
         adequacy = adequacy_document(
-            adequacy_of(fitted.model, said, delays_of_rows_s(said, read_at), linear.estimates))
+            adequacy_of(fitted.model, said, delays_of_rows_s(said, read_at), [
+                name for name, number in (("creep", order.creep_pairs), ("dynamics", order.modes))
+                if number is not None]))
         identified = replace(
             identified_model(fitted, errors, given, rows), adequacy=adequacy,
             uncertainties=reliable(fitted.uncertainties, adequacy))
