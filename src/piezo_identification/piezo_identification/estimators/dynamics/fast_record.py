@@ -64,7 +64,7 @@ class FastFit:
     Parameters
     ----------
     vector : ndarray, shape (P,)
-        Of `fast_dynamics.FastDynamics`.
+        See `fast_dynamics.fast_dynamics_of`.
     delay : float
         In sample periods.
     residual : ndarray, shape (N,)
