@@ -89,11 +89,23 @@ class SquareWave:
     level : ndarray, shape (N,)
         0 at the lower voltage, 1 at the upper one.
     steps : ndarray of int
-        Samples at which the level changes.
+        Samples at which the level changes, one at least.
     """
 
     level: FloatArray
     steps: NDArray[np.intp]
+
+
+def two_levels(recording: Recording) -> SquareWave | None:
+    """Read a recording's voltage as a square wave; None where it takes other than two values."""
+    voltage_v = recording.voltage_v
+    low_v, high_v = voltage_v.min(), voltage_v.max()
+    swing_v = high_v - low_v
+    level = (voltage_v > 0.5 * (low_v + high_v)).astype(float)
+    off_v = np.abs(voltage_v - low_v - swing_v * level).max()
+    if swing_v == 0.0 or off_v > SETTINGS.level_tolerance * swing_v:
+        return None
+    return SquareWave(level, np.flatnonzero(np.diff(level)) + 1)
 
 
 def square_wave(recording: Recording) -> SquareWave:
@@ -104,17 +116,13 @@ def square_wave(recording: Recording) -> SquareWave:
     ValueError
         If the voltage takes other values than two levels, or never changes.
     """
-    voltage_v = recording.voltage_v
-    low_v, high_v = voltage_v.min(), voltage_v.max()
-    swing_v = high_v - low_v
-    level = (voltage_v > 0.5 * (low_v + high_v)).astype(float)
-    largest_v = SETTINGS.level_tolerance * swing_v
-    if swing_v == 0.0 or np.abs(voltage_v - low_v - swing_v * level).max() > largest_v:
+    wave = two_levels(recording)
+    if wave is None:
         raise ValueError(
             f"{recording.path} is no square wave between two voltages: "
             "give the recording of a creep or dynamics experiment"
         )
-    return SquareWave(level, np.flatnonzero(np.diff(level)) + 1)
+    return wave
 
 
 def turning_points(voltage_v: FloatArray, threshold_v: float) -> NDArray[np.intp]:

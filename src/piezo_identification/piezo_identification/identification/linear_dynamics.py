@@ -19,7 +19,7 @@ from piezo_identification.conditioning.settling import (
     slow_delay_s,
     slow_dynamics,
 )
-from piezo_identification.conditioning.waveforms import played, square_wave
+from piezo_identification.conditioning.waveforms import played, two_levels
 from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
 from piezo_identification.estimators.dynamics.any_input import estimate_dynamics_any
@@ -353,19 +353,14 @@ def _from_samples(
 
 
 def _is_periodic(recording: Recording) -> bool:
-    """Tell whether a recording is a square wave whose period is a whole number of samples."""
-    if not is_square_wave(recording):
+    """Whether a recording is a square wave whose period is a whole number of samples."""
+    wave = two_levels(square_part(played(recording)))
+    if wave is None:
         return False
-    part = square_part(played(recording))
-    steps = square_wave(part).steps
-    steps = steps[steps >= WARM_UP_S / part.sample_period_s]
+    steps = wave.steps[wave.steps >= WARM_UP_S / played(recording).sample_period_s]
     return steps.size >= 3 and bool(np.all(steps[2:] - steps[:-2] == steps[2] - steps[0]))
 
 
 def is_square_wave(recording: Recording) -> bool:
-    """Tell whether the voltage of a recording has two levels."""
-    part = square_part(played(recording))
-    try:
-        return square_wave(part).steps.size > 0
-    except ValueError:
-        return False
+    """Whether the voltage of a recording has two levels."""
+    return two_levels(square_part(played(recording))) is not None

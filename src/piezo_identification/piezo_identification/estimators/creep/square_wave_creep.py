@@ -155,8 +155,6 @@ class _CreepRecord:
                  delay_s: float) -> None:
         self.path = recording.path
         self.wave = square_wave(recording)
-        if self.wave.steps.size == 0:
-            raise ValueError(f"{recording.path} has no step of the voltage: record a whole period")
         self.period_s = recording.sample_period_s
         self.mean_samples = samples_per_mean(recording)
         self.delay_s = delay_s
