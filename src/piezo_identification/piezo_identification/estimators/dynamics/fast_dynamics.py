@@ -267,7 +267,7 @@ def _pairs(frequencies: FloatArray, dampings: FloatArray) -> ComplexArray:
     excess = np.where(np.abs(excess) < APART, APART, excess).astype(complex)
     root = np.sqrt(excess)
     poles = frequencies[..., None] * np.stack([-dampings + root, -dampings - root], axis=-1)
-    return poles.reshape(len(frequencies), -1)
+    return np.asarray(poles.reshape(len(frequencies), -1), dtype=complex)
 
 
 def _away_from(times: FloatArray, others: FloatArray) -> FloatArray:
