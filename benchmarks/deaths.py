@@ -79,7 +79,6 @@ class Session:
 
     Parameters
     ----------
-    directory : pathlib.Path
     timing : str
         Of the stage: lockstep or paced.
     patience_s : float

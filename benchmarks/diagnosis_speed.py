@@ -37,8 +37,6 @@ class Case:
 
     Attributes
     ----------
-    effects : tuple of Effect
-    verdict : str
     named : str or None
         Effect that must be named first.
     is_heated : bool
@@ -68,8 +66,6 @@ def recorded(model, samples, seed, is_heated=False):
     ----------
     model : StageModel
         Of the stage.
-    samples, seed : int
-    is_heated : bool
 
     Returns
     -------
@@ -104,7 +100,6 @@ def diagnosis_times_s(name, samples=SAMPLES, recordings=RECORDINGS):
         Of one of the `CASES`.
     samples : int
         Of all recordings together.
-    recordings : int
 
     Returns
     -------

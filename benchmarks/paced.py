@@ -32,10 +32,6 @@ def answer_v(tick):
 class PacedRun(PacedAccount):
     """Answers the blocks of a run and keeps the account of it; see `PacedAccount`.
 
-    Parameters
-    ----------
-    client : Client
-
     Attributes
     ----------
     disturbed_ticks : int

@@ -12,10 +12,6 @@ DIAGNOSTICS_S = 3.0
 class PacedAccount:
     """Keep the account of a stage that keeps the wall clock's pace.
 
-    Parameters
-    ----------
-    client : Client
-
     Attributes
     ----------
     ticks : int

@@ -33,10 +33,6 @@ SPIN = "while True: pass"
 class OnboardRun(PacedAccount):
     """Keeps the account of a run whose feedback the stage evaluates; see `PacedAccount`.
 
-    Parameters
-    ----------
-    client : Client
-
     Attributes
     ----------
     fed_back_ticks : int

@@ -18,8 +18,6 @@ from peer_dynamics import METHODS
 from stage_model import VOLTAGE_RANGE_V, preisach_model
 from table import Measurements, show
 
-from piezo_identification.conditioning.waveforms import sample_by_voltage
-from piezo_identification.estimators.armax.armax import fit_armax
 from piezo_identification.estimators.hysteresis.smoothed_density import smoothed_density
 from piezo_identification.experiments.input_designs import stair_amplitudes, stair_harmonics
 from piezo_models.linear.dynamics import (
@@ -28,7 +26,9 @@ from piezo_models.linear.dynamics import (
     zoh,
     zoh_response,
 )
+from piezo_studies.baselines.armax import fit_armax
 from piezo_studies.baselines.relay_grid import activation_matrix
+from piezo_studies.baselines.sampling_rules import sample_by_voltage
 
 ROOT = Path(__file__).parents[1]
 OUTPUT = ROOT / "runs" / "bench" / "peers"

@@ -73,7 +73,6 @@ def recording(path, played, behind=as_it_was, seed=0):
 
     Parameters
     ----------
-    path : str
     played : Played
     behind : callable
         One of `CASES`.
@@ -97,10 +96,6 @@ def recording(path, played, behind=as_it_was, seed=0):
 
 def identified(folder):
     """Return the model of the stage, identified from short recordings unless the folder has it.
-
-    Parameters
-    ----------
-    folder : Path
 
     Returns
     -------

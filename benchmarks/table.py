@@ -15,12 +15,10 @@ class Row:
 
     Attributes
     ----------
-    name, unit : str
     values : list of float
         One of each round; none of what could not be measured.
     at_least, at_most : float, optional
         What the median is to reach.
-    remark : str
     """
 
     name: str

@@ -243,8 +243,6 @@ class Frame:
 
     Parameters
     ----------
-    package : str
-    rooms : list of str
     imports : dict
         All imports between rooms.
     """

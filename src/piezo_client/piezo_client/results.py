@@ -60,7 +60,6 @@ class Tracking(_Run):
         Of the recording.
     e_rms_percent : float
         RMS error by the sensor, of the reference's peak to peak (2.32).
-    largest_error_um : float
     missed_feedback : int
         Answers of the controller that came too late.
     message : str

@@ -25,13 +25,11 @@ class Command:
 
     Attributes
     ----------
-    name, description : str
     add_options : callable
         Adds its options to a parser.
     work : str
         ``module:function``, imported and called with the parsed options. What it returns is the
         exit status, 0 if that is nothing.
-    epilog : str
     inputs : tuple of str
         Names of the options that are given files to read.
     check : callable, optional

@@ -88,8 +88,6 @@ class Picture:
     ----------
     name : str
         Told to those who cannot see it.
-    caption : str
-    png : bytes
     tall, wide : bool
         Two others fit beside it; none does.
     data : str
@@ -113,11 +111,8 @@ class Section:
 
     Attributes
     ----------
-    title : str
-    paragraphs : sequence of str
     table : list of list of str
         The heads, then the rows; empty for none.
-    pictures : sequence of Picture
     """
 
     title: str

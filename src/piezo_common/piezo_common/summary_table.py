@@ -35,7 +35,6 @@ class SummaryTable:
     ----------
     title : str
         One line.
-    heads : tuple of str
     rows : list of tuple of str, float or None
         As many cells as heads.
     notes : tuple of str

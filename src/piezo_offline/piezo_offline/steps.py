@@ -30,7 +30,6 @@ from piezo_identification.diagnosis.report.results import stated_error
 from piezo_identification.diagnosis.response.response_diagnosis import diagnose_response
 from piezo_identification.diagnosis.verdict import Verdict, extended_model
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
-from piezo_identification.identification.dynamics_methods import METHODS as FITS
 from piezo_identification.identification.given_hysteresis import DensityOptions
 from piezo_identification.identification.identify import identify as identify_recordings
 from piezo_identification.prediction.prediction import Prediction
@@ -50,7 +49,7 @@ AnyModel = IdentifiedModel | StageModel | str | PathLike[str]
 
 def identify(
     creep: Any = None, dynamics: Any = None, hysteresis: Any = None, validation: Any = None, *,
-    columns: Sequence[str] = (), method: str = FITS[0], creep_pairs: int | None = None,
+    columns: Sequence[str] = (), method: str = "output-error", creep_pairs: int | None = None,
     modes: int | None = None, grid: int | None = None, refine: bool = False,
     rows_read: str = "start",
     progress: Callable[[str, float], object] | None = None,
@@ -67,7 +66,7 @@ def identify(
     columns : sequence of str
         Of all of them, see `piezo_offline.read`.
     method : str
-        How recorded dynamics are fitted; the choices of ``piezo identify --method``.
+        Without effect, as that of ``piezo identify --method``.
     creep_pairs, modes : int, optional
         Orders; chosen from the data by default.
     grid : int, optional

@@ -24,7 +24,6 @@ class LateResponse:
 
     Attributes
     ----------
-    response : message
     asked_s : float
         When the client sent its request, by the monotonic clock (s).
     """

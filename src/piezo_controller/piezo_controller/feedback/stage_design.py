@@ -27,11 +27,8 @@ class StageDesign:
 
     Attributes
     ----------
-    controller : FeedbackController
     weights : DesignWeights
         At the controller's tick, for the disturbances that were named.
-    rules : LoopRules
-    samples_per_tick : int
     """
 
     controller: FeedbackController

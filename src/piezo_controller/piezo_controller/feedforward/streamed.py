@@ -68,7 +68,6 @@ class StreamPlan:
         first value of the reference.
     expected : Trajectory
         Displacement to expect, from the run's first sample on.
-    reference : Trajectory
     samples : int
         Of the reference that are played.
     begin_sample : int
@@ -77,7 +76,6 @@ class StreamPlan:
         Effects of the model that are not compensated.
     inverse : OnlineInverse
         As it is when `once_voltage_v` has been played.
-    limits : StreamLimits
     margin_samples : int
         How far ahead the inverse looks.
     """
@@ -169,12 +167,7 @@ class StreamPlan:
 
 @dataclass(frozen=True)
 class StreamLimits:
-    """What the voltages of a stream must keep to.
-
-    Attributes
-    ----------
-    lowest_v, highest_v, slew_limit_v_per_s, sample_period_s : float
-    """
+    """What the voltages of a stream must keep to."""
 
     lowest_v: float
     highest_v: float

@@ -56,14 +56,10 @@ class Learned:
 
     Attributes
     ----------
-    reference : Reference
-    model_sha256 : str
-    sample_rate_hz : float
     correction_um : (P,) array
         One period of what is added to the reference before it is inverted.
     error_rms_um : float
         Of the harmonics that were learned, at its best.
-    iterations : int
     """
 
     reference: Reference

@@ -83,7 +83,6 @@ class PeriodicLearner:
         Measured so far.
     finished : str
         Why there is nothing more to learn; empty as long as there is.
-    best_rms_um : float
     """
 
     def __init__(self, reference_um: ArrayLike, response: Callable[[FloatArray], ComplexArray],

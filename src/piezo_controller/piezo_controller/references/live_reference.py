@@ -43,7 +43,6 @@ class LiveReference:
         How far the values lie ahead of the publisher's present, as its first message declares.
     longest_samples : int
         Samples of the longest message.
-    patience_s : float
     latest_um : float
         The last value; NaN before the first.
     bridged_samples : int

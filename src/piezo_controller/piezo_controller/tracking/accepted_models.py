@@ -17,13 +17,7 @@ from piezo_models.model_file import load_model
 
 @dataclass(frozen=True)
 class ModelText:
-    """A model file as it was read.
-
-    Attributes
-    ----------
-    path : str
-    text : str
-    """
+    """A model file as it was read."""
 
     path: str
     text: str

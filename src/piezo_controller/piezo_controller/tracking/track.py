@@ -127,9 +127,6 @@ class PreparedRun:
 
     Attributes
     ----------
-    plan : TrackingPlan
-    feedback : Feedback or None
-    run : TrackingRun
     learning : Learning or None
         Of the mode ``learning``.
     law : FeedbackLaw or None

@@ -28,11 +28,6 @@ class StageClock:
 
     Attributes
     ----------
-    voltage_range_v : tuple of float
-    slew_limit_v_per_s : float
-    rest_voltage_v : float
-    sample_rate_hz : float
-    samples_per_tick : int
     max_feedback_v : float
         Largest answer that the stage takes, of either sign (V).
     """

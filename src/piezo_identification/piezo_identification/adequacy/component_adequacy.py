@@ -1,16 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The verdict on each component of a model: what it leaves of its recording, beside the noise."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from piezo_identification.adequacy.component_residual import component_residual
-from piezo_identification.adequacy.lack_of_fit import LackOfFit, lack_of_fit
-from piezo_identification.adequacy.order_advice import advice_on_creep_pairs, advice_on_order
+from piezo_identification.adequacy.lack_of_fit import lack_of_fit
 from piezo_identification.adequacy.residual_location import ResidualLocation, residual_location
 from piezo_identification.conditioning.segments import experiment_of, testable
-from piezo_identification.estimators.estimate import Estimate
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording
@@ -19,6 +17,9 @@ ADEQUATE, INADEQUATE = "adequate", "inadequate"
 
 COMPONENTS = ("creep", "dynamics", "hysteresis")
 """Components bear the names of the recordings that they are estimated from."""
+
+NUMBERS = {"creep": "--creep-pairs", "dynamics": "--modes"}
+"""Options that ask for the number of their parts."""
 
 SLOW_HZ = 5.0
 """Frequency below which what is left of loops may be creep, above it fast dynamics."""
@@ -58,7 +59,7 @@ class ComponentAdequacy:
 def adequacy_of(
     model: StageModel, recordings: Mapping[str, Any],
     delays_s: Mapping[str, float] | None = None,
-    estimates: Mapping[str, Estimate] | None = None,
+    asked_for: Collection[str] = (),
 ) -> dict[str, ComponentAdequacy]:
     """Set what each component leaves of its recording against the noise.
 
@@ -69,18 +70,18 @@ def adequacy_of(
         numbered: creep, creep 2. Any others are not looked at.
     delays_s : dict of str to float, optional
         Delays of the rows of some of them, beside the model.
-    estimates : dict of str to Estimate, optional
-        Of the components, with the orders that were tried, of which the advice tells.
+    asked_for : collection of str
+        Components whose number of parts was asked for.
 
     Returns
     -------
     dict of str to ComponentAdequacy
         By the names of the recordings; stretches of a few samples are left out.
     """
-    delays_s, estimates = delays_s or {}, estimates or {}
+    delays_s = delays_s or {}
     return {
         name: _component_adequacy(component, model, data, delays_s.get(name, 0.0), recordings,
-                                  estimates.get(component))
+                                  component in asked_for)
         for component in COMPONENTS for name, data in testable(recordings).items()
         if experiment_of(name) == component
     }
@@ -88,7 +89,7 @@ def adequacy_of(
 
 def _component_adequacy(
     component: str, model: StageModel, data: Recording | FrequencyResponse, delay_s: float,
-    recordings: Mapping[str, Any], estimate: Estimate | None,
+    recordings: Mapping[str, Any], is_asked_for: bool,
 ) -> ComponentAdequacy:
     residual = component_residual(component, model, data, delay_s)
     fit = lack_of_fit(residual)
@@ -96,18 +97,15 @@ def _component_adequacy(
     if not fit.is_adequate:
         location = residual_location(residual, fit)
         left = f"{fit.systematic_rms_um:.3g} um beyond the noise, {location.words}"
-        advice = advice_on(component, model, location, residual.path, recordings, estimate)
+        advice = advice_on(component, model, location, residual.path, recordings, is_asked_for)
     return ComponentAdequacy(
-        fit.residual_rms_um, fit.noise_rms_um, fit.ratio, _verdict(fit), residual.error_percent,
-        fit.noise_from, left, advice)
-
-
-def _verdict(fit: LackOfFit) -> str:
-    return ADEQUATE if fit.is_adequate else INADEQUATE
+        fit.residual_rms_um, fit.noise_rms_um, fit.ratio,
+        ADEQUATE if fit.is_adequate else INADEQUATE, residual.error_percent, fit.noise_from, left,
+        advice)
 
 
 def advice_on(component: str, model: StageModel, location: ResidualLocation, path: str,
-              recordings: Mapping[str, Any], estimate: Estimate | None = None) -> str:
+              recordings: Mapping[str, Any], is_asked_for: bool = False) -> str:
     """Say what to do about a component that is inadequate.
 
     Parameters
@@ -118,8 +116,8 @@ def advice_on(component: str, model: StageModel, location: ResidualLocation, pat
         Of its recording.
     recordings : dict of str to Recording or FrequencyResponse
         All that was given.
-    estimate : Estimate, optional
-        Of the component.
+    is_asked_for : bool
+        Whether the number of its parts was.
     """
     steps = []
     if component == "hysteresis":
@@ -129,13 +127,12 @@ def advice_on(component: str, model: StageModel, location: ResidualLocation, pat
             steps.append(f"give a recording for --{missing}")
     elif component == "creep":
         steps.append("record the creep longer")
-        steps.append(advice_on_creep_pairs(estimate) if estimate is not None else "")
     elif "hysteresis" not in recordings and model.hysteresis.density_um_per_v2.any():
         steps.append("give a recording for --hysteresis, which was taken from the fast one alone")
-    elif estimate is not None:
-        steps.append(advice_on_order(estimate))
+    if is_asked_for:
+        steps.append(f"leave {NUMBERS[component]} out, so that the number is sought")
     steps.append(f"let diagnose name the cause from {path}")
-    return ", or ".join(filter(None, steps))
+    return ", or ".join(steps)
 
 
 def adequacy_document(adequacy: Mapping[str, ComponentAdequacy]) -> dict[str, dict[str, Any]]:

@@ -19,7 +19,12 @@ from piezo_identification.conditioning.row_alignment import rows_read_at_start
 from piezo_identification.conditioning.sensor_noise import repeated_period
 from piezo_identification.conditioning.settled_periods import first_settled_step
 from piezo_identification.conditioning.settling import first_settled, slow_dynamics
-from piezo_identification.conditioning.waveforms import played, samples_per_mean, square_wave
+from piezo_identification.conditioning.waveforms import (
+    SquareWave,
+    played,
+    samples_per_mean,
+    two_levels,
+)
 from piezo_identification.estimators.creep.square_wave_creep import FEWEST_STEPS, left_out_s
 from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
@@ -110,20 +115,17 @@ def component_residual(
         return _of_response(model, data)
     if component in WITH_FREE_GAIN:
         part = square_part(played(data))
-        try:
-            wave = square_wave(part)
-        except ValueError:
-            wave = None
-        if wave is not None and wave.steps.size:
-            return _of_square_wave(component, model, part, delay_s)
+        wave = two_levels(part)
+        if wave is not None:
+            return _of_square_wave(component, model, part, wave, delay_s)
     aligned = rows_read_at_start(data, -delay_s / played(data).sample_period_s)
     return _of_any_wave(component in WITH_FREE_GAIN, model, aligned)
 
 
 def _of_square_wave(
-    component: str, model: StageModel, part: Recording, delay_s: float,
+    component: str, model: StageModel, part: Recording, wave: SquareWave, delay_s: float,
 ) -> ComponentResidual:
-    wave, time_s = square_wave(part), part.time_s
+    time_s = part.time_s
     samples = samples_per_mean(part)
     lags, _ = leading_lags(model.effects_at("displacement") + model.effects_at("sensor"), samples)
     system, behind_s = behind_lags(model.linear(), lags)

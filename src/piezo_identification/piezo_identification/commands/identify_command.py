@@ -8,7 +8,6 @@ from pathlib import Path
 from piezo_common.command_line import Command, add_report_option
 from piezo_identification.commands.response_options import add_response_options
 from piezo_identification.commands.row_options import add_rows_option
-from piezo_identification.identification.dynamics_methods import METHODS
 from piezo_recorder.commands.data_flags import add_columns_option
 
 EXPERIMENTS = {
@@ -34,8 +33,8 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--refine", action="store_true",
                         help="of earlier versions: identify always fits all components together "
                         "at the end")
-    parser.add_argument("--method", choices=METHODS, default=METHODS[0],
-                        help="how recorded dynamics are fitted (default: %(default)s)")
+    parser.add_argument("--method", choices=("output-error", "armax"), default="output-error",
+                        help="of earlier versions: all are fitted by their output error")
     for name, what in (("creep-pairs", "pole and zero pairs of the creep"),
                        ("modes", "vibration modes"),
                        ("antiresonances", "antiresonances of a frequency response")):

@@ -25,7 +25,6 @@ from piezo_identification.estimators.frequency_response.response_file import (
     read_frequency_response,
 )
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
-from piezo_identification.identification.dynamics_methods import METHODS
 from piezo_identification.identification.given_data import given_data, slowest_recording
 from piezo_identification.identification.given_hysteresis import DensityOptions
 from piezo_identification.identification.identify import identify
@@ -109,7 +108,6 @@ def _check_options(
     """Refuse options that what was given for the dynamics has no use for."""
     is_response = isinstance(dynamics, FrequencyResponse)
     useless = {
-        "--method": options.method != METHODS[0] and (dynamics is None or is_response),
         "--modes": options.modes is not None and dynamics is None,
         "--antiresonances": options.antiresonances is not None and not is_response,
         "--band": options.band is not None and not is_response,

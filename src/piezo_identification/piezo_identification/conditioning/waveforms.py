@@ -25,19 +25,11 @@ class WaveformSettings:
     smallest_reversal : float
         Part of the voltage's range below which a way back is noise and no reversal, where branches
         are told apart by their duration.
-    smallest_branch : float
-        Part of the distance between two levels below which a way back is no reversal, where samples
-        are taken at the levels.
-    level_slack : float
-        Part of the distance between two levels by which a branch may end before a level that it
-        counts as reaching. Half a quantum of any converter lies within it.
     """
 
     level_tolerance: float = 0.01
     slow_branch_s: float = 0.05
     smallest_reversal: float = 1e-3
-    smallest_branch: float = 0.25
-    level_slack: float = 1e-3
 
 
 SETTINGS = WaveformSettings()
@@ -97,11 +89,23 @@ class SquareWave:
     level : ndarray, shape (N,)
         0 at the lower voltage, 1 at the upper one.
     steps : ndarray of int
-        Samples at which the level changes.
+        Samples at which the level changes, one at least.
     """
 
     level: FloatArray
     steps: NDArray[np.intp]
+
+
+def two_levels(recording: Recording) -> SquareWave | None:
+    """Read a recording's voltage as a square wave; None where it takes other than two values."""
+    voltage_v = recording.voltage_v
+    low_v, high_v = voltage_v.min(), voltage_v.max()
+    swing_v = high_v - low_v
+    level = (voltage_v > 0.5 * (low_v + high_v)).astype(float)
+    off_v = np.abs(voltage_v - low_v - swing_v * level).max()
+    if swing_v == 0.0 or off_v > SETTINGS.level_tolerance * swing_v:
+        return None
+    return SquareWave(level, np.flatnonzero(np.diff(level)) + 1)
 
 
 def square_wave(recording: Recording) -> SquareWave:
@@ -112,17 +116,13 @@ def square_wave(recording: Recording) -> SquareWave:
     ValueError
         If the voltage takes other values than two levels, or never changes.
     """
-    voltage_v = recording.voltage_v
-    low_v, high_v = voltage_v.min(), voltage_v.max()
-    swing_v = high_v - low_v
-    level = (voltage_v > 0.5 * (low_v + high_v)).astype(float)
-    largest_v = SETTINGS.level_tolerance * swing_v
-    if swing_v == 0.0 or np.abs(voltage_v - low_v - swing_v * level).max() > largest_v:
+    wave = two_levels(recording)
+    if wave is None:
         raise ValueError(
             f"{recording.path} is no square wave between two voltages: "
             "give the recording of a creep or dynamics experiment"
         )
-    return SquareWave(level, np.flatnonzero(np.diff(level)) + 1)
+    return wave
 
 
 def turning_points(voltage_v: FloatArray, threshold_v: float) -> NDArray[np.intp]:
@@ -166,38 +166,3 @@ def slow_branches(time_s: FloatArray, voltage_v: FloatArray) -> NDArray[np.bool_
     for start, end in zip(points[:-1], points[1:], strict=True):
         slow[start : end + 1] = time_s[end] - time_s[start] > SETTINGS.slow_branch_s
     return slow
-
-
-def sample_by_voltage(voltage_v: FloatArray, levels_v: FloatArray) -> NDArray[np.intp]:
-    """Choose the samples nearest to the levels: the input-based sampling rule (4.9)-(4.10).
-
-    Between two reversals every level is taken once, where the voltage comes nearest to it. L
-    harmonics of rising amplitude from level 0 give L (L + 1) + 1 samples.
-
-    Parameters
-    ----------
-    voltage_v : ndarray, shape (N,)
-    levels_v : ndarray, shape (L + 1,)
-        Uniform and increasing.
-
-    Returns
-    -------
-    ndarray of int
-        Increasing.
-    """
-    spacing_v = levels_v[1] - levels_v[0]
-    points = turning_points(voltage_v, SETTINGS.smallest_branch * spacing_v)
-    samples = [np.array([0])]
-    for start, end in zip(points[:-1], points[1:], strict=True):
-        branch_v = voltage_v[start : end + 1]
-        direction = 1.0 if branch_v[-1] >= branch_v[0] else -1.0
-        rising_v = np.maximum.accumulate(direction * branch_v)
-        wanted_v = np.sort(direction * levels_v)
-        slack_v = SETTINGS.level_slack * spacing_v
-        wanted_v = wanted_v[
-            (wanted_v >= rising_v[0] - slack_v) & (wanted_v <= rising_v[-1] + slack_v)
-        ]
-        after = np.clip(np.searchsorted(rising_v, wanted_v), 1, rising_v.size - 1)
-        nearer = np.abs(rising_v[after - 1] - wanted_v) <= np.abs(rising_v[after] - wanted_v)
-        samples.append(start + after - nearer)
-    return np.unique(np.concatenate(samples))

@@ -115,7 +115,6 @@ class Estimate:
 
     Parameters
     ----------
-    model : CreepDynamics, ElectricVibrationDynamics or ResponseModel
     standard_deviations : dict of str to float or tuple of float
         Of every physical parameter, under the names and in the shapes of the model's fields. They
         follow from the sensitivities at the optimum and the variance of the residual, which holds
@@ -258,23 +257,6 @@ def propagated(sensitivity: FloatArray, covariance: FloatArray) -> FloatArray:
     result[reached, :] = result[:, reached] = 0.0
     result[reached, reached] = np.inf
     return result
-
-
-def are_equal(
-    vector: FloatArray, covariance: FloatArray, one: int, other: int,
-) -> bool:
-    """Tell whether two of the parameters of a fit do not differ significantly.
-
-    Parameters
-    ----------
-    vector : ndarray, shape (P,)
-    covariance : ndarray, shape (P, P)
-    one, other : int
-        Their places.
-    """
-    variance = covariance[one, one] + covariance[other, other] - 2.0 * covariance[one, other]
-    difference = abs(vector[one] - vector[other])
-    return bool(difference <= SIGNIFICANT * np.sqrt(max(variance, 0.0)))
 
 
 def parameter_deviations(jacobian: FloatArray) -> FloatArray:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Smooth ways between voltages; inputs of stair amplitude, and the sampling rules of those."""
+"""Smooth ways between voltages, and inputs of stair amplitude."""
 
 import numpy as np
 
@@ -52,35 +52,3 @@ def stair_harmonics(
     periods = np.asarray(time_s) / harmonic_period_s
     harmonic = np.floor(periods + 1e-9).astype(int) % len(amplitudes_v)
     return 0.5 * np.asarray(amplitudes_v)[harmonic] * (1.0 - np.cos(2.0 * np.pi * periods))
-
-
-def stair_sample_times(
-    amplitudes_v: FloatArray, harmonic_period_s: float, voltages_v: FloatArray,
-) -> FloatArray:
-    """Return the instants at which the harmonics pass by given voltages, (3.9)-(3.10) and (4.10).
-
-    Parameters
-    ----------
-    amplitudes_v : ndarray, shape (L,)
-    voltages_v : ndarray
-        Increasing, above zero: multiples of the step for (4.10); middles of the steps for
-        (3.9)-(3.10), whose amplitudes are middles too.
-
-    Returns
-    -------
-    ndarray
-        Increasing. Begins at 0; each harmonic gives every voltage that it reaches on its way up
-        and on its way down, its peak once, and its return to zero.
-    """
-    times_s = [np.zeros(1)]
-    for i, amplitude_v in enumerate(amplitudes_v):
-        reached_v = voltages_v[voltages_v <= amplitude_v * (1.0 + 1e-12)]
-        share = np.minimum(reached_v / amplitude_v, 1.0)
-        rising_s = np.arccos(1.0 - 2.0 * share) / (2.0 * np.pi) * harmonic_period_s
-        falling_s = harmonic_period_s - rising_s[::-1]
-        at_peak = share[-1:] == 1.0
-        times_s.append(i * harmonic_period_s + np.concatenate([
-            rising_s, falling_s[1:] if at_peak.all() and share.size else falling_s,
-            [harmonic_period_s],
-        ]))
-    return np.concatenate(times_s)

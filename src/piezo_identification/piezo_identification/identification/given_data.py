@@ -32,10 +32,6 @@ def given_data(
 ) -> dict[str, Data]:
     """Name what was given, without what was not.
 
-    Parameters
-    ----------
-    dynamics : Recording, sequence of Recording or FrequencyResponse, optional
-
     Returns
     -------
     dict of str to Recording or FrequencyResponse

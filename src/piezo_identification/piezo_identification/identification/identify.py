@@ -40,7 +40,6 @@ from piezo_identification.identification.given_hysteresis import (
     estimate_hysteresis_of,
 )
 from piezo_identification.identification.linear_dynamics import (
-    METHODS,
     LinearDynamics,
     estimate_linear_dynamics,
 )
@@ -68,6 +67,8 @@ from piezo_recorder.reading.recording import Recording
 
 __all__ = ["IdentificationCancelled", "identify"]
 
+OUTPUT_ERROR = "output-error"
+
 
 def identify(
     creep: Recordings | None = None,
@@ -77,7 +78,7 @@ def identify(
     progress: Callable[[str, float], object] | None = None,
     cancelled: Callable[[], bool] | None = None,
     refine: bool = False,
-    method: str = METHODS[0],
+    method: str = OUTPUT_ERROR,
     order: ResponseOrder = ANY_ORDER,
     note: Callable[[str], object] | None = None,
     density: DensityOptions = CHOSEN_BY_DATA,
@@ -113,7 +114,7 @@ def identify(
         Without effect: the last step always fits the whole model to all recordings but the
         validation.
     method : str
-        One of `linear_dynamics.METHODS`, for the fast dynamics.
+        Without effect: the dynamics are always fitted by their output error.
     order : ResponseOrder
         Orders of creep and vibration; what it leaves open is chosen from the data.
     note : callable, optional
@@ -137,16 +138,16 @@ def identify(
     stages, tell = Stages(progress, cancelled), note or (lambda text: None)
     paths = [data.path for data in given.values()]
     with checking(stages.check), failures_explained(lambda: stages.current, paths):
-        if refine:
+        if refine or method != OUTPUT_ERROR:
             tell("nothing is to be asked for: identify always fits all components together at "
-                 "the end")
+                 "the end, by their output error")
         said = conditioned_data(given, tell, read_at_samples)
         tell_implausible(implausible_data(said), tell)
         fast = of_kind(said, "dynamics")
         linear = estimate_linear_dynamics(
             of_kind(said, "creep"),
             fast[0] if fast and isinstance(fast[0], FrequencyResponse) else fast,
-            of_kind(said, "hysteresis"), method, order, stages.part(0.0, 0.6))
+            of_kind(said, "hysteresis"), order, stages.part(0.0, 0.6))
         stages.begin("hysteresis", 0.6)
         read_at = found_readings(said, linear)
         recordings = aligned(said, read_at)
@@ -171,7 +172,9 @@ def identify(
         stages.begin("validation", 0.95)
         errors = validation_errors(fitted.model, recordings)
         adequacy = adequacy_document(
-            adequacy_of(fitted.model, said, delays_of_rows_s(said, read_at), linear.estimates))
+            adequacy_of(fitted.model, said, delays_of_rows_s(said, read_at), [
+                name for name, number in (("creep", order.creep_pairs), ("dynamics", order.modes))
+                if number is not None]))
         identified = replace(
             identified_model(fitted, errors, given, rows), adequacy=adequacy,
             uncertainties=reliable(fitted.uncertainties, adequacy))

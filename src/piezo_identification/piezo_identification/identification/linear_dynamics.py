@@ -19,8 +19,7 @@ from piezo_identification.conditioning.settling import (
     slow_delay_s,
     slow_dynamics,
 )
-from piezo_identification.conditioning.waveforms import played, square_wave
-from piezo_identification.estimators.armax.armax_dynamics import estimate_dynamics_armax
+from piezo_identification.conditioning.waveforms import played, two_levels
 from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
 from piezo_identification.estimators.dynamics.any_input import estimate_dynamics_any
@@ -34,7 +33,6 @@ from piezo_identification.estimators.frequency_response.response_fit import (
 )
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
 from piezo_identification.estimators.hysteresis.density_fit import estimate_density
-from piezo_identification.identification.dynamics_methods import METHODS
 from piezo_identification.simulation.model_run import ModelRun
 from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
@@ -174,7 +172,7 @@ class LinearDynamics:
 def estimate_linear_dynamics(
     creep: Sequence[Recording], dynamics: Sequence[Recording] | FrequencyResponse,
     hysteresis: Sequence[Recording],
-    method: str = METHODS[0], order: ResponseOrder = ANY_ORDER,
+    order: ResponseOrder = ANY_ORDER,
     begin: Callable[[str, float], object] = lambda *_: None,
 ) -> LinearDynamics:
     """Estimate creep, then the fast dynamics with the creep removed; both once more.
@@ -188,9 +186,6 @@ def estimate_linear_dynamics(
     ----------
     creep, hysteresis : sequence of Recording
         Without gaps; empty for none.
-    dynamics : sequence of Recording, or FrequencyResponse
-    method : str
-        One of `METHODS`; a frequency response has its own.
     order : ResponseOrder
         Numbers asked for.
     begin : callable
@@ -221,7 +216,7 @@ def estimate_linear_dynamics(
         if needs_hysteresis:
             driving = aligned_density(hysteresis, found, driving)[0]
         density = None if driving is None else driving.model()
-        estimate = _from_samples(fast, found.creep, density, method, order)
+        estimate = _from_samples(fast, found.creep, density, order)
         if order.creep_pairs is not None and found.creep.poles_rad_per_s:
             # As many pairs were asked for as there are; the one fit estimates them beside the rest.
             estimate = replace(estimate, creep=CreepDynamics())
@@ -350,29 +345,22 @@ def _from_response(
 
 def _from_samples(
     recordings: Sequence[Recording], creep: CreepDynamics, density: PreisachModel | None,
-    method: str, order: ResponseOrder,
+    order: ResponseOrder,
 ) -> Estimate:
-    if method == "armax":
-        return estimate_dynamics_armax(recordings[0], creep, density, mode_count=order.modes)
     if len(recordings) == 1 and _is_periodic(recordings[0]):
         return estimate_dynamics(recordings[0], creep, order.modes)
     return estimate_dynamics_any(recordings, creep, density, order.modes)
 
 
 def _is_periodic(recording: Recording) -> bool:
-    """Tell whether a recording is a square wave whose period is a whole number of samples."""
-    if not is_square_wave(recording):
+    """Whether a recording is a square wave whose period is a whole number of samples."""
+    wave = two_levels(square_part(played(recording)))
+    if wave is None:
         return False
-    part = square_part(played(recording))
-    steps = square_wave(part).steps
-    steps = steps[steps >= WARM_UP_S / part.sample_period_s]
+    steps = wave.steps[wave.steps >= WARM_UP_S / played(recording).sample_period_s]
     return steps.size >= 3 and bool(np.all(steps[2:] - steps[:-2] == steps[2] - steps[0]))
 
 
 def is_square_wave(recording: Recording) -> bool:
-    """Tell whether the voltage of a recording has two levels."""
-    part = square_part(played(recording))
-    try:
-        return square_wave(part).steps.size > 0
-    except ValueError:
-        return False
+    """Whether the voltage of a recording has two levels."""
+    return two_levels(square_part(played(recording))) is not None

@@ -12,7 +12,7 @@ from piezo_identification.conditioning.generator_edges import generator_edges
 from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.row_alignment import LATEST_READING
 from piezo_identification.conditioning.segments import experiment_of
-from piezo_identification.conditioning.waveforms import played, square_wave
+from piezo_identification.conditioning.waveforms import played, two_levels
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_model import ResponseOrder
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
@@ -26,7 +26,7 @@ from piezo_identification.fitting.structure_search import (
 from piezo_identification.fitting.whole_model import WholeFit, WholeModel
 from piezo_identification.identification.fitted_model import FittedModel
 from piezo_identification.identification.given_data import Data
-from piezo_identification.identification.linear_dynamics import BEFORE_DELAY, is_square_wave
+from piezo_identification.identification.linear_dynamics import BEFORE_DELAY
 from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.vibration_mode import VibrationMode
@@ -147,9 +147,8 @@ def fitted_together(
         return fitted, dict(read_at)
     used = {name: data for name, data in samples.items() if experiment_of(name) != "validation"}
     parts = {name: played(data) for name, data in used.items()}
-    if any(is_square_wave(used[name])
-           and generator_edges(square_wave(square_part(part))) is not None
-           for name, part in parts.items()):
+    waves = (two_levels(square_part(part)) for part in parts.values())
+    if any(wave is not None and generator_edges(wave) is not None for wave in waves):
         tell("the model is as the separate steps left it: a generator that runs freely changes its "
              "voltage between the rows, which only the steps heed")
         return fitted, dict(read_at)

@@ -32,7 +32,6 @@ class KindSettings:
     widest_level, widest_group : float
         Part of the swing beyond which voltages that touch are more than one level, and beyond
         which they are none.
-    most_levels : int
     reversal : float
         Part of the swing below which a way back is noise.
     even_slope : float

@@ -20,7 +20,6 @@ from piezo_common.picture_style import (
     MEASURED,
     MODELLED,
     MOST_POINTS,
-    ORANGE,
     VERMILION,
     label,
     outline,
@@ -252,9 +251,3 @@ def draw_residual_spectrum(axes: Axes, residual_um: FloatArray, measured_um: Flo
     axes.legend(loc="upper right")
     label(axes, "frequency (Hz)", "density (nm per root Hz)")
     plain_numbers(axes.xaxis)
-
-
-def draw_voltage(axes: Axes, view: WaveformView, voltage_v: FloatArray) -> None:
-    """Draw the voltage that is played."""
-    axes.plot(*outline(view.time, view.mean(voltage_v)), color=ORANGE, linewidth=1.0)
-    label(axes, view.time_label, "voltage (V)")

@@ -15,7 +15,6 @@ from piezo_identification.adequacy.component_adequacy import (
 )
 from piezo_identification.adequacy.component_residual import component_residual
 from piezo_identification.adequacy.lack_of_fit import lack_of_fit
-from piezo_identification.estimators.estimate import Estimate, OrderTrial
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.experiments import catalogue as experiments
 from piezo_models.effects.delay import Delay
@@ -106,9 +105,8 @@ def test_a_mode_is_found_at_its_frequency_and_the_search_for_the_order_is_advise
         0.00049, (2846.0, 4909.0), (0.685, 0.02)))
     model = replace(plant, dynamics=ElectricVibrationDynamics(0.00049, (2846.0,), (0.685,)))
     fast = play(experiments.dynamics(), 1, stage=stage)
-    asked = Estimate(model.dynamics, {}, 1, (OrderTrial(1, 5, 0.1, 0.0),), order_given=True)
     part = adequacy_of(model, {"dynamics": fast, "hysteresis": recordings["hysteresis"]},
-                       estimates={"dynamics": asked})["dynamics"]
+                       asked_for=["dynamics"])["dynamics"]
     near_hz = float(part.left.split("near ")[1].split(" Hz")[0])
     assert near_hz == pytest.approx(4909.0 / 2.0 / np.pi, rel=0.1)
     assert "leave --modes out" in part.advice
@@ -117,13 +115,9 @@ def test_a_mode_is_found_at_its_frequency_and_the_search_for_the_order_is_advise
 def test_creep_that_is_a_tenth_too_fast_is_inadequate(plant, recordings):
     poles, zeros = plant.creep.poles_rad_per_s, plant.creep.zeros_rad_per_s
     wrong = CreepDynamics((1.1 * poles[0], *poles[1:]), (1.1 * zeros[0], *zeros[1:]))
-    ended = Estimate(wrong, {}, len(poles), (OrderTrial(len(poles), 3 * len(poles), 0.1, 0.0),))
-    # Pairs that a fast recording showed are none of those that are asked for.
-    joined = CreepDynamics((*wrong.poles_rad_per_s, 1e4), (*wrong.zeros_rad_per_s, 1.00001e4))
-    adequacy = adequacy_of(replace(plant, creep=joined), {"creep": recordings["creep"]},
-                           estimates={"creep": ended})
-    assert adequacy["creep"].verdict == "inadequate"
-    assert f"or ask for --creep-pairs {len(poles) + 1}," in adequacy["creep"].advice
+    part = adequacy_of(replace(plant, creep=wrong), {"creep": recordings["creep"]})["creep"]
+    assert part.verdict == "inadequate"
+    assert part.advice.startswith("record the creep longer, or let diagnose")
 
 
 def test_loops_that_the_model_misses_are_told_by_voltage(plant, recordings):

@@ -217,18 +217,6 @@ def test_identify_takes_the_dynamics_from_a_multisine(files, play, csv_of, tmp_p
     assert model.dynamics.time_constant_s == pytest.approx(490e-6, rel=0.01)
 
 
-@pytest.mark.long
-def test_identify_fits_a_square_wave_by_armax(
-        plant, files, play, csv_of, tmp_path, capsys):
-    path = csv_of(play(experiments.dynamics(duration_s=0.6), 1), tmp_path / "dynamics.csv")
-    model = identified_with(
-        files, tmp_path, path, "--method", "armax", "--modes", 2, beside=["creep"]).model
-    ratio = model.dynamics.response(np.array([100.0, 400.0])) / plant.dynamics.response(
-        np.array([100.0, 400.0]))
-    assert np.abs(ratio - 1.0).max() < 0.02
-    assert "order of the dynamics" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(("more", "said"), [
     (["--band", 1, 10], "--band has nothing to act on"),
     (["--antiresonances", 1], "--antiresonances has nothing to act on"),

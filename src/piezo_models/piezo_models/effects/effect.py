@@ -53,7 +53,6 @@ class Evidence:
 
     Attributes
     ----------
-    sample_period_s : float
     voltage_v : (N,) array
     displacement_um : (N,) array
         Of the model.
@@ -131,8 +130,6 @@ class Extent:
         Largest minus smallest measured displacement.
     lowest_v, highest_v : float
         Of the voltage.
-    duration_s : float
-    sample_period_s : float
     """
 
     travel_um: float
@@ -153,7 +150,6 @@ class Effect(ABC):
 
     Attributes
     ----------
-    name : str
     place : str
         One of `PLACES`.
     several : bool

@@ -25,7 +25,6 @@ class LinearBlock:
     ----------
     a : ndarray, shape (n, n)
     b, c : ndarray, shape (n,)
-    d : float
     """
 
     a: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
@@ -74,7 +73,6 @@ class InverseHysteresis:
 
     Attributes
     ----------
-    hysteresis : PreisachModel
     gain_um_per_v : float
         By which the blocks' voltage becomes an output of the hysteresis (um/V).
     held : bool
@@ -114,11 +112,9 @@ class FeedbackLaw:
         Once a tick: from the mean error of a tick (um) to a voltage (V).
     observer : ndarray, shape (n,)
         Corrects the state of `tick` by what the limits cut off the voltage (anti-windup).
-    max_feedback_v : float
     once_um, period_um : ndarray, shape (N,), (M,)
         Displacement to expect of each sample of the run: once, then again and again; without a
         period the last value is held.
-    plant : DeclaredPlant
     start_sample : int
         Of the run: a tick that begins earlier is not fed back.
     delay_ticks : int

@@ -44,7 +44,6 @@ class RunningLaw:
 
     Attributes
     ----------
-    law : FeedbackLaw
     error_um : float
         Mean error of the last tick.
     voltage_v : float

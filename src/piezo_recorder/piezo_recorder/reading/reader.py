@@ -108,12 +108,7 @@ def sha256_of(path: str | PathLike[str]) -> str:
 
 
 def origin_of(data: Any) -> dict[str, str]:
-    """Return what a model file keeps of data: `path` and `sha256`.
-
-    Parameters
-    ----------
-    data : path-like, Recording, or anything else with a `path`
-    """
+    """Return what a model file keeps of data: `path` and `sha256`."""
     path = getattr(data, "path", data)
     return {"path": str(path), "sha256": getattr(data, "sha256", "") or sha256_of(path)}
 

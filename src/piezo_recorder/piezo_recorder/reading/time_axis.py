@@ -56,7 +56,6 @@ class TimeAxis:
 
     Attributes
     ----------
-    period_s : float
     sample_index : ndarray, shape (N,), int64
         Index of each sample on a clock of this period.
     at_rows : ndarray, shape (N,), or None

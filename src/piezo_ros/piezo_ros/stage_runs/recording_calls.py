@@ -131,7 +131,6 @@ class Attachment:
 
     Attributes
     ----------
-    text : str
     path : str
         Of the file that holds it, if there is one: the recorder then reads it there.
     """

@@ -39,8 +39,6 @@ class Nv200Settings(Document):
     ----------
     interface, address : str
         ``serial`` and a port, or ``telnet`` and an address of IP.
-    longest_program_samples : int
-    transfer_s : float
     """
 
     TITLE: ClassVar[str] = "settings of the backend nv200"
@@ -95,7 +93,6 @@ class Nv200:
 
     Parameters
     ----------
-    settings : Nv200Settings
     library : namespace, optional
         By default what `load_library` returns.
     """

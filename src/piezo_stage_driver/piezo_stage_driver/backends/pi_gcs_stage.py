@@ -44,17 +44,12 @@ class PiSettings(Document):
         Name by which the library knows it, such as ``E-727``.
     interface, address : str
         ``tcpip`` and a host, or ``usb`` and a serial number.
-    axis : str
-    output_channel, wave_generator, wave_table : int
     control_per_v, control_at_0_v : float
         Control value of the open loop for one volt at the stage, and at 0 V.
     displacement_um_per_unit : float
         What the controller's unit of position is.
     voltage_record_option : int
         Of the data recorder: the voltage of the output channel.
-    points_per_command : int
-    longest_program_samples : int
-    transfer_s : float
     """
 
     TITLE: ClassVar[str] = "settings of the backend pi_gcs"

@@ -17,9 +17,6 @@ class BackendSettings:
     ----------
     file : str
         Of the backend's own settings; empty where none was given.
-    sample_rate_hz : float
-    samples_per_tick : int
-    minimum_voltage_v, maximum_voltage_v, rest_voltage_v : float
     ramp_rate_v_per_s : float
         For a backend that must bring the amplifier to rest by itself.
     exchange_timeout_s : float

@@ -15,7 +15,6 @@ class LatencyCounts:
     ----------
     counts : list of int
         Up to each of ``BOUNDS_MS``, and beyond the last.
-    longest_ms : float
     """
 
     def __init__(self) -> None:

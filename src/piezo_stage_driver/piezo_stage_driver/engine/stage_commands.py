@@ -35,7 +35,6 @@ class Replacement:
 
     Attributes
     ----------
-    feedforward : Feedforward
     law : CheckedLaw or None
         None where nothing is fed back.
     """

@@ -33,7 +33,6 @@ class StageLoop:
 
     Attributes
     ----------
-    supervisor : StageSupervisor
     real_time : RealTime
         What a paced stage has of the system while it is active.
     """

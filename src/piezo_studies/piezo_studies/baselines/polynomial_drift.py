@@ -13,7 +13,6 @@ def remove_polynomial_drift(time_s, displacement_um, rest_samples, degree=2):
     rest_samples : ndarray of int
         Samples with one and the same memory, such as the starts of the harmonics at negative
         saturation: what differs between them is drift.
-    degree : int
 
     Returns
     -------

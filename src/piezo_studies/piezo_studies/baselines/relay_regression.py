@@ -39,10 +39,6 @@ def relay_rows(voltage_v, levels_v, on=None):
 class NormalEquations:
     """Sums M of A_k^T A_k and of A_k^T f(k) over samples, eq. (2.7); A itself is never held.
 
-    Parameters
-    ----------
-    unknowns : int
-
     Attributes
     ----------
     matrix : ndarray, shape (unknowns, unknowns)

@@ -101,6 +101,22 @@ def truncated_svd(equations, ratio=1e-3, rank=None):
     return TruncatedSvd(vectors[:, :rank], values[:rank], equations.right_side, values)
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SvdEstimate(DensityEstimate):
+    """A density by a truncated singular value decomposition.
+
+    Parameters
+    ----------
+    singular_values : ndarray
+        Of the normal equations, from the largest down.
+    rank : int
+        How many of them were kept.
+    """
+
+    singular_values: np.ndarray
+    rank: int
+
+
 def density_by_svd(decomposition, voltage_v, levels_v, offset_um=0.0):
     """Return the density of the decomposition, in the form that all estimators share.
 
@@ -116,31 +132,26 @@ def density_by_svd(decomposition, voltage_v, levels_v, offset_um=0.0):
 
     Returns
     -------
-    DensityEstimate
-        What no sample tells is of least norm.
+    SvdEstimate
+        What no sample shows is of least norm.
     """
-    return density_of_weights(
-        "truncated SVD", decomposition.solution(), voltage_v, levels_v, offset_um,
-        singular_values=decomposition.all_singular_values, rank=decomposition.rank,
-    )
+    return SvdEstimate(
+        **vars(density_of_weights("truncated SVD", decomposition.solution(), voltage_v, levels_v,
+                                  offset_um)),
+        singular_values=decomposition.all_singular_values, rank=decomposition.rank)
 
 
-def density_of_weights(method, weights_um, voltage_v, levels_v, offset_um=0.0, **results):
+def density_of_weights(method, weights_um, voltage_v, levels_v, offset_um=0.0):
     """Turn an estimate X of the relays' weights mu * s, (2.3), into a density.
 
     Parameters
     ----------
-    method : str
     weights_um : ndarray, shape (L (L + 1) / 2,)
     voltage_v : ndarray, shape (N,)
     levels_v : ndarray, shape (L + 1,)
-    offset_um : float
-    **results
-        Further fields of `DensityEstimate`.
     """
     size = levels_v.size - 1
     area_v2 = (levels_v[1] - levels_v[0]) ** 2 * (np.ones((size, size)) - 0.5 * np.eye(size))
     return DensityEstimate(
         method, levels_v, lower_triangle(weights_um, size) / area_v2, offset_um,
-        visited_cells(voltage_v, levels_v), **results,
-    )
+        visited_cells(voltage_v, levels_v), np.zeros(size))

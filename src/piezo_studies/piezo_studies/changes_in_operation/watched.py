@@ -46,7 +46,6 @@ class Watched:
         Empty for none.
     watched_s : float
         Stage time of the run.
-    raised : tuple of Suspicion
     """
 
     change: str

@@ -47,7 +47,6 @@ def with_sensor_lag(plant, lag_s):
     ----------
     plant : str
         Name of a plant that comes with the simulator, or path of a plant file.
-    lag_s : float
 
     Returns
     -------

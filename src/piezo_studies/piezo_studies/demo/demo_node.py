@@ -77,12 +77,7 @@ class DemoFailed(RuntimeError):
 
 
 class WatchfulClient(Client):
-    """A client that does not wait for an answer of nodes that have ended.
-
-    Parameters
-    ----------
-    processes : Processes
-    """
+    """A client that does not wait for an answer of nodes that have ended."""
 
     def __init__(self, processes):
         super().__init__()

@@ -38,8 +38,6 @@ class DrawnRuns:
     ----------
     errors : dict of str to float
         Of the model on unseen data, by name.
-    runs : list of TrackedRun
-    sections : list of Section
     """
 
     errors: dict
@@ -54,7 +52,6 @@ def draw_runs(errors, model, recordings, tracks, directory):
     ----------
     errors : dict of str to float
         Of the model on unseen data, by name.
-    model : path-like
     recordings : sequence of path-like
         Of `SHOWN_EXPERIMENTS`, in this order.
     tracks : sequence of path-like

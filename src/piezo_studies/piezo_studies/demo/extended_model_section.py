@@ -39,7 +39,6 @@ def draw_models(model, extended_model, validation):
 
     Parameters
     ----------
-    model, extended_model : path-like
     validation : path-like
         Recording on which they are compared.
     """

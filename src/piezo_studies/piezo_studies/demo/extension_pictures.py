@@ -29,7 +29,6 @@ def draw_model_errors(before, after, sample_period_s):
     Parameters
     ----------
     before, after : piezo_identification.prediction.Prediction
-    sample_period_s : float
     """
     def density(prediction):
         frequency_hz, power = welch(
@@ -52,7 +51,6 @@ def draw_responses(before, after, sample_period_s):
     Parameters
     ----------
     before, after : piezo_models.cascade.StageModel
-    sample_period_s : float
     """
     figure, axes = _compared(*(
         (RESPONSE_HZ, np.abs(zoh_response(model.linear(), RESPONSE_HZ, sample_period_s)))

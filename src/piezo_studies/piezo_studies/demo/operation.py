@@ -90,7 +90,6 @@ def start_changing_stage(session, plant, directory):
     Parameters
     ----------
     session : Session
-    plant : str
     directory : Path
         Of the second part; its folder ``monitor`` gets the plant file.
 
@@ -149,8 +148,6 @@ def decide_a_cause(session, plant, model, directory):
     Parameters
     ----------
     session : Session
-    plant : str
-    model : path-like
     directory : Path
         Gets plant file, recordings and the diagnosis.
     """
@@ -179,12 +176,10 @@ def second_part(session, plant, change_s, model, directory):
     Parameters
     ----------
     session : Session
-    plant : str
     change_s : float or None
         Of `start_changing_stage`.
     model : path-like
         Extended by the first part.
-    directory : Path
 
     Returns
     -------

@@ -16,7 +16,6 @@ def claim_directory(path, command):
 
     Parameters
     ----------
-    path : path-like
     command : str
         What the user typed, kept in the directory's ``run.json``.
 

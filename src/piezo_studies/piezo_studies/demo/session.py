@@ -22,7 +22,6 @@ class RunningGoal:
 
     Parameters
     ----------
-    client : piezo_client.client.Client
     name : str
         Of the action.
     show : callable
@@ -75,7 +74,6 @@ class Session:
 
     Parameters
     ----------
-    client : piezo_client.client.Client
     processes : piezo_bringup.processes.Processes
         With a running ``stage``.
     stage_parameters : dict

@@ -57,7 +57,6 @@ def summarise_run(run, directory):
     Parameters
     ----------
     run : TrackedRun
-    directory : path-like
 
     Returns
     -------

@@ -18,10 +18,8 @@ class TrackedRun:
 
     Attributes
     ----------
-    mode : str
     frequency_hz, amplitude_um, centre_um : float
         Of the harmonic reference; the amplitude is peak to peak.
-    sample_rate_hz : float
     reference_um, displacement_um, true_um : ndarray, shape (N,)
         Wanted, measured by the sensor, and true in the simulator.
     voltage_v : ndarray, shape (N,)

@@ -119,7 +119,6 @@ def draw_spectra(feedforward_v, feedback_v, sample_rate_hz):
     Parameters
     ----------
     feedforward_v, feedback_v : ndarray, shape (N,)
-    sample_rate_hz : float
     """
     figure = new_figure(3.6)
     axes = figure.subplots()
@@ -141,7 +140,6 @@ def amplitude_spectrum(signal, sample_rate_hz):
     Parameters
     ----------
     signal : ndarray, shape (N,)
-    sample_rate_hz : float
 
     Returns
     -------

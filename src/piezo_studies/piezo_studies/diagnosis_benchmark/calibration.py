@@ -8,13 +8,11 @@ neural networks".
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from piezo_identification.diagnosis.joint.probabilities import NONE, SOMETHING_ELSE
 from piezo_studies.diagnosis_benchmark.outcome import CLEAR, outcome, strongest
 
 BINS = 10
-LARGEST_TEMPERATURE = 100.0
 LEAST_PROBABILITY = 1e-12
 
 
@@ -111,7 +109,6 @@ def reliability(probabilities, true, bins=BINS):
     ----------
     probabilities : (n,) array of float
     true : (n,) array of bool
-    bins : int
     """
     edges = np.linspace(0.0, 1.0, bins + 1)
     number = np.minimum((np.asarray(probabilities) * bins).astype(int), bins - 1)
@@ -130,40 +127,12 @@ def reliability(probabilities, true, bins=BINS):
                        float(error / max(1, len(probabilities))))
 
 
-def fitted_temperature(results):
-    """Return the temperature that makes the probabilities of some cases most likely.
-
-    It is to be tested on the cases of another seed.
-
-    Parameters
-    ----------
-    results : list of dict
-
-    Returns
-    -------
-    float
-        By which the logarithms of the probabilities are to be divided.
-    """
-    told = [result for result in results if result.get("probabilities")]
-
-    def surprise(logarithm):
-        return -sum(np.log(max(LEAST_PROBABILITY, sum(
-            share for label, share in tempered(
-                result["probabilities"], np.exp(logarithm)).items()
-            if is_true(result, label)))) for result in told)
-
-    solution = minimize_scalar(
-        surprise, bounds=(0.0, np.log(LARGEST_TEMPERATURE)), method="bounded")
-    return float(np.exp(solution.x))
-
-
 def tempered(probabilities, temperature):
     """Return probabilities with their logarithms over a temperature, summing to one.
 
     Parameters
     ----------
     probabilities : dict of str to float
-    temperature : float
     """
     powers = {label: max(share, LEAST_PROBABILITY) ** (1.0 / temperature)
               for label, share in probabilities.items()}

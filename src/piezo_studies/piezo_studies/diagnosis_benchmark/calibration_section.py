@@ -38,7 +38,6 @@ def write_section(page, document):
 
     Parameters
     ----------
-    page : Path
     document : dict
         Content of `table.json`.
 

@@ -32,7 +32,6 @@ class Case:
 
     Attributes
     ----------
-    number : int
     seed : int
         Of the whole suite.
     plant : int
@@ -69,12 +68,7 @@ class Case:
 
 
 def draw_cases(count, seed):
-    """Draw the cases in the proportions of the suite, in an order that any number of them samples.
-
-    Parameters
-    ----------
-    count, seed : int
-    """
+    """Draw cases in the proportions of the suite, in an order that any number of them samples."""
     random = np.random.default_rng([seed, *b"cases"])
     clean, outside, pairs = (
         round(count * share) for share in (CLEAN_SHARE, OUTSIDE_SHARE, PAIRS_SHARE)
@@ -101,12 +95,7 @@ def draw_cases(count, seed):
 
 
 def draw_cases_all_along(count, seed):
-    """Draw cases of one strong effect that was there when the model was identified.
-
-    Parameters
-    ----------
-    count, seed : int
-    """
+    """Draw cases of one strong effect that was there when the model was identified."""
     random = np.random.default_rng([seed, *b"all along"])
     causes = _in_turn([name for name in CAUSES if name not in LATER_ONLY], count, random)
     kinds = _kinds(count, random)

@@ -29,7 +29,6 @@ def estimates(cause, effect, entries, nearest=None):
 
     Parameters
     ----------
-    cause : str
     effect : object
         Of the plant.
     entries : list of dict

@@ -9,7 +9,6 @@ class KeptResults:
 
     Parameters
     ----------
-    path : Path
     conditions : dict
         Plain values. Results of other conditions stay in the file, and do not count.
     """

@@ -25,7 +25,6 @@ def nearest_parameters(effect, without_um, added_um, sample_period_s, regression
         Behind the stage, of the form that is named; the search begins from it.
     without_um, added_um : (N,) array
         Response of the plant without the hidden effect, and what that adds.
-    sample_period_s : float
     regression : Regression
         Whose rows, weights and regressors count: of one recording of these samples.
     """

@@ -39,7 +39,6 @@ def identified_model(plant, seed):
     Parameters
     ----------
     plant : PlantConfig
-    seed : int
 
     Returns
     -------

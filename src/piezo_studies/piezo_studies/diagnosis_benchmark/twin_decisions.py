@@ -36,7 +36,6 @@ def decide_twin(cause, clean, plant_seed, seed, budget=1, over_noise=OVER_NOISE)
     clean : (IdentifiedModel, tuple of Recording)
         Of the plant without effects; see `run_case.clean_model`.
     plant_seed : sequence of int
-    seed, budget : int
     over_noise : float
         Contribution of the effect to the first recording.
 

@@ -20,7 +20,6 @@ def section(seed, results):
 
     Parameters
     ----------
-    seed : int
     results : list of dict
         As `run_small_case` returns them.
     """
@@ -70,8 +69,6 @@ def write_page(page, seed, results):
 
     Parameters
     ----------
-    page : Path
-    seed : int
     results : list of dict
 
     Raises

@@ -27,7 +27,6 @@ class SmallCase:
 
     Attributes
     ----------
-    number, seed : int
     plant : int
         Number of its plant.
     cause : str or None
@@ -55,10 +54,6 @@ class SmallCase:
 
 def draw_case(number, seed):
     """Draw one case.
-
-    Parameters
-    ----------
-    number, seed : int
 
     Returns
     -------

@@ -26,7 +26,6 @@ class Candidate:
 
     Attributes
     ----------
-    title : str
     names : tuple of str
         Of its numbers.
     bounds : tuple of (float, float)

@@ -7,11 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from piezo_identification.conditioning.settling import settling_time_s
-from piezo_identification.estimators.dynamics.jump_response import (
-    JumpResponse,
-    estimate_jump_dynamics,
-    jump_response,
-)
 from piezo_identification.estimators.frequency_response.response_file import (
     FrequencyResponse,
     read_frequency_response,
@@ -26,6 +21,11 @@ from piezo_models.cascade import StageModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.measures import e_rms_percent
 from piezo_recorder.reading.reader import read_recording
+from piezo_studies.measured_devices.jump_response import (
+    JumpResponse,
+    estimate_jump_dynamics,
+    jump_response,
+)
 
 NESTED_LOOPS = "piezo_scanner/nested_minor_loops.csv"
 MAJOR_LOOPS = "piezo_scanner/major_loops.csv"

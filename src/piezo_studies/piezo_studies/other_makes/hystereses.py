@@ -67,7 +67,6 @@ class MaxwellSlip:
 
     Attributes
     ----------
-    gain_um_per_v : float
     stiffnesses_um_per_v : ndarray, shape (B,)
     limits_v : ndarray, shape (B,)
         Way of the voltage after which a block slips.
@@ -107,7 +106,6 @@ class Duhem:
     ----------
     direct_um_per_v, state_um_per_v : float
         By which voltage and state are multiplied.
-    rate, slope_per_v, middle : float
     """
 
     direct_um_per_v: float

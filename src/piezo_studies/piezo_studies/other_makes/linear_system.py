@@ -28,7 +28,6 @@ class LinearSystem:
     poles_per_s : ndarray of complex, shape (P,)
         One of each conjugate pair, all different.
     residues : ndarray of complex, shape (P,)
-    direct : float
     """
 
     poles_per_s: ComplexArray

@@ -31,9 +31,6 @@ class Make:
 
     Attributes
     ----------
-    name : str
-    stage : Stage
-    limits : StageLimits
     noise_um : float
         Standard deviation of the sensor's white noise.
     true : dict of str to list of float

@@ -23,7 +23,6 @@ class HeldVoltage:
     Attributes
     ----------
     voltage_v : ndarray, shape (N,)
-    period_s : float
     """
 
     voltage_v: FloatArray
@@ -36,7 +35,6 @@ class Stage:
 
     Attributes
     ----------
-    hysteresis : Hysteresis
     behind : LinearSystem
         Creep, modes and lags behind the hysteresis.
     front : LinearSystem

@@ -41,8 +41,6 @@ class Interval:
 
     Attributes
     ----------
-    name : str
-    true : float
     value, deviation : float or None
         None where the model does not have the parameter, or gives no interval.
     """
@@ -71,12 +69,10 @@ class Outcome:
         e_y (4.20) on each unseen motion, and the part of it that is the sensor's.
     inadequate : list of str
         Components that the model file calls inadequate.
-    intervals : list of Interval
     failure : str
         Why there is no model; empty if there is one.
     verdict : str
         Of the diagnosis of the mixed motion, with the effects that it names; empty without one.
-    diagnosis_cpu_s : float
     """
 
     cpu_s: float

@@ -36,7 +36,6 @@ class Played:
         Of steps that are `finer` times shorter than the rows.
     lead_rows : int
         Rows at the beginning that are played, but not recorded.
-    finer : int
     """
 
     period_s: float

@@ -13,7 +13,7 @@ import numpy as np
 
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
 from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics
-from piezo_identification.estimators.hysteresis.density_fit import estimate_hysteresis
+from piezo_identification.estimators.hysteresis.density_fit import estimate_density
 from piezo_identification.experiments import catalogue
 from piezo_identification.experiments.input_designs import arc
 from piezo_identification.experiments.stage_limits import StageLimits
@@ -87,7 +87,7 @@ def usual_model() -> StageModel:
 def model_of(harmonics: Recording) -> StageModel:
     """Identify the hysteresis from a recording beside the usual creep and dynamics."""
     creep, dynamics = linear_parts()
-    return StageModel(estimate_hysteresis(harmonics, creep, dynamics), creep, dynamics)
+    return StageModel(estimate_density(harmonics, creep, dynamics).model(), creep, dynamics)
 
 
 def hysteresis_recording(levels: int, rate_hz: float) -> Recording:

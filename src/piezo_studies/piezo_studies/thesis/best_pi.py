@@ -28,10 +28,6 @@ def best_error_percent(frequency_hz):
 
     The identified model predicts it; offset and noise are not counted.
 
-    Parameters
-    ----------
-    frequency_hz : float
-
     Returns
     -------
     float

@@ -7,10 +7,10 @@ from piezo_common.picture_style import BLUE, GREY, VERMILION, label, new_figure
 from piezo_identification.experiments.input_designs import (
     stair_amplitudes,
     stair_harmonics,
-    stair_sample_times,
 )
 from piezo_studies.baselines.polynomial_drift import remove_polynomial_drift
 from piezo_studies.baselines.relay_regression import accumulate
+from piezo_studies.baselines.sampling_rules import stair_sample_times
 from piezo_studies.baselines.svd_estimate import density_by_svd, truncated_svd
 from piezo_studies.thesis.laboratory import record_stage
 from piezo_studies.thesis.pictures import draw_plane, draw_singular_values

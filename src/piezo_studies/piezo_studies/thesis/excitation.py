@@ -6,9 +6,9 @@ import numpy as np
 from piezo_identification.experiments.input_designs import (
     stair_amplitudes,
     stair_harmonics,
-    stair_sample_times,
 )
 from piezo_studies.baselines.relay_regression import excitation_rank
+from piezo_studies.baselines.sampling_rules import stair_sample_times
 from piezo_studies.thesis.table import Row, Study
 
 LEVELS = 4

@@ -8,7 +8,7 @@ import numpy as np
 from piezo_common.picture_style import new_figure
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
 from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics
-from piezo_identification.estimators.hysteresis.density_fit import estimate_hysteresis
+from piezo_identification.estimators.hysteresis.density_fit import estimate_density
 from piezo_identification.experiments import catalogue as experiments
 from piezo_models.cascade import StageModel
 from piezo_studies.thesis.laboratory import ROWS_LATE, record_experiment
@@ -37,7 +37,7 @@ def identified_stage():
         quick, estimate_creep(slow).model, delay=ROWS_LATE).model
     creep = estimate_creep(slow, dynamics).model
     dynamics = estimate_dynamics(quick, creep, delay=ROWS_LATE).model
-    return StageModel(estimate_hysteresis(harmonics, creep, dynamics), creep, dynamics)
+    return StageModel(estimate_density(harmonics, creep, dynamics).model(), creep, dynamics)
 
 
 def study():

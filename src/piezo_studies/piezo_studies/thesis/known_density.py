@@ -4,11 +4,11 @@
 import numpy as np
 
 from piezo_common.picture_style import GREY, MODELLED, label, new_figure
-from piezo_identification.conditioning.waveforms import sample_by_voltage
 from piezo_identification.estimators.hysteresis.density_fit import hysteresis_output_um
 from piezo_identification.estimators.hysteresis.smoothed_density import smoothed_density
 from piezo_identification.experiments.input_designs import stair_amplitudes, stair_harmonics
 from piezo_studies.baselines.relay_regression import accumulate, excitation_rank
+from piezo_studies.baselines.sampling_rules import sample_by_voltage
 from piezo_studies.baselines.svd_estimate import density_by_svd, truncated_svd
 from piezo_studies.thesis.known_plant import (
     HIGHEST_V,

@@ -3,11 +3,11 @@
 
 import numpy as np
 
-from piezo_identification.estimators.armax.armax import fit_armax
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
 from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S, estimate_dynamics
 from piezo_identification.fitting.sensitivities import sensitivity_systems
 from piezo_models.linear.dynamics import equilibrium_state, simulate_linear, zoh
+from piezo_studies.baselines.armax import fit_armax
 from piezo_studies.thesis.known_plant import HIGHEST_V, NOISE_UM, known_plant
 from piezo_studies.thesis.laboratory import ROWS_LATE, record_model
 from piezo_studies.thesis.table import Row, Study

@@ -24,13 +24,11 @@ def record_stage(name, voltage_v, before_v=(), held=1, clock_hz=CLOCK_HZ, seed=1
 
     Parameters
     ----------
-    name : str
     voltage_v : ndarray, shape (N,)
     before_v : ndarray, shape (M,)
         Played first, as a ramp from rest.
     held : int
         Clock samples for which each voltage is held; the displacement is their mean.
-    clock_hz : float
     seed : int
         Of the sensor's noise.
     """
@@ -60,11 +58,8 @@ def record_model(name, model, voltage_v, sample_period_s, noise_um, seed=1):
 
     Parameters
     ----------
-    name : str
     model : StageModel
     voltage_v : ndarray, shape (N,)
-    sample_period_s, noise_um : float
-    seed : int
     """
     linear = zoh(model.linear(), sample_period_s)
     displacement_um, _ = continue_linear(

@@ -44,7 +44,6 @@ class LearnedRun:
     ----------
     true_percent : float
         e_rms of the part that plays the best, by the true position.
-    iterations : int
     why : str
         It ended.
     """

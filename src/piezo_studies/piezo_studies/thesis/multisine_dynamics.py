@@ -7,10 +7,10 @@ The simulated stage has the parameters of chapter 4, which are not quite those o
 import numpy as np
 
 from piezo_common.picture_style import DIFFERENCE, MEASURED, MODELLED, label, new_figure
-from piezo_identification.estimators.armax.armax_dynamics import estimate_dynamics_armax
 from piezo_identification.estimators.dynamics.multisine import estimate_dynamics_multisine
 from piezo_identification.prediction import predict
 from piezo_models.cascade import StageModel
+from piezo_studies.baselines.armax_dynamics import estimate_dynamics_armax
 from piezo_studies.thesis.identified_stage import DYNAMICS, identified_stage
 from piezo_studies.thesis.laboratory import CLOCK_HZ, ROWS_LATE, record_stage
 from piezo_studies.thesis.table import Row, Study
@@ -40,9 +40,8 @@ def study():
     record = record_stage("multisine", multisine_v())
     dynamics = estimate_dynamics_multisine(
         record, stage.hysteresis, stage.creep, mode_count=2, delay=ROWS_LATE).model
-    armax = estimate_dynamics_armax(
-        record, stage.creep, stage.hysteresis, orders=(5, 5, 5), mode_count=2
-    ).model
+    armax, _ = estimate_dynamics_armax(
+        record, stage.creep, stage.hysteresis, orders=(5, 5, 5), mode_count=2)
     prediction = predict(StageModel(stage.hysteresis, stage.creep, dynamics), record)
     quick = prediction.time_s > CLIMB_S + 0.1
 

@@ -15,13 +15,13 @@ from piezo_common.picture_style import (
     label,
     new_figure,
 )
-from piezo_identification.conditioning.waveforms import sample_by_voltage
 from piezo_identification.estimators.hysteresis.smoothed_density import smoothed_density
 from piezo_identification.experiments.input_designs import stair_amplitudes, stair_harmonics
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.measures import e_rms_percent, e_y_percent
 from piezo_studies.baselines.polynomial_drift import remove_polynomial_drift
 from piezo_studies.baselines.relay_regression import accumulate
+from piezo_studies.baselines.sampling_rules import sample_by_voltage
 from piezo_studies.baselines.svd_estimate import density_by_svd, truncated_svd
 from piezo_studies.thesis.laboratory import record_stage
 from piezo_studies.thesis.pictures import draw_plane, draw_singular_values

@@ -53,7 +53,6 @@ class Tracked:
         offset removed.
     error_um, reference_um : ndarray, shape (N,)
         By the sensor, over the part that counts.
-    played : PlayedRun
     """
 
     e_rms_percent: float
@@ -95,10 +94,8 @@ def track(mode, frequency_hz, amplitude_um, samples_per_tick=40, duration_s=DURA
 
     Parameters
     ----------
-    mode : str
     frequency_hz, amplitude_um : float
         The amplitude is peak to peak.
-    samples_per_tick : int
     duration_s : float
         Of the part that counts.
     method : str, optional

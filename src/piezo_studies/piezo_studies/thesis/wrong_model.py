@@ -18,7 +18,6 @@ def wrong_model(part, seed):
     ----------
     part : float
         By which each parameter is wrong; but not the voltage limits.
-    seed : int
     """
     generator = np.random.default_rng(seed)
 

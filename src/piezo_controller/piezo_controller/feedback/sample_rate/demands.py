@@ -22,7 +22,6 @@ class Demands:
     ----------
     bandwidth_ratio : float
         Of the closed loop at -3 dB to the frequency of the first mode.
-    disturbance_hz, attenuation_db : tuple of float
     sensor_noise_um : float
         White at the sample clock's rate, root mean square.
     added_noise_um : float
@@ -35,7 +34,6 @@ class Demands:
     slow_sensitivity : float
         Largest sensitivity below half the lowest disturbance, over all stages: at most 1, so that
         no slow error grows.
-    errors : ModelErrors
     disturbance_tolerance : float
         Relative error of the frequencies of the disturbances, over which they are attenuated: 1 %,
         within which the mains' frequency lies.

@@ -207,7 +207,6 @@ class Start:
     ----------
     gain : float
         Logarithm of the integral gain.
-    real_zeros, real_poles : tuple of float
     zeros, poles : tuple of (float, float)
         Frequency and damping ratio of each pair.
     """

@@ -37,7 +37,6 @@ class RobustSynthesis:
 
     Attributes
     ----------
-    controller : control.StateSpace
     gamma : float
         Norm of the closed loop with the scalings that the controller was found with.
     scalings : sequence of float or control.StateSpace

@@ -32,7 +32,6 @@ class UltimatePoint:
     ----------
     gain : float
         V per um.
-    period_s : float
     """
 
     gain: float

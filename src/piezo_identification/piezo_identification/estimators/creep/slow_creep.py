@@ -241,7 +241,7 @@ class _Problem:
         """Add an exponential: the points of all rates that are tried, the best first."""
         rates, gains = np.split(point, 2)
         starts = []
-        for rate in np.linspace(*self.rates, CANDIDATES + 2)[1:-1]:
+        for rate in np.linspace(self.rates[0], self.rates[1], CANDIDATES + 2)[1:-1]:
             trials = [np.concatenate([rates, [rate], gains, [np.log(gain)]])
                       for gain in FIRST_GAINS]
             costs = [float(np.sum(self.residual(trial) ** 2)) for trial in trials]
@@ -252,7 +252,8 @@ class _Problem:
         """Points with one exponential more, and one of evenly spread rates between them."""
         count = point.size // 2 + 1
         spread = np.append(
-            np.linspace(*self.rates, count + 2)[1:-1], np.full(count, np.log(FIRST_GAINS[-1])))
+            np.linspace(self.rates[0], self.rates[1], count + 2)[1:-1],
+            np.full(count, np.log(FIRST_GAINS[-1])))
         further = self.with_further(point)
         return [further[0], spread, *further[1:STARTS]]
 

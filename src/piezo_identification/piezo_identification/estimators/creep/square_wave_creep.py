@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, nnls
 
-from piezo_common.arrays import FloatArray
+from piezo_common.arrays import FloatArray, IntArray
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.conditioning.generator_edges import free_running_level
 from piezo_identification.conditioning.recording_start import square_part, without_first
@@ -155,8 +155,6 @@ class _CreepRecord:
                  delay_s: float) -> None:
         self.path = recording.path
         self.wave = square_wave(recording)
-        if self.wave.steps.size == 0:
-            raise ValueError(f"{recording.path} has no step of the voltage: record a whole period")
         self.period_s = recording.sample_period_s
         self.mean_samples = samples_per_mean(recording)
         self.delay_s = delay_s
@@ -186,12 +184,12 @@ class _CreepRecord:
         # In the sample of a step the fast motion has its largest part.
         skipped = max(1, int(np.ceil(self.settling_s / self.period_s)))
         edges = np.concatenate([[0], self.wave.steps, [self.wave.level.size]])
-        starts, weights = [], []
+        starts, weights = list[IntArray](), list[FloatArray]()
         for begin, end in zip(edges[:-1], edges[1:], strict=True):
             length = end - begin
             if length <= skipped:
-                starts.append([begin])
-                weights.append([0.0])
+                starts.append(np.array([begin]))
+                weights.append(np.zeros(1))
                 continue
             decades = np.log10(length / skipped)
             inner = np.unique(
@@ -243,7 +241,8 @@ class _CreepRecord:
     def _fit(self, rates: FloatArray) -> tuple[FloatArray, FloatArray]:
         check_cancelled()
         basis = self._basis(rates)
-        coefficients = np.linalg.lstsq(basis, self.displacement, rcond=1e-12)[0]
+        coefficients: FloatArray = np.linalg.lstsq(
+            basis, self.displacement, rcond=1e-12)[0].astype(float)
         gains = slice(2, 2 + rates.size)
         if coefficients[gains].min(initial=0.0) < 0.0:
             # A rate slower than the record may show in the initial state alone, without a gain.
@@ -316,7 +315,7 @@ class _CreepRecord:
 
     def best_further_rate(self, rates: FloatArray) -> float:
         """Rate that, added to the others, explains most."""
-        candidates = np.exp(np.linspace(*self.bounds, 26)[1:-1])
+        candidates = np.exp(np.linspace(self.bounds[0], self.bounds[1], 26)[1:-1])
         errors = [np.sum(self._fit(np.append(rates, rate))[1] ** 2) for rate in candidates]
         return candidates[np.argmin(errors)]
 

@@ -15,7 +15,7 @@ from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.generator_edges import generator_edges
 from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.sensor_noise import noise_floor_um
-from piezo_identification.conditioning.waveforms import square_wave
+from piezo_identification.conditioning.waveforms import two_levels
 from piezo_identification.estimators.creep.square_wave_creep import USUAL_SETTLING_S
 from piezo_identification.estimators.dynamics.fast_creep import fit_beside_fast_creep
 from piezo_identification.estimators.dynamics.fast_signals import (
@@ -97,8 +97,8 @@ def estimate_dynamics_any(
             f"{parts[0].path} and {parts[1].path} differ in their sample periods: give recordings "
             "of the dynamics of one sample period")
     squares = [square_part(part) for part in parts]
-    if all(_has_two_levels(square) for square in squares):
-        waves = [square_wave(square) for square in squares]
+    waves = [wave for square in squares if (wave := two_levels(square)) is not None]
+    if len(waves) == len(parts):
         levels = [wave.level for wave in waves]
         timed = with_edges_between(
             _signals(squares, levels, creep), [generator_edges(wave) for wave in waves])
@@ -134,13 +134,6 @@ def _beside_hysteresis(
     entering = [found.entering_um(each) for each in loops]
     return fit_output_error(
         beside_slow_misfit(_signals(parts, entering, creep).record()), mode_count, delay)
-
-
-def _has_two_levels(part: Recording) -> bool:
-    try:
-        return square_wave(part).steps.size > 0
-    except ValueError:
-        return False
 
 
 def _signals(
@@ -186,10 +179,11 @@ def _comes_back(part: Recording) -> bool:
     A stage that rings for longer than a visit does not seem to: that costs some rows only. Any
     other voltage counts as one that does.
     """
-    if not _has_two_levels(part):
+    wave = two_levels(part)
+    if wave is None:
         return True
     ends_um = [np.mean(part.displacement_um[max(0, step - AT_REST) : step])
-               for step in square_wave(part).steps[::2]]
+               for step in wave.steps[::2]]
     noise_um = noise_floor_um(part.displacement_um, part.sample_period_s)
     return bool(np.abs(np.mean(ends_um) - ends_um[0]) <= STILL * noise_um)
 

@@ -8,11 +8,9 @@ import numpy as np
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.estimators.estimate import (
     dynamics_of_vector,
-    dynamics_vector,
     split_dynamics_vector,
 )
 from piezo_models.effects.coupled_mode import CoupledMode
-from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect
 from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.effects.vibration_mode import VibrationMode
@@ -61,11 +59,6 @@ class ModeOrder:
         return text + " lag" * self.sensor_lags + " coupled" * self.is_coupled
 
     @property
-    def all_modes(self) -> int:
-        """Number of modes, in series and side by side."""
-        return self.modes + self.beside
-
-    @property
     def parameters(self) -> int:
         """Length of the vector: the lags, two numbers for a mode in series, more beside."""
         return self.positive + self.shares
@@ -79,60 +72,6 @@ class ModeOrder:
     def shares(self) -> int:
         """Numbers at the end of the vector that are parts of the displacement."""
         return self.beside * (1 + self.is_coupled)
-
-    def holds(self, smaller: "ModeOrder") -> bool:
-        """Whether every model of the smaller order is a limit of those of this one."""
-        return (self.modes >= smaller.modes and self.antiresonances >= smaller.antiresonances
-                and self.beside >= smaller.beside and self.sensor_lags >= smaller.sensor_lags
-                and self.is_coupled == smaller.is_coupled)
-
-
-@dataclass(frozen=True)
-class FastDynamics:
-    """What follows a step of the voltage within a few milliseconds.
-
-    Parameters
-    ----------
-    dynamics : ElectricVibrationDynamics
-        Lag, modes in series and antiresonances.
-    sensor_lag_s : float
-        0 for none.
-    delay_s : float
-        Of the displacement; negative where a row is read later than its voltage changes.
-    """
-
-    dynamics: ElectricVibrationDynamics
-    beside: tuple[VibrationMode, ...] = ()
-    sensor_lag_s: float = 0.0
-    delay_s: float = 0.0
-
-    @property
-    def order(self) -> ModeOrder:
-        """Numbers of components."""
-        return ModeOrder(
-            len(self.dynamics.damping_ratios), len(self.dynamics.antiresonance_damping_ratios),
-            len(self.beside), int(self.sensor_lag_s > 0.0),
-            any(isinstance(mode, CoupledMode) for mode in self.beside))
-
-    def vector(self) -> FloatArray:
-        """Logarithms of what is positive, then the participations; without the delay."""
-        positive = [
-            *dynamics_vector(self.dynamics), *(mode.frequency_rad_per_s for mode in self.beside),
-            *(mode.damping_ratio for mode in self.beside),
-            *([self.sensor_lag_s] if self.sensor_lag_s > 0.0 else []),
-        ]
-        return np.concatenate([
-            np.log(positive), [mode.participation for mode in self.beside],
-            [mode.velocity_participation for mode in self.beside
-             if isinstance(mode, CoupledMode)]])
-
-    def effects(self) -> tuple[Effect, ...]:
-        """Effects of the stage model beside its dynamics; a delay that is negative is none."""
-        return (
-            *self.beside,
-            *([Delay(self.delay_s)] if self.delay_s > 0.0 else []),
-            *([SensorLag(self.sensor_lag_s)] if self.sensor_lag_s > 0.0 else []),
-        )
 
 
 def coupled_vector(poles: ComplexArray, residues: ComplexArray) -> FloatArray:
@@ -165,26 +104,31 @@ def values_of(vector: FloatArray, order: ModeOrder) -> FloatArray:
     return np.concatenate([np.exp(vector[: order.positive]), vector[order.positive :]])
 
 
-def fast_dynamics_of(vector: FloatArray, order: ModeOrder, delay_s: float = 0.0) -> FastDynamics:
-    """Inverse of `FastDynamics.vector`.
+def fast_dynamics_of(
+    vector: FloatArray, order: ModeOrder,
+) -> tuple[ElectricVibrationDynamics, tuple[Effect, ...]]:
+    """Dynamics of a vector, and the effects beside: modes, and a sensor's lag.
 
     Parameters
     ----------
     vector : ndarray, shape (P,)
+        Logarithms of what is positive: the lag; frequencies and damping ratios of the modes in
+        series, of the antiresonances and of the modes beside; the sensor's lag. Then the
+        participations of the modes beside.
 
     Returns
     -------
-    FastDynamics
-        With modes, antiresonances and modes beside them in the order of frequency.
+    dynamics : ElectricVibrationDynamics
+    effects : tuple of Effect
+        As the dynamics in the order of frequency.
     """
     values = values_of(ascending(vector, order), order)
-    main, frequencies, dampings, lag, *shares = _split(values, order)
+    main, frequencies, dampings, lags, *shares = _split(values, order)
     kind = CoupledMode if order.is_coupled else VibrationMode
-    return FastDynamics(
-        dynamics_of_vector(main, order.modes, order.antiresonances),
-        tuple(kind(*numbers) for numbers in zip(*(
-            each.tolist() for each in (frequencies, dampings, *shares)), strict=True)),
-        float(lag[0]) if lag.size else 0.0, delay_s)
+    beside = (kind(*numbers) for numbers in zip(*(
+        each.tolist() for each in (frequencies, dampings, *shares)), strict=True))
+    return (dynamics_of_vector(main, order.modes, order.antiresonances),
+            (*beside, *(SensorLag(lag) for lag in lags.tolist())))
 
 
 def ascending(vector: FloatArray, order: ModeOrder) -> FloatArray:
@@ -272,7 +216,7 @@ def poles_and_residues(
     Parameters
     ----------
     vectors : ndarray, shape (B, P)
-        Several vectors of `FastDynamics.vector`.
+        Several of those of `fast_dynamics_of`.
 
     Returns
     -------
@@ -323,7 +267,7 @@ def _pairs(frequencies: FloatArray, dampings: FloatArray) -> ComplexArray:
     excess = np.where(np.abs(excess) < APART, APART, excess).astype(complex)
     root = np.sqrt(excess)
     poles = frequencies[..., None] * np.stack([-dampings + root, -dampings - root], axis=-1)
-    return poles.reshape(len(frequencies), -1)
+    return np.asarray(poles.reshape(len(frequencies), -1), dtype=complex)
 
 
 def _away_from(times: FloatArray, others: FloatArray) -> FloatArray:

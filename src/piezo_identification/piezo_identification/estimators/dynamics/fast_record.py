@@ -64,7 +64,7 @@ class FastFit:
     Parameters
     ----------
     vector : ndarray, shape (P,)
-        Of `fast_dynamics.FastDynamics`.
+        See `fast_dynamics.fast_dynamics_of`.
     delay : float
         In sample periods.
     residual : ndarray, shape (N,)
@@ -293,7 +293,7 @@ class FastRecord:
             all_poles.append(poles[0])
         span, target = self._beside_poles(np.unique(np.concatenate(all_poles)))
         basis = _left(np.column_stack(columns), span)
-        gains = np.linalg.lstsq(basis, target, rcond=COLLINEAR)[0]
+        gains: FloatArray = np.linalg.lstsq(basis, target, rcond=COLLINEAR)[0].astype(float)
         return gains, float(np.sum((target - basis @ gains) ** 2))
 
     def _free_errors(
@@ -385,7 +385,8 @@ class _Remembered:
         """Residual and Jacobian at a point, of as many rows as there are unknowns, and one."""
         if self._value is None or self._point is None or not np.array_equal(point, self._point):
             residual, jacobian = self._evaluate(point)
-            triangle = np.linalg.qr(np.column_stack([jacobian, residual]), mode="r")
+            triangle = np.asarray(
+                np.linalg.qr(np.column_stack([jacobian, residual]), mode="r"))
             self._point, self._value = point.copy(), (triangle[:, -1], triangle[:, :-1])
         return self._value
 

@@ -55,23 +55,25 @@ def with_edges_between(
     timed = replace(
         signals, early=np.concatenate([each.early for each in found]),
         phase_room=max(each.phase_room for each in found))
-    record, left = _fitted_edges(timed.record(), directions)
-    return replace(timed, early=record.input.early) if left < sampled.cost else signals
+    held, left = _fitted_edges(timed.record(), directions)
+    return replace(timed, early=held.early) if left < sampled.cost else signals
 
 
-def _fitted_edges(record: FastRecord, directions: FloatArray) -> tuple[FastRecord, float]:
+def _fitted_edges(record: FastRecord, directions: FloatArray) -> tuple[HeldInput, float]:
     """Move the edges to where a fit with free residues leaves least; return what that is."""
-    free = _free_fit(record)
+    free, held = _free_fit(record), record.input
+    assert isinstance(held, HeldInput)
     for _ in range(ROUNDS):
         whole = record.free(free.vector, free.delay)
-        moved = edge_responses(record.input, directions, whole.poles, whole.residues, whole.delay)
+        moved = edge_responses(held, directions, whole.poles, whole.residues, whole.delay)
         columns = np.column_stack([moved[record.kept], record.fixed])
         by = np.linalg.lstsq(columns, whole.residual, rcond=None)[0][: directions.shape[1]]
         # The instant of the first recording is a delay, which is left to the fit of the poles.
         by[INSTANT] = 0.0
-        record = replace(record, input=moved_edges(record.input, directions @ by))
+        held = moved_edges(held, directions @ by)
+        record = replace(record, input=held)
         free = record.thinned(ROWS_OF_SEARCH).fit_free(free.vector, free.delay)
-    return record, free.cost
+    return held, free.cost
 
 
 def moved_edges(held: HeldInput, earlier: FloatArray) -> HeldInput:

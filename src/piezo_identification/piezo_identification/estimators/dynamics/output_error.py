@@ -171,13 +171,13 @@ class _Search:
             fit, delay = self._with_delay_told(fit)
         deviations = np.sqrt(np.diag(fit_covariance(fit, self._whole.linear_parameters)))
         places = ascending_places(fit.vector, fit.order)
-        model = fast_dynamics_of(fit.vector, fit.order)
+        dynamics, effects = fast_dynamics_of(fit.vector, fit.order)
         spread = deviations[: places.size] * np.where(
             np.arange(places.size) < fit.order.positive, values_of(fit.vector, fit.order), 1.0)
         of_dynamics, of_effects = split_deviations(spread[places], fit.order)
         return Estimate(
-            model.dynamics, of_dynamics, chosen.order, trials, order_given,
-            effects=model.effects(), effect_deviations=of_effects, delay=delay)
+            dynamics, of_dynamics, chosen.order, trials, order_given,
+            effects=effects, effect_deviations=of_effects, delay=delay)
 
     def _with_delay_told(self, fit: FastFit) -> tuple[FastFit, DelayEstimate]:
         """Return the fit and its delay; the fit without it where it is not significant."""

@@ -104,7 +104,7 @@ def mean_period(recording: Recording, creep: CreepDynamics) -> FastRecord:
                 break
         return poles
 
-    drift = drift_basis(np.arange(quick_um.size) * period_s, creep)
+    drift = drift_basis(period_s * np.arange(quick_um.size, dtype=float), creep)
     return FastRecord(
         HeldInput(wave.level[steps[0] : steps[0] + length], period_s, is_periodic=True),
         np.arange(length), measured_um, fold(drift), starts)

@@ -3,6 +3,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,7 +96,7 @@ class RationalForm:
 
     def response(self, vector: FloatArray, rate: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """Response at measured rates, shape (N,), and its derivatives, shape (N, P)."""
-        s = 1j * rate[:, None]
+        s = np.asarray(1j * rate[:, None], dtype=complex)
         scaled = s / rate[-1]
         poles, zeros = np.exp(vector[self.creep_places])
         before = np.exp(-scaled * vector[DELAY]) / (1.0 + scaled * vector[LAG]) * np.prod(
@@ -170,7 +171,7 @@ class RationalForm:
                                     antiresonances=self.antiresonances - 1)
 
     def _without(self, vector: FloatArray, free: BoolArray, places: NDArray[np.intp],
-                 **counts: int) -> Reduced:
+                 **counts: Any) -> Reduced:
         return replace(self, **counts), np.delete(vector, places), np.delete(free, places)
 
     def zeros_between(self, vector: FloatArray, rate: FloatArray) -> FloatArray:

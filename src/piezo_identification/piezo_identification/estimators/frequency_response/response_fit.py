@@ -186,7 +186,7 @@ def _model(search: ResponseSearch, fit: ResponseFit) -> ResponseModel:
     series = np.exp(vector[form.mode_places[:2, modes]])
     antiresonances = np.exp(vector[form.zero_places])
     antiresonances = antiresonances[:, np.argsort(antiresonances[0])]
-    gain, beside = vector[form.gain_place], ()
+    gain, beside = vector[form.gain_place], tuple[VibrationMode, ...]()
     if form.is_beside:
         parts = vector[form.mode_places[2:]]
         gain += np.sum(parts[0])

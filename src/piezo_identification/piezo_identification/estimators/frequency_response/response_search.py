@@ -262,8 +262,7 @@ class ResponseSearch:
         rate = self.rate[self._coarse]
         before = RationalForm(fit.form.creep_pairs, 0)
         head, _ = before.response(np.append(fit.vector[: before.gain_place], 1.0), rate)
-        frequency, damping = np.meshgrid(rate, START_DAMPINGS)
-        frequency, damping = frequency.ravel(), damping.ravel()
+        frequency, damping = (each.ravel() for each in np.meshgrid(rate, START_DAMPINGS))
         ratio = 1j * rate[:, None] / frequency
         position = (self.weight[self._coarse] * head)[:, None] / (
             ratio**2 + 2.0 * damping * ratio + 1.0)

@@ -37,7 +37,6 @@ class ResponseColumn:
 
     Attributes
     ----------
-    label : str
     unit : str
         As `plain` writes it; empty where it is not said.
     """
@@ -90,10 +89,11 @@ def read_response_table(path: Path) -> tuple[FloatArray, ComplexArray]:
     frequency_hz = table.columns[used[0]] * _factor(path, "frequency", found["frequency"], TO_HZ)
     first, second = (table.columns[label] for label in used[1:])
     if parts[0] == "real":
-        gain = first + 1j * second
+        gain = np.asarray(first + 1j * second)
     else:
         magnitude = 10.0 ** (first / 20.0) if found["magnitude"].unit == "db" else first
-        gain = magnitude * np.exp(1j * second * _factor(path, "phase", found["phase"], TO_RAD))
+        gain = np.asarray(
+            magnitude * np.exp(1j * second * _factor(path, "phase", found["phase"], TO_RAD)))
     gain = gain * UNITS["displacement"].get(found[parts[0]].unit.removesuffix("/v"), 1.0)
     return _sorted(path, table, frequency_hz, gain)
 

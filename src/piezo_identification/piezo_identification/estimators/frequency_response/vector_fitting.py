@@ -49,7 +49,7 @@ def vector_fit(
     for _ in range(iterations):
         dynamics, drive, basis = _basis(s, poles)
         columns = np.column_stack([basis, np.ones_like(s), -gain[:, None] * basis])
-        solution = _real_lstsq((weight * columns.T).T, weight * gain)
+        solution = _real_lstsq(weight, columns, gain)
         poles = np.linalg.eigvals(dynamics - np.outer(drive, solution[pole_count + 1 :]))
         poles = -np.maximum(np.abs(poles.real), 1e-9) + 1j * poles.imag
     return poles * scale
@@ -72,7 +72,7 @@ def left_by_poles(
     scale = frequency_rad_per_s.max()
     basis = _basis(1j * frequency_rad_per_s / scale, poles / scale)[2]
     columns = np.column_stack([basis, np.ones(basis.shape[0])])
-    return gain - columns @ _real_lstsq((weight * columns.T).T, weight * gain)
+    return gain - columns @ _real_lstsq(weight, columns, gain)
 
 
 def _basis(s: ComplexArray, poles: ComplexArray) -> tuple[FloatArray, FloatArray, ComplexArray]:
@@ -90,7 +90,9 @@ def _basis(s: ComplexArray, poles: ComplexArray) -> tuple[FloatArray, FloatArray
     return dynamics, drive, np.column_stack(columns)
 
 
-def _real_lstsq(columns: ComplexArray, target: ComplexArray) -> FloatArray:
+def _real_lstsq(weight: FloatArray | float, columns: ComplexArray,
+                target: ComplexArray) -> FloatArray:
+    columns, target = (weight * columns.T).T, weight * target
     stacked = np.vstack([columns.real, columns.imag])
     scale = np.linalg.norm(stacked, axis=0)
     scale[scale == 0.0] = 1.0

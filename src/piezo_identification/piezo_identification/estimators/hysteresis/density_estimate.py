@@ -31,14 +31,10 @@ class DensityEstimate:
     visited : ndarray of bool, shape (n, n)
         Cells in which the moving corner of the memory has been. Elsewhere the density is none of
         the data's: the smoothing has continued it from the visited cells, or the least norm has.
-    singular_values : ndarray, optional
-        Of the normal equations, from the largest down, for the methods that have them.
-    rank : int, optional
-        How many of them were kept.
+    reversible_um_per_v : ndarray, shape (n,)
+        On the diagonal, alpha = beta.
     smoothing_weight : float, optional
         For the smoothed method.
-    reversible_um_per_v : ndarray, shape (n,), optional
-        On the diagonal, alpha = beta; for the smoothed method.
     translation_weight : float
         For the smoothed method.
     is_about_plays : bool
@@ -50,27 +46,20 @@ class DensityEstimate:
     density_um_per_v2: FloatArray
     offset_um: float
     visited: NDArray[np.bool_]
-    singular_values: FloatArray | None = None
-    rank: int | None = None
+    reversible_um_per_v: FloatArray
     smoothing_weight: float | None = None
-    reversible_um_per_v: FloatArray | None = None
     translation_weight: float = 0.0
     is_about_plays: bool = False
 
     @property
     def is_line(self) -> bool:
         """True if there is no hysteresis."""
-        return self.reversible_um_per_v is not None and not self.density_um_per_v2.any()
+        return not self.density_um_per_v2.any()
 
     @property
     def visited_fraction(self) -> float:
         """Part of the area of the Preisach plane that was visited."""
         return visited_fraction(self.visited)
-
-    @property
-    def condition_number(self) -> float:
-        """Return that of the normal equations, over the singular values that were kept."""
-        return float(self.singular_values[0] / self.singular_values[self.rank - 1])
 
     def model(self) -> PreisachModel:
         """Return the hysteresis as a `PreisachModel`."""
@@ -80,16 +69,11 @@ class DensityEstimate:
         )
 
     def report(self) -> str:
-        """One line for people: method, grid, rank, and what was not visited."""
+        """One line for people: method, grid, and what was not visited."""
         if self.is_line:
             return f"{self.method}: {self.reversible_um_per_v[0]:.6g} um/V"
         method = f"{self.method}, about a sum of plays" if self.is_about_plays else self.method
         words = [f"{method}, {len(self.visited)} x {len(self.visited)} cells"]
-        if self.rank is not None:
-            words.append(
-                f"rank {self.rank} of {self.singular_values.size}, "
-                f"condition number {self.condition_number:.3g}"
-            )
         if self.smoothing_weight is not None:
             words.append(f"smoothing weight {self.smoothing_weight:.0e}")
         if self.translation_weight:

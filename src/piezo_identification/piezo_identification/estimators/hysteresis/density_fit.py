@@ -24,7 +24,6 @@ from piezo_identification.estimators.hysteresis.dynamics_inverse import (
 )
 from piezo_identification.estimators.hysteresis.equations import HysteresisSegment
 from piezo_identification.estimators.hysteresis.smoothed_density import density_of_segments
-from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
 
@@ -36,23 +35,6 @@ FEWEST_LEVELS = 4
 
 LARGE_STEP_SHARE = 0.9
 """A level is as high as this share of the voltage's changes from sample to sample is at most."""
-
-
-def estimate_hysteresis(
-    recording: Recordings, creep: CreepDynamics, dynamics: ElectricVibrationDynamics,
-    level_count: int | None = None, cells_per_level: int = 2,
-    smoothing_weight: float | None = None,
-) -> PreisachModel:
-    """Estimate the hysteresis: the model of `estimate_density`, which describes the parameters.
-
-    Raises
-    ------
-    ValueError
-        As `estimate_density`.
-    """
-    return estimate_density(
-        recording, creep, dynamics, level_count, cells_per_level, smoothing_weight
-    ).model()
 
 
 def estimate_density(

@@ -59,16 +59,17 @@ def remove_dynamics(
     ndarray, shape (N,)
     """
     added = samples_added(voltage_v.size)
-    frequency_hz = np.fft.rfftfreq(voltage_v.size + added, sample_period_s)
+    frequency_hz: FloatArray = np.fft.rfftfreq(
+        voltage_v.size + added, sample_period_s).astype(float)
     forward = held_response(dynamics, frequency_hz, sample_period_s, delay_s)
     through = np.fft.irfft(
         np.fft.rfft(closed_signal(voltage_v)) * forward, voltage_v.size + added)
     basis = np.column_stack([through[: voltage_v.size], np.ones(voltage_v.size)])
     slope, offset = np.linalg.lstsq(basis, displacement_um, rcond=None)[0]
     rest_um = closed_signal(displacement_um - basis @ [slope, offset])
-    inverse = np.conj(forward) / (np.abs(forward) ** 2 + LEAST_GAIN**2)
+    damped = np.conj(forward) / (np.abs(forward) ** 2 + LEAST_GAIN**2)
     # One more turn makes 1 - (e^2 / (|D|^2 + e^2))^2 of the loop: nothing is lost where D is 1.
-    inverse = inverse * (2.0 - inverse * forward)
+    inverse = damped * (2.0 - damped * forward)
     before_um = np.fft.irfft(np.fft.rfft(rest_um) * inverse, rest_um.size)[: voltage_v.size]
     return slope * voltage_v + offset + before_um
 

@@ -96,7 +96,7 @@ class Equations:
         self.border += matrix.T @ others
         self.corner += others.T @ others
         self.border_linear += others.T @ output
-        self.square += output @ output
+        self.square += float(output @ output)
 
     def plus(self, other: "Equations", sign: float = 1.0) -> "Equations":
         """Return the equations of the samples of both; with sign -1, without those of the other."""

@@ -8,7 +8,7 @@ the densities. Crossings (i + 1, j) and cells (i, j) are counted alike: i-major 
 """
 
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -18,8 +18,6 @@ from scipy.sparse import coo_array, csr_array
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.simulation.model_run import NEAR_THE_END
 from piezo_models.hysteresis.preisach_kernels import branch_start, cell_of, with_room
-
-T = TypeVar("T", bound=np.generic)
 
 IntArray = NDArray[np.int64]
 
@@ -120,10 +118,10 @@ def density_operator(size: int) -> csr_array:
     beside = cell - i  # crossing (i, j)
     corners = [
         (cell, cell, np.where(inner, 1.0, 2.0)),
-        (cell[inner], beside[inner], -1.0),
-        (cell[inner], cell[inner] + 1, -1.0),
-        (cell[i > j + 1], beside[i > j + 1] + 1, 1.0),
-        (cell[i == j], cell.size + np.arange(size), -2.0),
+        (cell[inner], beside[inner], np.array(-1.0)),
+        (cell[inner], cell[inner] + 1, np.array(-1.0)),
+        (cell[i > j + 1], beside[i > j + 1] + 1, np.array(1.0)),
+        (cell[i == j], cell.size + np.arange(size), np.array(-2.0)),
     ]
     return coo_array(
         (
@@ -233,7 +231,7 @@ def _everett_row(values: FloatArray, columns: IntArray, count: int, sign: float,
 
 
 @njit(cache=True)
-def _longer(values: NDArray[T], room: int) -> NDArray[T]:
+def _longer(values: Any, room: int) -> Any:
     if room <= values.size:
         return values
     longer = np.empty(max(2 * values.size, room), values.dtype)

@@ -222,7 +222,8 @@ class LoopRegression:
         """Give the recordings with their spectra, frequencies, lengths and the rows compared."""
         for part, spectrum in zip(self._parts, self._spectra, strict=True):
             count = part.voltage_v.size + samples_added(part.voltage_v.size)
-            yield (part, spectrum, np.fft.rfftfreq(count, part.sample_period_s), count,
+            frequency_hz: FloatArray = np.fft.rfftfreq(count, part.sample_period_s).astype(float)
+            yield (part, spectrum, frequency_hz, count,
                    slice(part.first_kept, part.voltage_v.size, self._stride))
 
 

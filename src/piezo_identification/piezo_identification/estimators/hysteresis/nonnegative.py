@@ -62,13 +62,13 @@ def nonnegative_minimum(
     """
     bounded = bounded.tocsr()
     penalty = PENALTY * quadratic.diagonal().mean()
-    multiplier = np.zeros(bounded.shape[0]) if multiplier is None else multiplier
+    forces = np.zeros(bounded.shape[0]) if multiplier is None else multiplier
 
     def newton_point(active: BoolArray) -> tuple[FloatArray, FloatArray]:
         """Minimum of the function that is quadratic while these bounds are the violated ones."""
         rows = bounded[active]
         factor = _factor(quadratic + penalty * (rows.T @ rows))
-        right_sides = np.column_stack([linear + rows.T @ multiplier[active], border])
+        right_sides = np.column_stack([linear + rows.T @ forces[active], border])
         solved = factor.solve(right_sides)
         beside = np.linalg.lstsq(
             corner - border.T @ solved[:, 1:], border_linear - border.T @ solved[:, 0], rcond=1e-13
@@ -79,28 +79,28 @@ def nonnegative_minimum(
               length: float) -> float:
         """Return the slope of the function along a step."""
         there, there_beside = point + length * step, beside + length * step_beside
-        force = np.maximum(multiplier - penalty * (bounded @ there), 0.0)
+        force = np.maximum(forces - penalty * (bounded @ there), 0.0)
         gradient = quadratic @ there + border @ there_beside - linear - bounded.T @ force
         gradient_beside = border.T @ there + corner @ there_beside - border_linear
         return float(gradient @ step + gradient_beside @ step_beside)
 
-    active = multiplier > 0.0
+    active = forces > 0.0
     point, beside = newton_point(active)
     for _ in range(MOST_FACTORISATIONS):
         check_cancelled()
         values = bounded @ point
-        violated = multiplier - penalty * values > 0.0
+        violated = forces - penalty * values > 0.0
         if np.count_nonzero(violated != active) <= UNDECIDED * active.size:
             if -np.minimum(values, 0.0).sum() <= VIOLATION * np.abs(values).sum():
                 break
-            multiplier = np.maximum(multiplier - penalty * values, 0.0)
-            violated = multiplier > 0.0
+            forces = np.maximum(forces - penalty * values, 0.0)
+            violated = forces > 0.0
         active = violated
         target, target_beside = newton_point(active)
         step, step_beside = target - point, target_beside - beside
         length = _length(partial(slope, point, beside, step, step_beside))
         point, beside = point + length * step, beside + length * step_beside
-    return point, beside, np.maximum(multiplier - penalty * (bounded @ point), 0.0)
+    return point, beside, np.maximum(forces - penalty * (bounded @ point), 0.0)
 
 
 def _length(slope: Callable[[float], float]) -> float:

@@ -178,7 +178,8 @@ class _PlayRegression:
         plays = _play_columns(self._row_of_pair, self._pairs[:, 2], ways,
                               _widths(rising, falling), self.count)
         columns = self._without(np.hstack([self._reversible, plays]))
-        triangle = np.linalg.qr(np.column_stack([columns, self._output_um]), mode="r")
+        triangle = np.asarray(
+            np.linalg.qr(np.column_stack([columns, self._output_um]), mode="r"))
         weights, left = nnls(triangle[:, :-1], triangle[:, -1], maxiter=30 * columns.shape[1])
         # Without a reversible part and a play of no width, or with the latter.
         for first in (SLOPE_KNOTS + 1, SLOPE_KNOTS):

@@ -233,7 +233,7 @@ def _choice_for(
     if near is not None and near.smoothing_weight:
         first = Penalties(near.smoothing_weight, near.translation_weight)
     choice = None
-    if first is None or not near.is_about_plays:
+    if near is None or first is None or not near.is_about_plays:
         choice = choose_penalties(segments, coarse_v, translation, near=first)
         if first is not None or choice.is_enough:
             return choice, None, segments, 1

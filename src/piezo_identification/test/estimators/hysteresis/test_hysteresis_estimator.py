@@ -7,7 +7,6 @@ import pytest
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.estimators.hysteresis.density_fit import (
     estimate_density,
-    estimate_hysteresis,
     hysteresis_output_um,
 )
 from piezo_identification.experiments import catalogue as experiments
@@ -25,7 +24,7 @@ def recording(play):
 
 @pytest.fixture(scope="module")
 def estimate(plant, recording):
-    return estimate_hysteresis(recording, plant.creep, plant.dynamics, LEVELS, 4)
+    return estimate_density(recording, plant.creep, plant.dynamics, LEVELS, 4).model()
 
 
 def unseen_voltage_v():
@@ -53,7 +52,7 @@ def test_creep_left_from_before_does_not_disturb(plant, play, estimate):
     memory = plant.memory()
     plant.simulate(np.full(40_000, 120.0), 1e-3, memory)
     recording = play(experiments.hysteresis(level_count=LEVELS), 1, CLOCK_HZ, memory)
-    disturbed = estimate_hysteresis(recording, plant.creep, plant.dynamics, LEVELS, 4)
+    disturbed = estimate_density(recording, plant.creep, plant.dynamics, LEVELS, 4).model()
     difference_um = disturbed.simulate(unseen_voltage_v()) - estimate.simulate(unseen_voltage_v())
     assert np.abs(difference_um - difference_um.mean()).max() < 5e-3
 
@@ -72,9 +71,9 @@ def test_the_inverses_of_creep_and_dynamics_leave_the_hysteresis(plant, play):
 
 def test_more_smoothing_makes_a_smoother_density(plant, recording):
     def roughness(weight):
-        model = estimate_hysteresis(
+        model = estimate_density(
             recording, plant.creep, plant.dynamics, LEVELS, 1, smoothing_weight=weight
-        )
+        ).model()
         off_diagonal = [np.diagonal(model.density_um_per_v2, -k) for k in range(3, 20)]
         return sum(np.sum(np.diff(diagonal, 2) ** 2) for diagonal in off_diagonal)
 
@@ -95,10 +94,10 @@ def test_reversal_curves_visit_the_whole_plane_and_one_loop_two_sides_of_it(plan
 def test_a_voltage_that_rests_is_refused(plant, recording):
     resting = replace(recording, voltage_v=np.full(recording.voltage_v.size, 40.0))
     with pytest.raises(ValueError, match="hysteresis is 40 V throughout"):
-        estimate_hysteresis(resting, plant.creep, plant.dynamics)
+        estimate_density(resting, plant.creep, plant.dynamics)
 
 
 def test_a_displacement_of_the_wrong_sign_is_refused(plant, recording):
     inverted = replace(recording, displacement_um=-recording.displacement_um)
     with pytest.raises(ValueError, match="reverse the sign"):
-        estimate_hysteresis(inverted, plant.creep, plant.dynamics, LEVELS)
+        estimate_density(inverted, plant.creep, plant.dynamics, LEVELS)

@@ -6,20 +6,24 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from piezo_identification.estimators.dynamics.fast_dynamics import (
-    FastDynamics,
+    ModeOrder,
     differentiated,
     fast_dynamics_of,
     poles_and_residues,
 )
 from piezo_identification.estimators.poles.pole_responses import HeldInput
+from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
 PERIOD_S = 1e-3
 POLES = np.array([-300.0, -80.0 + 900.0j, -80.0 - 900.0j])
-WHOLE = FastDynamics(
-    ElectricVibrationDynamics(4e-4, (2000.0, 5000.0), (1.4, 0.08), (3500.0,), (0.05,)),
-    (VibrationMode(7000.0, 0.02, -0.07), VibrationMode(9000.0, 0.01, 0.05)), 1e-4)
+ORDER = ModeOrder(2, 1, 2, 1)
+VECTOR = np.append(np.log([
+    4e-4, 2000.0, 5000.0, 1.4, 0.08, 3500.0, 0.05, 7000.0, 9000.0, 0.02, 0.01, 1e-4]),
+    [-0.07, 0.05])
+DYNAMICS = ElectricVibrationDynamics(4e-4, (2000.0, 5000.0), (1.4, 0.08), (3500.0,), (0.05,))
+BESIDE = VibrationMode(7000.0, 0.02, -0.07), VibrationMode(9000.0, 0.01, 0.05)
 
 
 @pytest.fixture
@@ -96,23 +100,26 @@ def test_an_input_between_the_samples_is_answered_as_one_of_finer_samples(sample
 
 
 def test_poles_and_residues_make_the_response_of_the_model():
-    poles, residues, _, _ = differentiated(WHOLE.vector(), WHOLE.order)
+    poles, residues, _, _ = differentiated(VECTOR, ORDER)
     frequency_hz = np.geomspace(1.0, 5000.0, 60)
     s = 2j * np.pi * frequency_hz
     found = np.sum(residues / (s[:, None] - poles), axis=1)
-    wanted = WHOLE.dynamics.response(frequency_hz, WHOLE.beside) / (1.0 + WHOLE.sensor_lag_s * s)
+    wanted = DYNAMICS.response(frequency_hz, BESIDE) / (1.0 + 1e-4 * s)
     np.testing.assert_allclose(found, wanted, rtol=1e-9)
 
 
 def test_a_vector_holds_all_of_the_dynamics():
-    again = fast_dynamics_of(WHOLE.vector(), WHOLE.order)
-    assert again.order == WHOLE.order
-    np.testing.assert_allclose(again.vector(), WHOLE.vector())
-    assert str(WHOLE.order) == "2-1+2 lag"
+    dynamics, effects = fast_dynamics_of(VECTOR, ORDER)
+    frequency_hz = np.array([10.0, 300.0, 900.0])
+    np.testing.assert_allclose(
+        dynamics.response(frequency_hz), DYNAMICS.response(frequency_hz), rtol=1e-12)
+    for effect, wanted in zip(effects, (*BESIDE, SensorLag(1e-4)), strict=True):
+        assert effect.parameters() == pytest.approx(wanted.parameters(), rel=1e-12)
+    assert str(ORDER) == "2-1+2 lag"
 
 
 def test_equal_lags_have_a_response_too():
-    twice = FastDynamics(ElectricVibrationDynamics(1e-4), (), 1e-4)
-    poles, residues = poles_and_residues(twice.vector()[None], twice.order)
+    poles, residues = poles_and_residues(
+        np.log([[1e-4, 1e-4]]), ModeOrder(0, sensor_lags=1))
     s = 2j * np.pi * 800.0
     assert np.sum(residues / (s - poles)) == pytest.approx((1.0 + 1e-4 * s) ** -2, rel=1e-4)

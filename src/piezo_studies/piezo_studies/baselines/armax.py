@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.estimators.estimate import parameter_covariance
-from piezo_identification.estimators.poles.subspace import identify_subspace
+from piezo_studies.baselines.subspace import identify_subspace
 
 MOST_ITERATIONS = 100
 MOST_IDLE = 5

@@ -2,9 +2,10 @@
 import numpy as np
 import pytest
 
-from piezo_identification.conditioning.waveforms import sample_by_voltage, turning_points
+from piezo_identification.conditioning.waveforms import turning_points
 from piezo_identification.experiments import catalogue as experiments
 from piezo_studies.baselines.relay_grid import activation_matrix
+from piezo_studies.baselines.sampling_rules import sample_by_voltage
 
 
 @pytest.mark.parametrize("level_count", [4, 10, 70])

@@ -2,20 +2,16 @@
 import numpy as np
 import pytest
 
-from piezo_identification.estimators.armax.armax import _PredictionErrors, fit_armax
-from piezo_identification.estimators.armax.armax_dynamics import (
-    dynamics_of_armax,
-    estimate_dynamics_armax,
-)
 from piezo_identification.estimators.estimate import dynamics_vector
-from piezo_identification.estimators.poles.subspace import identify_subspace
-from piezo_identification.experiments import catalogue as experiments
 from piezo_models.linear.dynamics import (
     ElectricVibrationDynamics,
     simulate_linear,
     zoh,
     zoh_response,
 )
+from piezo_studies.baselines.armax import _PredictionErrors, fit_armax
+from piezo_studies.baselines.armax_dynamics import dynamics_of_armax
+from piezo_studies.baselines.subspace import identify_subspace
 
 ONE_MODE = ElectricVibrationDynamics(0.001, (3000.0,), (0.1,))
 TWO_MODES = ElectricVibrationDynamics(0.00049, (2846.0, 4909.0), (0.685, 0.082))
@@ -95,30 +91,12 @@ def test_the_subspace_finds_poles_without_a_guess():
     np.testing.assert_allclose(poles, truth, rtol=0.02)
 
 
-@pytest.mark.kernels
-def test_a_recording_gives_modes_and_the_order_by_the_data(plant, play):
-    recording = play(experiments.dynamics(duration_s=0.8), 1)
-    estimate = estimate_dynamics_armax(recording, plant.creep)
-    assert estimate.order == 5
-    assert "<- least information" in estimate.order_table().splitlines()[3]
-    assert estimate.model.time_constant_s == pytest.approx(0.00049, rel=5e-3)
-    assert estimate.model.mode_frequencies_rad_per_s == pytest.approx((2846.0, 4909.0), rel=2e-3)
-    assert estimate.model.damping_ratios == pytest.approx((0.685, 0.082), rel=5e-3)
-
-
-def test_a_multisine_needs_the_hysteresis(plant, play):
-    recording = play(experiments.multisine(tones_s=0.3), 2)
-    with pytest.raises(ValueError, match="multisine is no square wave"):
-        estimate_dynamics_armax(recording, plant.creep)
-    estimate = estimate_dynamics_armax(recording, plant.creep, plant.hysteresis, (5, 6, 5))
-    assert estimate.order_given
-    assert estimate.model.mode_frequencies_rad_per_s == pytest.approx((2846.0, 4909.0), rel=5e-3)
-
-
-def test_more_modes_than_poles_are_refused(plant, play):
-    recording = play(experiments.dynamics(duration_s=0.5), 1)
+def test_more_modes_than_poles_are_refused():
+    wave, response = square_record(ONE_MODE, 1e-4, 0.02, 40, 10.0)
+    armax = fit_armax(wave, response + 1e-3 * np.random.default_rng(0).normal(size=wave.size),
+                      3, 3, 3)
     with pytest.raises(ValueError, match="order 3 shows no lag beside 2 modes"):
-        estimate_dynamics_armax(recording, plant.creep, orders=(3, 3, 3), mode_count=2)
+        dynamics_of_armax(armax, wave, 1e-4, 2)
 
 
 def test_a_record_too_short_for_the_order_is_refused():

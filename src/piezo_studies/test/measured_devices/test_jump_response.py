@@ -4,15 +4,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezo_identification.estimators.dynamics.jump_response import (
-    estimate_jump_dynamics,
-    jump_response,
-)
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
+from piezo_studies.measured_devices.jump_response import (
+    estimate_jump_dynamics,
+    jump_response,
+)
 
 pytestmark = pytest.mark.kernels
 

@@ -7,54 +7,36 @@ import numpy as np
 from scipy.signal import lfilter
 
 from piezo_common.arrays import ComplexArray, FloatArray
-from piezo_identification.conditioning.creep_removal import remove_creep
-from piezo_identification.conditioning.waveforms import square_wave
-from piezo_identification.estimators.armax.armax import Armax, fit_armax
-from piezo_identification.estimators.dynamics.fast_signals import drift_basis, played_at_the_clock
 from piezo_identification.estimators.dynamics.multisine import hysteresis_and_displacement
 from piezo_identification.estimators.dynamics.pole_search import dynamics_of_poles
-from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S
-from piezo_identification.estimators.estimate import (
-    Estimate,
-    dynamics_vector,
-    order_trial,
-    split_dynamics_vector,
-)
+from piezo_identification.estimators.estimate import dynamics_vector, split_dynamics_vector
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
-
-MOST_MODES = 4
-"""Vibration modes beyond which the search for their number ends: polynomials of more coefficients
-hold no more at fast sampling."""
+from piezo_studies.baselines.armax import Armax, fit_armax
 
 
 def estimate_dynamics_armax(
-    recording: Recording, creep: CreepDynamics, hysteresis: PreisachModel | None = None,
-    orders: tuple[int, int, int] | None = None, mode_count: int | None = None,
-) -> Estimate:
+    recording: Recording, creep: CreepDynamics, hysteresis: PreisachModel,
+    orders: tuple[int, int, int], mode_count: int,
+) -> tuple[ElectricVibrationDynamics, dict[str, Any]]:
     """Estimate the electric lag and the vibration modes by an ARMAX model.
 
-    The creep is removed by its inverse. Of a square wave, the hysteresis makes an offset and a
-    gain; of any other input, an identified hysteresis tells what enters the dynamics.
+    The creep is removed by its inverse; the hysteresis tells what enters the dynamics.
 
     Parameters
     ----------
     recording : Recording
         At the full sample clock.
-    hysteresis : PreisachModel, optional
-        Needed unless the voltage is a square wave.
-    orders : (int, int, int), optional
-        Coefficients na, nb and nc, such as the thesis' (5, 6, 5) or (5, 1, 5); by default equal
-        ones, odd, as high as the Bayesian information criterion justifies.
-    mode_count : int, optional
-        How many of the modes to keep, na being as high as they need at least; poles that add
-        least to the response are dropped. By default all: (na - 1) / 2.
+    orders : (int, int, int)
+        Coefficients na, nb and nc, such as the thesis' (5, 6, 5) or (5, 1, 5).
+    mode_count : int
+        How many of the modes to keep; poles that add least to the response are dropped.
 
     Returns
     -------
-    Estimate
-        Its model is an `ElectricVibrationDynamics`; its order is na.
+    model : ElectricVibrationDynamics
+    standard_deviations : dict
 
     Raises
     ------
@@ -62,39 +44,11 @@ def estimate_dynamics_armax(
         If the recording has gaps, is averaged or too short, or does not suit the hysteresis, or
         the orders are too low for the modes.
     """
-    input, output, drift, sample_period_s = _signals(recording, creep, hysteresis)
-    least = 1 + 2 * (mode_count or 0)
-    candidates = [orders] if orders else [
-        (n, n, n) for n in range(least, max(least, 2 * MOST_MODES + 1) + 1, 2)]
-    best, trials = None, []
-    for candidate in candidates:
-        armax = fit_armax(input, output, *candidate, drift)
-        trials.append(order_trial(candidate[0], armax.residual, armax.parameters))
-        if best is not None and trials[-1].information >= trials[-2].information:
-            break
-        best = armax
-    order = best.autoregressive.size - 1
-    mode_count = (order - 1) // 2 if mode_count is None else mode_count
-    model, standard_deviations = dynamics_of_armax(best, input, sample_period_s, mode_count)
-    return Estimate(model, standard_deviations, order, tuple(trials), orders is not None)
-
-
-def _signals(
-    recording: Recording, creep: CreepDynamics, hysteresis: PreisachModel | None,
-) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-    """Input, output, drift, and the sample period."""
-    if hysteresis is not None:
-        signals = hysteresis_and_displacement(recording, hysteresis, creep)
-        part = signals.longest
-        return (signals.entering_um[part], signals.displacement_um[part], signals.drift[part],
-                signals.sample_period_s)
-    record = played_at_the_clock(recording)
-    begin = round(WARM_UP_S / record.sample_period_s)
-    input = square_wave(record).level[begin:]
-    if input.size == 0 or np.ptp(input) == 0.0:
-        raise ValueError(f"{recording.path} is too short: record several periods")
-    output = remove_creep(record.displacement_um, creep, record.sample_period_s)[begin:]
-    return input, output, drift_basis(record.time_s, creep)[begin:], record.sample_period_s
+    signals = hysteresis_and_displacement(recording, hysteresis, creep)
+    part = signals.longest
+    input_um = signals.entering_um[part]
+    armax = fit_armax(input_um, signals.displacement_um[part], *orders, signals.drift[part])
+    return dynamics_of_armax(armax, input_um, signals.sample_period_s, mode_count)
 
 
 def dynamics_of_armax(

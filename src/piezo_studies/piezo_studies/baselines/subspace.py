@@ -10,22 +10,21 @@ from piezo_common.arrays import FloatArray
 
 @dataclass(frozen=True)
 class Innovations:
-    """Discrete system x+ = A x + B u + K e, y = C x + e.
+    """Discrete system x+ = A x + K e, y = C x + e, without its input.
 
     Parameters
     ----------
     transition : ndarray, shape (n, n)
-    input_gain, innovation_gain, output_gain : ndarray, shape (n,)
+    innovation_gain, output_gain : ndarray, shape (n,)
     """
 
     transition: FloatArray
-    input_gain: FloatArray
     innovation_gain: FloatArray
     output_gain: FloatArray
 
 
 def identify_subspace(
-    input: FloatArray, output: FloatArray, order: int, past: int | None = None,
+    input: FloatArray, output: FloatArray, order: int,
 ) -> Innovations:
     """Identify a system in innovations form, without a starting guess and without iterations.
 
@@ -39,15 +38,13 @@ def identify_subspace(
         Without offset; the output answers the input one sample later at the earliest.
     order : int
         Number of states.
-    past : int, optional
-        Length of the autoregression.
 
     Raises
     ------
     ValueError
         If the record is too short for the order.
     """
-    past = past or max(40, 4 * order)
+    past = max(40, 4 * order)  # rows of the autoregression
     rows = output.size - past
     if past <= order or rows < 6 * past:
         raise ValueError(
@@ -74,4 +71,4 @@ def identify_subspace(
     innovation = target - output_gain @ states
     present = np.column_stack([states[:, :-1].T, input[past:-1], innovation[:-1]])
     step = np.linalg.lstsq(present, states[:, 1:].T, rcond=None)[0].T
-    return Innovations(step[:, :order], step[:, order], step[:, order + 1], output_gain)
+    return Innovations(step[:, :order], step[:, order + 1], output_gain)
