@@ -27,7 +27,7 @@ UNITS = {"um": "um", "v": "V", "s": "s", "hz": "Hz", "rad_per_s": "rad/s", "um_p
 COUNTED = {"in sample periods": "sample periods", "sample periods": "sample periods",
            "standard deviations": "standard deviations", "samples": "samples", "rows": "rows"}
 SOURCE = re.compile(
-    r"\b(1[89]\d\d|20\d\d)\b|\bset on\b|\bmeasured (?:data|stage|set)s?\b|\bdrawn\b|\bseeds?\b|docs/|`make |\bthesis\b")
+    r"\b(1[89]\d\d|20\d\d|set on|measured (?:data|stage|set)s?|drawn|seeds?|thesis)\b|docs/|`make ")
 
 HEAD = """\
 # Constants that decide
