@@ -4,7 +4,7 @@ SHELL := bash
 export OPENBLAS_NUM_THREADS ?= 1
 in_environment := source install/setup.bash &&
 
-.PHONY: help setup demo test test-repeat mutants style quick long coverage kernels soak bench paced reproduce high-bandwidth published-reference changes recipe measured recording-kinds other-makes diagnose-suite twins calibration docs api clean
+.PHONY: help setup demo test test-repeat mutants style quick long coverage kernels soak bench paced reproduce high-bandwidth published-reference changes recipe measured recording-kinds other-makes diagnose-suite twins calibration docs constants api clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 18
@@ -97,6 +97,10 @@ docs: setup ## write the tables and the picture in docs that are made from the s
 	@$(in_environment) .venv/bin/python tools/stage_table.py
 	@$(in_environment) .venv/bin/python tools/import_graph.py
 	@$(in_environment) .venv/bin/python tools/file_tables.py
+	@$(in_environment) .venv/bin/python tools/constants_table.py
+
+constants: setup ## list the numbers that identification and diagnosis decide by; writes docs/constants.md
+	@$(in_environment) .venv/bin/python tools/constants_table.py
 
 api: setup ## make the API pages of the docstrings; start at build/api/index.html
 	@tools/apart api

@@ -41,6 +41,18 @@ def visited_fraction(visited: NDArray[np.bool_]) -> float:
 
 
 def model_rows(model: "StageModel", uncertainties: Mapping[str, Any]) -> list[tuple[Cell, ...]]:
+    """Return the rows of the ranges of a model and of its parameters; see `parameter_rows`."""
+    hysteresis = model.hysteresis
+    low_um, high_um = hysteresis.output_range_um
+    return [
+        _row("voltage range, from", hysteresis.voltage_min_v, None, "V"),
+        _row("voltage range, to", hysteresis.voltage_max_v, None, "V"),
+        _row("hysteresis range", high_um - low_um, None, "um"),
+        *parameter_rows(model, uncertainties),
+    ]
+
+
+def parameter_rows(model: "StageModel", uncertainties: Mapping[str, Any]) -> list[tuple[Cell, ...]]:
     """Return the rows of a table of parameters, in the order of the signal path.
 
     Parameters
@@ -53,13 +65,7 @@ def model_rows(model: "StageModel", uncertainties: Mapping[str, Any]) -> list[tu
     list of tuple
         As many cells as `HEADS`.
     """
-    hysteresis = model.hysteresis
-    low_um, high_um = hysteresis.output_range_um
-    rows: list[tuple[Cell, ...]] = [
-        _row("voltage range, from", hysteresis.voltage_min_v, None, "V"),
-        _row("voltage range, to", hysteresis.voltage_max_v, None, "V"),
-        _row("hysteresis range", high_um - low_um, None, "um"),
-    ]
+    rows: list[tuple[Cell, ...]] = []
     for component, name, text, unit, scale in PARAMETERS:
         values = np.atleast_1d(getattr(getattr(model, component), name))
         deviations = _deviations(uncertainties.get(component), name, values.size)

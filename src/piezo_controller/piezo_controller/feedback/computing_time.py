@@ -13,6 +13,7 @@ from piezo_controller.feedback.multirate_feedback import MultirateFeedback
 REPEATS = 2000
 WARM_UP = 200
 USUAL_ORDER = 15
+SAMPLES_PER_TICK = 40
 PERCENTILE = 99.0
 
 
@@ -45,14 +46,14 @@ def answer_times_s(feedback: MultirateFeedback, samples_per_tick: int,
     return taken_s[WARM_UP:]
 
 
-def computing_time_s(samples_per_tick: int = 40, order: int = USUAL_ORDER) -> float:
-    """Measure the 99th percentile of the answers of a controller of some order (s).
+def computing_time_s() -> float:
+    """Measure the 99th percentile of the answers of a controller of the usual order (s).
 
     What other programs take of the processor meanwhile does not count: a design is to come out the
     same on a busy computer.
     """
-    controller = control.ss(0.5 * np.eye(order), np.ones((order, 1)), np.ones((1, order)), 0.0,
-                            True)
+    controller = control.ss(0.5 * np.eye(USUAL_ORDER), np.ones((USUAL_ORDER, 1)),
+                            np.ones((1, USUAL_ORDER)), 0.0, True)
     times_s = answer_times_s(
-        MultirateFeedback(controller), samples_per_tick, clock_s=time.thread_time)
+        MultirateFeedback(controller), SAMPLES_PER_TICK, clock_s=time.thread_time)
     return float(np.percentile(times_s, PERCENTILE))

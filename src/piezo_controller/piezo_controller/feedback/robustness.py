@@ -45,8 +45,7 @@ class Robustness:
 
 
 def check_robustness(model: StageModel, controller: control.StateSpace, clock_period_s: float,
-                     gain_spread: float, parameter_error: float = PARAMETER_ERROR,
-                     samples: int = SAMPLES, seed: int = 0, at_once: bool = False,
+                     gain_spread: float, samples: int = SAMPLES, at_once: bool = False,
                      delay_ticks: int = 1) -> Robustness:
     """Close the loop over models with errors in every parameter, and over gains.
 
@@ -59,19 +58,16 @@ def check_robustness(model: StageModel, controller: control.StateSpace, clock_pe
         Discrete, from error (um) to voltage (V).
     gain_spread : float
         The hysteresis' gain lies within ``1 +- gain_spread`` of its nominal value.
-    parameter_error : float
-        Relative error of rate and size of every creep pair, and of every parameter of the
-        dynamics, of either sign.
     delay_ticks : int
         See `design_plant`.
     """
     frequency_hz = np.geomspace(0.1, 0.5 / controller.dt, FREQUENCIES)
-    draws = _draws(model, samples, seed)
+    draws = _draws(model, samples)
     count = draws.shape[1]
 
     def peak(errors: FloatArray) -> float:
-        plant = _plant(model, errors, controller.dt, clock_period_s, gain_spread,
-                       parameter_error, at_once, delay_ticks)
+        plant = _plant(model, errors, controller.dt, clock_period_s, gain_spread, at_once,
+                       delay_ticks)
         if not is_stable(control.feedback(plant * controller, 1)):
             return np.inf
         return np.abs(loop_responses(plant, controller, frequency_hz)[1]).max()
@@ -90,8 +86,8 @@ def check_robustness(model: StageModel, controller: control.StateSpace, clock_pe
 
 
 def drawn_plants(model: StageModel, tick_s: float, clock_period_s: float, gain_spread: float,
-                 samples: int, parameter_error: float = PARAMETER_ERROR, seed: int = 0,
-                 at_once: bool = False, delay_ticks: int = 1) -> list[control.StateSpace]:
+                 samples: int, at_once: bool = False,
+                 delay_ticks: int = 1) -> list[control.StateSpace]:
     """Return plants with random errors of all parameters and of the gain, in um/V.
 
     The first are those that `check_robustness` closes the loop over.
@@ -103,19 +99,18 @@ def drawn_plants(model: StageModel, tick_s: float, clock_period_s: float, gain_s
     delay_ticks : int
         See `check_robustness`.
     """
-    return [_plant(model, errors, tick_s, clock_period_s, gain_spread, parameter_error, at_once,
-                   delay_ticks) for errors in _draws(model, samples, seed)]
+    return [_plant(model, errors, tick_s, clock_period_s, gain_spread, at_once, delay_ticks)
+            for errors in _draws(model, samples)]
 
 
-def _draws(model: StageModel, samples: int, seed: int) -> FloatArray:
-    return np.random.default_rng(seed).uniform(-1, 1, (samples, 1 + _parameters(model)))
+def _draws(model: StageModel, samples: int) -> FloatArray:
+    return np.random.default_rng(0).uniform(-1, 1, (samples, 1 + _parameters(model)))
 
 
 def _plant(model: StageModel, errors: FloatArray, tick_s: float, clock_period_s: float,
-           gain_spread: float, parameter_error: float, at_once: bool,
-           delay_ticks: int) -> control.StateSpace:
+           gain_spread: float, at_once: bool, delay_ticks: int) -> control.StateSpace:
     plant, gain_um_per_v = design_plant(
-        with_errors(model, parameter_error * errors[1:]), tick_s, clock_period_s, at_once,
+        with_errors(model, PARAMETER_ERROR * errors[1:]), tick_s, clock_period_s, at_once,
         delay_ticks)
     return gain_um_per_v * (1 + gain_spread * errors[0]) * plant
 

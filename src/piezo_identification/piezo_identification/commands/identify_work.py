@@ -2,7 +2,7 @@
 """The work of `identify`: read the recordings, estimate the model, write and print it."""
 
 import argparse
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,6 @@ import numpy as np
 from piezo_common.command_line import print_next, print_progress, write_report
 from piezo_identification.adequacy.component_adequacy import adequacy_table
 from piezo_identification.commands.identify_command import EXPERIMENTS
-from piezo_identification.commands.parameter_rows import parameter_rows
 from piezo_identification.commands.response_options import (
     hold_s_of,
     useless_response_options,
@@ -128,28 +127,9 @@ def _check_options(
 
 
 def _print_summary(identified: IdentifiedModel) -> None:
-    model = identified.model
-    low_um, high_um = model.hysteresis.output_range_um
-    rows = [
-        ("voltage range", "{:g} to {:g} V".format(*identified.voltage_range_v)),
-        ("hysteresis range", f"{high_um - low_um:.3f} um, from the lowest voltage to the highest"),
-        *parameter_rows(identified),
-        *((f"effect {effect.name}", str(effect.parameters())) for effect in model.effects),
-        *((f"rows of the {name}", "read {read_at_samples:.4g} sample periods late".format(**row))
-          for name, row in identified.rows.items()),
-        *_error_rows(identified.errors),
-    ]
-    for name, value in rows:
-        print(f"{name:24}{value}" if len(name) < 24 else f"{name}  {value}")
+    print(identified.summary())
+    for name, row in identified.rows.items():
+        print(f"rows of the {name}: read {row['read_at_samples']:.4g} sample periods late")
     print(adequacy_table(identified.adequacy))
-    print("behind +- stands the standard deviation; e_y: norm of the difference over that of the "
-          "measured displacement without its mean (4.20), percent")
-
-
-def _error_rows(errors: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Name and value of every error, those in groups under the name of their group."""
-    for name, value in errors.items():
-        if isinstance(value, dict):
-            yield from _error_rows(value, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", f"{value:.3g}"
+    print("e_y: norm of the difference over that of the measured displacement without its mean "
+          "(4.20), percent")

@@ -132,8 +132,7 @@ def noise_from_rest_um(displacement_um: FloatArray, voltage_v: FloatArray,
     return float(np.median(spreads)) if spreads else None
 
 
-def noise_from_repeats_um(displacement_um: FloatArray, period: int,
-                          creep_order: int = SETTINGS.drift_order) -> float | None:
+def noise_from_repeats_um(displacement_um: FloatArray, period: int) -> float | None:
     """Estimate the standard deviation of the noise from repeats of one waveform.
 
     Parameters
@@ -141,8 +140,6 @@ def noise_from_repeats_um(displacement_um: FloatArray, period: int,
     displacement_um : (N,) array
     period : int
         Samples of the waveform; `repeated_period` finds it.
-    creep_order : int
-        Degree of the polynomial that the repeats may drift by, one from the other.
 
     Returns
     -------
@@ -155,6 +152,6 @@ def noise_from_repeats_um(displacement_um: FloatArray, period: int,
     played = displacement_um[: repeats * period].reshape(repeats, period)
     difference = np.diff(played, axis=0)
     x = np.linspace(-1.0, 1.0, period)
-    basis = np.polynomial.legendre.legvander(x, creep_order)
+    basis = np.polynomial.legendre.legvander(x, SETTINGS.drift_order)
     left = difference.T - basis @ np.linalg.lstsq(basis, difference.T, rcond=None)[0]
     return float(np.sqrt(np.mean(left**2) / 2.0))

@@ -34,8 +34,8 @@ ROWS_OF_DECAY = 1.0
 """Rows of a recording that the time constant of creep has to last: of what decays faster, the rows
 show no more than a part of each step."""
 
-UNTOLD_SHARE = 1e-3
-"""A parameter that has this share in a direction that is rounding is not told either."""
+UNIDENTIFIED_SHARE = 1e-3
+"""A parameter that has this share in a direction that is rounding is not identifiable either."""
 
 MOST_ALIKE = 0.98
 """Correlation of neighbouring samples of a residual up to which it counts."""
@@ -96,13 +96,13 @@ class DelayEstimate:
                 and abs(self.delay_s) > SIGNIFICANT * self.standard_deviation_s)
 
     @property
-    def is_told(self) -> bool:
-        """Whether the rows tell anything of it: that it is there, or that it is short."""
+    def is_identifiable(self) -> bool:
+        """Whether the rows show anything of it: that it is there, or that it is short."""
         return self.is_significant or (
             self.standard_deviation_s < MOST_UNCERTAIN * self.sample_period_s)
 
     def __str__(self) -> str:
-        if not self.is_told:
+        if not self.is_identifiable:
             return "not identifiable from these rows, left out"
         verdict = "significant" if self.is_significant else "not significant, left out"
         return (f"{1e6 * self.delay_s:.4g} +- {1e6 * self.standard_deviation_s:.2g} us "
@@ -124,7 +124,7 @@ class Estimate:
     order_given : bool
         True if the user asked for this order.
     start : str
-        What people are told of the state in which the recording begins.
+        What is reported of the state in which the recording begins.
     effects : tuple of Effect
         What the stage model needs beside `model`: modes beside its modes, a sensor's lag.
     effect_deviations : tuple of dict
@@ -227,18 +227,18 @@ def parameter_covariance(
     Returns
     -------
     ndarray, shape (P, P)
-        Of a parameter that the data do not tell, the variance is infinite and the rest is zero.
+        Of a parameter that is not identifiable, the variance is infinite and the rest is zero.
     """
     variance = np.sum(residual**2) / (residual.size - (parameters or jacobian.shape[1]))
-    spread, untold = scaled_inverse(jacobian)
+    spread, unknown = scaled_inverse(jacobian)
     covariance = variance * spread @ spread.T
-    covariance[untold, :] = covariance[:, untold] = 0.0
-    covariance[untold, untold] = np.inf
+    covariance[unknown, :] = covariance[:, unknown] = 0.0
+    covariance[unknown, unknown] = np.inf
     return covariance
 
 
 def propagated(sensitivity: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Covariance of quantities that depend on parameters; infinite where on one that is not told.
+    """Covariance of quantities that depend on parameters; infinite where on one that is unknown.
 
     Parameters
     ----------
@@ -250,10 +250,10 @@ def propagated(sensitivity: FloatArray, covariance: FloatArray) -> FloatArray:
     -------
     ndarray, shape (Q, Q)
     """
-    untold = np.isinf(np.diag(covariance))
-    told = np.where(np.isinf(covariance), 0.0, covariance)
-    result = sensitivity @ told @ sensitivity.T
-    reached = np.any(sensitivity[:, untold] != 0.0, axis=1)
+    unknown = np.isinf(np.diag(covariance))
+    finite = np.where(np.isinf(covariance), 0.0, covariance)
+    result = sensitivity @ finite @ sensitivity.T
+    reached = np.any(sensitivity[:, unknown] != 0.0, axis=1)
     result[reached, :] = result[:, reached] = 0.0
     result[reached, reached] = np.inf
     return result
@@ -270,10 +270,10 @@ def parameter_deviations(jacobian: FloatArray) -> FloatArray:
     Returns
     -------
     ndarray, shape (P,)
-        Infinite for a parameter that the data do not tell.
+        Infinite for a parameter that is not identifiable.
     """
-    spread, untold = scaled_inverse(jacobian)
-    return np.where(untold, np.inf, np.linalg.norm(spread, axis=1))
+    spread, unknown = scaled_inverse(jacobian)
+    return np.where(unknown, np.inf, np.linalg.norm(spread, axis=1))
 
 
 def scaled_inverse(jacobian: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
@@ -289,25 +289,25 @@ def scaled_inverse(jacobian: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]
     spread : ndarray, shape (P, P)
         ``spread @ spread.T`` is the inverse of ``jacobian.T @ jacobian``; directions that are
         rounding are left out.
-    untold : ndarray of bool, shape (P,)
-        The parameters that take part in such a direction: the data do not tell them.
+    unknown : ndarray of bool, shape (P,)
+        The parameters that take part in such a direction: they are not identifiable.
     """
     scale = np.linalg.norm(jacobian, axis=0)
     scale[scale == 0.0] = 1.0
     # Scaled columns keep rates of hundredths and of thousands apart from the rounding.
     _, values, right = np.linalg.svd(jacobian / scale, full_matrices=False)
-    told = values > RANK_TOLERANCE * values.max(initial=0.0)
-    inverse = np.divide(1.0, values, out=np.zeros_like(values), where=told)
-    untold = np.any(np.abs(right[~told]) > UNTOLD_SHARE, axis=0)
-    return right.T * inverse / scale[:, None], untold
+    kept = values > RANK_TOLERANCE * values.max(initial=0.0)
+    inverse = np.divide(1.0, values, out=np.zeros_like(values), where=kept)
+    unknown = np.any(np.abs(right[~kept]) > UNIDENTIFIED_SHARE, axis=0)
+    return right.T * inverse / scale[:, None], unknown
 
 
-def untold_parameters(
+def unidentified_parameters(
     model: StageModel, standard_deviations: Mapping[str, Mapping[str, Any]],
 ) -> list[str]:
     """Name the parameters whose standard deviation is larger than they are.
 
-    A lag is none of them: that it is short, or none at all, is what its deviation tells.
+    A lag is none of them: that it is short, or none at all, is what its deviation shows.
 
     Parameters
     ----------
@@ -319,16 +319,16 @@ def untold_parameters(
     list of str
         Such as ``creep poles_rad_per_s 2``, counted from 1.
     """
-    untold = []
+    unidentified = []
     for part in ("creep", "dynamics"):
         deviations = {name: each for name, each in standard_deviations.get(part, {}).items()
                       if name != "time_constant_s"}
         for name, deviation in deviations.items():
             value = np.atleast_1d(getattr(getattr(model, part), name))
             wide = np.flatnonzero(np.atleast_1d(deviation) > np.abs(value))
-            untold += [f"{part} {name} {index + 1}" if value.size > 1 else f"{part} {name}"
+            unidentified += [f"{part} {name} {index + 1}" if value.size > 1 else f"{part} {name}"
                        for index in wide]
-    return untold
+    return unidentified
 
 
 def dynamics_vector(dynamics: ElectricVibrationDynamics) -> FloatArray:

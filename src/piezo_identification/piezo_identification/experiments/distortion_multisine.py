@@ -19,13 +19,8 @@ SEED = 0
 """Of the lines left out and the phases."""
 
 
-def excited_lines(highest_line: int, random: np.random.Generator, group: int = GROUP) -> IntArray:
+def excited_lines(highest_line: int, random: np.random.Generator) -> IntArray:
     """Draw the lines of a random odd multisine, with one odd line left out of each group.
-
-    Parameters
-    ----------
-    group : int
-        Odd lines in a row.
 
     Returns
     -------
@@ -33,8 +28,8 @@ def excited_lines(highest_line: int, random: np.random.Generator, group: int = G
         Increasing: whole periods of the multisine in each.
     """
     odd = np.arange(1, highest_line + 1, 2)
-    left_out = [begin + random.integers(min(group, odd.size - begin))
-                for begin in range(0, odd.size, group)]
+    left_out = [begin + random.integers(min(GROUP, odd.size - begin))
+                for begin in range(0, odd.size, GROUP)]
     return np.delete(odd, left_out)
 
 

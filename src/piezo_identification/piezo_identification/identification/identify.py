@@ -18,7 +18,7 @@ from piezo_identification.conditioning.recording_start import motion_um_per_s
 from piezo_identification.conditioning.row_alignment import RowDelay
 from piezo_identification.conditioning.segments import Recordings
 from piezo_identification.conditioning.waveforms import played
-from piezo_identification.estimators.estimate import untold_parameters
+from piezo_identification.estimators.estimate import unidentified_parameters
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_fit import (
     ANY_ORDER,
@@ -250,7 +250,7 @@ def tell_implausible(found: Sequence[str], tell: Callable[[str], object]) -> Non
 
 def tell_uncertain_parameters(fitted: FittedModel, tell: Callable[[str], object]) -> None:
     """Name the parameters whose standard deviation is larger than their value, if any."""
-    untold = untold_parameters(fitted.model, fitted.uncertainties)
+    untold = unidentified_parameters(fitted.model, fitted.uncertainties)
     if untold:
         tell(f"the recordings do not tell {', '.join(untold)}: the standard deviation is larger "
              "than the value; ask for a lower order, or record more")

@@ -17,6 +17,7 @@ from piezo_identification.conditioning.sensor_noise import (
 from piezo_identification.estimators.hysteresis.density_fit import levels_passed
 from piezo_identification.estimators.hysteresis.everett_regression import visited_cells
 from piezo_identification.recording_check.waveform_kind import Waveform, waveform_of
+from piezo_models.model_summary import visited_fraction
 from piezo_recorder.reading.plausibility import implausible
 from piezo_recorder.reading.recording import Recording
 
@@ -185,9 +186,7 @@ class RecordingCheck:
     @property
     def visited_fraction(self) -> float:
         """Part of the area of the Preisach plane that was visited."""
-        size = len(self.visited)
-        area = np.tril(np.ones((size, size))) - 0.5 * np.eye(size)
-        return float(area[self.visited].sum() / area.sum())
+        return visited_fraction(self.visited)
 
 
 def check_recording(recording: Recording) -> RecordingCheck:

@@ -27,6 +27,7 @@ from piezo_identification.report.response_band import (
 )
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.identified_model import IdentifiedModel
+from piezo_models.model_summary import visited_fraction
 
 FIT_HEIGHT_IN = 6.4
 """As high as the two pictures beside it."""
@@ -162,9 +163,3 @@ def draw_density(axes: Axes, hysteresis: PreisachModel, visited: BoolArray | Non
     axes.set_aspect("equal")
     label(axes, "relay switches off at (V)", "relay switches on at (V)")
     axes.grid(False)
-
-
-def visited_fraction(visited: BoolArray) -> float:
-    """Return the part of the area of the Preisach plane that is visited."""
-    area = np.tril(np.ones(visited.shape)) - 0.5 * np.eye(len(visited))
-    return float(area[visited].sum() / area.sum())

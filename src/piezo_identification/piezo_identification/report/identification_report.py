@@ -23,8 +23,7 @@ from piezo_recorder.reading.recording import Recording
 E_Y = ("e_y is the norm of the difference over the norm of the measured displacement without its "
        "mean, in percent (4.20): 100 % is a model that says nothing.")
 ERRORS = {"e_y_percent": "whole recording", "hysteresis_e_y_percent": "slow branches (hysteresis)",
-          "dynamics_e_y_percent": "fast branches (dynamics)",
-          "held_out_e_y_percent": "held out while refining"}
+          "dynamics_e_y_percent": "fast branches (dynamics)"}
 
 
 def identification_page(identified: IdentifiedModel, given: Mapping[str, Data], model: Path,

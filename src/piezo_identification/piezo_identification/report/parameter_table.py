@@ -8,20 +8,11 @@ import numpy as np
 
 from piezo_models.effects import known_effects
 from piezo_models.identified_model import IdentifiedModel
+from piezo_models.model_summary import parameter_rows
 
 HEADS = ("parameter", "value", "standard deviation", "95 % interval", "in Hz")
 QUANTILE = 1.96
 """Standard deviations to both sides that hold 95 % of a normal distribution."""
-
-UNITS = {"_rad_per_s": "rad/s", "_s": "s"}
-NAMES = {
-    ("creep", "poles_rad_per_s"): "creep pole", ("creep", "zeros_rad_per_s"): "creep zero",
-    ("dynamics", "time_constant_s"): "electric time constant",
-    ("dynamics", "mode_frequencies_rad_per_s"): "mode frequency",
-    ("dynamics", "damping_ratios"): "damping ratio of mode",
-    ("dynamics", "antiresonance_frequencies_rad_per_s"): "antiresonance frequency",
-    ("dynamics", "antiresonance_damping_ratios"): "damping ratio of antiresonance",
-}
 
 
 def parameter_table(identified: IdentifiedModel) -> list[tuple[str, ...]]:
@@ -33,19 +24,10 @@ def parameter_table(identified: IdentifiedModel) -> list[tuple[str, ...]]:
         `HEADS`, then a row for each number; the heads alone for a model of hysteresis only.
     """
     rows: list[tuple[str, ...]] = [HEADS]
-    for (part, field), name in NAMES.items():
-        values = getattr(getattr(identified.model, part), field)
-        if field == "time_constant_s" and not values:
-            continue
-        deviations = identified.uncertainties.get(part, {}).get(field)
-        unit = next((text for end, text in UNITS.items() if field.endswith(end)), "1")
-        rows += number_rows(name, values, deviations, unit)
-    of_effects = identified.uncertainties.get("effects", [])
-    for index, effect in enumerate(identified.model.effects):
-        deviations = of_effects[index] if index < len(of_effects) else {}
-        for field, value in effect.parameters().items():
-            rows += number_rows(f"{effect.name}, {field}", value, deviations.get(field),
-                          type(effect).units()[field])
+    for name, value, deviation, unit, *_ in parameter_rows(
+            identified.model, identified.uncertainties):
+        if value or name != "electric time constant":
+            rows += number_rows(str(name), value, deviation, str(unit))
     return rows
 
 

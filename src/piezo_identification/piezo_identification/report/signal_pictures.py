@@ -44,22 +44,20 @@ ENVELOPE: dict[str, Any] = {"color": VERMILION, "linewidth": 0.5}
 
 
 def draw_measured(axes: Axes, view: WaveformView, measured: FloatArray,
-                  modelled: FloatArray | None = None, y: str = "displacement (um)") -> None:
+                  modelled: FloatArray | None = None) -> None:
     """Draw the mean period of a signal, or all of it as its envelope, beside that of a model.
 
     Parameters
     ----------
     measured, modelled : ndarray, shape (N,)
         Of the recording.
-    y : str
-        Label.
     """
     axes.plot(*outline(view.time, view.mean(measured)),
               **(ALONE if modelled is None else MEASURED))
     if modelled is not None:
         axes.plot(*outline(view.time, view.mean(modelled)), **MODELLED)
         axes.legend(loc="best")
-    label(axes, view.time_label, y, view.title)
+    label(axes, view.time_label, "displacement (um)", view.title)
 
 
 def draw_difference(axes: Axes, view: WaveformView, difference_um: FloatArray,
@@ -96,21 +94,19 @@ def draw_noise(axes: Axes, noise_um: float) -> None:
 
 
 def draw_loops(axes: Axes, voltage_v: FloatArray, measured: FloatArray,
-               modelled: FloatArray | None = None, y: str = "displacement (um)") -> None:
+               modelled: FloatArray | None = None) -> None:
     """Draw signals over the voltage, so thinned that loops stay loops.
 
     Parameters
     ----------
     voltage_v, measured, modelled : ndarray, shape (N,)
-    y : str
-        Label.
     """
     every = slice(None, None, max(1, voltage_v.size // MOST_POINTS))
     axes.plot(voltage_v[every], measured[every], **(ALONE if modelled is None else MEASURED))
     if modelled is not None:
         axes.plot(voltage_v[every], modelled[every], **MODELLED)
         axes.legend(loc="upper left")
-    label(axes, "voltage (V)", y)
+    label(axes, "voltage (V)", "displacement (um)")
 
 
 def draw_loop_difference(axes: Axes, voltage_v: FloatArray, difference_um: FloatArray,
@@ -202,8 +198,7 @@ def draw_coherence(axes: Axes, voltage_v: FloatArray, measured_um: FloatArray,
     plain_numbers(axes.xaxis)
 
 
-def smoothed(frequency_hz: FloatArray, power: FloatArray,
-             cells: int = SPECTRUM_CELLS) -> tuple[FloatArray, FloatArray]:
+def smoothed(frequency_hz: FloatArray, power: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the mean of a dense spectrum in cells of even width over the logarithm.
 
     Parameters
@@ -216,10 +211,11 @@ def smoothed(frequency_hz: FloatArray, power: FloatArray,
     frequency_hz, power : ndarray, shape (M,)
         As given where there are no more lines than cells.
     """
-    if frequency_hz.size <= cells:
+    if frequency_hz.size <= SPECTRUM_CELLS:
         return frequency_hz, power
     span = np.log(frequency_hz[-1] / frequency_hz[0])
-    cell = np.floor((cells - 1) * np.log(frequency_hz / frequency_hz[0]) / span).astype(int)
+    cell = np.floor(
+        (SPECTRUM_CELLS - 1) * np.log(frequency_hz / frequency_hz[0]) / span).astype(int)
     counts = np.bincount(cell)
     used = counts > 0
     means = (np.bincount(cell, values)[used] / counts[used] for values in (frequency_hz, power))

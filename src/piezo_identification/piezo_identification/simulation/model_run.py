@@ -80,8 +80,7 @@ def conditioned(model: StageModel, recording: Recording) -> tuple[Recording, boo
     return (reversed_displacement(recording) if is_reversed else recording), is_reversed
 
 
-def starting_past_v(model: StageModel, recording: Recording,
-                    settings: PastSearchSettings = SETTINGS) -> PastVoltages:
+def starting_past_v(model: StageModel, recording: Recording) -> PastVoltages:
     """Estimate the voltages that the stage had before a recording, as far as that tells.
 
     A recording that does not begin with the hysteresis switched off or on all over depends on what
@@ -94,12 +93,12 @@ def starting_past_v(model: StageModel, recording: Recording,
     (float, float) or ()
         The highest and the lowest voltage.
     """
-    early = np.cumsum(recording.playing | recording.tracking) <= settings.searched_samples
+    early = np.cumsum(recording.playing | recording.tracking) <= SETTINGS.searched_samples
     run = ModelRun(model, recording.select(early))
     if run.starts_saturated:
         return ()
-    past_v = run.fitted_past_v(settings)
-    explains_more = run.error_um(past_v) < settings.largest_error_ratio * run.error_um(())
+    past_v = run.fitted_past_v()
+    explains_more = run.error_um(past_v) < SETTINGS.largest_error_ratio * run.error_um(())
     return past_v if explains_more else ()
 
 
@@ -169,16 +168,16 @@ class ModelRun:
         return bool(np.any((self._before_v <= hysteresis.voltage_min_v + near_v)
                            | (self._before_v >= hysteresis.voltage_max_v - near_v)))
 
-    def fitted_past_v(self, settings: PastSearchSettings = SETTINGS) -> tuple[float, float]:
+    def fitted_past_v(self) -> tuple[float, float]:
         """Find the highest and then the lowest earlier voltage that explain most."""
         hysteresis, first_v = self.model.hysteresis, self._before_v[0]
         bounds_v = np.array([[first_v, max(first_v, hysteresis.voltage_max_v)],
                              [min(first_v, hysteresis.voltage_min_v), first_v]])
-        for _ in range(settings.rounds):
+        for _ in range(SETTINGS.rounds):
             candidates = list(product(
-                *(np.linspace(low_v, high_v, settings.grid_points) for low_v, high_v in bounds_v)))
+                *(np.linspace(low_v, high_v, SETTINGS.grid_points) for low_v, high_v in bounds_v)))
             best_v = min(candidates, key=self.error_um)
-            spacing_v = np.diff(bounds_v).ravel() / (settings.grid_points - 1)
+            spacing_v = np.diff(bounds_v).ravel() / (SETTINGS.grid_points - 1)
             around_v = np.array(best_v)[:, None] + np.outer(spacing_v, [-1.0, 1.0])
             bounds_v = np.clip(around_v, bounds_v[:, :1], bounds_v[:, 1:])
         highest_v, lowest_v = best_v
@@ -206,21 +205,19 @@ class ModelRun:
         difference_um -= self._span @ (self._span.T @ difference_um)
         return float(np.sqrt(np.mean(difference_um**2)))
 
-    def simulated_um(self, past_v: PastVoltages, highest_v: float | None = None) -> FloatArray:
+    def simulated_um(self, past_v: PastVoltages) -> FloatArray:
         """Simulate the displacement after a past, with offset and initial creep fitted.
 
         Parameters
         ----------
         past_v : (float, float) or ()
             Of `starting_past_v`.
-        highest_v : float, optional
-            Up to which the stage has risen before; by default `highest_v` of this run.
 
         Returns
         -------
         ndarray, shape (N,)
         """
-        simulated_um = self._response_um(past_v, highest_v)
+        simulated_um = self._response_um(past_v)
         difference_um = self.measured_um - simulated_um
         nuisance, good = self._nuisance, self.good
         return simulated_um + nuisance @ np.linalg.lstsq(

@@ -12,7 +12,7 @@ from piezo_identification.estimators.estimate import (
     parameter_covariance,
     parameter_deviations,
     propagated,
-    untold_parameters,
+    unidentified_parameters,
 )
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
@@ -92,7 +92,7 @@ def test_parameters_less_certain_than_large_are_named():
         PreisachModel(-10.0, 10.0, np.zeros((4, 4)), 0.0, np.full(4, 0.5)),
         CreepDynamics((0.1, 1.0), (0.11, 1.1)),
         ElectricVibrationDynamics(0.0, (3000.0,), (0.02,)))
-    assert untold_parameters(model, {
+    assert unidentified_parameters(model, {
         "creep": {"poles_rad_per_s": (0.01, np.inf), "zeros_rad_per_s": (0.01, 0.1)},
         "dynamics": {"time_constant_s": 0.0, "mode_frequencies_rad_per_s": (1.0,),
                      "damping_ratios": (0.5,)},

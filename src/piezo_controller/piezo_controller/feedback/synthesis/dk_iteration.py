@@ -52,8 +52,8 @@ class RobustSynthesis:
     history: list[float]
 
 
-def iterate(plant: control.StateSpace, scalars: int, dynamic: bool = False, slack: float = 0.0,
-            iterations: int = ITERATIONS) -> RobustSynthesis:
+def iterate(plant: control.StateSpace, scalars: int, dynamic: bool = False,
+            slack: float = 0.0) -> RobustSynthesis:
     """Alternate between synthesis (K) and scaling (D), and keep the best controller.
 
     The iteration creeps: an optimal K levels what the next D could lower. Constant scalings are
@@ -79,11 +79,11 @@ def iterate(plant: control.StateSpace, scalars: int, dynamic: bool = False, slac
     """
     iteration = _Iteration(plant, scalars)
     iteration.synthesise(np.ones(scalars))
-    for _ in range(iterations - 1):
+    for _ in range(ITERATIONS - 1):
         iteration.synthesise(constant_scaling(iteration.responses, scalars))
     iteration.search()
     if dynamic:
-        for _ in range(iterations):
+        for _ in range(ITERATIONS):
             iteration.synthesise(iteration.fitted_scalings())
     return iteration.best(slack)
 
@@ -169,7 +169,7 @@ def constant_scaling(responses: ComplexArray, scalars: int) -> FloatArray:
 
 
 def fit_scaling(frequency_hz: FloatArray, magnitude: FloatArray, importance: FloatArray,
-                tick_s: float, order: int = SCALING_ORDER) -> control.StateSpace:
+                tick_s: float) -> control.StateSpace:
     """Fit a stable system with a stable inverse to a magnitude.
 
     Parameters
@@ -184,9 +184,9 @@ def fit_scaling(frequency_hz: FloatArray, magnitude: FloatArray, importance: Flo
     points = np.exp(2j * np.pi * frequency_hz * tick_s)
     target = np.log(magnitude)
 
-    def roots(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def roots(parameters: FloatArray) -> tuple[FloatArray, ...]:
         # From corner frequencies, whatever they are, to the inside of the unit circle.
-        return np.exp(-np.exp(parameters[:order])), np.exp(-np.exp(parameters[order:2 * order]))
+        return tuple(np.exp(-np.exp(each)) for each in np.split(parameters[:-1], 2))
 
     def residual(parameters: FloatArray) -> FloatArray:
         zeros, poles = roots(parameters)
@@ -195,9 +195,9 @@ def fit_scaling(frequency_hz: FloatArray, magnitude: FloatArray, importance: Flo
             for zero, pole in zip(zeros, poles, strict=True))
         return importance * (fitted - target)
 
-    corners = np.log(2 * np.pi * tick_s * np.geomspace(1.0, 0.2 / tick_s, order + 2)[1:-1])
+    corners = np.log(2 * np.pi * tick_s * np.geomspace(1.0, 0.2 / tick_s, SCALING_ORDER + 2)[1:-1])
     start = np.r_[corners + 0.1, corners - 0.1, np.average(target, weights=importance)]
-    limits = np.r_[np.full(2 * order, 6.0), np.inf]
+    limits = np.r_[np.full(2 * SCALING_ORDER, 6.0), np.inf]
     found = least_squares(residual, start, bounds=(-limits - 6.0, limits - 4.0)).x
     zeros, poles = roots(found)
     return control.ss(*zpk2ss(zeros, poles, np.exp(found[-1])), tick_s)

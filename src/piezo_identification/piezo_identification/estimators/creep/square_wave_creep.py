@@ -93,7 +93,7 @@ def estimate_creep(
     off_um = record.first_run_off_um(cut.model)
     if off_um == 0.0:
         return whole
-    # Beside many slow exponentials the level is told, but not its size.
+    # Beside many slow exponentials a step of the level is sure, but not its size.
     size = f"{off_um:+.3g} um " if abs(off_um) < np.ptp(part.displacement_um) else ""
     return replace(cut, start=f"its first {record.first_run_s:.4g} s, up to the first step, are "
                    f"{size}off the loop of the later ones: left out")

@@ -64,7 +64,6 @@ than an offset."""
 def estimate_dynamics_any(
     recordings: Sequence[Recording], creep: CreepDynamics,
     hysteresis: PreisachModel | None = None, mode_count: int | None = None,
-    delay: float | None = None,
 ) -> Estimate:
     """Estimate electric lag and vibration modes (4.3) from recordings of any fast input.
 
@@ -78,8 +77,6 @@ def estimate_dynamics_any(
         estimated together with the dynamics; of two levels, an offset and a gain.
     mode_count : int, optional
         By default as many as the Bayesian information criterion justifies.
-    delay : float, optional
-        Of the rows, in sample periods; by default it is estimated beside.
 
     Returns
     -------
@@ -105,24 +102,24 @@ def estimate_dynamics_any(
         return fit_beside_fast_creep(
             lambda known: replace(_signals(squares, levels, known), early=timed.early,
                                   phase_room=timed.phase_room).record(),
-            creep, mode_count, delay)
+            creep, mode_count)
     if hysteresis is not None:
         entering_um = [through_hysteresis(recording, part, hysteresis)
                        for recording, part in zip(recordings, parts, strict=True)]
         return fit_beside_fast_creep(
             lambda known: beside_slow_misfit(_signals(parts, entering_um, known).record()),
-            creep, mode_count, delay)
+            creep, mode_count)
     without_hysteresis = _signals(
         parts, [np.asarray(part.voltage_v, dtype=float) for part in parts], creep)
-    linear = fit_signals(without_hysteresis, MODES_OF_A_LINE, delay)
-    estimate = _beside_hysteresis(parts, creep, mode_count, delay)
+    linear = fit_signals(without_hysteresis, MODES_OF_A_LINE)
+    estimate = _beside_hysteresis(parts, creep, mode_count)
     if estimate.residual_rms < linear.residual_rms:
         return estimate
-    return fit_signals(without_hysteresis, mode_count, delay)
+    return fit_signals(without_hysteresis, mode_count)
 
 
 def _beside_hysteresis(
-    parts: Sequence[Recording], creep: CreepDynamics, mode_count: int | None, delay: float | None,
+    parts: Sequence[Recording], creep: CreepDynamics, mode_count: int | None,
 ) -> Estimate:
     """Fit the dynamics behind the hysteresis that the recordings themselves show."""
     loops = [
@@ -133,7 +130,7 @@ def _beside_hysteresis(
     found = hysteresis_beside_dynamics(loops)
     entering = [found.entering_um(each) for each in loops]
     return fit_output_error(
-        beside_slow_misfit(_signals(parts, entering, creep).record()), mode_count, delay)
+        beside_slow_misfit(_signals(parts, entering, creep).record()), mode_count)
 
 
 def _signals(

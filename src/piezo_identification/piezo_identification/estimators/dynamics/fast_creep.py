@@ -94,7 +94,7 @@ def fast_creep(
 ) -> FastCreep | None:
     """Find creep in a fast record: exponentials that are slower than all that rings.
 
-    Free poles tell whether there is any: one of them is real and slow. It is creep if the record
+    Free poles show whether there is any: one of them is real and slow. It is creep if the record
     without it is explained as well by the information criterion, most often with fewer poles. The
     slow poles bend the others, and with them the creep: it is sought again beside the dynamics that
     are right once it is removed, while that explains the record better.
@@ -230,12 +230,12 @@ def _positive_parts(record: FastRecord, free: FreeFit, rates: FloatArray) -> Fas
             used = used[parts[1:] > 0.0]
             continue
         covariance = np.linalg.pinv(chosen.T @ chosen) * left**2 / target.size
-        told = parts[1:] / np.sqrt(np.diag(covariance)[1:])
-        if told.min() > SIGNIFICANT:
+        over_deviation = parts[1:] / np.sqrt(np.diag(covariance)[1:])
+        if over_deviation.min() > SIGNIFICANT:
             gains = parts[1:] / parts[0]
             full = np.zeros((2 * used.size, 2 * used.size))
             full[used.size :, used.size :] = covariance[1:, 1:] / parts[0] ** 2
             return FastCreep(*creep_of_partial_fractions(rates[used], gains, full))
         # One at a time: what a neighbour takes over makes the others sure.
-        used = np.delete(used, np.argmin(told))
+        used = np.delete(used, np.argmin(over_deviation))
     return None

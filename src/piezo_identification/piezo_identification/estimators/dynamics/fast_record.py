@@ -317,10 +317,10 @@ class FastRecord:
         basis = _left(basis, span)
         norms = np.linalg.norm(basis, axis=0)
         left, values, right = np.linalg.svd(basis / norms, full_matrices=False)
-        told = values > COLLINEAR * values[0]
-        left = left[:, told]
+        kept = values > COLLINEAR * values[0]
+        left = left[:, kept]
         projected = left.T @ target
-        gains = right[told].T @ (projected / values[told]) / norms
+        gains = right[kept].T @ (projected / values[kept]) / norms
         residual = target - left @ projected
         count = apart.size
         even, odd = gains[1 : 1 + count], gains[1 + count :] * scale / apart
@@ -412,7 +412,7 @@ def real_products(signals: list[ComplexArray], weights: list[ComplexArray]) -> F
 
 
 def independent(columns: FloatArray) -> FloatArray:
-    """Return orthonormal columns of the same span, without what only rounding tells apart.
+    """Return orthonormal columns of the same span, without what differs by rounding alone.
 
     Slow exponentials look alike in a short record. Were they kept as they are, the least error
     would be as rough as the rounding of the processor, and a search would end anywhere on it.
@@ -427,7 +427,7 @@ def independent(columns: FloatArray) -> FloatArray:
         With L up to K.
     """
     norms = np.linalg.norm(columns, axis=0)
-    # A decay that is over before the record begins is zero throughout, and tells nothing.
+    # A decay that is over before the record begins is zero throughout, and shows nothing.
     left, values, _ = np.linalg.svd(
         columns[:, norms > 0.0] / norms[norms > 0.0], full_matrices=False)
     return left[:, values > COLLINEAR * values[0]]

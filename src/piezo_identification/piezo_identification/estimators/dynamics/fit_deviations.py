@@ -16,16 +16,16 @@ from piezo_identification.estimators.estimate import (
 )
 
 FAR_MORE = 2.0
-"""Times the power that a fit has to leave without its delay before that tells of the delay."""
+"""Times the power that a fit has to leave without its delay for that to be evidence of it."""
 
 
 def fit_covariance(fit: FastFit, linear_parameters: int) -> FloatArray:
     """Covariance of the vector of a fit, and of its delay where that was fitted.
 
     Three things part it from that of a linear fit with white residual. What a form cannot explain
-    is no white noise: neighbours are alike, and tell less. Two lags that are nearly equal are told
-    apart by the square of their difference only. And a lag cannot be negative: a short one is told
-    apart from a delay by its square only.
+    is no white noise: neighbours are alike, and count less. Two lags that are nearly equal differ
+    by the square of their difference only. And a lag cannot be negative: a short one differs from a
+    delay by its square only.
 
     Parameters
     ----------
@@ -83,9 +83,10 @@ def _of_alike_lags(covariance: FloatArray, fit: FastFit) -> FloatArray:
 def _of_positive_lag(covariance: FloatArray, lag: int) -> FloatArray:
     """Bound the variance of a lag by what its square lets it be.
 
-    A lag T acts as a delay T in first order; only T^2 / 2 is told beside a delay. If that has the
-    deviation d, a long lag has the deviation d / T, and one that may be none is below (2 d)^(1/2).
-    What the variance loses is taken from all that trade with the lag, as if it had been measured.
+    A lag T acts as a delay T in first order; only T^2 / 2 is identifiable beside a delay. If that
+    has the deviation d, a long lag has the deviation d / T, and one that may be none is below
+    (2 d)^(1/2). What the variance loses is taken from all that trade with the lag, as if it had
+    been measured.
 
     Parameters
     ----------
@@ -107,9 +108,9 @@ def _of_positive_lag(covariance: FloatArray, lag: int) -> FloatArray:
 def delay_deviation(fit: FastFit, without: FastFit | None, variance: float) -> float:
     """Return the standard deviation of a delay, in sample periods.
 
-    Where the fit without the delay leaves far more, that tells of the delay whatever else the form
-    lacks: the deviation is then no larger than the delay over the root of twice the gain in
-    logarithmic likelihood.
+    Where the fit without the delay leaves far more, there is a delay whatever else the form lacks:
+    the deviation is then no larger than the delay over the root of twice the gain in logarithmic
+    likelihood.
 
     Parameters
     ----------
@@ -125,6 +126,6 @@ def delay_deviation(fit: FastFit, without: FastFit | None, variance: float) -> f
     return min(deviation, abs(fit.delay) / float(np.sqrt(rows * np.log(without.cost / fit.cost))))
 
 
-def is_told(fit: FastFit, variance: float) -> bool:
-    """Whether the covariance alone tells that there is a delay."""
+def is_significant(fit: FastFit, variance: float) -> bool:
+    """Whether the covariance alone shows that there is a delay."""
     return bool(abs(fit.delay) > SIGNIFICANT * np.sqrt(variance))

@@ -14,14 +14,14 @@ from piezo_identification.estimators.dynamics.output_error import ROWS_OF_SEARCH
 from piezo_identification.estimators.dynamics.pole_search import free_fits
 from piezo_identification.estimators.poles.pole_responses import HeldInput
 
-MODES_THAT_TELL = 2
-"""Modes with which it is told whether a generator runs freely: edges off by half a sample show."""
+MODES_TO_DECIDE = 2
+"""Modes with which a generator is found to run freely: edges off by half a sample show."""
 
 ROUNDS = 2
 """Fits of the edges, each after one of the poles: either hardly moves the other."""
 
 STEP = 1e-3
-"""Part of a sample period of the differences that tell what an edge moves."""
+"""Part of a sample period of the differences that show what an edge moves."""
 
 INSTANT = 2
 """Direction of `GeneratorEdges` in which all edges move alike."""
@@ -118,5 +118,5 @@ def edge_responses(
 
 
 def _free_fit(record: FastRecord) -> FreeFit:
-    return min(free_fits(record.thinned(ROWS_OF_SEARCH), MODES_THAT_TELL),
+    return min(free_fits(record.thinned(ROWS_OF_SEARCH), MODES_TO_DECIDE),
                key=lambda fit: fit.cost)

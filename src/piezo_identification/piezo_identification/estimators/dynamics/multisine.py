@@ -25,9 +25,9 @@ def estimate_dynamics_multisine(
 ) -> Estimate:
     """Estimate the electric lag and the vibration modes (3.2) from a multi-sine.
 
-    The identified hysteresis tells what enters the dynamics. The inverse response at the excited
-    lines is a polynomial in the frequency, which gives a start; the physical parameters are then
-    those of least output error.
+    The identified hysteresis determines what enters the dynamics. The inverse response at the
+    excited lines is a polynomial in the frequency, which gives a start; the physical parameters are
+    then those of least output error.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ from piezo_identification.estimators.dynamics.fast_record import (
 from piezo_identification.estimators.dynamics.fit_deviations import (
     delay_deviation,
     fit_covariance,
-    is_told,
+    is_significant,
 )
 from piezo_identification.estimators.dynamics.pole_search import QUICK_EVALUATIONS, free_fits
 from piezo_identification.estimators.estimate import (
@@ -168,7 +168,7 @@ class _Search:
         chosen = min(trials, key=lambda trial: trial.information)
         fit, delay = self._polished(self._fits[chosen.order]), None
         if self._known_delay is None:
-            fit, delay = self._with_delay_told(fit)
+            fit, delay = self._with_delay_decided(fit)
         deviations = np.sqrt(np.diag(fit_covariance(fit, self._whole.linear_parameters)))
         places = ascending_places(fit.vector, fit.order)
         dynamics, effects = fast_dynamics_of(fit.vector, fit.order)
@@ -179,16 +179,16 @@ class _Search:
             dynamics, of_dynamics, chosen.order, trials, order_given,
             effects=effects, effect_deviations=of_effects, delay=delay)
 
-    def _with_delay_told(self, fit: FastFit) -> tuple[FastFit, DelayEstimate]:
+    def _with_delay_decided(self, fit: FastFit) -> tuple[FastFit, DelayEstimate]:
         """Return the fit and its delay; the fit without it where it is not significant."""
         of_phase = self._whole.phase_room**2 / 3.0
         variance = of_phase + float(fit_covariance(fit, self._whole.linear_parameters)[-1, -1])
-        without = None if is_told(fit, variance) else self._whole.fit(
+        without = None if is_significant(fit, variance) else self._whole.fit(
             fit.order, fit.vector, 0.0, is_delay_free=False)
         period_s = self._record.input.sample_period_s
         deviation = max(delay_deviation(fit, without, variance), np.sqrt(of_phase))
         delay = DelayEstimate(fit.delay * period_s, deviation * period_s, period_s)
-        # Where the instant of the input is open, a delay that is not told stands for that.
+        # Where the instant of the input is open, a delay that is not identifiable stands for that.
         if not delay.is_significant and not of_phase:
             fit = without or self._whole.fit(fit.order, fit.vector, 0.0, is_delay_free=False)
         return fit, delay

@@ -21,7 +21,7 @@ TRIED_DAMPINGS = (0.01, 0.1, 0.8)
 """Damping ratios of a further mode to begin with."""
 
 QUICK_EVALUATIONS = 12
-"""Steps that tell a good start from a bad one."""
+"""Steps that part a good start from a bad one."""
 
 FOLLOWED = 3
 """Starts that are followed by quick fits, and the best of those to its end."""

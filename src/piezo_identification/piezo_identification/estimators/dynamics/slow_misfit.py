@@ -21,10 +21,10 @@ HEAVY_DAMPING, FAR_BELOW = 0.15, 0.05
 have no such modes, and what a hysteresis that is not quite right leaves looks like one."""
 
 MOST_WAVES = 300
-"""Half periods of the fastest wave: a longer record tells slow motions from vibrations itself."""
+"""Half periods of the fastest wave: a longer record parts slow motions from vibrations itself."""
 
 MOST_OF_THE_MOTION = 0.95
-"""Part of the input's power that tells how fast its loops are."""
+"""Part of the input's power that counts in how fast its loops are."""
 
 
 def beside_slow_misfit(record: FastRecord) -> FastRecord:

@@ -38,7 +38,7 @@ MOST_STATES = 60
 """States beyond which the search for the order ends."""
 
 LEAST_FREQUENCIES = 24
-"""Frequencies below which no order can be told from another."""
+"""Frequencies below which no order can be compared with another."""
 
 FREQUENCIES_A_MODE = 8
 """Frequencies that a mode needs: it has four numbers, each frequency two."""
@@ -114,7 +114,7 @@ def estimate_from_response(
     best = granted[chosen]
     trials = tuple(_trial(search, found, fit) for found, fit in granted.items())
     if measured.hold_s:
-        # The model tells what sampling folds back.
+        # The model determines what sampling folds back.
         model = _model(search, best)
         search = ResponseSearch(without_hold(measured, model.linear(), model.delay_s))
     best = search.fit((best.form, best.vector, best.free), LAST_STEPS, LAST_ROUNDING)

@@ -63,8 +63,9 @@ def without_hold(measured: FrequencyResponse, system: control.StateSpace | None 
     measured : FrequencyResponse
         One without hold is returned as it is.
     system : control.StateSpace, optional
-        Continuous; about that of the stage. It tells what sampling folds back from beyond half the
-        sample rate, which is little where the response falls fast; left out, that is not corrected.
+        Continuous; about that of the stage. It determines what sampling folds back from beyond half
+        the sample rate, which is little where the response falls fast; left out, that is not
+        corrected.
     delay_s : float
         Behind the system.
 

@@ -56,7 +56,7 @@ START_LAGS = (0.2, 1.0, 5.0)
 """Over the inverse of the highest measured rate."""
 
 STEPS, QUICK_STEPS, LAST_STEPS = 40, 10, 300
-"""Steps of a fit, of one that tells a good start from a bad one, and of the one that is taken."""
+"""Steps of a fit, of one that parts a good start from a bad one, and of the one that is taken."""
 
 ROUNDING, LAST_ROUNDING = 1e-6, 1e-12
 """Relative change of the sum of squares at which a fit ends, and the one that is taken."""

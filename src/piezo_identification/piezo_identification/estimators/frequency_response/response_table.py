@@ -144,7 +144,7 @@ def _unit_in(words: set[str]) -> str:
 
 
 def _touchstone(path: Path) -> tuple[str, str] | None:
-    """Return the unit of frequency and the form of the numbers that a Touchstone file tells."""
+    """Return the unit of frequency and the form of the numbers that a Touchstone file states."""
     with open(path, encoding="utf-8", errors="replace") as file:
         for line, _ in zip(file, range(200), strict=False):
             option = _TOUCHSTONE.fullmatch(line.strip())

@@ -19,7 +19,7 @@ DELAYED = 3
 """Sample periods of delay of which the ends of a stretch are free."""
 
 EXCITED = 1e-3
-"""Part of the strongest line of an input from which a line tells of the response."""
+"""Part of the strongest line of an input from which a line shows the response."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""docs/constants.md lists the numbers that identification and diagnosis decide by."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+MODULE = '''
+LONGEST_S, FACTOR = 2.5, -3
+"""How long it lasts, and by how much. Set on 40 drawn stages."""
+
+NAMES = ("creep", "dynamics")
+
+
+class FitSettings:
+    """Numbers of a fit.
+
+    Attributes
+    ----------
+    steps, calm : int
+        Of a fit
+        from each start (Smith 1999).
+    method : str
+    """
+
+    steps: int = 12
+    calm: int = 2
+    method: str = "newton"
+'''
+
+
+@pytest.fixture(scope="module")
+def constants_table():
+    specification = importlib.util.spec_from_file_location(
+        "constants_table", ROOT / "tools" / "constants_table.py")
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+def test_page_in_the_docs_is_that_of_the_sources(constants_table):
+    assert constants_table.main(["--check"]) == 0
+
+
+def test_numbers_of_modules_and_settings_are_listed_with_unit_and_source(constants_table):
+    meaning, source = "How long it lasts, and by how much.", "Set on 40 drawn stages."
+    assert list(map(tuple, constants_table.constants(MODULE))) == [
+        ("LONGEST_S", "`2.5`", "s", meaning, source),
+        ("FACTOR", "`-3`", "1", meaning, source),
+        ("FitSettings.steps", "`12`", "1", "", "Of a fit from each start (Smith 1999)."),
+        ("FitSettings.calm", "`2`", "1", "", "Of a fit from each start (Smith 1999).")]
