@@ -3,8 +3,10 @@
 
 from collections.abc import Callable
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
+
+from piezo_ros.requests.goals import GOAL, GoalState
 
 DIAGNOSTICS_S = 5.0
 """Every node that has something to tell does so each second."""
@@ -24,16 +26,16 @@ def why_rejected(node: Node, spin_until: Callable[[Callable[[], bool], float], b
         Of the action, relative to the namespace of both.
     """
     name = f"{node.get_namespace().rstrip('/')}/{topic.partition('/')[0]}: goal"
-    heard: list[str] = []
+    heard: list[DiagnosticStatus] = []
 
     def hear(array: DiagnosticArray) -> None:
-        heard.extend(status.message for status in array.status if status.name == name)
+        heard.extend(status for status in array.status if status.name == name)
 
     subscription = node.create_subscription(DiagnosticArray, "/diagnostics", hear, 10)
     try:
         spin_until(lambda: bool(heard), DIAGNOSTICS_S)
     finally:
         node.destroy_subscription(subscription)
-    if heard and not heard[-1].startswith("works on no goal"):
-        return f"it is {heard[-1]}"
+    if heard and KeyValue(key=GOAL, value=str(GoalState.NONE)) not in heard[-1].values:
+        return f"it is {heard[-1].message}"
     return "it is busy with another goal or not active, its log tells which"

@@ -6,6 +6,7 @@ import warnings
 import numpy as np
 import pytest
 
+from piezo_identification.identification.identify import Implausible
 from piezo_models import CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel
 from piezo_models.identified_model import IdentifiedModel
 from piezo_offline import DataWarning, design, diagnose, identify, read, simulate, steps
@@ -62,6 +63,23 @@ def test_what_was_assumed_or_is_implausible_is_a_warning(measured_um):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert isinstance(read(arrays(measured_um)), Recording)
+
+
+def test_what_an_identification_finds_implausible_is_a_warning(monkeypatch, measured_um):
+    """By what it is, not by the word with which a sentence begins."""
+    said = [Implausible("a range of 1 um over 100 V"), "implausible as it sounds, all is well"]
+
+    def identify_said(note, **given):
+        for text in said:
+            note(text)
+
+    monkeypatch.setattr(steps, "identify_recordings", identify_said)
+    told = []
+    with pytest.warns(DataWarning) as warned:
+        identify(hysteresis=arrays(measured_um), note=told.append)
+    assert told == said
+    assert [str(each.message) for each in warned if "range" in str(each.message)] == said[:1]
+    assert not any("sounds" in str(each.message) for each in warned)
 
 
 def test_recording_that_cannot_stand_for_its_experiment_is_named_before_the_fit(measured_um):

@@ -41,12 +41,14 @@ from piezo_identification.diagnosis.evidence.recording_faults import (
 )
 from piezo_identification.diagnosis.evidence.residual_description import describe_residual
 from piezo_identification.diagnosis.evidence.stand_ins import with_stand_ins
+from piezo_identification.diagnosis.joint.alternatives import Came
 from piezo_identification.diagnosis.joint.competition import (
     Competition,
     beside_alternative,
     compare_models,
     led_by_the_most_probable,
     probabilities_of_named,
+    with_free_model,
 )
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
@@ -55,6 +57,7 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
 from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
 from piezo_identification.diagnosis.joint.probabilities import SOMETHING_ELSE
 from piezo_identification.diagnosis.joint.remainder import HeldToNoise, held_to_noise
+from piezo_identification.diagnosis.reasons import Reason, Undecided
 from piezo_identification.diagnosis.verdict import Verdict
 from piezo_identification.fitting.dataset import simulate_recordings
 from piezo_identification.fitting.regression import Fit, Regression, first_regression
@@ -146,10 +149,10 @@ class Decision:
     fit : Fit
         With the effects that are named.
     outliers : FoundOutliers or None
-    refused : dict of str to str
+    refused : dict of str to Undecided
         Effects that the held-out data refuse, and why.
-    came : str
-        When the effects came, as far as the recordings of the identification tell.
+    came : Came
+        When the effects came, as far as the recordings of the identification show.
     probabilities : dict of str to float
         From which the verdict follows.
     remains : str
@@ -159,8 +162,8 @@ class Decision:
     verdict: str
     fit: Fit
     outliers: FoundOutliers | None
-    refused: dict[str, str]
-    came: str
+    refused: dict[str, Undecided]
+    came: Came
     probabilities: dict[str, float]
     remains: str
 
@@ -206,6 +209,7 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
         selection = replace(selection, interrupted=True)
         competition = compare_models(model, given.recordings, [], selection, stated, report)
     selection = led_by_the_most_probable(selection, competition)
+    competition = with_free_model(competition, model, given.recordings, selection)
     sources = noise_sources([*given.recordings, *filter(None, [given.holdout]), *old])
     noise = (noise or KnownNoise()).beside(sources)
     decision, found, believed = decide(selection, validation, competition, noise)
@@ -322,10 +326,10 @@ def decide(selection: Selection, validation: Validation,
         beside = beside_alternative(selection, competition, best)
         validation_beside = validation.beside(beside.regression)
         # Where the model that is believed explains nothing, its names are better than those of
-        # the new recordings alone only if it leaves less of them; for the same effects the
-        # parameters of these may be better.
+        # the new recordings alone only if it leaves less of held-out data; for the same effects
+        # the parameters of these may be better.
         explains = competition.probabilities[SOMETHING_ELSE] < PROBABILITIES.believed
-        is_better = left_rms_um(beside) < left_rms_um(selection) or (
+        is_better = validation_beside.rms_um(beside.end) < validation.rms_um(fit) or (
             explains and _names(beside.end) != _names(fit))
         if is_better and validation_beside.improves(beside.end):
             found, believed, fit, refused = beside, validation_beside, beside.end, {}
@@ -392,11 +396,13 @@ def tell(model: StageModel, given: Conditioned, selection: Selection, validation
         extended = replace(extended, effects=(*extended.effects, outliers.effect(regression)))
     effects.sort(key=lambda entry: -entry["error_reduction_percent"])
     errors = validation.errors(fit if is_changed else None)
+    undecided = _undecided(selection, decision, effects)
     return Diagnosis(
         verdict=decision.verdict, effects=effects, model=extended,
         before=errors.before, after=errors.after,
         noise_floor_um=float(np.median(regression.noise.noise_um)), holdout=errors.where,
-        not_decidable=_not_decidable(selection, decision, effects),
+        not_decidable={name: why.sentence for name, why in undecided.items()},
+        reasons={name: why.reason for name, why in undecided.items()},
         not_told_from=_not_told_from(selection, effects),
         left=_left(regression, decision, predictable),
         reversed=given.reversed, left_out=[*left_out(regression), *validation.left_out()],
@@ -422,17 +428,19 @@ def _not_told_from(selection: Selection, effects: Sequence[dict[str, Any]]) -> d
             if name not in named and found in named}
 
 
-def _not_decidable(selection: Selection, decision: Decision,
-                   effects: Sequence[dict[str, Any]]) -> dict[str, str]:
+def _undecided(selection: Selection, decision: Decision,
+               effects: Sequence[dict[str, Any]]) -> dict[str, Undecided]:
     """Return the effects that are not named though they are not excluded either, and why."""
     named = {entry["name"] for entry in effects}
     reasons = {name: why for name, why in (selection.not_shown | decision.refused).items()
                if name not in named}
     for name, found in _not_told_from(selection, effects).items():
-        reasons[name] = f"the data does not tell it from {found}"
+        reasons[name] = Undecided(
+            Reason.LIKE_ANOTHER, f"the data does not tell it from {found}")
     kinds = known_effects()
     for found in sorted(named & kinds.keys()):
         for name in kinds[found].same_without_dynamics:
             if name not in named:
-                reasons.setdefault(name, f"where it acts at once, it is the same as {found}")
+                reasons.setdefault(name, Undecided(
+                    Reason.LIKE_ANOTHER, f"where it acts at once, it is the same as {found}"))
     return reasons

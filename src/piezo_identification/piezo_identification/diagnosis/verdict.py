@@ -2,13 +2,14 @@
 """The verdict that every diagnosis ends with, and the files that keep it."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from piezo_common.summary_table import SummaryTable
+from piezo_identification.diagnosis.reasons import Reason
 from piezo_identification.diagnosis.verdict_view import (
     draw_verdict,
     summary_of_verdict,
@@ -43,6 +44,8 @@ class Verdict:
         Where the held-out data is from, and how many samples.
     not_decidable : dict of str to str
         Effects that the data cannot tell, and why.
+    reasons : dict of str to Reason
+        Of what kind the reason of each is.
     not_told_from : dict of str to str
         Of these, the ones that the data cannot tell from an effect that is named, and which.
     left : str
@@ -80,6 +83,7 @@ class Verdict:
     reversed: list[str]
     left_out: list[str]
     ceiling: dict[str, float] | None
+    reasons: dict[str, Reason] = field(default_factory=dict, kw_only=True)
     not_told_from: dict[str, str] = field(default_factory=dict, kw_only=True)
     probabilities: dict[str, float] = field(default_factory=dict, kw_only=True)
     identified_from: dict[str, object] = field(default_factory=dict, kw_only=True)
@@ -100,6 +104,15 @@ class Verdict:
         """Draw errors and effects; see `verdict_view.draw_verdict`."""
         return draw_verdict(self)
 
+    def without_undecided(self, names: Collection[str]) -> Self:
+        """Return the verdict where some effects are decided."""
+        left = [name for name in self.not_decidable if name not in names]
+        return replace(
+            self, not_decidable={name: self.not_decidable[name] for name in left},
+            reasons={name: why for name, why in self.reasons.items() if name in left},
+            not_told_from={name: other for name, other in self.not_told_from.items()
+                           if name in left})
+
     def document(self) -> dict[str, Any]:
         """Return the content of `verdict.json`."""
         return {
@@ -111,6 +124,7 @@ class Verdict:
             "holdout": self.holdout,
             "not_decidable": list(self.not_decidable),
             "not_decidable_because": self.not_decidable,
+            "not_decidable_reasons": self.reasons,
             "not_told_from": self.not_told_from,
             "left": self.left,
             "reversed": self.reversed,

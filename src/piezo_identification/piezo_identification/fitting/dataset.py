@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The rows of simulated recordings that are fitted, and those of the validation set."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,7 +91,7 @@ class Dataset:
         return np.concatenate(
             [signal[rows] for signal, rows in zip(signals, self.rows, strict=True)])
 
-    def of_each(self, values: Sequence[float]) -> FloatArray:
+    def of_each(self, values: Iterable[float]) -> FloatArray:
         """Return a value of each recording at its rows, (r,)."""
         return np.concatenate(
             [np.full(rows.size, value) for value, rows in zip(values, self.rows, strict=True)])

@@ -32,7 +32,7 @@ from piezo_identification.fitting.free_parameters import (
     lowest_changes,
     physical_count,
 )
-from piezo_identification.fitting.regression import SETTINGS as TOLERANCE
+from piezo_identification.fitting.regression import accuracies_um
 from piezo_identification.simulation.nuisance import nuisance_regressors
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
@@ -189,8 +189,7 @@ class JointErrors:
         self.low, self.high = np.concatenate([least, *lows]), np.concatenate([free, *highs])
         self.longest = np.full(self.low.size, np.inf)
         self.longest[: self.count] = SETTINGS.longest
-        self.accuracy_um = np.array([
-            TOLERANCE.model_tolerance * np.ptp(part.measured_um) for part in dataset.simulated])
+        self.accuracy_um = accuracies_um(dataset)
         self._own_count = [nuisance_regressors(part, rows[:1]).shape[1] for part, rows in zip(
             dataset.simulated, dataset.rows, strict=True)]
         self._pieces_um = pieces_um

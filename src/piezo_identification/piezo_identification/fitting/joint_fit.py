@@ -19,8 +19,7 @@ from piezo_identification.fitting.free_parameters import (
 from piezo_identification.fitting.joint_errors import JointErrors, simulated_by
 from piezo_identification.fitting.levenberg_marquardt import descend
 from piezo_identification.fitting.noise_estimate import NoiseEstimate, estimate_noise
-from piezo_identification.fitting.regression import SETTINGS as TOLERANCE
-from piezo_identification.fitting.regression import Regression
+from piezo_identification.fitting.regression import Regression, accuracies_um
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, fitted_values
@@ -285,13 +284,10 @@ def _scale_um(dataset: Dataset, noise: NoiseEstimate,
     It is the tolerance of the recording, or more where more is left.
     """
     good = dataset.for_estimation & ~dataset.at_rows(noise.outliers)
-    scales = []
-    for part, noise_um, mask in zip(
-            dataset.simulated, noise.noise_um, dataset.masks(), strict=True):
-        least_um = np.hypot(noise_um, TOLERANCE.model_tolerance * np.ptp(part.measured_um))
-        scales.append(least_um if left_um is None else max(
-            least_um, correlated_scale(left_um[mask & good])))
-    return dataset.of_each(scales)
+    least_um = np.hypot(noise.noise_um, accuracies_um(dataset))
+    return dataset.of_each(least_um if left_um is None else [
+        max(least, correlated_scale(left_um[mask & good]))
+        for least, mask in zip(least_um, dataset.masks(), strict=True)])
 
 
 def _reweighed(regression: Regression, effects: Sequence[Effect]) -> Regression:

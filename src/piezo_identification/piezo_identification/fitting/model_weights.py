@@ -1,28 +1,21 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Probabilities of alternatives by what they leave on held-out stretches.
+"""What alternatives leave on held-out stretches, and what their fitted numbers cost.
 
-No alternative is exactly right, and errors of the model may resemble the difference of two. How far
-that goes is told by how much their ratio of likelihoods depends on which stretches are held out:
-the probabilities are means over a Bayesian bootstrap of the stretches (pseudo-BMA+: Yao, Vehtari,
-Simpson and Gelman, Using stacking to average Bayesian predictive distributions, Bayesian Analysis
-13, 2018). A fitted number costs as much as the recordings narrow it (MacKay, Bayesian
-interpolation, Neural Computation 4, 1992): one that they tell nothing of explains nothing either.
+A fitted number costs as much as the recordings narrow it (MacKay, Bayesian interpolation, Neural
+Computation 4, 1992): one that they do not determine explains nothing either.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.special import softmax
+from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.fitting.joint_fit import JointFit, correlated_scale
 from piezo_models.effects import Effect, Extent, fitted_values, units_of_fitted
 
-DRAWS = 4000
-"""So many draws of the bootstrap tell a probability near 0.95 to 0.003."""
-SEED = 0
 WIDEST = 2.3
 """Widest prior of a fitted number, over the number or as a logarithm: a decade."""
 
@@ -42,12 +35,12 @@ class HeldOut:
     left_um: FloatArray
     stretch: NDArray[np.intp]
 
-    @property
+    @cached_property
     def mean_square_um2(self) -> float:
         """Return the mean square that is left."""
         return float(np.mean(self.left_um**2))
 
-    @property
+    @cached_property
     def independent(self) -> float:
         """Return how many of the rows err independently."""
         return float(self.left_um.size * np.mean(self.left_um**2)
@@ -84,64 +77,6 @@ def held_out_of(fit: JointFit) -> list[HeldOut]:
     return [HeldOut(left_um[held_out], regression.dataset.stretch[mask & good][held_out])
             for (left_um, held_out), mask in zip(
                 fit.left_um(), regression.dataset.masks(), strict=True)]
-
-
-def probabilities_of(left: Sequence[Sequence[HeldOut]], penalties: ArrayLike,
-                     least_um: ArrayLike) -> FloatArray:
-    """Return the probability of each alternative.
-
-    Parameters
-    ----------
-    left : sequence of sequences of HeldOut
-        Of each alternative, its recordings.
-    penalties : (n,) array
-        What the fitted numbers of each cost; see `occam_penalty`.
-    least_um : (R,) array
-        Accuracy that a good model has in each recording. Its errors are alike within a stretch: so
-        what an alternative explains of them counts once for each stretch, however many rows show
-        it, and an effect is not bought that does no more than take up an error of the model.
-
-    Returns
-    -------
-    (n,) array
-    """
-    recordings = list(zip(*left, strict=True))
-    independent = np.array([max(part.independent for part in parts) for parts in recordings])
-    stretches = np.array([np.unique(parts[0].stretch).size for parts in recordings])
-    alike = np.maximum(1.0, independent / stretches)
-    return shares_of(left, penalties, np.asarray(least_um) * np.sqrt(alike), independent)
-
-
-def shares_of(left: Sequence[Sequence[HeldOut]], penalties: ArrayLike, least_um: ArrayLike,
-              independent: ArrayLike) -> FloatArray:
-    """Return the probability of each alternative, given what its fitted numbers cost.
-
-    Parameters
-    ----------
-    left, least_um
-        Of `probabilities_of`.
-    penalties : (n,) array
-        By which the logarithm of the evidence of each is less.
-    independent : (R,) array
-        Held-out samples of each recording that count as independent.
-
-    Returns
-    -------
-    (n,) array
-    """
-    random = np.random.default_rng(SEED)
-    logarithms = np.zeros((DRAWS, len(left))) - np.asarray(penalties)
-    for number, (accuracy_um, samples) in enumerate(
-            zip(np.asarray(least_um), np.asarray(independent), strict=True)):
-        of_recording = [parts[number] for parts in left]
-        numbers = np.unique(np.concatenate([part.stretch for part in of_recording]))
-        weights = random.dirichlet(np.ones(numbers.size), DRAWS)
-        for index, part in enumerate(of_recording):
-            places = np.searchsorted(numbers, part.stretch)
-            squares = weights @ np.bincount(places, part.left_um**2, numbers.size)
-            counts = weights @ np.bincount(places, minlength=numbers.size)
-            logarithms[:, index] -= 0.5 * samples * np.log(squares / counts + accuracy_um**2)
-    return np.asarray(softmax(logarithms, axis=1).mean(axis=0))
 
 
 def expected_widths(effects: Sequence[Effect], extent: Extent | None = None) -> FloatArray:

@@ -44,6 +44,12 @@ class RegressionSettings:
 SETTINGS = RegressionSettings()
 
 
+def accuracies_um(dataset: Dataset) -> FloatArray:
+    """Return the accuracy that a good model has in each recording."""
+    return np.array([
+        SETTINGS.model_tolerance * np.ptp(part.measured_um) for part in dataset.simulated])
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """Effects as fitted, and what is left beside them.
@@ -181,10 +187,7 @@ def regression_beside(dataset: Dataset, noise: NoiseEstimate,
     effects : sequence of piezo_models.effects.effect.Effect
         The more they explain, the less the model's parameters may change.
     """
-    tolerance_um = dataset.of_each([
-        np.hypot(noise_um, SETTINGS.model_tolerance * np.ptp(part.measured_um))
-        for part, noise_um in zip(dataset.simulated, noise.noise_um, strict=True)
-    ])
+    tolerance_um = dataset.of_each(np.hypot(noise.noise_um, accuracies_um(dataset)))
     good = ~dataset.at_rows(noise.outliers)
     estimation, validation = dataset.for_estimation & good, ~dataset.for_estimation & good
     nuisance = (dataset.regressors[:, : dataset.nuisance_count]

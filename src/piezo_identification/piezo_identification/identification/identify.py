@@ -242,10 +242,14 @@ def tell_starts(recordings: Mapping[str, Data], cycled: Mapping[str, Data],
         tell(f"start of the {name}: {'; '.join(words)}")
 
 
+class Implausible(str):
+    """A sentence on what is implausible, by which a program tells it from other sentences."""
+
+
 def tell_implausible(found: Sequence[str], tell: Callable[[str], object]) -> None:
     """Tell what is implausible, as what it makes of the model is not to be relied on."""
     for text in found:
-        tell(f"implausible: {text}")
+        tell(Implausible(f"implausible: {text}"))
 
 
 def tell_uncertain_parameters(fitted: FittedModel, tell: Callable[[str], object]) -> None:

@@ -218,6 +218,28 @@ def test_a_cubic_spring_is_found_and_holds_far_beyond_its_data(save, swinging):
     assert diagnosis.after["rms_um"] < 0.1 * diagnosis.before["rms_um"]
 
 
+def test_all_parameters_of_the_model_are_fitted_beside_the_effects_found(save):
+    """The linear part of a stage with a spring is wrong, as it was fitted without the spring."""
+    wrong = line_model(0.097, ElectricVibrationDynamics(
+        0.0, (1.03 * MODE_RAD_PER_S,), (1.2 * DAMPING_RATIO,)))
+    fitted, unseen = (
+        read_recording(save(f"seed_{seed}", voltage_v, with_noise(answered(voltage_v, 0.02), seed)))
+        for seed in (1, 2) for voltage_v in [3.0 * np.repeat(smooth_noise(seed)[::10], 5)])
+    diagnosis = diagnose(wrong, [fitted], unseen)
+    assert [entry["name"] for entry in diagnosis.effects] == ["stiffening"]
+    # The true parameters leave as much: a simulation knows the load at its samples only.
+    assert diagnosis.after["rms_um"] < 3.0 * NOISE_UM
+    [mode] = diagnosis.model.dynamics.mode_frequencies_rad_per_s
+    [ratio] = diagnosis.model.dynamics.damping_ratios
+    [spring] = diagnosis.model.effects
+    at_rest = -spring.centre_um / spring.half_range_um
+    linear = np.polyval([4.0 * spring.quartic_um, 3.0 * spring.cubic_um, 2.0 * spring.square_um,
+                         spring.linear_um], at_rest) / spring.half_range_um
+    assert mode * np.sqrt(1.0 + linear) == pytest.approx(MODE_RAD_PER_S, rel=1e-3)
+    assert mode * (2.0 * ratio + spring.viscous) == pytest.approx(
+        2.0 * DAMPING_RATIO * MODE_RAD_PER_S, rel=2e-2)
+
+
 def test_what_makes_held_out_data_worse_is_not_added(save, swinging):
     """A cubic sensor error that is not there on the day of the other recording."""
     voltage_v = smooth_noise(1, 6000)

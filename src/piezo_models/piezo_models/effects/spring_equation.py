@@ -124,13 +124,13 @@ def _static(loads: FloatArray, centre: float, half_range: float, parts: FloatArr
 
 
 @njit(cache=True, nogil=True)
-def _swinging(loads: FloatArray, rest: float, centre: float, half_range: float,
+def _swinging(loads: FloatArray, rest: float, viscous: float, centre: float, half_range: float,
               parts: FloatArray, low: float, high: float, half_step: FloatArray,
               step_rad: float, substeps: int) -> FloatArray:
     """Simulate the mode under the force of its spring by Lawson's form of Runge and Kutta's rule.
 
     What the force removes and its speed turn exactly without the force; `half_step` turns them by
-    half a substep.
+    half a substep, with the further damping. Of that, the speed of the load is a part of the force.
     """
     balanced = np.empty(loads.size)
     # Removed by the force: at rest all of it.
@@ -147,28 +147,35 @@ def _swinging(loads: FloatArray, rest: float, centre: float, half_range: float,
         second = first - last + earlier
         third = second - last + 2.0 * earlier - earliest
         begin = last
+        # A further damping pushes by the speed of the load.
+        damped = viscous / (step_rad * substeps)
+        begin_push = damped * (first - 0.5 * second - third / 6.0)
         for substep in range(substeps):
             x = (substep + 0.5) / substeps - 1.0
             middle = load + x * (first + 0.5 * (x + 1.0) * (second + (x + 2.0) / 3.0 * third))
+            middle_push = damped * (
+                first + (x + 0.5) * second + (0.5 * x * x + x + 1.0 / 3.0) * third)
             x = (substep + 1.0) / substeps - 1.0
             end = load + x * (first + 0.5 * (x + 1.0) * (second + (x + 2.0) / 3.0 * third))
+            end_push = damped * (
+                first + (x + 0.5) * second + (0.5 * x * x + x + 1.0 / 3.0) * third)
             push, _ = force_and_slope((begin - taken - centre) / half_range, parts, low, high)
-            push *= step_rad
+            push = step_rad * (push + begin_push)
             own, own_speed = a * taken + b * speed, c * taken + d * speed
             at, _ = force_and_slope(
                 (middle - own - 0.5 * b * push - centre) / half_range, parts, low, high)
-            second_push = step_rad * at
+            second_push = step_rad * (at + middle_push)
             # A push changes the speed first, so the displacement in the middle is that of before.
             at, _ = force_and_slope((middle - own - centre) / half_range, parts, low, high)
-            third_push = step_rad * at
+            third_push = step_rad * (at + middle_push)
             whole, whole_speed = a * own + b * own_speed, c * own + d * own_speed
             at, _ = force_and_slope(
                 (end - whole - b * third_push - centre) / half_range, parts, low, high)
-            last_push = step_rad * at
+            last_push = step_rad * (at + end_push)
             pushes = 2.0 * (second_push + third_push)
             taken = whole + (far * push + b * pushes) / 6.0
             speed = whole_speed + (far_speed * push + d * pushes + last_push) / 6.0
-            begin = end
+            begin, begin_push = end, end_push
         balanced[n] = load - taken
         earliest, earlier, last = earlier, last, load
     return balanced
@@ -191,14 +198,14 @@ def _half_step(step_rad: float, damping_ratio: float) -> FloatArray:
 
 
 def balance(
-    load_um: FloatArray, parts: ArrayLike, centre_um: float, half_range_um: float,
+    load_um: FloatArray, parts: ArrayLike, viscous: float, centre_um: float, half_range_um: float,
     frequency_rad_per_s: float, damping_ratio: float, sample_period_s: float, rest_um: float,
 ) -> FloatArray:
     """Solve for the displacement of a mode whose spring has a nonlinear force.
 
-    Solves y = x - G f(y): x is the displacement of the linear spring, G the mode with unit gain at
-    rest. That is the equation of motion y'' / w^2 + 2 zeta y' / w + y + f(y) = drive of a mode that
-    would reach x without f.
+    Solves y = x - G (f(y) + v y'/w): x is the displacement of the linear spring, G the mode with
+    unit gain at rest. That is the equation of motion y''/w^2 + (2 zeta + v) y'/w + y + f(y) = drive
+    of a mode that would reach x without f and v.
 
     Parameters
     ----------
@@ -206,6 +213,8 @@ def balance(
         x.
     parts : (4,) sequence of float
         f at the end of the range, as displacement in um, of the powers one to four.
+    viscous : float
+        v, a further damping.
     centre_um, half_range_um : float
         Of the range.
     frequency_rad_per_s, damping_ratio : float
@@ -227,5 +236,6 @@ def balance(
     phase = frequency_rad_per_s * sample_period_s
     substeps = _substeps(phase, parts, half_range_um, *shape[3:])
     step_rad = phase / substeps
-    return _swinging(load_um, float(rest_um), *shape, _half_step(step_rad, damping_ratio),
-                     step_rad, substeps)
+    return _swinging(
+        load_um, float(rest_um), viscous, *shape,
+        _half_step(step_rad, max(0.0, damping_ratio + 0.5 * viscous)), step_rad, substeps)

@@ -19,13 +19,19 @@ UNRESOLVED = 20.0
 in recordings of that kind, and following it over minutes takes minutes."""
 
 
+LEAST_VISCOUS, MOST_VISCOUS = -1.0, 10.0
+"""Further damping of the mode, twice its damping ratio: from half of a critical one less."""
+
+
 @dataclass(frozen=True)
 class Stiffening(Effect):
     """A spring whose force has parts up to the fourth power beside a linear one.
 
     The parts f are given as the displacement by which they would shorten the linear spring at the
-    ends of the range. With the displacement x of the linear spring and the spring's mode G, the
-    displacement y is the solution of y = x - G f(y), however large it is. The force goes on
+    ends of the range. With the displacement x of the linear spring and the spring's mode G of
+    frequency w, the displacement y is the solution of y = x - G (f(y) + viscous y'/w), however
+    large it is. The linear part of f and the viscous part make good a mode that was identified
+    without the spring, whose frequency and damping are then wrong. The force goes on
     straight beyond `spring_equation.FARTHEST` half ranges, or where the spring would be softer
     than `spring_equation.SOFTEST` of the linear one.
     """
@@ -44,6 +50,7 @@ class Stiffening(Effect):
     frequency_rad_per_s: float = parameter("rad/s", "fixed", 0.0, MOST)
     damping_ratio: float = parameter("1", "fixed", 0.0, MOST)
     quartic_um: float = parameter("um", default=0.0)
+    viscous: float = parameter("1", "linear", LEAST_VISCOUS, MOST_VISCOUS, default=0.0)
 
     @property
     def _parts(self) -> tuple[float, float, float, float]:
@@ -71,7 +78,7 @@ class Stiffening(Effect):
               rest: float | None = None) -> FloatArray:
         """Return the solution of the spring's equation of motion for the signal as its load."""
         return balance(
-            signal, self._parts, self.centre_um, self.half_range_um,
+            signal, self._parts, self.viscous, self.centre_um, self.half_range_um,
             0.0 if self.acts_at_once(sample_period_s) else self.frequency_rad_per_s,
             self.damping_ratio, sample_period_s, signal[0] if rest is None else rest,
         )
@@ -89,7 +96,9 @@ class Stiffening(Effect):
         return {name: (-strongest_um, strongest_um) for name in parts}
 
     def impossible(self, extent: Extent) -> str | None:
-        """Refuse a spring that gives way within the range."""
+        """Refuse a spring that gives way within the range, or swings up by itself."""
+        if self.frequency_rad_per_s and 2.0 * self.damping_ratio + self.viscous < 0.0:
+            return "the mode would gain energy in small vibrations"
         if np.abs(straight_beyond(self._parts, self.half_range_um)).min() < 1.0:
             return (f"the spring would be softer than {100 * SOFTEST:g} % of its stiffness within "
                     "the range")

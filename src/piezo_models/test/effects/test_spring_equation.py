@@ -24,10 +24,10 @@ SPRINGS = {
 }
 
 
-def spring(parts, frequency_rad_per_s=0.0, damping_ratio=1.0):
+def spring(parts, frequency_rad_per_s=0.0, damping_ratio=1.0, viscous=0.0):
     linear, square, cubic, quartic = parts
     return Stiffening(linear, square, cubic, CENTRE_UM, HALF_RANGE_UM, frequency_rad_per_s,
-                      damping_ratio, quartic_um=quartic)
+                      damping_ratio, quartic_um=quartic, viscous=viscous)
 
 
 def force(parts, y):
@@ -56,9 +56,11 @@ def test_the_force_is_the_polynomial_within_the_range_and_goes_on_straight():
     assert np.diff(ends) == pytest.approx([(SOFTEST - 1.0) * HALF_RANGE_UM] * 2)
 
 
+@pytest.mark.parametrize("viscous", [0.0, -0.06, 0.2])
 @pytest.mark.parametrize(("phase", "samples", "tolerance"), [
-    (0.72, 1000, 3e-3), (0.05, 3000, 1e-4)])
-def test_in_motion_it_is_the_solution_of_the_equation_of_motion(phase, samples, tolerance):
+    (0.72, 1000, 5e-3), (0.05, 3000, 1e-4)])
+def test_in_motion_it_is_the_solution_of_the_equation_of_motion(
+        phase, samples, tolerance, viscous):
     """A force three times that of the linear spring, on coarse samples and on fine ones."""
     parts, w, damping_ratio = SPRINGS["hard"], 440.0, 0.05
     period_s = phase / w
@@ -67,18 +69,18 @@ def test_in_motion_it_is_the_solution_of_the_equation_of_motion(phase, samples, 
     def drive(t):
         return 15.0 * np.sin(0.15 * w * t) + 12.0 * np.sin(0.61 * w * t)
 
-    def motion(t, state, of_spring):
+    def motion(t, state, of_spring, damped):
         y, speed = state
-        return speed, w * w * (drive(t) - y - of_spring(y)) - 2.0 * damping_ratio * w * speed
+        return speed, w * w * (drive(t) - y - of_spring(y)) - damped * w * speed
 
-    def solved(of_spring, begin_um):
+    def solved(of_spring, begin_um, damped=2.0 * damping_ratio):
         return solve_ivp(motion, (0.0, time_s[-1]), (begin_um, 0.0), "DOP853", time_s, rtol=1e-9,
-                         atol=1e-9, args=(of_spring,)).y[0]
+                         atol=1e-9, args=(of_spring, damped)).y[0]
 
     rest_um = brentq(lambda y: y + force(parts, y), -100.0, 100.0)
     linear_um = solved(lambda y: 0.0, 0.0)
-    expected_um = solved(partial(force, parts), rest_um)
-    found_um = spring(parts, w, damping_ratio).apply(linear_um, period_s, 0.0)
+    expected_um = solved(partial(force, parts), rest_um, 2.0 * damping_ratio + viscous)
+    found_um = spring(parts, w, damping_ratio, viscous).apply(linear_um, period_s, 0.0)
     assert np.std(linear_um - expected_um) > np.std(expected_um)
     assert np.std(found_um - expected_um) < tolerance * np.std(expected_um)
 
@@ -88,6 +90,7 @@ def test_a_spring_that_gives_way_within_the_range_is_impossible():
     assert spring(SPRINGS["soft"]).impossible(None) is None
     assert "softer" in spring((0.0, 0.0, -4.0, 0.0)).impossible(None)
     assert "softer" in spring((-9.5, 0.0, 0.0, 0.0)).impossible(None)
+    assert "gain energy" in spring(SPRINGS["hard"], 440.0, 0.05, -0.11).impossible(None)
 
 
 def test_a_mode_far_faster_than_the_samples_is_at_its_rest_at_each_of_them():

@@ -6,6 +6,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable
+from enum import StrEnum
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -24,8 +25,16 @@ from piezo_ros.quality import PROGRESS
 from piezo_ros.requests.calls import Cancelled, InvalidHandle
 
 DIAGNOSTICS_PERIOD_S = 1.0
-NO_GOAL = "works on no goal"
-NOT_ACTIVE = "not active: activate it first"
+GOAL = "goal"
+"""Key of the `GoalState` among the values of the diagnostics."""
+
+
+class GoalState(StrEnum):
+    """What a node that serves actions works on."""
+
+    NONE = "none"
+    BUSY = "busy"
+    NOT_ACTIVE = "not active"
 
 
 class Progress:
@@ -166,13 +175,13 @@ class GoalServers(ManagedEntity):
         """Publish what the node works on; who was rejected learns from it why."""
         present = self._present
         if present is not None:
-            message = f"busy with {present[0]}{present[1].account}"
+            state, message = GoalState.BUSY, f"busy with {present[0]}{present[1].account}"
         elif self._why_ending or not self._active:
-            message = NOT_ACTIVE
+            state, message = GoalState.NOT_ACTIVE, "not active: activate it first"
         else:
-            message = NO_GOAL
+            state, message = GoalState.NONE, "works on no goal"
         self._diagnostics.publish(diagnostic(
-            self._node, "goal", DiagnosticStatus.OK, message, {}))
+            self._node, "goal", DiagnosticStatus.OK, message, {GOAL: state}))
 
     def _begin_goal(self, goal_handle: ServerGoalHandle, name: str, action_type: MessageType,
                     work: Work) -> None:

@@ -32,6 +32,7 @@ class WaveformGoal:
     def __init__(self, handle: ServerGoalHandle,
                  answer: Callable[["WaveformGoal", PlayWaveform.Result], None]) -> None:
         self.handle = handle
+        self.refused = False
         self._answer = answer
         self._result = PlayWaveform.Result()
         self._answered = threading.Lock()
@@ -45,6 +46,7 @@ class WaveformGoal:
     def begin(self, value: tuple[int, int], error: ValueError | None) -> None:
         """Take the answer to the command."""
         if error is not None:
+            self.refused = True
             self._finish(f"waveform refused: {error}")
         else:
             self._result.first_sample, self._result.samples = value
@@ -109,7 +111,7 @@ class WaveformGoals:
 
     def _answer(self, goal: WaveformGoal, result: PlayWaveform.Result) -> None:
         """Execute a goal now that it is over: the executor polls, busily, a goal that waits."""
-        if result.message.startswith("waveform refused"):
+        if goal.refused:
             self._node.get_logger().warning(result.message)
         executor = self._node.executor
         if executor is None:  # the node has ended without waiting any longer

@@ -14,12 +14,11 @@ from piezo_identification.diagnosis.comparison.measures_of_fits import (
     significance,
     visible_part,
 )
+from piezo_identification.diagnosis.reasons import OTHER_PARAMETERS, Reason, Undecided
 from piezo_identification.fitting.effect_fit import fit_one_more, impossible_effects
 from piezo_identification.fitting.recording_evidence import recording_evidence
 from piezo_identification.fitting.regression import Fit, Regression
 from piezo_models.effects import Effect, Evidence
-
-SAME_AS_OTHER_PARAMETERS = "here a model with slightly other parameters does the same"
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +36,8 @@ class Attempt:
         Of the RMS error on held-out data.
     size : float
         RMS of its contribution in tolerances.
-    remark : str
-        Why the data could not show it; empty if it could.
+    undecided : Undecided or None
+        Why the data could not show it; None if it could.
     """
 
     name: str
@@ -46,7 +45,7 @@ class Attempt:
     significance: float = 0.0
     reduction_percent: float = 0.0
     size: float = 0.0
-    remark: str = ""
+    undecided: Undecided | None = None
 
 
 def try_each(regression: Regression, kinds: Sequence[type[Effect]], current: Fit,
@@ -75,18 +74,19 @@ def _attempt(regression: Regression, kind: type[Effect], current: Fit,
         return Attempt(kind.name, None)
     lacking = [kind.lacks_excitation(shown) for shown in evidence]
     if all(lacking):
-        return Attempt(kind.name, None, remark=lacking[0] or "")
+        return Attempt(kind.name, None, undecided=Undecided(
+            Reason.NOT_EXCITED, str(lacking[0])))
     fit = fit_one_more(regression, kind, current.effects, evidence)
     if fit is None:
         return Attempt(kind.name, None)
     impossible = impossible_effects(fit, regression.dataset.extent)
     if impossible:
-        return Attempt(kind.name, None, remark="; ".join(impossible.values()))
+        return Attempt(kind.name, None, undecided=Undecided(
+            Reason.IMPOSSIBLE, "; ".join(impossible.values())))
     before, after = mean_square(regression, current), mean_square(regression, fit)
-    remark = ""
-    if visible_part(regression, current, fit) < CRITERIA.visible:
-        remark = SAME_AS_OTHER_PARAMETERS
+    is_visible = visible_part(regression, current, fit) >= CRITERIA.visible
     return Attempt(
         kind.name, fit, significance(regression, current, fit),
-        float(100.0 * (1.0 - np.sqrt(after / before))), distance(regression, current, fit), remark,
+        float(100.0 * (1.0 - np.sqrt(after / before))), distance(regression, current, fit),
+        None if is_visible else OTHER_PARAMETERS,
     )

@@ -22,6 +22,7 @@ from piezo_identification.diagnosis.comparison.undecided import (
     in_place_of_the_found,
     like_the_best,
 )
+from piezo_identification.diagnosis.reasons import Undecided
 from piezo_identification.fitting.effect_fit import fit_effects, impossible_effects
 from piezo_identification.fitting.regression import (
     Fit,
@@ -66,7 +67,7 @@ class Selection:
         Those of each round, the best first.
     indistinguishable : dict of str to str
         Candidates that the data cannot tell from one that was chosen, and that one.
-    not_shown : dict of str to str
+    not_shown : dict of str to Undecided
         Effects that the data cannot show, and why.
     alternatives : tuple of Fit
         Other sets of the last round that leave not much more than the best, and those with an
@@ -81,7 +82,7 @@ class Selection:
     end: Fit
     rounds: list[list[Attempt]]
     indistinguishable: dict[str, str]
-    not_shown: dict[str, str]
+    not_shown: dict[str, Undecided]
     alternatives: tuple[Fit, ...] = ()
     interrupted: bool = False
 
@@ -104,7 +105,7 @@ def select_effects(regression: Regression, progress: Progress | None = None) -> 
     start = best = regression.fit(())
     rounds: list[list[Attempt]] = []
     indistinguishable: dict[str, str] = {}
-    not_shown: dict[str, str] = {}
+    not_shown: dict[str, Undecided] = {}
     sets = [best]
     others: Sequence[Fit] = ()
     try:
@@ -114,7 +115,8 @@ def select_effects(regression: Regression, progress: Progress | None = None) -> 
                 report = _share_of(progress, turn + number / len(sets), 1.0 / len(sets))
                 attempts += try_each(regression, kinds, current, report)
             if turn == 0:
-                not_shown = {attempt.name: attempt.remark for attempt in attempts if attempt.remark}
+                not_shown = {attempt.name: attempt.undecided for attempt in attempts
+                             if attempt.undecided}
             rounds.append(_best_first(regression, attempts[: len(kinds)]))
             if turn == 0 and is_noise(regression, best):
                 break

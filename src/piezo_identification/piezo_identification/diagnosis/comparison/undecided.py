@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from piezo_common.side_by_side import side_by_side
-from piezo_identification.diagnosis.comparison.attempts import SAME_AS_OTHER_PARAMETERS
 from piezo_identification.diagnosis.comparison.criteria import CRITERIA, is_indistinguishable
 from piezo_identification.diagnosis.comparison.measures_of_fits import lack_of_fit
+from piezo_identification.diagnosis.reasons import OTHER_PARAMETERS, Undecided
 from piezo_identification.fitting.effect_fit import fit_effects, fit_one_more
 from piezo_identification.fitting.recording_evidence import recording_evidence
 from piezo_identification.fitting.regression import (
@@ -90,12 +90,12 @@ def in_place_of_the_found(regression: Regression, kinds: Sequence[type[Effect]],
 
 
 def explained_by_parameters(regression: Regression, kinds: Sequence[type[Effect]],
-                            best: Fit) -> dict[str, str]:
+                            best: Fit) -> dict[str, Undecided]:
     """Return the effects that explain by themselves what the model's parameters explain, and why.
 
     Returns
     -------
-    dict of str to str
+    dict of str to Undecided
         Names of the effects, and the reason why they are not decidable.
     """
     fixed = with_fixed_parameters(regression, best.effects)
@@ -112,5 +112,5 @@ def explained_by_parameters(regression: Regression, kinds: Sequence[type[Effect]
         return fit is not None and lack_of_fit(fixed, fit) <= SETTINGS.as_good * left
 
     as_well = side_by_side(does_as_well, kinds)
-    return {kind.name: SAME_AS_OTHER_PARAMETERS
+    return {kind.name: OTHER_PARAMETERS
             for kind, is_enough in zip(kinds, as_well, strict=True) if is_enough}

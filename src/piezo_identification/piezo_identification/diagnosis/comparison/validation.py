@@ -9,6 +9,7 @@ import numpy as np
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.conditioning.outlier_samples import outlier_text
 from piezo_identification.conditioning.waveforms import played
+from piezo_identification.diagnosis.reasons import Reason, Undecided
 from piezo_identification.fitting.effect_fit import fit_effects, impossible_effects
 from piezo_identification.fitting.model_weights import HeldOut, Remainder
 from piezo_identification.fitting.regression import Fit, Regression
@@ -75,14 +76,14 @@ class Validation:
             given.errors(good), extended.errors(good),
             {"source": self.source, "samples": int(np.count_nonzero(good))})
 
-    def accepted(self, fit: Fit) -> tuple[Fit, dict[str, str]]:
+    def accepted(self, fit: Fit) -> tuple[Fit, dict[str, Undecided]]:
         """Remove the effects that no stage can have, or that make the error larger.
 
         Returns
         -------
         fit : Fit
             With the effects that remain.
-        refused : dict of str to str
+        refused : dict of str to Undecided
             Names of the effects that were removed, and why.
         """
         fit, refused = self._possible(fit)
@@ -106,6 +107,10 @@ class Validation:
         """Return whether the error of a fit is smaller than that of the model as given."""
         given_um, fit_um = self._rms_um(None, fit)
         return fit_um < given_um
+
+    def rms_um(self, fit: Fit) -> float:
+        """Return the RMS error of the model extended by a fit."""
+        return self._rms_um(fit)[0]
 
     def remainders(self, fit: Fit) -> list[Remainder]:
         """Return what a fit leaves of each recording that is diagnosed, and of the one held out.
@@ -143,20 +148,22 @@ class Validation:
         text = outlier_text(self.source, self._given.outlier, self._given.time_s)
         return [text] if text else []
 
-    def _possible(self, fit: Fit) -> tuple[Fit, dict[str, str]]:
+    def _possible(self, fit: Fit) -> tuple[Fit, dict[str, Undecided]]:
         """Remove the effects that no stage can have, and say why."""
-        refused = {}
+        refused: dict[str, Undecided] = {}
         while impossible := impossible_effects(fit, self.regression.dataset.extent):
             number = next(number for number, effect in enumerate(fit.effects)
                           if effect.name in impossible)
             name = fit.effects[number].name
-            refused[name] = impossible[name]
+            refused[name] = Undecided(Reason.IMPOSSIBLE, impossible[name])
             fit = self._without(fit, number)
         return fit, refused
 
-    def _worse(self, without_um: float, with_um: float) -> str:
-        return (f"with it the error on {self.source} rises from {1e3 * without_um:.3g} to "
-                f"{1e3 * with_um:.3g} nm RMS")
+    def _worse(self, without_um: float, with_um: float) -> Undecided:
+        return Undecided(
+            Reason.WORSE_ON_HELD_OUT,
+            f"with it the error on {self.source} rises from {1e3 * without_um:.3g} to "
+            f"{1e3 * with_um:.3g} nm RMS")
 
     def _without(self, fit: Fit, number: int) -> Fit:
         """Remove one of the effects, and fit the rest anew."""

@@ -9,28 +9,24 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_common.side_by_side import side_by_side
-from piezo_identification.diagnosis.comparison.attempts import SAME_AS_OTHER_PARAMETERS
+from piezo_identification.diagnosis.joint.alternatives import Came, evidence_of
+from piezo_identification.diagnosis.joint.competition import wrong_um
 from piezo_identification.diagnosis.joint.far_starts import may_lead
-from piezo_identification.diagnosis.joint.probabilities import penalty_of
+from piezo_identification.diagnosis.joint.probabilities import NONE, listed_probabilities
+from piezo_identification.diagnosis.reasons import Reason
 from piezo_identification.fitting.effect_fit import fit_one_more
 from piezo_identification.fitting.joint_fit import JointFit, JointProblem
-from piezo_identification.fitting.model_weights import (
-    HeldOut,
-    expected_widths,
-    held_out_of,
-    probabilities_of,
-)
+from piezo_identification.fitting.model_weights import HeldOut
 from piezo_identification.fitting.recording_evidence import recording_evidence
 from piezo_identification.fitting.regression import (
-    SETTINGS,
     Regression,
+    accuracies_um,
     with_fixed_parameters,
 )
 from piezo_models.effects import Effect, fitted_values, known_effects, with_fitted_values
 from piezo_models.effects.outliers import Outliers
 from piezo_recorder.reading.recording import Recording
 
-NONE = "none"
 LEAST_PROBABLE = 0.01
 """Sets of effects that a verdict gives less are no alternatives, and none is left with less."""
 TURNS = 8
@@ -125,8 +121,8 @@ def effects_of(verdict: Mapping[str, Any]) -> tuple[Effect, ...]:
 
 
 def find_alternatives(regression: Regression, verdict: Mapping[str, Any],
-                      old: Sequence[Recording] = (),
-                      others: Iterable[Effects] = ()) -> Alternatives:
+                      old: Sequence[Recording] = (), others: Iterable[Effects] = (),
+                      stated: float = 0.0) -> Alternatives:
     """Fit the explanations that a verdict leaves, and say how probable each is.
 
     Each is estimated together with the model's parameters, which a prior leaves as free as the
@@ -142,6 +138,8 @@ def find_alternatives(regression: Regression, verdict: Mapping[str, Any],
         Those of the identification, conditioned as for a diagnosis.
     others : iterable of tuples of Effect
         Sets that were alternatives before.
+    stated : float
+        By how much the model is known to be wrong, as a part of the RMS motion.
     """
     dataset, found = regression.dataset, effects_of(verdict)
     sets: dict[str, Effects] = {_name(found): found}
@@ -150,9 +148,9 @@ def find_alternatives(regression: Regression, verdict: Mapping[str, Any],
         sets.setdefault(_name(effects), effects)
     problem = JointProblem(dataset.model, dataset.recordings, old, len(dataset.recordings),
                            simulated=dataset.simulated)
-    was_there = any(entry.get("came") == "before the identification"
+    was_there = any(entry.get("came") == Came.BEFORE
                     for entry in verdict.get("effects", []))
-    return _weighed(problem, _fit(problem, sets, was_there))
+    return _weighed(problem, _fit(problem, sets, was_there), stated)
 
 
 def _fit(problem: JointProblem, sets: Mapping[str, Effects], was_there: bool,
@@ -224,22 +222,21 @@ def _gone_on(problem: JointProblem, fit: JointFit, best: JointFit | None = None)
     return fit
 
 
-def _weighed(problem: JointProblem, fitted: Mapping[str, JointFit]) -> Alternatives:
+def _weighed(problem: JointProblem, fitted: Mapping[str, JointFit],
+             stated: float) -> Alternatives:
     """Give the fits their probabilities."""
     own = len(problem.own)
     roots = {name: _information(fit) for name, fit in fitted.items()}
-    left = {name: held_out_of(fit) for name, fit in fitted.items()}
-    least_um = [SETTINGS.model_tolerance * np.ptp(part.measured_um)
-                for part in problem.dataset.simulated]
-    penalties = [_penalty(problem, fit, left[name]) for name, fit in fitted.items()]
-    chances = dict(zip(fitted, probabilities_of(
-        list(left.values()), penalties, least_um).tolist(), strict=True))
+    evidence = {name: evidence_of(name, fit) for name, fit in fitted.items()}
+    chances = dict(zip(fitted, listed_probabilities(
+        list(evidence.values()), accuracies_um(problem.dataset),
+        wrong_um(problem.dataset, stated)[: problem.new_count]).tolist(), strict=True))
     alternatives = sorted(
         (Alternative(name, fit.effects[own:], fit, chances[name], roots[name])
          for name, fit in fitted.items() if chances[name] >= LEAST_PROBABLE),
         key=lambda alternative: -alternative.probability)
     return Alternatives(tuple(alternatives), problem,
-                        *_errors(problem, left[alternatives[0].name]))
+                        *_errors(problem, evidence[alternatives[0].name].held_out))
 
 
 def _errors(problem: JointProblem, left: Sequence[HeldOut]) -> tuple[float, float]:
@@ -264,13 +261,6 @@ def _fitted(problem: JointProblem, effects: Effects, was_there: bool,
     return problem.fit((*own, *effects), later, begun)
 
 
-def _penalty(problem: JointProblem, fit: JointFit, left: Sequence[HeldOut]) -> float:
-    """Return what the fitted numbers of the effects cost."""
-    return penalty_of(
-        left, [part.independent for part in left], fit.covariance,
-        expected_widths(fit.effects, problem.dataset.extent), fit.recurrence_count)
-
-
 def _name(effects: Sequence[Effect]) -> str:
     return "+".join(sorted(effect.name for effect in effects)) or NONE
 
@@ -279,13 +269,14 @@ def _undecided(regression: Regression, found: Effects,
                verdict: Mapping[str, Any]) -> list[Effects]:
     """Guess the effects that are not decidable: in place of one that was found, or as one more."""
     kinds, sets = known_effects(), []
-    because, not_told_from = (
-        verdict.get(key, {}) for key in ("not_decidable_because", "not_told_from"))
+    reasons, not_told_from = (
+        verdict.get(key, {}) for key in ("not_decidable_reasons", "not_told_from"))
     for name in verdict.get("not_decidable", []):
         places = [number for number, effect in enumerate(found)
                   if effect.name == not_told_from.get(name)]
         # Other effects are excluded, or the recordings say nothing of them.
-        if name not in kinds or not (places or because.get(name) == SAME_AS_OTHER_PARAMETERS):
+        if name not in kinds or not (
+                places or reasons.get(name) == Reason.SAME_AS_OTHER_PARAMETERS):
             continue
         others = (*found[: places[0]], *found[places[0] + 1 :]) if places else found
         # As one more it does what other parameters of the model do: they then stay as they are.

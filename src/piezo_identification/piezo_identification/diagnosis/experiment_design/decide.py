@@ -96,7 +96,7 @@ def decide(model: StageModel, recordings: Sequence[Recording], play: Play, budge
                   for alternative in step.alternatives.alternatives]
         report("compare the alternatives", DIAGNOSED)
         alternatives = find_alternatives(
-            diagnosis.selection.regression, diagnosis.document(), old, before)
+            diagnosis.selection.regression, diagnosis.document(), old, before, diagnosis.stated)
         decided = decided_verdict(model, known, holdout, diagnosis, alternatives)
         proposal = None
         if not _is_decided(alternatives) and len(steps) < budget:

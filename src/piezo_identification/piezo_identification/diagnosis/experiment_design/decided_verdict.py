@@ -16,6 +16,7 @@ from piezo_identification.diagnosis.evidence.found_outliers import found_outlier
 from piezo_identification.diagnosis.evidence.known_noise import noise_of_residuals
 from piezo_identification.diagnosis.experiment_design.alternatives import Alternatives
 from piezo_identification.diagnosis.joint.alternatives import Alternative as Competitor
+from piezo_identification.diagnosis.joint.alternatives import Came, evidence_of
 from piezo_identification.diagnosis.joint.competition import (
     Competition,
     beside_alternative,
@@ -53,16 +54,13 @@ def decided_verdict(model: StageModel, recordings: Sequence[Recording], holdout:
         return diagnosis  # nothing on the list decides, and it names what explains a part
     chances = {name: (1.0 - unnamed) * share / listed
                for name, share in alternatives.probabilities.items()} | {SOMETHING_ELSE: unnamed}
-    competitor = Competitor(names, bool(best.fit.later), best.fit, (), ())
+    competitor = Competitor(names, bool(best.fit.later), best.fit, evidence_of(best.name, best.fit))
     competition = Competition(chances, competitor)
     left = competition.indistinguishable()
     found = sorted(entry["name"] for entry in diagnosis.effects if entry["name"] != Outliers.name)
     if list(names) == found:
         decided = diagnosis.not_told_from.keys() - left.keys()
-        return replace(diagnosis, probabilities=chances, not_decidable={
-            name: why for name, why in diagnosis.not_decidable.items() if name not in decided
-        }, not_told_from={name: other for name, other in diagnosis.not_told_from.items()
-                          if name not in decided})
+        return replace(diagnosis.without_undecided(decided), probabilities=chances)
     given = condition(model, recordings, holdout)
     first = first_regression(simulate_recordings(model, given.recordings))
     beside = beside_alternative(
@@ -93,10 +91,10 @@ def decided_verdict(model: StageModel, recordings: Sequence[Recording], holdout:
         noise=diagnosis.noise, stated=diagnosis.stated)
 
 
-def _came(alternatives: Alternatives) -> str:
-    """Tell when the effects of the most probable alternative came."""
+def _came(alternatives: Alternatives) -> Came:
+    """Return when the effects of the most probable alternative came."""
     problem = alternatives.problem
     if problem.new_count == len(problem.dataset.recordings):
-        return "not asked"
+        return Came.NOT_ASKED
     later = alternatives.alternatives[0].fit.later
-    return "after the identification" if later else "before the identification"
+    return Came.AFTER if later else Came.BEFORE

@@ -95,7 +95,8 @@ class Proposal:
 
 def alternatives_of_files(model: StageModel, recordings: Sequence[Recording],
                           verdict: Mapping[str, Any],
-                          identified_from: IdentificationRecordings | None = None) -> Alternatives:
+                          identified_from: IdentificationRecordings | None = None,
+                          stated: float = 0.0) -> Alternatives:
     """Fit the explanations that a verdict leaves to the recordings that it came from.
 
     Parameters
@@ -108,11 +109,14 @@ def alternatives_of_files(model: StageModel, recordings: Sequence[Recording],
         Content of `verdict.json`.
     identified_from : IdentificationRecordings, optional
         What is at hand of the recordings that the model was identified from; by default nothing.
+    stated : float
+        By how much the model is known to be wrong, as a part of the RMS motion.
     """
     given = condition(model, recordings, None)
     first = first_regression(simulate_recordings(model, given.recordings))
     old = old_recordings(model, identified_from or IdentificationRecordings())
-    return find_alternatives(reweighted(first, effects_of(verdict)), verdict, old)
+    return find_alternatives(
+        reweighted(first, effects_of(verdict)), verdict, old, stated=stated)
 
 
 def propose(alternatives: Alternatives, limits: StageLimits, longest_s: float = LONGEST_S,

@@ -70,7 +70,8 @@ def what_would_decide(diagnosis: Diagnosis, identified_from: IdentificationRecor
     regression = diagnosis.selection.regression
     progress("compare the alternatives", 0.0)
     alternatives = find_alternatives(
-        regression, verdict, old_recordings(regression.dataset.model, identified_from))
+        regression, verdict, old_recordings(regression.dataset.model, identified_from),
+        stated=diagnosis.stated)
     return propose(alternatives, recorded_limits(regression.dataset),
                    progress=part_of(progress, COMPARED, 1.0))
 

@@ -7,6 +7,7 @@ identification and the new ones together.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -22,24 +23,20 @@ from piezo_identification.diagnosis.joint.probabilities import (
     logarithms_of_evidence,
     penalty_of,
 )
-from piezo_identification.fitting.joint_fit import (
-    JointFit,
-    JointProblem,
-    correlated_scale,
-)
-from piezo_identification.fitting.model_weights import (
-    HeldOut,
-    expected_widths,
-    held_out_of,
-)
+from piezo_identification.fitting.joint_fit import JointFit, JointProblem
+from piezo_identification.fitting.model_weights import expected_widths, held_out_of
 from piezo_identification.fitting.recording_evidence import recording_evidence
-from piezo_identification.fitting.regression import SETTINGS as TOLERANCE
-from piezo_identification.fitting.regression import Regression
+from piezo_identification.fitting.regression import Regression, accuracies_um
 from piezo_models.effects import Effect, fitted_values, known_effects, with_fitted_values
 
-BEFORE, AFTER = "before the identification", "after the identification"
-NOT_DECIDABLE, NOT_ASKED = "not decidable", "not asked"
-"""When an effect came."""
+
+class Came(StrEnum):
+    """When an effect came, as far as the recordings of the identification show."""
+
+    BEFORE = "before the identification"
+    AFTER = "after the identification"
+    NOT_DECIDABLE = "not decidable"
+    NOT_ASKED = "not asked"
 
 
 @dataclass(frozen=True)
@@ -87,31 +84,27 @@ class Alternative:
     since : bool
         The effects came after the identification.
     fit : JointFit
-    held_out : tuple of HeldOut
-        What is left on the held-out stretches of each recording, noise and all.
-    effective : tuple of float
-        How many of these rows err independently.
+    evidence : Evidence
+        What its probability depends on.
     """
 
     names: tuple[str, ...]
     since: bool
     fit: JointFit
-    held_out: tuple[HeldOut, ...]
-    effective: tuple[float, ...]
-
-    @property
-    def evidence(self) -> Evidence:
-        """Return what its probability depends on."""
-        widths = expected_widths(self.fit.effects, self.fit.regression.dataset.extent)
-        return Evidence(
-            "+".join(self.names) or NONE, self.held_out,
-            penalty_of(self.held_out, self.effective, self.fit.covariance, widths,
-                       self.fit.recurrence_count))
+    evidence: Evidence
 
     @property
     def mean_square_um2(self) -> tuple[float, ...]:
-        """Return the mean square that is left of each recording."""
-        return tuple(part.mean_square_um2 for part in self.held_out)
+        """Return the mean square that is left of each recording, noise and all."""
+        return self.evidence.mean_square_um2
+
+
+def evidence_of(label: str, fit: JointFit) -> Evidence:
+    """Return what the probability of a fit depends on."""
+    held_out = tuple(held_out_of(fit))
+    widths = expected_widths(fit.effects, fit.regression.dataset.extent)
+    return Evidence(label, held_out, penalty_of(
+        held_out, fit.covariance, widths, fit.recurrence_count))
 
 
 def settled(problem: JointProblem, progress: Progress) -> JointFit:
@@ -213,6 +206,13 @@ def asked_when(problem: JointProblem, alternatives: Sequence[Alternative]) -> li
     return converged(problem, [*alternatives, along])
 
 
+def beside_free_model(problem: JointProblem, effects: Sequence[Effect]) -> Alternative:
+    """Fit effects that explain new recordings together with all parameters of the model."""
+    names = [effect.name for effect in effects]
+    first = _alternative(names, problem.fit((*problem.own, *effects)))
+    return converged(problem, [first])[0]
+
+
 def _each_beside(problem: JointProblem, best: Alternative, guesses: Sequence[Sequence[Effect]],
                  progress: Progress) -> list[Alternative]:
     """Fit one more effect beside those of an alternative, from the best guess of each."""
@@ -244,8 +244,7 @@ def _turn_of(progress: Progress, turn: int) -> Progress:
 def _logarithms(problem: JointProblem, alternatives: Sequence[Alternative]) -> FloatArray:
     """Return the logarithm of the evidence of each alternative, among these."""
     return logarithms_of_evidence(
-        [each.evidence for each in alternatives], independent_samples(alternatives),
-        accuracies_um(problem))
+        [each.evidence for each in alternatives], accuracies_um(problem.dataset))
 
 
 def most_probable(problem: JointProblem, alternatives: Sequence[Alternative]) -> Alternative:
@@ -254,14 +253,14 @@ def most_probable(problem: JointProblem, alternatives: Sequence[Alternative]) ->
 
 
 def times_of_coming(problem: JointProblem,
-                    alternatives: Sequence[Alternative]) -> dict[tuple[str, ...], str]:
-    """Tell for each set of effects when it came, as far as the recordings tell.
+                    alternatives: Sequence[Alternative]) -> dict[tuple[str, ...], Came]:
+    """Return for each set of effects when it came, as far as the recordings show.
 
     Returns
     -------
-    dict of tuple of str to str
-        `BEFORE`, `AFTER` or `NOT_DECIDABLE`, of each set that was tried in one of the two ways; a
-        set of which any effect depends on when a recording begins can only have come later.
+    dict of tuple of str to Came
+        Of each set that was tried in one of the two ways; a set of which any effect depends on when
+        a recording begins can only have come later.
     """
     logarithms = _logarithms(problem, alternatives)
     best: dict[tuple[str, ...], dict[bool, float]] = {}
@@ -271,25 +270,14 @@ def times_of_coming(problem: JointProblem,
     told = {}
     for names, ways in best.items():
         gain = ways.get(False, -np.inf) - ways.get(True, -np.inf)
-        told[names] = (NOT_DECIDABLE if abs(gain) < SETTINGS.told_apart
-                       else BEFORE if gain > 0.0 else AFTER)
+        told[names] = (Came.NOT_DECIDABLE if abs(gain) < SETTINGS.told_apart
+                       else Came.BEFORE if gain > 0.0 else Came.AFTER)
     return told
-
-
-def independent_samples(alternatives: Sequence[Alternative]) -> FloatArray:
-    """Return how many held-out samples of each recording err independently, beside the best."""
-    return np.max([alternative.effective for alternative in alternatives], axis=0)
-
-
-def accuracies_um(problem: JointProblem) -> FloatArray:
-    """Return the accuracy that a good model has in each recording."""
-    return np.array([TOLERANCE.model_tolerance * np.ptp(part.measured_um)
-                     for part in problem.dataset.simulated])
 
 
 def _leaves_noise(problem: JointProblem, alternative: Alternative, count: int) -> bool:
     """Return whether no other effect is worth looking for in the first recordings."""
-    noise = np.array(problem.noise.noise_um) ** 2 + accuracies_um(problem) ** 2
+    noise = np.array(problem.noise.noise_um) ** 2 + accuracies_um(problem.dataset) ** 2
     left = np.array(alternative.mean_square_um2) < SETTINGS.second * noise
     return bool(np.all(left[:count]))
 
@@ -303,12 +291,8 @@ def _possible(problem: JointProblem, alternatives: Sequence[Alternative]) -> lis
 
 
 def _alternative(names: Sequence[str], fit: JointFit, since: bool = False) -> Alternative:
-    effective = []
-    for left_um, held_out in fit.left_um():
-        alike = (correlated_scale(left_um) ** 2) / np.mean(left_um**2)
-        effective.append(float(np.count_nonzero(held_out) / alike))
-    return Alternative(
-        tuple(sorted(names)), since, fit, tuple(held_out_of(fit)), tuple(effective))
+    names = tuple(sorted(names))
+    return Alternative(names, since, fit, evidence_of("+".join(names) or NONE, fit))
 
 
 def _promising(problem: JointProblem, regression: Regression, own: Sequence[Effect],

@@ -11,13 +11,11 @@ from piezo_identification.diagnosis.comparison.criteria import is_noise
 from piezo_identification.diagnosis.comparison.selection import Selection
 from piezo_identification.diagnosis.comparison.undecided import in_place_of_the_found
 from piezo_identification.diagnosis.joint.alternatives import (
-    NOT_ASKED,
-    NOT_DECIDABLE,
     Alternative,
-    accuracies_um,
+    Came,
     asked_when,
+    beside_free_model,
     compete,
-    independent_samples,
     most_probable,
     settled,
     times_of_coming,
@@ -32,14 +30,11 @@ from piezo_identification.diagnosis.joint.probabilities import (
 from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
 from piezo_identification.fitting.dataset import Dataset
 from piezo_identification.fitting.joint_fit import JointProblem
-from piezo_identification.fitting.model_weights import (
-    HeldOut,
-    expected_widths,
-)
+from piezo_identification.fitting.model_weights import HeldOut, expected_widths
 from piezo_identification.fitting.regression import (
-    SETTINGS,
     Fit,
     Regression,
+    accuracies_um,
     reweighted,
 )
 from piezo_models.cascade import StageModel
@@ -64,8 +59,9 @@ class Competition:
     probabilities : dict of str to float
         Of each set of effects that matters, of `none` and of `something_else`; they sum to one.
     best : Alternative or None
-        The model that is believed; None where the recordings of the identification were not asked.
-    times : dict of tuple of str to str
+        The model that is believed; None where only the new recordings were asked, beside the model
+        as it was given.
+    times : dict of tuple of str to Came
         When each set of effects that competed came.
     stated : float
         By how much the model that is believed is known to be wrong, as a part of the RMS motion.
@@ -73,14 +69,14 @@ class Competition:
 
     probabilities: dict[str, float]
     best: Alternative | None = None
-    times: dict[tuple[str, ...], str] = field(default_factory=dict)
+    times: dict[tuple[str, ...], Came] = field(default_factory=dict)
     stated: float = 0.0
 
-    def came(self, names: Iterable[str]) -> str:
-        """Tell when a set of effects came."""
-        if self.best is None:
-            return NOT_ASKED
-        return self.times.get(tuple(sorted(names)), NOT_DECIDABLE)
+    def came(self, names: Iterable[str]) -> Came:
+        """Report when a set of effects came."""
+        if not self.times:
+            return Came.NOT_ASKED
+        return self.times.get(tuple(sorted(names)), Came.NOT_DECIDABLE)
 
     def indistinguishable(self) -> dict[str, str]:
         """Return likely effects of others, and the one of the best that each replaces."""
@@ -124,20 +120,50 @@ def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Re
     alternatives = asked_when(
         problem, compete(problem, none, _sets(selection), progress))
     best = most_probable(problem, alternatives)
-    noise_um = np.array(problem.noise.noise_um)
-    least_um = accuracies_um(problem)
-    count = len(new)
     # So wrong is it known to be, but for what the best alternative explains of the recordings of
     # the identification.
-    beyond = np.maximum(0.0, np.array(best.mean_square_um2) - noise_um**2)
-    left = float(np.sqrt(np.max((beyond / _motion_um(problem.dataset)**2)[count:])))
+    beyond = np.maximum(0.0, np.array(best.mean_square_um2) - np.square(problem.noise.noise_um))
+    left = float(np.sqrt(np.max((beyond / _motion_um(problem.dataset)**2)[len(new):])))
     stated = left if stated is None else min(stated, left)
-    return Competition(
-        probabilities([each.evidence for each in alternatives],
-                      independent_samples(alternatives), least_um,
-                      _passing_um(noise_um[:count], least_um[:count]),
-                      _wrong_um(problem.dataset, stated)[:count]),
-        best, times_of_coming(problem, alternatives), stated)
+    return Competition(_probabilities(problem, alternatives, stated), best,
+                       times_of_coming(problem, alternatives), stated)
+
+
+def _probabilities(problem: JointProblem, alternatives: Sequence[Alternative],
+                   stated: float) -> dict[str, float]:
+    """Return the probabilities of models that were fitted to all recordings."""
+    count, least_um = problem.new_count, accuracies_um(problem.dataset)
+    return probabilities(
+        [each.evidence for each in alternatives], least_um,
+        _passing_um(np.array(problem.noise.noise_um)[:count], least_um[:count]),
+        wrong_um(problem.dataset, stated)[:count])
+
+
+def with_free_model(competition: Competition, model: StageModel, new: Sequence[Recording],
+                    selection: Selection) -> Competition:
+    """Fit the model anew beside the effects selected, where it explains nothing as it was given.
+
+    Without the recordings of the identification an effect is fitted beside the model as it was
+    given, and small changes of it. A model that was identified while the effect was there is wrong
+    by more.
+
+    Parameters
+    ----------
+    competition : Competition
+        Of the sets of effects.
+    new : sequence of Recording
+        To be diagnosed.
+    selection : Selection
+        Of effects that explain a part of them.
+    """
+    effects = selection.end.effects
+    explains = competition.probabilities[SOMETHING_ELSE] < PROBABILITIES.believed
+    if explains or not effects or selection.interrupted or competition.times:
+        return competition
+    problem = JointProblem(model, new, [], simulated=selection.regression.dataset.simulated)
+    best = beside_free_model(problem, effects)
+    return replace(
+        competition, probabilities=_probabilities(problem, [best], competition.stated), best=best)
 
 
 def _sets(selection: Selection) -> list[tuple[Effect, ...]]:
@@ -232,7 +258,7 @@ def _motion_um(dataset: Dataset) -> FloatArray:
     return np.array([np.std(part.measured_um[part.begin :]) for part in dataset.simulated])
 
 
-def _wrong_um(dataset: Dataset, stated: float) -> FloatArray:
+def wrong_um(dataset: Dataset, stated: float) -> FloatArray:
     """Return by how much a model may be wrong in each recording."""
     return min(stated, PROBABILITIES.most_wrong) * _motion_um(dataset)
 
@@ -246,22 +272,18 @@ def _of_new_recordings(selection: Selection, stated: float) -> dict[str, float]:
 
 def _of_fits(regression: Regression, fits: Sequence[Fit], stated: float) -> dict[str, float]:
     """Return the probabilities of fits to the new recordings alone."""
-    evidence, effective = [], []
+    evidence = []
     for fit in fits:
         held_out = _held_out(regression, fit)
-        independent = [part.independent for part in held_out]
         widths = expected_widths(
             [effect for effect in fit.effects if type(effect) is not Outliers],
             regression.dataset.extent)
-        penalty = penalty_of(held_out, independent, fit.covariance, widths)
-        evidence.append(Evidence(_label(fit), held_out, penalty))
-        effective.append(independent)
-    least_um = np.array([SETTINGS.model_tolerance * np.ptp(part.measured_um)
-                         for part in regression.dataset.simulated])
+        evidence.append(Evidence(
+            _label(fit), held_out, penalty_of(held_out, fit.covariance, widths)))
+    least_um = accuracies_um(regression.dataset)
     return probabilities(
-        evidence, np.max(effective, axis=0), least_um,
-        _passing_um(np.array(regression.noise.noise_um), least_um),
-        _wrong_um(regression.dataset, stated))
+        evidence, least_um, _passing_um(np.array(regression.noise.noise_um), least_um),
+        wrong_um(regression.dataset, stated))
 
 
 def _held_out(regression: Regression, fit: Fit) -> tuple[HeldOut, ...]:

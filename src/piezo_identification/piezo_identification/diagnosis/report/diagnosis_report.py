@@ -265,13 +265,13 @@ def _outcome(attempt: Attempt, best: Attempt, selection: Selection) -> str:
     added = {effect.name for effect in selection.end.effects}
     if attempt.fit is None:
         among = "added already" if attempt.name in added else "nothing hints at it"
-        return attempt.remark or among
+        return attempt.undecided.sentence if attempt.undecided else among
     if attempt.name in added:
         return "added" if attempt is best else "added in the end"
     if attempt.name in selection.indistinguishable:
         return f"cannot be told from {selection.indistinguishable[attempt.name]}"
-    if attempt.remark:
-        return attempt.remark
+    if attempt.undecided:
+        return attempt.undecided.sentence
     if attempt.reduction_percent <= 0.0:
         return "rejected: no gain"
     if attempt.significance <= CRITERIA.significant:

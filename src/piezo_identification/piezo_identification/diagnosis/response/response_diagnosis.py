@@ -10,6 +10,7 @@ import numpy as np
 from piezo_common.arrays import ComplexArray
 from piezo_identification.diagnosis.evidence.recording_faults import wrong_sign
 from piezo_identification.diagnosis.evidence.stand_ins import with_stand_ins
+from piezo_identification.diagnosis.reasons import Reason, Undecided
 from piezo_identification.diagnosis.response.response_candidates import fit_each_candidate
 from piezo_identification.diagnosis.response.response_fit import (
     SETTINGS,
@@ -73,7 +74,7 @@ class ResponseSelection:
         See `ResponseDiagnosis`.
     not_told_from : dict of str to str
         Effects that the response does not tell from one found, and which.
-    refused : dict of str to str
+    refused : dict of str to Undecided
         Effects that are not taken, and why.
     is_explained : bool
         Little enough is left.
@@ -83,7 +84,7 @@ class ResponseSelection:
     effects: list[dict[str, Any]]
     tried: list[list[tuple[str, float]]]
     not_told_from: dict[str, str]
-    refused: dict[str, str]
+    refused: dict[str, Undecided]
     is_explained: bool
 
 
@@ -162,7 +163,7 @@ def select_linear_effects(problem: ResponseProblem) -> ResponseSelection:
 
 
 def _accepted(problem: ResponseProblem,
-              found: Sequence[ResponseFit]) -> tuple[int, dict[str, str]]:
+              found: Sequence[ResponseFit]) -> tuple[int, dict[str, Undecided]]:
     """Return how many of the effects lower the error that is reported, and why not the others.
 
     The comparison weighs every frequency by its tolerance, and begins with dynamics that were
@@ -172,8 +173,9 @@ def _accepted(problem: ResponseProblem,
                       for fit in (problem.as_given(), *found[1:]))
     kept = max((number for number, error in enumerate(after, 1) if error < before), default=0)
     return kept, {
-        effect.name: f"the error on held-out frequencies would rise from {before:.3g} to "
-                     f"{error:.3g} %"
+        effect.name: Undecided(
+            Reason.WORSE_ON_HELD_OUT,
+            f"the error on held-out frequencies would rise from {before:.3g} to {error:.3g} %")
         for effect, error in zip(found[-1].effects[kept:], after[kept:], strict=True)}
 
 
@@ -183,6 +185,8 @@ def _told(problem: ResponseProblem, selection: ResponseSelection,
     given, effects = problem.as_given(), selection.effects
     final = selection.fit if effects else given
     faults = [wrong_sign(problem.measured.path)] if is_reversed else []
+    undecided = {name: Undecided(Reason.LIKE_ANOTHER, f"the response does not tell it from {found}")
+                 for name, found in selection.not_told_from.items()} | selection.refused
     verdict, left = "explained" if effects else "none", ""
     if not selection.is_explained:
         verdict, left = "unexplained", describe_residual(problem, selection.fit)
@@ -193,8 +197,8 @@ def _told(problem: ResponseProblem, selection: ResponseSelection,
         noise_floor_um=problem.noise,
         holdout={"source": "frequencies that were not fitted",
                  "samples": int(np.sum(~problem.estimation))},
-        not_decidable={name: f"the response does not tell it from {found}"
-                       for name, found in selection.not_told_from.items()} | selection.refused,
+        not_decidable={name: why.sentence for name, why in undecided.items()},
+        reasons={name: why.reason for name, why in undecided.items()},
         not_told_from=selection.not_told_from, left=left,
         reversed=[fault.recording for fault in faults], left_out=[],
         recording_faults=[fault.document() for fault in faults],

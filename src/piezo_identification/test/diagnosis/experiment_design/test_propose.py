@@ -17,6 +17,7 @@ from piezo_identification.diagnosis.experiment_design.propose import (
     propose,
     save_proposal,
 )
+from piezo_identification.diagnosis.reasons import Reason
 from piezo_identification.experiments.catalogue import Experiment, StageLimits
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.sensor_lag import SensorLag
@@ -79,6 +80,17 @@ def test_sets_that_a_verdict_gives_a_probability_are_alternatives(plant, scanned
         plant, [scanned], alone | {"probabilities": {"delay": 0.9999, "sensor_lag": 1e-9}})
     assert set(only.probabilities) == {"delay"}
     assert propose(only, LIMITS) is None
+
+
+@pytest.mark.parametrize(("reason", "is_alternative"), [
+    (Reason.SAME_AS_OTHER_PARAMETERS, True), (Reason.NOT_EXCITED, False)])
+def test_an_effect_that_is_not_named_is_an_alternative_by_the_kind_of_its_reason(
+        plant, scanned, reason, is_alternative):
+    verdict = {"effects": [], "not_decidable": ["delay"],
+               "not_decidable_because": {"delay": "in other words"},
+               "not_decidable_reasons": {"delay": str(reason)}}
+    found = alternatives_of_files(plant, [scanned], verdict)
+    assert ("delay" in found.probabilities) is is_alternative
 
 
 def test_fast_motion_tells_a_delay_from_a_lag_and_slow_motion_does_not(alternatives):

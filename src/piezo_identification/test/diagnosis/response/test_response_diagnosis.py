@@ -80,7 +80,7 @@ def test_an_effect_that_raises_the_error_of_the_gain_is_not_named(monkeypatch):
     monkeypatch.setattr(response_diagnosis, "is_convincing", lambda *fits: True)
     selection = response_diagnosis.select_linear_effects(problem)
     assert (selection.effects, selection.fit.effects) == ([], ())
-    assert "would rise from" in selection.refused["delay"]
+    assert "would rise from" in selection.refused["delay"].sentence
 
 
 def test_what_no_candidate_explains_is_described_and_not_named():
