@@ -2,6 +2,7 @@
 """A controller file of the sample clock's rate, tracked with as a user does, on board the stage."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,21 +11,30 @@ from piezo_interfaces.msg import Reference, SampleBlock
 from piezo_client.client import GoalFailed
 from piezo_controller.feedback.controller_file import save_controller
 from piezo_controller.feedback.feedback_design import feedback_from_control
+from piezo_controller.feedback.onboard_law import onboard_law
 from piezo_controller.feedback.sample_rate.demands import Demands
+from piezo_controller.feedback.sample_rate.fast_design import design_at_sample_rate
 from piezo_controller.feedback.sample_rate.perturbed_loops import ModelErrors, PerturbedLoops
 from piezo_controller.feedback.sample_rate.tuned_over_stages import tuned_family
 from piezo_controller.references.reference import Reference as PlannedReference
 from piezo_controller.tracking.run_plan import plan_references
 from piezo_controller.tracking.tracking_modes import StageClock
 from piezo_models.identified_model import IdentifiedModel
+from piezo_models.linear.dynamics import continue_linear, zoh
 from piezo_models.model_file import save_model
 from piezo_recorder.reading.reader import read_recording
+from piezo_stage_driver.node.stage_settings import StageSettings
+from piezo_stage_driver.safety.guards import StopLatch
 
 PERIOD_S = 25e-6
 FREQUENCY_HZ = (50.0, 100.0, 400.0, 500.0, 600.0)
 REFERENCE = {"kind": "multi_frequency", "frequency_hz": FREQUENCY_HZ,
              "amplitude_um": [6.0, 6.0, 0.8, 0.6, 0.4], "centre_um": 50.0}
 DURATION_S, SETTLED_S = 0.9, 0.6
+DEFAULTS = SimpleNamespace(
+    has_parameter=lambda name: False,
+    declare_parameter=lambda name, value, descriptor: SimpleNamespace(value=value))
+"""A node all of whose parameters have their default values."""
 
 
 @pytest.fixture(scope="module")
@@ -110,3 +120,81 @@ def test_a_loop_that_is_answered_by_messages_refuses_it(nodes, files, tmp_path):
     with pytest.raises(GoalFailed, match=r"samples.json: answers every sample"):
         track(client, files, tmp_path / "run", "composite",
               controller=str(files / "samples.json"))
+
+
+class DrawnStage:
+    """A stage that is a model, with noise, in the state in which it was left."""
+
+    sample_rate_hz = 1.0 / PERIOD_S
+
+    def __init__(self, model, seed):
+        memory = model.memory()
+        self._hysteresis, self._memory = model.hysteresis, memory.hysteresis
+        self._linear, self._state = zoh(model.linear(), PERIOD_S), memory.linear_state
+        self._draws, self.measured_um = np.random.default_rng(seed), []
+
+    def exchange(self, voltage_v):
+        hysteresis_um = self._hysteresis.simulate(voltage_v, self._memory)
+        displacement_um, self._state = continue_linear(self._linear, hysteresis_um, self._state)
+        displacement_um += self._draws.normal(scale=0.009, size=voltage_v.size)
+        self.measured_um.append(displacement_um)
+        return displacement_um
+
+
+def drawn(model, rng, deviation):
+    """Return a model whose gain, lag, modes and damping each deviate by up to about as much."""
+    def factor():
+        return float(np.exp(rng.uniform(-deviation, deviation)))
+
+    hysteresis, dynamics, speed = model.hysteresis, model.dynamics, factor()
+    return replace(
+        model,
+        hysteresis=replace(
+            hysteresis, density_um_per_v2=factor() * hysteresis.density_um_per_v2),
+        dynamics=replace(
+            dynamics, time_constant_s=factor() * dynamics.time_constant_s,
+            mode_frequencies_rad_per_s=tuple(
+                speed * frequency for frequency in dynamics.mode_frequencies_rad_per_s),
+            damping_ratios=tuple(factor() * ratio for ratio in dynamics.damping_ratios)))
+
+
+def finish(engine):
+    while not engine.idle or engine.holds_block:
+        engine.advance()
+
+
+def errors_after_a_past(stage, plan, law, past_v):
+    """Play a voltage that no plan knows of, then track; return the errors, and why it stopped."""
+    engine = StageSettings(DEFAULTS).create_engine(stage, StopLatch())
+    engine.commands.play(past_v, 1e-3)
+    finish(engine)
+    before = sum(map(len, stage.measured_um))
+    engine.commands.load_feedforward(plan.once_voltage_v, plan.period_voltage_v)
+    if law is not None:
+        engine.commands.load_feedback(engine.commands.checked(law))
+    engine.commands.start_tracking(False, 1600, "", law is not None)
+    finish(engine)
+    counted = slice(plan.feedback_start_sample + 8000, plan.feedback_start_sample + 32000)
+    measured_um = np.concatenate(stage.measured_um)[before:][counted]
+    return plan.expected_um(0, counted.stop)[counted] - measured_um, engine.stop_cause
+
+
+@pytest.mark.long  # each is designed for, which takes 10 s
+@pytest.mark.parametrize("seed", range(20))
+def test_the_default_method_works_on_a_drawn_stage_that_did_not_settle(near_model, seed):
+    rng = np.random.default_rng(seed)
+    stage = drawn(near_model, rng, 0.3)
+    model = drawn(stage, rng, 0.03)  # as far off as one that was identified
+    lowest_um, highest_um = model.hysteresis.output_range_um
+    span_um = highest_um - lowest_um
+    reference = PlannedReference(
+        "multi_frequency", (100.0, 300.0), (0.12 * span_um, 0.01 * span_um), (),
+        lowest_um + rng.uniform(0.4, 0.6) * span_um)
+    plan = plan_references("feedforward", [reference], [1.0], model, StageClock())
+    law = onboard_law(design_at_sample_rate(model), model, plan, PERIOD_S, 20.0,
+                      before_inverse=True, max_error_um=4.0)
+    past_v = np.interp(np.arange(700), 100.0 * np.arange(8), rng.uniform(0.0, 80.0, 8))
+    (left_um, cause), (without_um, _) = (
+        errors_after_a_past(DrawnStage(stage, seed), plan, law, past_v) for law in (law, None))
+    assert cause == ""
+    assert np.sqrt(np.mean(left_um**2)) < 0.2 * np.sqrt(np.mean(without_um**2))

@@ -28,6 +28,9 @@ GROUND_TRUTH = "ground_truth"
 # An hour at 40 kHz takes about 5 GB.
 LARGEST_BYTES = 16_000_000_000
 MCAP_MAGIC = b"\x89MCAP0\r\n"
+NO_KIND = 0
+"""No kind of record in an MCAP file."""
+PART_BYTES = 1 << 20
 
 
 def read_recording(path: str | PathLike[str], topic: str | None = None,
@@ -101,7 +104,7 @@ def sha256_of(path: str | PathLike[str]) -> str:
     digest = hashlib.sha256()
     for file in data_files(Path(path)):
         with open(file, "rb") as stream:
-            while part := stream.read(1 << 20):
+            while part := stream.read(PART_BYTES):
                 check_cancelled()
                 digest.update(part)
     return digest.hexdigest()
@@ -153,6 +156,23 @@ def _bounded(file: Path) -> Path:
     return file
 
 
+class RecordReader(StreamReader):
+    """Reads records until the work is cancelled; zeros to the end of the file end it.
+
+    A power failure can leave them. Taken for records of no kind and no length, they would be
+    skipped one by one.
+    """
+
+    def _read_record(self, opcode: int, length: int) -> mcap.records.McapRecord | None:
+        check_cancelled()
+        while opcode == NO_KIND:
+            if self._stream.read(PART_BYTES).strip(b"\0"):
+                raise ValueError("a record of no kind")
+            check_cancelled()
+        record: mcap.records.McapRecord | None = super()._read_record(opcode, length)
+        return record
+
+
 class _Contents:
     """Sample blocks, references and side files of one or more MCAP files, undecoded."""
 
@@ -168,7 +188,7 @@ class _Contents:
 
     def read(self, path: Path) -> None:
         with open(path, "rb") as stream:
-            reader = StreamReader(stream, validate_crcs=True)
+            reader = RecordReader(stream, validate_crcs=True)
             schemas: dict[int, mcap.records.Schema] = {}
             channels: dict[int, list[bytes] | None] = {}
             try:

@@ -6,10 +6,9 @@ from os import PathLike
 from pathlib import Path
 
 import mcap.records
-from mcap.stream_reader import StreamReader
 
 from piezo_common.command_line import print_next
-from piezo_recorder.reading.reader import data_files, was_cut_short
+from piezo_recorder.reading.reader import RecordReader, data_files, was_cut_short
 from piezo_recorder.reading.recording import RecordingError
 from piezo_recorder.writing.message_definition import MessageDefinition
 from piezo_recorder.writing.quality_profiles import profiles_from_text
@@ -68,7 +67,7 @@ class _Copy:
         self._channels.clear()
         with open(file, "rb") as stream:
             try:
-                for record in StreamReader(stream, validate_crcs=True).records:
+                for record in RecordReader(stream, validate_crcs=True).records:
                     self._take(record)
             # Whatever the parser stumbles over where the file ends.
             except Exception as error:

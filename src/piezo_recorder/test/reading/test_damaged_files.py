@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import scipy.io
 
-from piezo_recorder.reading.reader import read_recordings
+from piezo_common.cancellation import checking
+from piezo_recorder.reading.reader import MCAP_MAGIC, read_recordings
 from piezo_recorder.reading.recording import RecordingError
 from piezo_recorder.reading.tables import matlab_files
 
@@ -171,3 +172,38 @@ def test_tdms_file_that_was_cut_within_its_last_column_names_that_column(tmp_pat
     path.write_bytes(path.read_bytes()[:-80])
     assert f"'displacement_um' has {ROWS - 10} values where other columns have {ROWS}" in (
         refusal_of(path))
+
+
+class GivenUp(Exception):
+    pass
+
+
+@pytest.mark.parametrize(("name", "head"), [
+    ("zeros.mcap", MCAP_MAGIC), ("unknown.mcap", MCAP_MAGIC + b"\x80" + bytes(8)),
+    ("rows.csv", b"time_s,voltage_v,displacement_um\n" + b"".join(
+        b"%.3f,%d,%d\n" % (1e-3 * row, row % 7, row % 5) for row in range(1000)))])
+def test_read_is_given_up_within_a_file_of_any_size(tmp_path, name, head):
+    path = tmp_path / name
+    with open(path, "wb") as file:
+        file.write(head)
+        if name.endswith(".mcap"):
+            file.truncate(10_000_000)
+    looks = iter([False])
+
+    def check():
+        if next(looks, True):
+            raise GivenUp
+
+    # More than the one look where the file has ended.
+    with checking(check), pytest.raises(GivenUp):
+        read_recordings(path)
+
+
+def test_line_without_end_is_refused_before_all_of_it_is_read(tmp_path):
+    path = tmp_path / "rows.csv"
+    with open(path, "wb") as file:
+        file.write(b"time_s,voltage_v,displacement_um\n" + b"".join(
+            b"%.3f,%d,%d\n" % (1e-3 * row, row % 7, row % 5) for row in range(30_000)))
+        file.truncate(3 * 2**30)
+    with pytest.raises(RecordingError, match="has a line of more than"):
+        read_recordings(path)

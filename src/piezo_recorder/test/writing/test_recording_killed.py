@@ -176,3 +176,11 @@ def test_a_damaged_file_is_refused(tmp_path, closed_file):
     path.write_bytes(content)
     with pytest.raises(RecordingError, match="is damaged"):
         read_recording(path)
+
+
+def test_zeros_that_a_power_failure_left_at_the_end_are_no_records(tmp_path, closed_file):
+    content, voltage_v = closed_file
+    path = tmp_path / "run.mcap"
+    path.write_bytes(content[:-60] + bytes(100_000))
+    recording = read_recording(path)
+    assert not recording.complete and np.array_equal(recording.voltage_v, voltage_v)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from piezo_common.cancellation import check_cancelled
 from piezo_recorder.reading.recording import RecordingError
 from piezo_recorder.reading.tables.cells import across_midnight, clock_seconds, is_time_of_day
 from piezo_recorder.reading.tables.dialect import DELIMITERS, Dialect, dialect_of, is_comment
@@ -24,6 +25,8 @@ from piezo_recorder.reading.units import name_and_unit
 HEAD_BYTES = 1 << 18
 HEAD_LINES = 400
 CHUNK_LINES = 100_000
+LONGEST_LINE_BYTES = 1 << 22
+"""Tens of thousands of columns."""
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 
 _NUMBER_AND_UNIT = re.compile(r"\s*[-+]?[\d.,]+(?:[eE][-+]?\d+)?\s*[^\W\d]{1,7}\s*")
@@ -174,6 +177,24 @@ def _labels(path: Path, dialect: Dialect, lines: Sequence[str]) -> list[str]:
             for column, label in enumerate(dialect.header)]
 
 
+class _WatchedBytes(io.BufferedReader):
+    """What a text is decoded from: given up where the work is, or where a line does not end."""
+
+    def __init__(self, raw: io.RawIOBase, path: Path) -> None:
+        super().__init__(raw)
+        self._path, self._line_bytes = path, 0
+
+    def read1(self, size: int = -1, /) -> bytes:
+        check_cancelled()
+        part = super().read1(size)
+        end = max(part.rfind(b"\n"), part.rfind(b"\r"))
+        self._line_bytes = len(part) - end - 1 + (self._line_bytes if end < 0 else 0)
+        if self._line_bytes > LONGEST_LINE_BYTES:
+            raise RecordingError(f"{self._path} has a line of more than {LONGEST_LINE_BYTES} "
+                                 "bytes: end each row, or copy the file again")
+        return part
+
+
 class _Reading:
     """One passage through a file."""
 
@@ -227,7 +248,7 @@ class _Reading:
     @contextmanager
     def _lines(self) -> Iterator[tuple[io.TextIOWrapper, Callable[[], float]]]:
         size = max(self._path.stat().st_size, 1)
-        with open(self._path, "rb") as raw:
+        with _WatchedBytes(open(self._path, "rb", buffering=0), self._path) as raw:
             stream = io.TextIOWrapper(raw, encoding=self._encoding, errors="replace")
             yield stream, lambda: min(raw.tell() / size, 1.0)
 
