@@ -190,7 +190,7 @@ def _of_rests(residual: ComponentResidual, values_um: FloatArray) -> _Noise | No
 def _of_band(residual: ComponentResidual, values_um: FloatArray) -> _Noise:
     size = values_um.size
     if size >= SETTINGS.fewest_for_a_spectrum:
-        noise_um, freedom = noise_floor_um(values_um, residual.sample_period_s), size / 8.0
+        noise_um, freedom = noise_floor_um(values_um), size / 8.0
     else:
         # Of white noise, the mean square of the second differences is six times its own.
         noise_um, freedom = np.sqrt(np.mean(np.diff(values_um, 2) ** 2) / 6.0), size / 3

@@ -2,9 +2,9 @@
 """The response from one signal to another, estimated from their spectra."""
 
 import numpy as np
-from scipy.signal import csd, welch
 
 from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_identification.conditioning.segment_spectra import spectra_of_segments
 
 LINES = 2048
 """Samples of which a spectrum is estimated, unless there are few of them."""
@@ -33,12 +33,17 @@ def gain_of(input: FloatArray, output: FloatArray, sample_period_s: float,
     coherence : ndarray, shape (M,)
         Part of the output's power that goes with the input.
     """
-    options = {"fs": 1.0 / sample_period_s, "detrend": "linear",
-               "nperseg": segment or min(LINES, max(16, input.size // 4))}
-    frequency_hz, crossed = csd(input, output, **options)
-    of_input, of_output = (welch(signal, **options)[1] for signal in (input, output))
+    size = min(segment or min(LINES, max(16, input.size // 4)), input.size)
+    lines = size // 2 + 1
+    crossed = np.zeros(lines, dtype=complex)
+    of_input, of_output = np.zeros(lines), np.zeros(lines)
+    for driving, answering in zip(spectra_of_segments(input, size, 1),
+                                  spectra_of_segments(output, size, 1), strict=True):
+        crossed += np.sum(np.conj(driving) * answering, axis=0)
+        of_input += np.sum(np.abs(driving) ** 2, axis=0)
+        of_output += np.sum(np.abs(answering) ** 2, axis=0)
     excited = of_input > least_power * of_input.max()
     excited[0] = False
     crossed, of_input, of_output = crossed[excited], of_input[excited], of_output[excited]
     coherence = np.abs(crossed) ** 2 / np.maximum(of_input * of_output, np.finfo(float).tiny)
-    return frequency_hz[excited], crossed / of_input, coherence
+    return np.fft.rfftfreq(size, sample_period_s)[excited], crossed / of_input, coherence

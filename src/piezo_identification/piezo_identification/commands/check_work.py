@@ -5,6 +5,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from piezo_common.command_line import print_next, write_report
 from piezo_identification.analysis.distortion_over_frequency import (
@@ -58,12 +59,12 @@ def check_files(options: argparse.Namespace) -> None:
                "--output", "model.json")
 
 
-def _check_one(recording: Recording,
-               picture: Path) -> tuple[RecordingCheck, dict[str, Suitability]]:
+def _check_one(recording: Recording, picture: Path,
+               ) -> tuple[RecordingCheck, dict[str, Suitability], Figure]:
     check = check_recording(recording)
     fit_for = suitability(check)
     print("\n".join(check_table(check, fit_for)))
-    draw_check(picture, check)
+    figure = draw_check(picture, check)
     print(f"drawn {picture}")
     found = None if check.gaps or check.has_few_rows else distortion_of(check.recording)
     if found is not None:
@@ -71,7 +72,7 @@ def _check_one(recording: Recording,
         print("\n".join("".join(f"{cell:>24}" for cell in row) for row in distortion_rows(found)))
         drawn.write_bytes(distortion_png(found))
         print(f"drawn {drawn}")
-    return check, fit_for
+    return check, fit_for, figure
 
 
 def _print_response(path: Path) -> None:

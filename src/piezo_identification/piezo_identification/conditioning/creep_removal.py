@@ -69,6 +69,31 @@ def input_of_creep(
 ) -> FloatArray:
     """Return the input, held for a sample period each, of a signal that exponentials crept behind.
 
+    Parameters
+    ----------
+    signal : ndarray, shape (N,)
+    rates, gains, unanswered : ndarray, shape (P,)
+        As of `inverse_of_creep`.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Begins in equilibrium with the first sample.
+    """
+    at_once, forgotten, weights = inverse_of_creep(rates, gains, sample_period_s, unanswered)
+    moved = signal - signal[0]
+    rest = moved.copy()
+    for rate, weight in zip(forgotten, weights, strict=True):
+        rest -= lfilter([0.0, weight], [1.0, rate - 1.0], moved)
+    held: FloatArray = rest / at_once + signal[0] / (1.0 + gains.sum())
+    return held
+
+
+def inverse_of_creep(
+    rates: FloatArray, gains: FloatArray, sample_period_s: float, unanswered: FloatArray,
+) -> tuple[float, FloatArray, FloatArray]:
+    """Return the inverse of exponentials that creep behind a held input, as a sum of such.
+
     An exponential has come to x when a hold of h begins, and answers in it with x m + h (1 - m).
     With the states x[n+1] = a x[n] + b h[n] the signal is y[n] = b' x[n] + d h[n], with diagonal a.
     That of the inverse, a - b b' / d, is symmetric, so that it is a sum of exponentials, too. One
@@ -76,7 +101,6 @@ def input_of_creep(
 
     Parameters
     ----------
-    signal : ndarray, shape (N,)
     rates, gains : ndarray, shape (P,)
         Of creep 1 + sum g p / (s + p): rates p in rad/s, and gains g, none of them negative.
     unanswered : ndarray, shape (P,)
@@ -84,16 +108,14 @@ def input_of_creep(
 
     Returns
     -------
-    ndarray, shape (N,)
-        Begins in equilibrium with the first sample.
+    at_once : float
+        The direct part d.
+    forgotten, weights : ndarray, shape (P,)
+        The input is y[n] less the sums of weight y[m] (1 - forgotten)^(n - 1 - m) over all m < n,
+        over d.
     """
     gone = -np.expm1(-rates * sample_period_s)
-    at_once = 1.0 + gains @ (1.0 - unanswered)
+    at_once = float(1.0 + gains @ (1.0 - unanswered))
     coupling = np.sqrt(gains * unanswered * gone)
     forgotten, turned = np.linalg.eigh(np.diag(gone) + np.outer(coupling, coupling) / at_once)
-    moved = signal - signal[0]
-    rest = moved.copy()
-    for rate, weight in zip(forgotten, (coupling @ turned) ** 2 / at_once, strict=True):
-        rest -= lfilter([0.0, weight], [1.0, rate - 1.0], moved)
-    held: FloatArray = rest / at_once + signal[0] / (1.0 + gains.sum())
-    return held
+    return at_once, forgotten, (coupling @ turned) ** 2 / at_once

@@ -5,9 +5,11 @@ from dataclasses import dataclass
 from hashlib import blake2b
 
 import numpy as np
-from scipy.signal import correlate, detrend, welch
+from scipy.signal import correlate, detrend
+from scipy.signal.windows import hann
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.conditioning.segment_spectra import spectra_of_segments
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ _PERIODS: dict[bytes, int | None] = {}
 
 
 def sensor_noise_um(displacement_um: FloatArray, voltage_v: FloatArray, residual_um: FloatArray,
-                    sample_period_s: float, period: int | None) -> float:
+                    period: int | None) -> float:
     """Estimate the standard deviation of the sensor's noise in three ways, and return the least.
 
     What a model lacks can only add to it.
@@ -55,7 +57,7 @@ def sensor_noise_um(displacement_um: FloatArray, voltage_v: FloatArray, residual
         Samples after which the voltage repeats, as `repeated_period` finds it.
     """
     found = [
-        noise_floor_um(residual_um, sample_period_s),
+        noise_floor_um(residual_um),
         noise_from_rest_um(displacement_um, voltage_v),
         noise_from_repeats_um(displacement_um, period) if period else None,
     ]
@@ -92,7 +94,7 @@ def _found_period(voltage_v: FloatArray) -> int | None:
     return None
 
 
-def noise_floor_um(residual_um: FloatArray, sample_period_s: float) -> float:
+def noise_floor_um(residual_um: FloatArray) -> float:
     """Estimate the standard deviation of white noise as large as the residual's high frequencies.
 
     The stage follows nothing at the highest frequencies of a fast recording; what is there is the
@@ -104,12 +106,19 @@ def noise_floor_um(residual_um: FloatArray, sample_period_s: float) -> float:
     residual_um : (N,) array
     """
     segment = int(min(SETTINGS.segment, residual_um.size))
-    frequency_hz, density = welch(residual_um, 1.0 / sample_period_s, nperseg=segment,
-                                  average="median")
-    upper = np.flatnonzero(frequency_hz > 0.5 * frequency_hz[-1])[:-1]
-    bands = min(SETTINGS.high_bands, max(upper.size, 1))
-    quietest = min(np.median(density[part]) for part in np.array_split(upper, bands))
-    return float(np.sqrt(quietest * 0.5 / sample_period_s))
+    last = segment // 2
+    power = np.concatenate([np.abs(spectra[:, last // 2 + 1 : last]) ** 2
+                            for spectra in spectra_of_segments(residual_um, segment, 0)])
+    lines = np.median(power, axis=0) / (
+        np.sum(hann(segment, sym=False) ** 2) * _median_of_exponentials(len(power)))
+    bands = min(SETTINGS.high_bands, max(lines.size, 1))
+    return float(np.sqrt(min(np.median(part) for part in np.array_split(lines, bands))))
+
+
+def _median_of_exponentials(count: int) -> float:
+    """Return the expected median of so many exponential variables of mean one."""
+    even = 2.0 * np.arange(1, (count - 1) // 2 + 1)
+    return float(1.0 + np.sum(1.0 / (even + 1.0) - 1.0 / even))
 
 
 def noise_from_rest_um(displacement_um: FloatArray, voltage_v: FloatArray,
@@ -123,12 +132,11 @@ def noise_from_rest_um(displacement_um: FloatArray, voltage_v: FloatArray,
         Samples of a rest that counts.
     """
     edges = np.flatnonzero(np.diff(voltage_v, prepend=np.nan, append=np.nan) != 0.0)
-    spreads = []
-    for start, end in zip(edges[:-1], edges[1:], strict=True):
-        # The first half may still move.
-        start = start + (end - start) // 2
-        if end - start >= fewest:
-            spreads.append(np.std(detrend(displacement_um[start:end])))
+    # The first half may still move.
+    starts, ends = edges[:-1] + np.diff(edges) // 2, edges[1:]
+    long = ends - starts >= fewest
+    spreads = [np.std(detrend(displacement_um[start:end]))
+               for start, end in zip(starts[long], ends[long], strict=True)]
     return float(np.median(spreads)) if spreads else None
 
 

@@ -4,6 +4,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
@@ -134,20 +135,28 @@ def turning_points(voltage_v: FloatArray, threshold_v: float) -> NDArray[np.intp
     threshold_v : float
         A way back shorter than this is no reversal.
     """
-    moves = np.flatnonzero(np.diff(voltage_v)) + 1
-    points, extreme, direction = [0], 0, 0
-    for sample in moves.tolist():
+    return np.flatnonzero(_turns(np.ascontiguousarray(voltage_v, dtype=float), threshold_v))
+
+
+@njit(cache=True, nogil=True)
+def _turns(voltage_v: FloatArray, threshold_v: float) -> NDArray[np.bool_]:
+    """Mark the points of `turning_points`."""
+    turns = np.zeros(voltage_v.size, dtype=np.bool_)
+    turns[0] = turns[-1] = True
+    extreme, direction = 0, 0.0
+    for sample in range(1, voltage_v.size):
+        if voltage_v[sample] == voltage_v[sample - 1]:
+            continue
         travel_v = voltage_v[sample] - voltage_v[extreme]
-        if direction * travel_v >= 0.0 and (direction or abs(travel_v) > threshold_v):
-            extreme, direction = sample, direction or int(np.sign(travel_v))
-        elif direction and abs(travel_v) > threshold_v:
-            points.append(extreme)
+        if direction * travel_v >= 0.0 and (direction != 0.0 or abs(travel_v) > threshold_v):
+            extreme = sample
+            if direction == 0.0:
+                direction = np.sign(travel_v)
+        elif direction != 0.0 and abs(travel_v) > threshold_v:
+            turns[extreme] = True
             extreme, direction = sample, -direction
-    if extreme != points[-1]:
-        points.append(extreme)
-    if points[-1] != voltage_v.size - 1:
-        points.append(voltage_v.size - 1)
-    return np.array(points)
+    turns[extreme] = True
+    return turns
 
 
 def slow_branches(time_s: FloatArray, voltage_v: FloatArray) -> NDArray[np.bool_]:

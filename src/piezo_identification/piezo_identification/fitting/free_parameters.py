@@ -9,12 +9,14 @@ together: see `piezo_models.linear.creep_errors`.
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import chain
 from typing import Any
 
 import control
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csc_array
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.estimators.estimate import (
@@ -64,6 +66,9 @@ class FreeWidths:
 
 
 WIDTHS = FreeWidths()
+
+KEPT = 4
+"""Hystereses whose shapes are kept."""
 
 SMALL = 1e-6
 """Step of the derivative through effects behind the linear part, over the travel."""
@@ -198,8 +203,9 @@ def changed_model(model: StageModel, changes: FloatArray) -> StageModel:
     zeros = poles * (1.0 + sizes)
     rest[rest > 0.0] *= factors[2 * pairs :]
     surfaces, hats = _shapes(hysteresis)
-    factors, additions = np.split(changes[count:], [len(surfaces)])
-    surface = 1.0 + WIDTHS.factor * np.tensordot(factors, surfaces, axes=1)
+    factors, additions = np.split(changes[count:], [surfaces.shape[1]])
+    surface = 1.0 + WIDTHS.factor * (surfaces @ factors).reshape(
+        hysteresis.density_um_per_v2.shape)
     added = WIDTHS.reversible * _mean_gain(hysteresis) * additions @ hats
     return replace(
         model, creep=CreepDynamics(tuple(poles), tuple(zeros)),
@@ -239,14 +245,14 @@ def lowest_changes(hysteresis: PreisachModel) -> FloatArray:
     size = len(hysteresis.density_um_per_v2)
     at_knots = np.interp(np.linspace(0.0, 1.0, WIDTHS.reversible_knots),
                          (np.arange(size) + 0.5) / size, hysteresis.reversible_um_per_v)
-    return np.concatenate([np.full(len(surfaces), -1.0 / WIDTHS.factor),
+    return np.concatenate([np.full(surfaces.shape[1], -1.0 / WIDTHS.factor),
                            -at_knots / (WIDTHS.reversible * _mean_gain(hysteresis))])
 
 
 def free_count(model: StageModel) -> int:
     """Return how many parameters of a model are free."""
     surfaces, hats = _shapes(model.hysteresis)
-    return int(np.count_nonzero(_physical(model))) + len(surfaces) + len(hats)
+    return int(np.count_nonzero(_physical(model))) + surfaces.shape[1] + len(hats)
 
 
 def physical_count(model: StageModel) -> int:
@@ -330,21 +336,33 @@ def _pieces(hysteresis: PreisachModel) -> list[PreisachModel]:
     surfaces, hats = _shapes(hysteresis)
     density, nothing = hysteresis.density_um_per_v2, 0.0 * hysteresis.reversible_um_per_v
     gain = WIDTHS.reversible * _mean_gain(hysteresis)
-    shares = [(WIDTHS.factor * density * surface, nothing) for surface in surfaces]
+    shares = [(WIDTHS.factor * density * surface.toarray().reshape(density.shape), nothing)
+              for surface in surfaces.T]
     shares += [(0.0 * density, gain * hat) for hat in hats]
     return [replace(hysteresis, density_um_per_v2=density, reversible_um_per_v=reversible,
                     offset_um=0.0) for density, reversible in shares]
 
 
-def _shapes(hysteresis: PreisachModel) -> tuple[FloatArray, FloatArray]:
-    """Return the surfaces over the density and the hats over the voltage."""
+@lru_cache(maxsize=KEPT)
+def _shapes(hysteresis: PreisachModel) -> tuple[csc_array, FloatArray]:
+    """Return the surfaces over the density, (cells, surfaces), and the hats over the voltage.
+
+    They are kept, since fits from one hysteresis ask for them at every step: nobody may change
+    them.
+    """
     size = len(hysteresis.density_um_per_v2)
     knots = np.linspace(0.0, 1.0, WIDTHS.reversible_knots)
     middles = (np.arange(size) + 0.5) / size
     hats = np.array([np.interp(middles, knots, hat) for hat in np.eye(knots.size)])
-    surfaces = factor_surfaces(size)
-    return surfaces[[bool(np.any(hysteresis.density_um_per_v2 * surface))
-                     for surface in surfaces]], hats
+    surfaces = _sparse_surfaces(size)
+    present = hysteresis.density_um_per_v2.ravel() != 0.0
+    return surfaces[:, surfaces.T @ present.astype(float) > 0.0], hats
+
+
+@lru_cache(maxsize=KEPT)
+def _sparse_surfaces(size: int) -> csc_array:
+    """Return the surfaces over all cells: each cell is part of four of them at most."""
+    return csc_array(np.column_stack([surface.ravel() for surface in factor_surfaces(size)]))
 
 
 def _mean_gain(hysteresis: PreisachModel) -> float:

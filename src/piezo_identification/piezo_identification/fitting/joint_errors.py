@@ -381,6 +381,7 @@ class JointErrors:
         nuisance, model = point.nuisance[index], self.dataset.model
         pairs = len(model.creep.poles_rad_per_s)
         decays = decay_sensitivities(part, rows, np.ones(nuisance.shape[1]), model)[good, :pairs]
-        inverse = np.linalg.pinv(nuisance[good], rcond=1e-12)
+        # The triangle of its QR factors has the same singular values as the long matrix.
+        inverse = np.linalg.pinv(np.linalg.qr(nuisance[good], mode="r"), rcond=1e-12)
         by_size = nuisance @ (inverse @ inverse.T)[:, 1 : 1 + pairs]
         return by_size * (decays.T @ point.left_um[index][good])

@@ -56,8 +56,7 @@ def estimate_noise(dataset: Dataset, effects: Sequence[Effect] = (),
 
         noise_um.append(sensor_noise_um(
             part.measured_um[part.begin :], part.voltage_v[part.begin :],
-            np.where(standing_out(0.0), 0.0, residual)[part.begin :], part.sample_period_s,
-            part.repeated_period,
+            np.where(standing_out(0.0), 0.0, residual)[part.begin :], part.repeated_period,
         ))
         outliers.append(standing_out(noise_um[-1]))
     return NoiseEstimate(tuple(noise_um), tuple(outliers))

@@ -69,7 +69,7 @@ def _is_far_better(run: ModelRun, without_um: float) -> bool:
     """Tell whether a run leaves far less beyond its noise than another one left in all."""
     left_um = run.error_um(())
     noise_um = min(
-        noise_floor_um(run.measured_um - run.simulated_um(()), run.part.sample_period_s),
+        noise_floor_um(run.measured_um - run.simulated_um(())),
         MOST_NOISE * left_um)
     beyond_um, without_beyond_um = np.sqrt(np.maximum(
         np.square([left_um, without_um]) - noise_um**2, 0.0))

@@ -116,7 +116,7 @@ class RecordingCheck:
     def noise_um(self) -> float:
         """Standard deviation of the noise; nan where it cannot be told."""
         return np.nan if self.has_few_rows else noise_of(
-            self.displacement_um, self.voltage_v, self.sample_period_s, self.waveform)
+            self.displacement_um, self.voltage_v, self.waveform)
 
     @cached_property
     def drift_um(self) -> float:
@@ -203,22 +203,19 @@ def check_recording(recording: Recording) -> RecordingCheck:
     return RecordingCheck(played, recording)
 
 
-def noise_of(displacement_um: FloatArray, voltage_v: FloatArray, period_s: float,
-             waveform: Waveform) -> float:
+def noise_of(displacement_um: FloatArray, voltage_v: FloatArray, waveform: Waveform) -> float:
     """Return the least standard deviation that rests, repeats and the highest frequencies tell.
 
     Parameters
     ----------
     displacement_um, voltage_v : ndarray, shape (N,)
-    period_s : float
-        Of the samples.
 
     Returns
     -------
     float
         nan where none of them tells.
     """
-    found = [noise_floor_um(displacement_um, period_s),
+    found = [noise_floor_um(displacement_um),
              noise_from_rest_um(displacement_um, voltage_v, fewest=50)]
     if waveform.period:
         found.append(noise_from_repeats_um(displacement_um, waveform.period))

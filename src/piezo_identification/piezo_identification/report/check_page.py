@@ -4,27 +4,31 @@
 from collections.abc import Sequence
 from html import escape
 
+from matplotlib.figure import Figure
+
 from piezo_common.report_page import Section, pictured, render_page
 from piezo_identification.recording_check.check import RecordingCheck
 from piezo_identification.recording_check.check_report import measured_rows
 from piezo_identification.recording_check.suitability import Suitability
-from piezo_identification.report.check_picture import check_figure
 
 
-def check_page(checks: Sequence[tuple[str, RecordingCheck, dict[str, Suitability]]]) -> str:
+def check_page(
+    checks: Sequence[tuple[str, RecordingCheck, dict[str, Suitability], Figure]],
+) -> str:
     """Return the page of one check or several as HTML.
 
     Parameters
     ----------
-    checks : sequence of (str, RecordingCheck, dict of str to Suitability)
-        Title of the recording, what was measured of it, and which experiments it can stand for.
+    checks : sequence of (str, RecordingCheck, dict of str to Suitability, Figure)
+        Title of the recording, what was measured of it, which experiments it can stand for, and
+        its `check_picture.check_figure`.
     """
     count = len(checks)
     title = (checks[0][0] + ": " + suitability_sentence(checks[0][2])) if count == 1 else (
         f"What {count} recordings are good for")
-    sections = [section for name, check, fit_for in checks for section in _sections(
+    sections = [section for name, check, fit_for, figure in checks for section in _sections(
         name, f"{name}: {suitability_sentence(fit_for)}" if count > 1 else "What it can stand for",
-        check, fit_for)]
+        check, fit_for, figure)]
     return render_page(title, ["Noise is the least that rests, repeats and the highest frequencies "
                                "tell. The drift is that at one voltage over the whole recording."],
                        sections)
@@ -43,14 +47,14 @@ def suitability_sentence(fit_for: dict[str, Suitability]) -> str:
 
 
 def _sections(name: str, title: str, check: RecordingCheck,
-              fit_for: dict[str, Suitability]) -> list[Section]:
+              fit_for: dict[str, Suitability], figure: Figure) -> list[Section]:
     good_for = [("can stand for", "verdict", "because"),
                 *((experiment, each.verdict, each.reason)
                   for experiment, each in fit_for.items())]
     rows = [("measured", "value"), *measured_rows(check)]
     return [
         Section(title, check.warnings, good_for, [
-            pictured(name, check_figure(check), "Displacement and voltage over time; below, what "
+            pictured(name, figure, "Displacement and voltage over time; below, what "
                      f"a voltage of this kind shows ({escape(check.waveform.kind)}).",
                      wide=True, closer=True)]),
         Section("What was measured", table=rows)]

@@ -29,9 +29,11 @@ from piezo_identification.report.waveform_view import WaveformView, view_of
 DOTS_PER_INCH = 110.0
 
 
-def draw_check(path: Path, check: RecordingCheck) -> None:
-    """Draw a check as a PNG; see `check_figure`."""
-    path.write_bytes(to_png(check_figure(check), DOTS_PER_INCH))
+def draw_check(path: Path, check: RecordingCheck) -> Figure:
+    """Write the figure of a check as a PNG, and return it; see `check_figure`."""
+    figure = check_figure(check)
+    path.write_bytes(to_png(figure, DOTS_PER_INCH))
+    return figure
 
 
 def check_figure(check: RecordingCheck) -> Figure:

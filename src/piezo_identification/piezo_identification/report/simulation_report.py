@@ -56,7 +56,7 @@ def noise_of(prediction: Prediction) -> float:
     """Return the standard deviation of the sensor's noise in a prediction."""
     return sensor_noise_um(
         prediction.measured_um, prediction.voltage_v,
-        left_of(prediction), _sample_period_s(prediction), repeated_period(prediction.voltage_v))
+        left_of(prediction), repeated_period(prediction.voltage_v))
 
 
 def left_of(prediction: Prediction) -> FloatArray:

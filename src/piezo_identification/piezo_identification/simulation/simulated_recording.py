@@ -47,10 +47,13 @@ class SimulationSettings:
         Outputs of the linear part that are remembered beside the first, and signals between effects
         behind it. A fit varies one effect at a time, so that the last few are what it asks for
         again; a few fits go on side by side.
+    kept_inputs : int
+        Inputs of the linear part behind effects on the voltage that are remembered.
     """
 
     fewest_samples: int = 500
     kept_outputs: int = 6
+    kept_inputs: int = 3
 
 
 KEPT = 32
@@ -206,6 +209,7 @@ class SimulatedRecording:
         self.hysteresis_um, self._rest_input_um = self._hysteresis(
             model.hysteresis, self._amplified_v)
         self.input_um = self._with_creep(self.hysteresis_um, self._amplified_v)
+        self._inputs: dict[tuple, FloatArray] = {}
 
     def _simulate_linear(self) -> None:
         """Simulate the linear part without more effects, and forget what others gave."""
@@ -306,13 +310,22 @@ class SimulatedRecording:
     def _response(self, on_voltage: tuple[Effect, ...], in_series: tuple[Effect, ...],
                   lags: tuple[Effect, ...], at: NDArray[np.intp] | None = None) -> FloatArray:
         """Return the output of the linear part and the lags behind it, at all samples or some."""
-        input_um = self.input_um
-        if on_voltage:
+        input_um = self._input_um(on_voltage) if on_voltage else self.input_um
+        system, delay_s = behind_lags(_linear_part(self.model, in_series), lags)
+        return self.respond(system, input_um, delay_s, at)
+
+    def _input_um(self, on_voltage: tuple[Effect, ...]) -> FloatArray:
+        """Return the input of the linear part behind effects, kept for the next time."""
+        input_um = self._inputs.get(on_voltage)
+        if input_um is None:
             amplified_v = self._amplified(on_voltage)
             hysteresis_um, _ = self._hysteresis(self.model.hysteresis, amplified_v)
             input_um = self._with_creep(hysteresis_um, amplified_v)
-        system, delay_s = behind_lags(_linear_part(self.model, in_series), lags)
-        return self.respond(system, input_um, delay_s, at)
+            # A fit moves the number of one effect, and goes back.
+            for old in list(self._inputs)[: 1 - SETTINGS.kept_inputs]:
+                self._inputs.pop(old, None)  # another fit beside this one may have been first
+            self._inputs[on_voltage] = input_um
+        return input_um
 
 
 @lru_cache(maxsize=KEPT)

@@ -8,12 +8,12 @@ from piezo_identification.conditioning import sensor_noise as subject
 def test_the_noise_floor_is_not_raised_by_slow_structure_or_a_tone(noise):
     time_s = np.arange(noise.size) * 25e-6
     signal = 0.009 * noise + np.sin(30.0 * time_s) + 0.2 * np.sin(2.0 * np.pi * 15e3 * time_s)
-    assert subject.noise_floor_um(signal, 25e-6) == pytest.approx(0.009, rel=0.05)
+    assert subject.noise_floor_um(signal) == pytest.approx(0.009, rel=0.05)
 
 
 @pytest.mark.parametrize("rows", [8, 12, 16])
 def test_few_rows_have_a_noise_floor_too(noise, rows):
-    assert 0.0 < subject.noise_floor_um(noise[:rows], 2.0) < 5.0
+    assert 0.0 < subject.noise_floor_um(noise[:rows]) < 5.0
 
 
 def test_the_noise_is_seen_at_rest_and_between_repeats(noise):
@@ -48,6 +48,5 @@ def test_repeats_tell_the_noise_where_the_sensor_s_own_band_does_not(noise):
     period = 4000
     played = np.tile(np.random.default_rng(0).normal(size=period), 10)
     found = subject.sensor_noise_um(
-        played + 0.009 * noise, played, played + 0.009 * noise, 25e-6,
-        subject.repeated_period(played))
+        played + 0.009 * noise, played, played + 0.009 * noise, subject.repeated_period(played))
     assert found == pytest.approx(0.009, rel=0.03)

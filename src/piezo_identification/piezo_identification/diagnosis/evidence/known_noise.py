@@ -104,14 +104,13 @@ def noise_sources(recordings: Sequence[Recording]) -> list[NoiseSource]:
     for recording in recordings:
         part = played(recording)
         noise_um = _noise_um(np.asarray(part.displacement_um, dtype=float)[:MOST_SAMPLES],
-                             np.asarray(part.voltage_v, dtype=float)[:MOST_SAMPLES],
-                             part.sample_period_s)
+                             np.asarray(part.voltage_v, dtype=float)[:MOST_SAMPLES])
         if noise_um > 0.0:
             found.append(NoiseSource(noise_um, part.sample_period_s, str(recording.path)))
     return found
 
 
-def _noise_um(displacement_um: FloatArray, voltage_v: FloatArray, period_s: float) -> float:
+def _noise_um(displacement_um: FloatArray, voltage_v: FloatArray) -> float:
     """Return the noise between repeats or at rest, or else in the quietest band.
 
     A sensor that counts steps may stand still at rest: it is no better than its steps are fine.
@@ -120,6 +119,6 @@ def _noise_um(displacement_um: FloatArray, voltage_v: FloatArray, period_s: floa
     found = [noise_from_rest_um(displacement_um, voltage_v),
              noise_from_repeats_um(displacement_um, period) if period else None]
     noise_um = min((noise for noise in found if noise), default=0.0) or noise_floor_um(
-        displacement_um - displacement_um.mean(), period_s)
+        displacement_um - displacement_um.mean())
     steps_um = np.diff(np.unique(displacement_um))
     return max(noise_um, float(steps_um.min()) / np.sqrt(12.0) if steps_um.size else 0.0)

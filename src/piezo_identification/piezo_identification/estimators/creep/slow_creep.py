@@ -11,14 +11,15 @@ be left out.
 from collections.abc import Sequence
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
-from scipy.linalg import qr
+from scipy.linalg import qr, svd
 from scipy.optimize import least_squares
 from scipy.sparse import csr_array
 
 from piezo_common.arrays import FloatArray
 from piezo_common.cancellation import check_cancelled
-from piezo_identification.conditioning.creep_removal import input_of_creep
+from piezo_identification.conditioning.creep_removal import inverse_of_creep
 from piezo_identification.conditioning.outlier_samples import good_samples
 from piezo_identification.conditioning.segments import Recordings, played_segments
 from piezo_identification.conditioning.waveforms import samples_per_mean
@@ -63,6 +64,9 @@ GAINS = (1e-4, 1.0)
 
 INDEPENDENT = 1e-7
 """Share of a column that others do not make, below which it counts as made of them."""
+
+HELD = 1e-8
+"""Share of a direction that hysteresis and offsets make, below which they count as free of it."""
 
 CANDIDATES = 12
 """Rates that are tried for each further exponential."""
@@ -116,7 +120,9 @@ def estimate_slow_creep(
     residual = problem.residual(point)
 
     def gain(beside: _Problem) -> float:
-        return problem.gain_of(residual, beside.residual(point), beside.width - problem.width)
+        left = beside.residual(point)
+        return problem.gain_of(
+            residual, left, beside.width - problem.width, beside.alike(left))
 
     tried = [_Problem(parts, settling_s, each) for each in NUISANCES]
     gains = [gain(each) for each in tried]
@@ -144,7 +150,7 @@ def _search(
             if not problem.refusal(trial_point):
                 break
         left = problem.residual(trial_point)
-        gain = problem.gain_of(residual, left, 3)
+        gain = problem.gain_of(residual, left, 3, problem.alike(left))
         trials.append(problem.trial(trial_point, left, trials[-1].information - gain))
         if pair_count is None and (trials[-1].refusal or gain <= 0.0):
             break
@@ -168,7 +174,7 @@ class _Problem:
         self._parts = [
             _Part(part, levels_v, settling_s, MOST_BINS // len(parts), nuisances)
             for part in parts]
-        self._span = self._explained_by_hysteresis()
+        self._span, self._left = self._explained_by_hysteresis()
         longest_s = max(part.time_s[-1] for part in parts)
         shortest_s = max(ROWS_OF_DECAY * min(part.sample_period_s for part in parts),
                          settling_s / 3.0)
@@ -179,8 +185,11 @@ class _Problem:
         self.rates = np.log([0.3 / longest_s, 1.0 / shortest_s])
         self.gains = np.log(GAINS)
 
-    def _explained_by_hysteresis(self) -> FloatArray:
-        """Orthonormal columns of what hysteresis and offsets can make; rough ones count less."""
+    def _explained_by_hysteresis(self) -> tuple[FloatArray, FloatArray]:
+        """Return orthonormal directions that hysteresis and offsets make, and how much they leave.
+
+        They leave of what is smooth nothing, and of what is rough a part, for the penalties.
+        """
         width = sum(part.offsets.shape[1] for part in self._parts)
         blocks, first = [], 0
         for part in self._parts:
@@ -201,11 +210,14 @@ class _Problem:
         orthogonal, triangle, _ = qr(normal, mode="economic", pivoting=True)
         sizes = np.abs(np.diag(triangle))
         kept: FloatArray = orthogonal[:, sizes > INDEPENDENT * sizes[0]]
-        self._penalties, self.count = rough.shape[0], columns.shape[0]
+        count = columns.shape[0]
         self.width = kept.shape[1]
         # Rows less what the hysteresis takes of them, which the penalties make a fraction.
-        self.rows = columns.shape[0] - round(float(np.sum(kept[: columns.shape[0]] ** 2)))
-        return kept
+        self.rows = count - round(float(np.sum(kept[:count] ** 2)))
+        directions, made, mixed = svd(kept[:count], full_matrices=False)
+        # Sines and cosines of the same angles: the penalties tell how little is left.
+        left = np.linalg.norm(kept[count:] @ mixed.T, axis=0)
+        return directions[:, made > HELD], left[made > HELD]
 
     def residual(self, point: FloatArray) -> FloatArray:
         """Return what hysteresis, offsets and initial creep leave where the creep is removed."""
@@ -213,19 +225,25 @@ class _Problem:
         rates, gains = np.exp(np.split(point, 2))
         target = np.concatenate([part.without_creep(rates, gains) for part in self._parts])
         zeros = np.asarray(creep_of_partial_fractions(rates, gains)[0].zeros_rad_per_s)
-        target = np.append(target, np.zeros(self._penalties))
         own = [part.decays(zeros) for part in self._parts]
-        decays = np.zeros((target.size, zeros.size * len(own)))
+        both = np.zeros((target.size, 1 + zeros.size * len(own)))
+        both[:, 0] = target
         first = 0
         for index, each in enumerate(own):
-            decays[first : first + len(each), index * zeros.size : (index + 1) * zeros.size] = each
+            column = 1 + index * zeros.size
+            both[first : first + len(each), column : column + zeros.size] = each
             first += len(each)
-        both = np.column_stack([target, decays])
-        both = both - self._span @ (self._span.T @ both)
+        # As long as what regression and penalties leave, without the rows of the penalties.
+        both = both - self._span @ ((1.0 - self._left)[:, None] * (self._span.T @ both))
         left: FloatArray = both[:, 0]
-        if decays.shape[1]:
+        if both.shape[1] > 1:
             left = left - both[:, 1:] @ np.linalg.lstsq(both[:, 1:], left, rcond=1e-9)[0]
         return left * self._noise_raised(rates, gains)
+
+    def alike(self, residual: FloatArray) -> float:
+        """Return how far neighbouring rows of a residual of this problem are alike, 0 to 1."""
+        data = residual - self._span @ ((1.0 - self._left) * (self._span.T @ residual))
+        return float(np.clip(data[1:] @ data[:-1] / (data @ data), 0.0, 0.98))
 
     def _noise_raised(self, rates: FloatArray, gains: FloatArray) -> float:
         """Return by how much noise is raised that the inverse of the creep has lowered.
@@ -276,13 +294,12 @@ class _Problem:
             return "a rate is too fast for the rows"
         return ""
 
-    def gain_of(self, before: FloatArray, after: FloatArray, parameters: int) -> float:
+    def gain_of(self, before: FloatArray, after: FloatArray, parameters: int,
+                alike: float) -> float:
         """Fall of the Bayesian information criterion, over rows that are independent.
 
         What the grid leaves of the hysteresis is alike in neighbouring rows, which then count less.
         """
-        data = after[: self.count]
-        alike = float(np.clip(data[1:] @ data[:-1] / (data @ data), 0.0, 0.98))
         rows = max(self.rows * (1.0 - alike) / (1.0 + alike), 10.0)
         return float(
             rows * np.log(np.sum(before**2) / np.sum(after**2)) - parameters * np.log(rows))
@@ -325,14 +342,17 @@ class _Part:
         used = _used(voltage_v, float(levels_v[-1] - levels_v[0]), skipped)
         used &= (regression.history >= 0) & good_samples(part)[shift:]
         number = _bins(voltage_v, levels_v, used, regression.history, skipped, most_bins)
-        self._samples = np.flatnonzero(used)
-        _, self._bin, counts = np.unique(
-            number[used], return_inverse=True, return_counts=True)
+        samples = np.flatnonzero(used)
+        _, place, counts = np.unique(number[used], return_inverse=True, return_counts=True)
         self._counts = counts.astype(float)
         self.durations_s = self._counts * self._period_s
+        # Each bin is a run of samples.
+        self._bin = np.full(self._time_s.size, -1)
+        self._bin[samples] = place
+        self._starts_s = self._time_s[samples[np.searchsorted(place, np.arange(counts.size))]]
         # Means over the bins, weighted to equal variance.
         self._gather = csr_array(
-            (1.0 / np.sqrt(self._counts)[self._bin], (self._bin, self._samples)),
+            (1.0 / np.sqrt(self._counts)[place], (place, samples)),
             shape=(self._counts.size, self._time_s.size))
         self.everett = np.asarray((self._gather @ regression.matrix).toarray())
         histories = np.unique(regression.history[used])
@@ -349,13 +369,45 @@ class _Part:
 
     def without_creep(self, rates: FloatArray, gains: FloatArray) -> FloatArray:
         """Bins of the displacement passed through the exact inverse of the creep for held input."""
-        return self.means(input_of_creep(
-            self._displacement_um, rates, gains, self._period_s,
-            _unanswered(rates, self._period_s, self._mean_samples)))
+        at_once, forgotten, weights = inverse_of_creep(
+            rates, gains, self._period_s, _unanswered(rates, self._period_s, self._mean_samples))
+        sums = _sums_of_rest(
+            self._displacement_um, self._bin, self._counts.size, 1.0 - forgotten, weights)
+        first_um = self._displacement_um[0] / (1.0 + gains.sum())
+        return (sums / at_once + first_um * self._counts) / np.sqrt(self._counts)
 
     def decays(self, zeros: FloatArray) -> FloatArray:
         """Bins of what is left of the creep from before, shape (bins, zeros)."""
-        return self.means(np.exp(-np.outer(self._time_s, zeros)))
+        counts = self._counts[:, None]
+        sums = np.expm1(-zeros * self._period_s * counts) / np.expm1(-zeros * self._period_s)
+        return np.exp(-np.outer(self._starts_s, zeros)) * sums / np.sqrt(counts)
+
+
+@njit(cache=True, nogil=True)
+def _sums_of_rest(signal: FloatArray, bins: NDArray[np.intp], count: int, kept: FloatArray,
+                  weights: FloatArray) -> FloatArray:
+    """Sum over each bin how far a signal has moved, less weighted sums of where it was before.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (N,)
+    bins : ndarray of int, shape (N,)
+        The bin of each sample; negative for none.
+    count : int
+        Bins.
+    kept, weights : ndarray, shape (P,)
+        Part of each sum that is kept from one sample to the next, and its weight.
+    """
+    sums, states = np.zeros(count), np.zeros(kept.size)
+    for n in range(signal.size):
+        moved = signal[n] - signal[0]
+        rest = moved
+        for k in range(kept.size):
+            rest -= weights[k] * states[k]
+            states[k] = kept[k] * states[k] + moved
+        if bins[n] >= 0:
+            sums[bins[n]] += rest
+    return sums
 
 
 def _passed(voltage_v: FloatArray, levels_v: FloatArray) -> list[FloatArray]:

@@ -181,7 +181,7 @@ def _comes_back(part: Recording) -> bool:
         return True
     ends_um = [np.mean(part.displacement_um[max(0, step - AT_REST) : step])
                for step in wave.steps[::2]]
-    noise_um = noise_floor_um(part.displacement_um, part.sample_period_s)
+    noise_um = noise_floor_um(part.displacement_um)
     return bool(np.abs(np.mean(ends_um) - ends_um[0]) <= STILL * noise_um)
 
 
@@ -190,5 +190,5 @@ def _rings(part: Recording, rest: slice) -> bool:
     displacement_um = part.displacement_um[rest]
     trend = np.vander(np.linspace(-1.0, 1.0, displacement_um.size), 3)
     left_um = displacement_um - trend @ np.linalg.lstsq(trend, displacement_um, rcond=None)[0]
-    noise_um = noise_floor_um(part.displacement_um, part.sample_period_s)
+    noise_um = noise_floor_um(part.displacement_um)
     return bool(np.std(left_um) > STILL * noise_um)

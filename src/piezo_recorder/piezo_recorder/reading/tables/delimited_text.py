@@ -254,12 +254,8 @@ class _Reading:
 
     def _values(self, lines: list[str], rows: int) -> np.ndarray:
         """Return the rows in some lines, shape (n, used columns)."""
-        kept = [line for line in lines if not is_comment(line)]
-        if len(kept) == len(lines):
-            values = self._parsed(kept)
-            if values is not None:
-                return values
-        return self._slowly(lines, rows)
+        values = self._parsed(lines)
+        return self._slowly(lines, rows) if values is None else values
 
     def _parsed(self, lines: list[str]) -> np.ndarray | None:
         """Return what NumPy makes of the lines; None unless all needed cells are finite."""
@@ -270,6 +266,8 @@ class _Reading:
                 return None  # it may mark thousands
             lines = [line.replace(",", ".") for line in lines]
         every = len(self._used) == len(self._labels)
+        if not every and any(map(is_comment, lines)):
+            return None  # where the mark is in no column that is read
         try:
             with warnings.catch_warnings():
                 warnings.filterwarnings("ignore", "loadtxt: input contained no data")
