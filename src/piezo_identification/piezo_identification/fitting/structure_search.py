@@ -149,11 +149,9 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
         tried.append((structure.change, fitted))
         if is_better(fitted, best):
             best = fitted
-    # What slow recordings lack may be that of the loops, which are estimated anew from there.
-    others = [fit for _, fit in tried[1:] if fit is not best and (
-        fit.evidence_over(best) > -SETTINGS.promise
-        or problem.fastest_over_noise(fit) < problem.fastest_over_noise(best))]
-    others.sort(key=problem.fastest_over_noise)
+    others = [fit for _, fit in tried[1:]
+              if fit is not best and fit.evidence_over(best) > -SETTINGS.promise]
+    others.sort(key=lambda fit: -fit.evidence_over(best))
     return [best, *others[: SETTINGS.rivals]], tried
 
 
