@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_common.summary_table import SummaryTable
-from piezo_models.effects.amplifier_lag import parts_of_rows
+from piezo_models.effects.amplifier_lag import moves_from_part_to_part, parts_of_rows
 from piezo_models.effects.effect import Effect
 from piezo_models.hysteresis.first_rise import CYCLED, FirstRise
 from piezo_models.hysteresis.hysteretic_creep import HystereticCreep, HystereticCreepMemory
@@ -22,6 +22,7 @@ from piezo_models.linear.connections import in_series, matrices_of
 from piezo_models.linear.dynamics import (
     CreepDynamics,
     ElectricVibrationDynamics,
+    answering_means,
     continue_linear,
     equilibrium_state,
     zoh,
@@ -198,7 +199,10 @@ class StageModel:
         memory = self.memory() if memory is None else memory
         parts = parts_of_rows(self.effects_at("voltage"), sample_period_s)
         part_s = sample_period_s / parts
-        system = zoh(self.linear(), part_s)
+        linear = self.linear()
+        if moves_from_part_to_part(parts):
+            linear = answering_means(linear, part_s)
+        system = zoh(linear, part_s)
         applied_v = self.amplified(
             np.repeat(np.asarray(voltage_v, dtype=float), parts), part_s, memory)
         hysteresis = self.hysteresis.simulate(applied_v, memory.hysteresis)

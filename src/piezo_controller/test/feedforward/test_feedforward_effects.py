@@ -24,6 +24,7 @@ from piezo_models.effects.hysteretic_spring import HystereticSpring
 from piezo_models.effects.outliers import Outliers
 from piezo_models.effects.periodic_disturbance import PeriodicDisturbance
 from piezo_models.effects.rate_dependent_hysteresis import RateDependentHysteresis
+from piezo_models.effects.second_order_amplifier import SecondOrderAmplifier
 from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.effects.sensor_nonlinearity import SensorNonlinearity
 from piezo_models.effects.slew_limit import SlewLimit
@@ -47,6 +48,7 @@ COMPENSATED = [
     (SensorLag(1e-4), 1e-6), (SensorNonlinearity(0.1, 0.5, 0.3, 0.1, 50.0, 50.0), 1e-6),
     (SlewLimit(1e6), 1e-6), (VoltageClipping(-18.0, 118.0), 1e-6),
     (AmplifierLag(4e-5), 1e-3),
+    (SecondOrderAmplifier(4e-5, 0.7), 1e-2),
     (RateDependentHysteresis(0.02, 1000.0, 0.3, 1e-3), 1e-3),
     (Stiffening(0.3, 0.3, 0.3, 50.0, 50.0, 2846.0, 0.68), 1e-6), (Backlash(0.05), 5e-3),
     (Hysteresis((0.05, 0.1), (0.02, -0.02), (0.0, 0.2), 50.0, 50.0), 1e-6),

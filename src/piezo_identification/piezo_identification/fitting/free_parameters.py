@@ -110,7 +110,7 @@ def free_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp],
         return part.respond_each(system, inputs_um, delay_s, rows if at_once else None)
 
     ahead, of_pieces = model.effects_at("voltage"), linear
-    if pieces_um is None or not all(type(effect) is AmplifierLag for effect in ahead):
+    if pieces_um is None or not all(isinstance(effect, AmplifierLag) for effect in ahead):
         pieces_um = piece_outputs_um(part, given)
     else:
         of_pieces = control.ss(*in_series(

@@ -11,6 +11,7 @@ from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
 from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.coupled_mode import CoupledMode
+from piezo_models.effects.second_order_amplifier import SecondOrderAmplifier
 from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.linear.dynamics import CreepDynamics
@@ -52,6 +53,8 @@ class SearchSettings:
         Frequency of such a mode at most, over that of the samples.
     most_damped : float
         Damping ratio of a mode that is kept in the plainest start.
+    most_uncoupled : float
+        Largest damping ratio of a mode of a structure.
     first_lag : float
         Least time constant, in sample periods, from which a new lag is fitted.
     faster_creep : float
@@ -74,6 +77,7 @@ class SearchSettings:
     wrong: float = 3.0
     highest: float = 0.3
     most_damped: float = 0.5
+    most_uncoupled: float = 0.3
     first_lag: float = 0.5
     faster_creep: float = 8.0
     widest_gap: float = 12.0
@@ -232,6 +236,11 @@ def starts(problem: WholeModel, given: StageModel,
         what = f"{len(modes)} modes that ring"
         yield Structure(f"{what}, with an amplifier's lag", replace(
             bare, effects=(AmplifierLag(lag_s), *effects)), delay_s)
+        if any(type(mode) is CoupledMode for mode in modes):
+            # A delay would take its place.
+            late_s = lag_s + max(delay_s or 0.0, 0.0)
+            yield Structure(f"{what} in phase, an amplifier of second order", replace(
+                bare, effects=(SecondOrderAmplifier(late_s), *_uncoupled(modes), *others)), None)
         if any(isinstance(effect, VibrationMode) for effect in given.effects):
             yield Structure(f"{what}, with an electric lag", replace(
                 _electric(bare, lag_s), effects=effects), delay_s)
@@ -284,6 +293,13 @@ def _in_phase(modes: Sequence[VibrationMode]) -> tuple[VibrationMode, ...]:
     return tuple(
         replace(mode, participation=mode.participation / whole, velocity_participation=0.0)
         if type(mode) is CoupledMode else mode for mode in modes)
+
+
+def _uncoupled(modes: Sequence[VibrationMode]) -> tuple[VibrationMode, ...]:
+    """Return modes that ring as those of a structure, none of which follows the velocity."""
+    return tuple(
+        VibrationMode(mode.frequency_rad_per_s, min(mode.damping_ratio, SETTINGS.most_uncoupled),
+                      mode.participation) for mode in _in_phase(modes))
 
 
 def _apart(modes: Sequence[VibrationMode]) -> list[VibrationMode]:
@@ -357,6 +373,9 @@ def _with_less(fit: WholeFit) -> Iterator[Structure]:
     for place, effect in enumerate(model.effects):
         if place not in modes:
             yield Structure(f"without the {effect.name}", _without(model, place), delay_s)
+        if isinstance(effect, SecondOrderAmplifier):
+            yield Structure("its amplifier of first order", _with(
+                _without(model, place), AmplifierLag(effect.time_constant_s)), delay_s)
     if model.dynamics.time_constant_s > 0.0:
         yield Structure("without the electric time constant", *_later(
             _electric(model, 0.0), delay_s, model.dynamics.time_constant_s))
@@ -408,7 +427,7 @@ def _with_more(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
     # Half of a lag that is there may be another's.
     lag_s = max(SETTINGS.first_lag * problem.sample_period_s,
                 0.5 * model.dynamics.time_constant_s)
-    if AmplifierLag not in kinds:
+    if not any(issubclass(kind, AmplifierLag) for kind in kinds):
         earlier, earlier_s = _later(model, delay_s, -lag_s)
         yield Structure("with an amplifier's lag", _with(earlier, AmplifierLag(lag_s)), earlier_s)
     if SensorLag not in kinds:
@@ -417,8 +436,17 @@ def _with_more(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
     if model.dynamics.time_constant_s == 0.0:
         earlier, earlier_s = _later(model, delay_s, -lag_s)
         yield Structure("with an electric time constant", _electric(earlier, lag_s), earlier_s)
+    if len(model.creep.poles_rad_per_s) > 1:
+        gap, _ = _widest_gap(model.creep)
+        slow, fast = model.creep.poles_rad_per_s[gap : gap + 2]
+        yield Structure(f"with creep between {slow:.3g} and {fast:.3g} rad/s", replace(
+            model, creep=_with_pair_between(model.creep)), delay_s)
     if problem.fastest_over_noise(fit) < SETTINGS.above_noise:
         return
+    for place, effect in enumerate(model.effects):
+        if type(effect) is AmplifierLag:
+            yield Structure("its amplifier of second order", _with(
+                _without(model, place), SecondOrderAmplifier(effect.time_constant_s)), delay_s)
     creep = _creep_as_far_as(model.creep, 1.0 / problem.sample_period_s, 1)
     if creep != model.creep:
         yield Structure("with faster creep", replace(model, creep=creep), delay_s)

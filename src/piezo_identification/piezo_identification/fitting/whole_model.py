@@ -39,9 +39,10 @@ EARLIEST = 1.0
 """Shortest sample periods by which a fitted delay may be negative: rows are then read late."""
 
 
-HYSTERESIS_WIDTH = 2.0
-"""Prior width of the changes of the hysteresis, over that of a joint fit with new recordings: loops
-that were fitted beside a rough creep are wrong by as much as that moves them."""
+BESIDE_ROUGH, BESIDE_FITTED = 2.0, 0.02
+"""Prior widths of the changes of the hysteresis, over that of a joint fit with new recordings. Of
+loops that were estimated beside a rough creep, they are wrong by as much as that moves them; those
+that were estimated beside a fitted model only have to follow what is fitted further."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +63,8 @@ class WholeFit:
     covariance : (p, p) array or None
         Of all unknowns; None before any fit.
     has_converged : bool
+    free_changes : int
+        Changes of the hysteresis that a wide prior leaves free.
     """
 
     model: StageModel
@@ -71,11 +74,12 @@ class WholeFit:
     errors: JointErrors = field(repr=False)
     vector: FloatArray = field(repr=False)
     has_converged: bool = False
+    free_changes: int = 0
 
     @property
     def numbers(self) -> int:
-        """Return how many numbers of creep, dynamics and effects were estimated."""
-        return (physical_count(self.model) + (self.delay_s is not None)
+        """Return how many numbers were estimated, those of a wide prior included."""
+        return (physical_count(self.model) + (self.delay_s is not None) + self.free_changes
                 + sum(fitted_values(effect)[0].size for effect in self.model.effects))
 
     @property
@@ -162,7 +166,7 @@ class WholeModel:
     def __init__(self, model: StageModel, recordings: Sequence[Recording],
                  read_late_s: Sequence[float]) -> None:
         bare = replace(model, effects=())
-        self._given = model
+        self._given, self._hysteresis_width = model, BESIDE_ROUGH
         self._independent = np.full(len(recordings), ERRORS.independent)
         simulated = side_by_side(
             lambda index: SimulatedRecording(
@@ -178,12 +182,13 @@ class WholeModel:
         self._fitted, self._good = self._dataset.for_estimation & good, good
         self._of_pieces_um: dict[int, FloatArray] = {}
 
-    def with_hysteresis(self, hysteresis: PreisachModel) -> "WholeModel":
-        """Return the same problem, another hysteresis given."""
+    def with_hysteresis(self, hysteresis: PreisachModel, width: float) -> "WholeModel":
+        """Return the same problem, another hysteresis given, and the prior width of its changes."""
         problem = copy(self)
         vars(problem).pop("_pieces_um", None)
         problem.about_here()
         problem._given = replace(self._given, hysteresis=hysteresis)
+        problem._hysteresis_width = width
         bare = replace(problem._given, effects=())
         problem._dataset = replace(self._dataset, model=bare, simulated=tuple(side_by_side(
             lambda part: part.with_model(bare), self._dataset.simulated)))
@@ -239,7 +244,8 @@ class WholeModel:
         return WholeFit(
             replace(fitted, effects=tuple(each for each in found if type(each) is not Delay)),
             delays_s[0] if delays_s else None, errors.left_um(descent.vector),
-            errors.accuracy_um, errors, descent.vector, descent.has_converged)
+            errors.accuracy_um, errors, descent.vector, descent.has_converged,
+            errors.count - begun.size if self._hysteresis_width >= 1.0 else 0)
 
     def over_noise(self, fit: WholeFit, of_accuracy: float = 1.0) -> FloatArray:
         """Return what is left of each recording over its noise and a part of its accuracy, (R,)."""
@@ -279,7 +285,7 @@ class WholeModel:
         return JointErrors(
             dataset, self._fitted, self._good, len(dataset.simulated), effects, frozenset(),
             pieces_um=self._pieces_um, independent=self._independent,
-            hysteresis_width=HYSTERESIS_WIDTH, of_pieces_um=self._of_pieces_um)
+            hysteresis_width=self._hysteresis_width, of_pieces_um=self._of_pieces_um)
 
     @cached_property
     def _pieces_um(self) -> list[list[FloatArray]] | None:

@@ -2,14 +2,20 @@
 """The hysteresis from all of its recordings, each begun on a stage that was cycled or not."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from piezo_identification.conditioning.sensor_noise import noise_floor_um
+from piezo_identification.conditioning.settling import slow_delay_s, slow_dynamics
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
-from piezo_identification.estimators.hysteresis.density_fit import hysteresis_output_um
+from piezo_identification.estimators.hysteresis.density_fit import (
+    density_of_parts,
+    hysteresis_output_um,
+    segment_of,
+)
 from piezo_identification.estimators.hysteresis.first_rise_fit import (
     SETTINGS,
     estimate_first_rise,
@@ -24,6 +30,8 @@ from piezo_identification.identification.given_hysteresis import (
 )
 from piezo_identification.identification.linear_dynamics import LinearDynamics
 from piezo_identification.simulation.model_run import ModelRun
+from piezo_identification.simulation.simulated_recording import SimulatedRecording
+from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.first_rise import FirstRise
 
 MOST_NOISE = 0.9
@@ -119,3 +127,38 @@ def _as_cycled(
             if highest_v < shown[key].voltages_v[-1]:
                 correct(name, highest_v)
     return cycled
+
+
+def loops_beside(
+    recordings: Mapping[str, Any], options: DensityOptions, near: DensityEstimate,
+    model: StageModel, read_late_s: Mapping[str, float],
+) -> DensityEstimate:
+    """Estimate the hysteresis anew from what a fitted model leaves of its recordings.
+
+    Only what is left goes through the inverse of creep and dynamics, which is not exact, and is
+    added to the output of the model's hysteresis.
+
+    Parameters
+    ----------
+    recordings : dict of str to Recording or FrequencyResponse
+        Their rows as they were given.
+    near : DensityEstimate
+        From the same recordings beside nearly the same creep and dynamics.
+    model : StageModel
+        With all of its effects.
+    read_late_s : dict of str to float
+        Time after its voltage at which each recording reads its rows.
+    """
+    names = keys_of_kind(recordings, "hysteresis")
+    parts = [played(recordings[name]) for name in names]
+    slow = slow_dynamics(model.dynamics, model.effects)
+    delay_s = slow_delay_s(model.dynamics, model.effects)
+    segments = []
+    for name, part in zip(names, parts, strict=True):
+        simulated = SimulatedRecording(model, recordings[name], read_late_s=read_late_s[name])
+        left = replace(part, displacement_um=simulated.measured_um - simulated.simulate())
+        of_left = segment_of(left, model.creep, slow, delay_s - read_late_s[name])
+        entering_v, output_um = simulated.loops()
+        segments.append(replace(
+            of_left, voltage_v=entering_v, output_um=of_left.output_um + output_um))
+    return density_of_parts(parts, segments, near=near, **options.keywords())

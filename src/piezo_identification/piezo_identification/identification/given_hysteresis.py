@@ -3,6 +3,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -37,13 +38,19 @@ class DensityOptions:
     smoothing_weight: float | None = None
     translation_weight: float | None = None
 
+    def keywords(self) -> dict[str, Any]:
+        """Return them as arguments of `density_fit.estimate_density`."""
+        return {"level_count": self.grid, "cells_per_level": 2 if self.grid is None else 1,
+                "smoothing_weight": self.smoothing_weight,
+                "translation_weight": self.translation_weight}
+
 
 CHOSEN_BY_DATA = DensityOptions()
 
 
 def estimate_hysteresis_of(
     recordings: Mapping[str, Data], linear: LinearDynamics,
-    options: DensityOptions = CHOSEN_BY_DATA, near: DensityEstimate | None = None,
+    options: DensityOptions = CHOSEN_BY_DATA,
 ) -> DensityEstimate:
     """Estimate the hysteresis from its recordings, or else from all others.
 
@@ -53,8 +60,6 @@ def estimate_hysteresis_of(
         Without gaps.
     linear : LinearDynamics
         Creep and dynamics, which are removed.
-    near : DensityEstimate, optional
-        From the same recordings, where creep and dynamics are nearly the same.
 
     Returns
     -------
@@ -67,10 +72,8 @@ def estimate_hysteresis_of(
     if not shown:
         return _line_of_response(of_kind(recordings, "dynamics")[0], linear)
     return estimate_density(
-        shown, linear.creep, linear.slow_dynamics, options.grid,
-        **({} if options.grid is None else {"cells_per_level": 1}),
-        smoothing_weight=options.smoothing_weight, translation_weight=options.translation_weight,
-        delay_s=linear.slow_delay_s, near=near)
+        shown, linear.creep, linear.slow_dynamics, delay_s=linear.slow_delay_s,
+        **options.keywords())
 
 
 def _line_of_response(measured: FrequencyResponse, linear: LinearDynamics) -> DensityEstimate:

@@ -25,7 +25,7 @@ from piezo_identification.estimators.frequency_response.response_fit import (
     ResponseOrder,
 )
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
-from piezo_identification.identification.estimated_loops import estimate_loops
+from piezo_identification.identification.estimated_loops import estimate_loops, loops_beside
 from piezo_identification.identification.fitted_model import FittedModel, fitted_model
 from piezo_identification.identification.given_data import (
     Data,
@@ -37,7 +37,6 @@ from piezo_identification.identification.given_data import (
 from piezo_identification.identification.given_hysteresis import (
     CHOSEN_BY_DATA,
     DensityOptions,
-    estimate_hysteresis_of,
 )
 from piezo_identification.identification.linear_dynamics import (
     LinearDynamics,
@@ -59,7 +58,6 @@ from piezo_identification.identification.told_by_data import failures_explained
 from piezo_identification.prediction.prediction_errors import unseen_errors
 from piezo_models.cascade import StageModel
 from piezo_models.effects.amplifier_lag import AmplifierLag
-from piezo_models.effects.delay import Delay
 from piezo_models.hysteresis.first_rise import FirstRise
 from piezo_models.identified_model import IdentifiedModel
 from piezo_recorder.reading.reader import origin_of
@@ -160,7 +158,7 @@ def identify(
         fitted = fitted_model(linear, estimate, first_rise)
         fitted, read_at = fitted_together(
             fitted, said, read_at,
-            partial(_loops_beside, cycled, linear, density, estimate) if of_kind(said, "hysteresis")
+            partial(loops_beside, said, density, estimate) if of_kind(said, "hysteresis")
             and linear.estimates and not first_rise else None, order, stages.part(0.75, 0.2), tell)
         tell_effects(fitted, tell)
         recordings, read_at = validation_as_read(
@@ -180,16 +178,6 @@ def identify(
             uncertainties=reliable(fitted.uncertainties, adequacy))
         stages.begin("done", 1.0)
     return identified
-
-
-def _loops_beside(recordings: Mapping[str, Data], linear: LinearDynamics, density: DensityOptions,
-                  near: DensityEstimate, model: StageModel) -> DensityEstimate:
-    """Estimate the hysteresis beside the creep and the dynamics of a fitted model."""
-    delay_s = sum(effect.delay_s for effect in model.effects if type(effect) is Delay)
-    return estimate_hysteresis_of(recordings, replace(
-        linear, creep=model.creep, dynamics=model.dynamics, delay_s=delay_s,
-        effects=tuple(effect for effect in model.effects if type(effect) is not Delay)),
-        density, near)
 
 
 def tell_estimates(linear: LinearDynamics, density: DensityEstimate,

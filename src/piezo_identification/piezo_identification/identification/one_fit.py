@@ -23,7 +23,12 @@ from piezo_identification.fitting.structure_search import (
     is_better,
     searched,
 )
-from piezo_identification.fitting.whole_model import WholeFit, WholeModel
+from piezo_identification.fitting.whole_model import (
+    BESIDE_FITTED,
+    BESIDE_ROUGH,
+    WholeFit,
+    WholeModel,
+)
 from piezo_identification.identification.fitted_model import FittedModel
 from piezo_identification.identification.given_data import Data
 from piezo_identification.identification.linear_dynamics import BEFORE_DELAY
@@ -32,8 +37,10 @@ from piezo_models.effects.delay import Delay
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_recorder.reading.recording import Recording
 
-COMPONENTS_OF = {"creep": ("creep",), "dynamics": ("dynamics", "effects")}
-"""What is estimated from the recordings of an experiment, as the model file names it."""
+COMPONENTS_OF = {"creep": ("creep",), "dynamics": ("dynamics", "effects"),
+                 "hysteresis": ("creep", "dynamics", "effects")}
+"""What errors of a component move, as the model file names it: every recording has passed the
+hysteresis."""
 
 BEGUN = 0.3
 """Part of the time that the starts take, as it is reported."""
@@ -57,7 +64,8 @@ class _Search:
 
     problem: WholeModel
     given: FittedModel
-    loops_beside: Callable[[StageModel], DensityEstimate] | None
+    read_late_s: Mapping[str, float]
+    loops_beside: Callable[[StageModel, Mapping[str, float]], DensityEstimate] | None
     is_asked_for: Callable[[StageModel], bool]
     report: Callable[[str, float], object]
     tried: list[tuple[str, WholeFit]] = field(default_factory=list)
@@ -84,19 +92,24 @@ class _Search:
         self.tried.extend(changed)
         state = replace(state, best=best)
         for _ in range(LOOPS):
-            renewed = self._with_loops_anew(state, end)
+            renewed = self._with_loops_anew(state, end, BESIDE_FITTED)
             if renewed is state:
                 break
             state = renewed
         return state
 
-    def _with_loops_anew(self, before: _State, fraction: float) -> _State:
-        """Estimate the loops beside what is fitted; the fit bends them, but not their lines."""
+    def _with_loops_anew(self, before: _State, fraction: float,
+                         width: float = BESIDE_ROUGH) -> _State:
+        """Estimate the loops beside what is fitted; the fit bends them, but not their lines.
+
+        The width is the prior one of how far it bends them.
+        """
         if self.loops_beside is None or is_at_noise(before.problem, before.best):
             return before
         self.report("loops anew", fraction)
-        density = self.loops_beside(with_fit(before.fitted, before.best).model)
-        problem = before.problem.with_hysteresis(density.model())
+        density = self.loops_beside(with_fit(before.fitted, before.best).model,
+                                    read_later(self.read_late_s, before.best))
+        problem = before.problem.with_hysteresis(density.model(), width)
         again = problem.fit(replace(before.best.model, hysteresis=density.model()),
                             before.best.delay_s, SETTINGS.steps)
         self.tried.append(("loops anew", again))
@@ -110,7 +123,8 @@ class _Search:
 
 def fitted_together(
     fitted: FittedModel, recordings: Mapping[str, Data], read_at: Mapping[str, float],
-    loops_beside: Callable[[StageModel], DensityEstimate] | None, order: ResponseOrder,
+    loops_beside: Callable[[StageModel, Mapping[str, float]], DensityEstimate] | None,
+    order: ResponseOrder,
     report: Callable[[str, float], object], tell: Callable[[str], object],
 ) -> tuple[FittedModel, dict[str, float]]:
     """Fit all parameters of a model together, and let the evidence choose its structure.
@@ -124,8 +138,9 @@ def fitted_together(
     read_at : dict of str to float
         When their rows are read, in sample periods after their voltage.
     loops_beside : callable, optional
-        Estimates the hysteresis of a fitted model anew, beside its creep and dynamics. None where
-        no recording of loops was given.
+        Estimates the hysteresis of a fitted model anew, beside its creep and dynamics; the second
+        argument is when the rows of each recording are read, in s. None where no recording of loops
+        was given.
     order : ResponseOrder
         Numbers asked for, which the search keeps.
     report : callable
@@ -166,16 +181,22 @@ def fitted_together(
     except ValueError as error:
         tell(f"the model is as the separate steps left it, as {error}")
         return fitted, dict(read_at)
-    search = _Search(problem, fitted, loops_beside, partial(_has_order, order), report)
+    search = _Search(
+        problem, fitted, read_late_s, loops_beside, partial(_has_order, order), report)
     state = search.best(delay_s or None)
     fitted, best = state.fitted, state.best
     tell(f"one fit of the whole model:\n{table_of(search.tried, best)}")
-    later_s = max(0.0, -(best.delay_s or 0.0))
-    read_later = {name: (late_s + later_s) / played(samples[name]).sample_period_s
-                  for name, late_s in read_late_s.items()}
-    if max(read_later.values()) > LATEST_READING:
+    read_at_samples = {name: late_s / played(samples[name]).sample_period_s
+                       for name, late_s in read_later(read_late_s, best).items()}
+    if max(read_at_samples.values()) > LATEST_READING:
         return fitted, dict(read_at)
-    return with_fit(fitted, best), read_later
+    return with_fit(fitted, best), read_at_samples
+
+
+def read_later(read_late_s: Mapping[str, float], fit: WholeFit) -> dict[str, float]:
+    """Return when rows are read, in s: later than it was said by a delay below zero."""
+    later_s = max(0.0, -(fit.delay_s or 0.0))
+    return {name: late_s + later_s for name, late_s in read_late_s.items()}
 
 
 def _within_hold_s(read_at: Mapping[str, float], parts: Mapping[str, Recording]) -> float:
@@ -210,7 +231,7 @@ def with_fit(fitted: FittedModel, fit: WholeFit) -> FittedModel:
 
 def reliable(uncertainties: Mapping[str, Any],
              adequacy: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Leave out the standard deviations of what an inadequate component shows.
+    """Leave out the standard deviations of what an inadequate component moves.
 
     What it leaves is no noise, so that they would be too small.
 

@@ -10,11 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
+from piezo_models.effects.amplifier_lag import moves_from_part_to_part
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect
 from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.linear.connections import matrices_of
-from piezo_models.linear.dynamics import equilibrium_state, simulate_linear, zoh
+from piezo_models.linear.dynamics import (
+    answering_means,
+    equilibrium_state,
+    simulate_linear,
+    zoh,
+)
 from piezo_models.linear.outputs_at import simulate_linear_at
 
 KEPT = 256
@@ -117,14 +123,15 @@ def respond_each(
     at : (n,) array of int, optional
         As in `respond`.
     parts : int
-        Of a sample period; one where rows are means.
+        Of a sample period, of `parts_of_rows`; one where rows are means.
 
     Yields
     ------
     (N,) or (n,) array
     """
     discrete, late = _sampled(*(matrix.tobytes() for matrix in matrices_of(system)),
-                              sample_period_s / parts, samples, delay_s)
+                              sample_period_s / parts, samples, delay_s,
+                              moves_from_part_to_part(parts))
     at = None if at is None else at * parts
     held = equilibrium_state(system)
     for input_um in inputs_um:
@@ -142,7 +149,7 @@ def respond_each(
 
 @lru_cache(maxsize=KEPT)
 def _sampled(a: bytes, b: bytes, c: bytes, d: bytes, sample_period_s: float, samples: int,
-             delay_s: float) -> tuple[control.StateSpace, int]:
+             delay_s: float, of_means: bool) -> tuple[control.StateSpace, int]:
     """Return the discrete system of some matrices, and the sample periods that it comes late.
 
     It is kept, since one system often answers many recordings: nobody may change it.
@@ -150,6 +157,8 @@ def _sampled(a: bytes, b: bytes, c: bytes, d: bytes, sample_period_s: float, sam
     gains, weights, direct = (np.frombuffer(matrix) for matrix in (b, c, d))
     system = control.ss(np.frombuffer(a).reshape(gains.size, gains.size), gains[:, None],
                         weights[None, :], direct[:, None])
+    if of_means:
+        system = answering_means(system, sample_period_s)
     if delay_s != 0.0:
         return delayed_zoh(system, sample_period_s, delay_s)
     return mean_zoh(system, sample_period_s, samples), 0

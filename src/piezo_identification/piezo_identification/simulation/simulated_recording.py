@@ -186,6 +186,15 @@ class SimulatedRecording:
         output_um = self._cycled_um(hysteresis, self._amplified_v)
         return output_um[self._before(output_um) :]
 
+    def loops(self) -> tuple[FloatArray, FloatArray]:
+        """Return the voltage at the hysteresis and its output, at the end of each row, (N,) each.
+
+        That is behind the effects of the model on the voltage.
+        """
+        entering_v = self._amplified_v[self._before(self._amplified_v) :]
+        parts = entering_v.size // self.time_s.size
+        return entering_v[parts - 1 :: parts], self.hysteresis_um[parts - 1 :: parts]
+
     def respond(self, system: control.StateSpace, input_um: FloatArray, delay_s: float = 0.0,
                 at: NDArray[np.intp] | None = None) -> FloatArray:
         """Return the output of a continuous system, sampled as the recording is; see `respond`."""

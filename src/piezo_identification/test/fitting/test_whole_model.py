@@ -8,10 +8,11 @@ import pytest
 
 from piezo_identification.conditioning.outlier_samples import with_outliers_marked
 from piezo_identification.experiments import catalogue as experiments
-from piezo_identification.fitting.structure_search import begun, is_better, searched
+from piezo_identification.fitting.structure_search import begun, is_better, searched, structures
 from piezo_identification.fitting.whole_model import WholeModel
 from piezo_identification.prediction import unseen_errors
 from piezo_models.effects.amplifier_lag import AmplifierLag
+from piezo_models.effects.second_order_amplifier import SecondOrderAmplifier
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
 pytestmark = pytest.mark.kernels
@@ -106,6 +107,23 @@ def test_a_lag_that_stands_behind_the_hysteresis_is_moved_to_the_front(plant, pl
     assert len(lags_s) == 1
     assert left_um < 1.1 * NOISE_UM < before_um
     assert lags_s[0] == pytest.approx(LAG_S, rel=0.1)
+
+
+def test_an_amplifier_of_second_order_takes_the_place_of_a_lag(plant, play):
+    stage = replace(plant, effects=(SecondOrderAmplifier(LAG_S, 0.8),))
+    parts = [play(experiments.dynamics(duration_s=0.1), 1, stage=stage),
+             play(experiments.hysteresis(level_count=8, harmonic_period_s=1.0), 1, 1000.0,
+                  stage=stage)]
+    with_lag = replace(plant, effects=(AmplifierLag(LAG_S),))
+    problem = WholeModel(with_lag, parts, [0.0, 0.0])
+    before = problem.fit(with_lag, None, 6)
+    tried = next(each for each in structures(problem, before)
+                 if each.change == "its amplifier of second order")
+    fit = problem.fit(tried.model, tried.delay_s, 12)
+    assert is_better(fit, before)
+    [amplifier] = fit.model.effects
+    assert amplifier.quality_factor == pytest.approx(0.8, rel=0.1)
+    assert np.std(fit.left_um[0][0]) < 1.1 * NOISE_UM < np.std(before.left_um[0][0])
 
 
 def test_rows_that_are_read_late_within_their_hold_are_found(plant, play):

@@ -26,6 +26,7 @@ from piezo_models.effects.hysteretic_spring import HystereticSpring
 from piezo_models.effects.outliers import Outliers
 from piezo_models.effects.periodic_disturbance import PeriodicDisturbance
 from piezo_models.effects.rate_dependent_hysteresis import RateDependentHysteresis
+from piezo_models.effects.second_order_amplifier import SecondOrderAmplifier
 from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.effects.sensor_nonlinearity import SensorNonlinearity
 from piezo_models.effects.slew_limit import SlewLimit
@@ -49,6 +50,7 @@ EFFECTS = (
     Hysteresis,
     RateDependentHysteresis,
     AmplifierLag,
+    SecondOrderAmplifier,
     Stiffening,
     HystereticSpring,
     AmplitudeDamping,

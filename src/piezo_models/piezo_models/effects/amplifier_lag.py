@@ -12,10 +12,13 @@ from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, p
 from piezo_models.effects.filtering import filtered, filtered_on, slowed, unfiltered_period
 from piezo_models.effects.sensor_lag import SensorLag
 
-PARTS, SHORTEST, LONGEST = 4, 0.02, 5.0
-"""Parts of a row in which a lag in front of the hysteresis is followed, if it is longer and shorter
-than so many rows: of one that is shorter the mean is enough, and a longer one hardly moves within a
-row. A quarter leaves an error of 0.04 % at a mode of a fifteenth of the sample rate."""
+SHORTEST, SHORT, LONGEST = 0.02, 0.25, 5.0
+"""Lags in front of the hysteresis, in rows, between which a row is simulated in parts: of one that
+is shorter the mean is enough, and a longer one hardly moves within a row. A short one has settled
+within the row."""
+
+PARTS_OF_SHORT, PARTS_OF_LONG = 4, 8
+"""Parts of a row for a short lag, and for one that goes on moving from part to part."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,14 @@ def parts_of_rows(effects: Iterable[Effect], sample_period_s: float,
     samples_per_mean : int
         Rows that are means of several samples stay whole.
     """
-    moves = any(SHORTEST < effect.time_constant_s / sample_period_s < LONGEST
-                for effect in effects if isinstance(effect, AmplifierLag))
-    return PARTS if moves and samples_per_mean == 1 else 1
+    rows = [effect.time_constant_s / sample_period_s for effect in effects
+            if isinstance(effect, AmplifierLag)]
+    within = [each for each in rows if SHORTEST < each < LONGEST]
+    if not within or samples_per_mean > 1:
+        return 1
+    return PARTS_OF_LONG if max(within) > SHORT else PARTS_OF_SHORT
+
+
+def moves_from_part_to_part(parts: int) -> bool:
+    """Tell whether the voltage goes on moving within the parts of a row, of `parts_of_rows`."""
+    return parts == PARTS_OF_LONG

@@ -253,6 +253,27 @@ def zoh(system: control.StateSpace, sample_period_s: float) -> control.StateSpac
     return control.ss(*matrices, sample_period_s)
 
 
+def answering_means(system: control.StateSpace, sample_period_s: float) -> control.StateSpace:
+    """Return a system that answers held means of an input as a system answers the input itself.
+
+    Holding the means of an input that moves within periods h smooths it, by 1 + (s h)^2 / 12 up to
+    the third power of s h. The outputs y become y - h C z (1 - 3 z / 2) / (1 - z / 2)^3 x' / 12,
+    with z = A h: that undoes it as far, keeps the gain at rest, and is bounded for any stable pole.
+
+    Parameters
+    ----------
+    system : control.StateSpace
+        Continuous; its states are kept.
+    sample_period_s : float
+        For which each mean is held.
+    """
+    a, b, c, d = matrices_of(system)
+    none, z = np.eye(len(a)), sample_period_s * a
+    damped = np.linalg.inv(none - 0.5 * z)
+    of_slope = sample_period_s / 12.0 * c @ z @ (none - 1.5 * z) @ damped @ damped @ damped
+    return control.ss(a, b, c - of_slope @ a, d - of_slope @ b)
+
+
 def zoh_response(system: control.StateSpace, frequency_hz: ArrayLike,
                  sample_period_s: float) -> ComplexArray:
     """Return the response of the ZOH-sampled system: that of the discrete one at exp(j 2 pi f T).

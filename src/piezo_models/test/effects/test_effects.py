@@ -34,6 +34,7 @@ from piezo_models.effects.hysteretic_spring import HystereticSpring
 from piezo_models.effects.outliers import Outliers
 from piezo_models.effects.periodic_disturbance import PeriodicDisturbance
 from piezo_models.effects.rate_dependent_hysteresis import RateDependentHysteresis
+from piezo_models.effects.second_order_amplifier import SecondOrderAmplifier
 from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.effects.sensor_nonlinearity import SensorNonlinearity
 from piezo_models.effects.slew_limit import SlewLimit
@@ -64,6 +65,7 @@ EXAMPLES = (
     Hysteresis((0.05, 0.1), (0.02, -0.01), (0.1, 0.5), 10.0, 9.0),
     RateDependentHysteresis(0.05, 100.0, 0.3, 1e-3),
     AmplifierLag(4e-5),
+    SecondOrderAmplifier(4e-5, 0.7),
     Stiffening(0.1, 0.2, 0.3, 10.0, 20.0, 5000.0, 0.1),
     HystereticSpring(-0.2, 0.01, 0.2, 2.0, -0.5, 1.0, 10.0, 10.0, 5000.0, 0.1),
     AmplitudeDamping(0.01, 0.5, 10.0, 5000.0, 0.1),

@@ -9,6 +9,7 @@ from piezo_models.linear.blocks import FEWEST, LENGTH
 from piezo_models.linear.dynamics import (
     CreepDynamics,
     ElectricVibrationDynamics,
+    answering_means,
     continue_linear,
     equilibrium_state,
     simulate_linear,
@@ -247,3 +248,26 @@ def test_blocks_are_the_recursion_of_another_library_and_leave_its_state(
         (system.A, system.B, system.C, system.D, PERIOD_S), np.append(driven, 0.0), x0=state)
     np.testing.assert_allclose(output, expected[:-1, 0], atol=1e-12)
     np.testing.assert_allclose(after, states[-1], atol=1e-12)
+
+
+def test_means_of_a_moving_input_are_answered_as_the_input_itself():
+    """A mode behind a lag, in front of which every fourth value changes."""
+    mode = ElectricVibrationDynamics(0.0, (20e3,), (0.02,)).state_space()
+    lag = control.ss([[-2e4]], [[2e4]], [[1.0]], [[0.0]])
+    held = np.repeat(np.random.default_rng(4).uniform(0.0, 1.0, 500), 4)
+    wanted = simulate_linear(zoh(mode * lag, PERIOD_S / 4), held, np.zeros(3))
+    # A lag changes by (held - mean) h / T within each part.
+    ends = np.append(simulate_linear(zoh(lag, PERIOD_S / 4), held, np.zeros(1)), 0.0)
+    means = (held - np.diff(ends) / (2e4 * PERIOD_S / 4))[:-1]
+    plain, better = (simulate_linear(zoh(system, PERIOD_S / 4), means, np.zeros(2))
+                     for system in (mode, answering_means(mode, PERIOD_S / 4)))
+    plain_error, error = (np.std(found - wanted[:-1]) for found in (plain, better))
+    assert error < 0.1 * plain_error
+
+
+@pytest.mark.parametrize("rate_per_s", [1.0, 1e3, 1e6])
+def test_the_answer_to_means_keeps_the_gain_at_rest_and_is_bounded(rate_per_s):
+    lag = control.ss([[-rate_per_s]], [[rate_per_s]], [[1.0]], [[0.0]])
+    corrected = answering_means(lag, 1e-3)
+    assert corrected(0.0) == pytest.approx(1.0, abs=1e-12)
+    assert np.abs(simulate_linear(zoh(corrected, 1e-3), np.ones(5), np.zeros(1))).max() < 1.2

@@ -76,14 +76,40 @@ def estimate_density(
         voltage rises.
     """
     parts = played_segments(recording)
+    segments = [segment_of(part, creep, dynamics, delay_s) for part in parts]
+    _check_sign(parts[0].path, segments)
+    return density_of_parts(parts, segments, level_count, cells_per_level, smoothing_weight,
+                            translation_weight, most_levels, near)
+
+
+def density_of_parts(
+    parts: Sequence[Recording], segments: Sequence[HysteresisSegment],
+    level_count: int | None = None, cells_per_level: int = 2,
+    smoothing_weight: float | None = None, translation_weight: float | None = None,
+    most_levels: int = LEVELS, near: DensityEstimate | None = None,
+) -> DensityEstimate:
+    """Estimate the density from what enters and leaves the hysteresis in parts of recordings.
+
+    Parameters
+    ----------
+    parts : sequence of Recording
+        Without gaps.
+    segments : sequence of HysteresisSegment
+        One for each.
+    level_count, cells_per_level, smoothing_weight, translation_weight, most_levels, near
+        As of `estimate_density`.
+
+    Raises
+    ------
+    ValueError
+        If the voltage does not change or never returns.
+    """
     lowest_v = min(part.voltage_v.min() for part in parts)
     highest_v = max(part.voltage_v.max() for part in parts)
     if lowest_v == highest_v:
         raise ValueError(
             f"the voltage of {parts[0].path} is {lowest_v:g} V throughout: give a recording in "
             "which it moves")
-    segments = [_segment(part, creep, dynamics, delay_s) for part in parts]
-    _check_sign(parts[0].path, segments)
     passed = levels_passed(parts, highest_v - lowest_v)
     is_line = passed < FEWEST_LEVELS
     if level_count is None:
@@ -106,9 +132,16 @@ def levels_passed(parts: Sequence[Recording], range_v: float) -> int:
     return int(np.clip(round(range_v / largest_v), 1, LEVELS))
 
 
-def _segment(
+def segment_of(
     part: Recording, creep: CreepDynamics, dynamics: ElectricVibrationDynamics, delay_s: float,
 ) -> HysteresisSegment:
+    """Return what enters and leaves the hysteresis in a part of a recording without gaps.
+
+    Parameters
+    ----------
+    creep, dynamics, delay_s
+        See `hysteresis_output_um`.
+    """
     used = np.arange(part.time_s.size) >= first_settled(dynamics, part.time_s)
     good = good_samples(part)
     if _answers_in_the_next_row(part, dynamics):

@@ -92,9 +92,12 @@ class PlaySum:
         ways = rising[upper + 1] - falling[lower]
         answers_um = _answers(ways, widths) @ self.weights
         everett_um = answers_um + reversible_um[upper + 1] - reversible_um[lower]
-        # What grows with the way in a cell, not with its square, is reversible there.
-        narrow_um = np.maximum(0.0, 4.0 * _answers(
-            0.5 * ways[upper == lower], widths) @ self.weights - answers_um[upper == lower])
+        # A smooth density has half as much in a triangle on the diagonal as in the square beside
+        # it. More is that of plays so narrow that nearly all of it passes on every way through.
+        diagonal = np.flatnonzero(upper == lower)
+        inner_um = answers_um[diagonal]
+        beside_um = answers_um[diagonal[1:] - 1] - inner_um[1:] - inner_um[:-1]
+        narrow_um = np.maximum(0.0, inner_um - 0.5 * np.append(beside_um[:1], beside_um))
         return np.concatenate([everett_um, np.diff(reversible_um) + narrow_um])
 
 

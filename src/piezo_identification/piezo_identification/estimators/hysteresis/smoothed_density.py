@@ -44,10 +44,10 @@ PARTS_OF_CELLS = (1, 2, 4)
 """Parts of a cell along each threshold in which plays may be written: their density is narrow."""
 
 ROUNDED = 0.5
-"""Part of the noise by which half as wide cells may change the output of plays at most."""
+"""Part of the noise by which the cells may err in small loops at most."""
 
-ROWS_OF_PARTS = 2_000
-"""Samples at which that is looked at."""
+SMALL_LOOP = 0.1
+"""Part of the range of the voltage that small loops have."""
 
 
 def smoothed_density(
@@ -240,7 +240,7 @@ def _choice_for(
     plays = fit_plays(segments, levels_v)
     if plays is None:
         return choice or choose_penalties(segments, coarse_v, translation), None, segments, 1
-    parts = _parts_for(segments, levels_v, plays)
+    parts = _parts_for(size, plays)
     relieved = [replace(segment, output_um=segment.output_um - _output_um(
         segment, levels_v, plays, parts)) for segment in segments]
     beside = choose_penalties(
@@ -250,19 +250,30 @@ def _choice_for(
     return choice, None, segments, 1
 
 
-def _parts_for(segments: Sequence[HysteresisSegment], levels_v: FloatArray,
-               plays: PlaySum) -> int:
+def _parts_for(size: int, plays: PlaySum) -> int:
     """Return the parts of a cell in which plays are written as well as in half as wide ones."""
-    stride = max(1, sum(segment.samples.size for segment in segments) // ROWS_OF_PARTS)
-    few = [replace(segment, samples=segment.samples[::stride]) for segment in segments]
-    before = None
-    for place, parts in enumerate(PARTS_OF_CELLS):
-        output_um = np.concatenate([_output_um(segment, levels_v, plays, parts, segment.samples)
-                                    for segment in few])
-        if before is not None and np.std(output_um - before) < ROUNDED * plays.noise_um:
-            return PARTS_OF_CELLS[place - 1]
-        before = output_um
+    for parts in PARTS_OF_CELLS[:-1]:
+        if _rounded_um(plays, parts * size) < ROUNDED * plays.noise_um:
+            return parts
     return PARTS_OF_CELLS[-1]
+
+
+def _rounded_um(plays: PlaySum, size: int) -> float:
+    """Return the error in the middle of the cells that small loops pass, RMS.
+
+    There the Everett function of the cells is the mean of that at their corners.
+    """
+    crossings = size * (2 * size + 1)
+    everett_um = lower_triangle(plays.unknowns(2 * size)[:crossings], 2 * size)
+    errors_um = []
+    for apart in range(1, max(2, round(SMALL_LOOP * size))):
+        # Level 2 a is that of row 2 a - 1.
+        upper = 2 * np.arange(apart, size)
+        lower = upper - 2 * apart
+        corners_um = sum(everett_um[upper + row, lower + column]
+                         for row in (-1, 1) for column in (0, 2))
+        errors_um.append(everett_um[upper, lower + 1] - 0.25 * corners_um)
+    return float(np.sqrt(np.mean(np.concatenate(errors_um) ** 2)))
 
 
 def _output_um(segment: HysteresisSegment, levels_v: FloatArray, plays: PlaySum, parts: int,

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Amplifier of second order, in front of the hysteresis."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import control
+
+from piezo_models.effects.amplifier_lag import AmplifierLag
+from piezo_models.effects.effect import parameter
+from piezo_models.effects.filtering import slowed
+
+
+@dataclass(frozen=True)
+class SecondOrderAmplifier(AmplifierLag):
+    """The voltage at the actuator is that asked for behind 1 / (1 + T s + (Q T s)^2).
+
+    Slow voltages come late by the time constant T, whatever the quality factor Q is. It is 1/2 of
+    two equal lags, 0.71 without overshoot of the amplitude over frequency, and 0 of a single lag.
+    """
+
+    name: ClassVar[str] = "second_order_amplifier"
+    indistinguishable_from: ClassVar[tuple[str, ...]] = ("amplifier_lag", "delay", "sensor_lag")
+
+    quality_factor: float = parameter("1", "logarithm", 0.05, 20.0, default=0.5)
+
+    def lag(self) -> control.StateSpace:
+        """Return the amplifier as a continuous system, as `Effect.lag` describes."""
+        return slowed([1.0], [self.quality_factor**2, 1.0, 1.0], self.time_constant_s)
+
+    def _denominator(self) -> list[float]:
+        time_s: float = self.time_constant_s
+        return [(self.quality_factor * time_s) ** 2, time_s, 1.0]
+
