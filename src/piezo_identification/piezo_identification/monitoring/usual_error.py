@@ -30,8 +30,8 @@ BELIEVED_KINDS, BELIEVED_BLOCKS = 4.0, 3.0
 STATED_SPREAD = 0.7
 """Of the logarithm of an error that a model file states: a factor of two."""
 
-WANDER = 0.25
-"""Spread of the logarithm that is usual without any reason: a quarter more or less."""
+WANDER = 0.3
+"""Spread of the logarithm that is usual without any reason: a third more or less."""
 
 FURTHEST = 4.0
 """Scales by which a block may differ: one that differs by more is learned as if by that."""
