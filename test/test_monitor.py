@@ -81,7 +81,8 @@ def test_the_change_is_suspected_with_its_time_and_its_band(offer, heard):
     suspected = next(status for status in heard if status.level == DiagnosticStatus.WARN)
     told = values(suspected)
     assert abs(float(told["since_s"]) - CHANGE_S) <= 0.2
-    assert CHANGE_S < float(told["suspected_s"]) < CHANGE_S + 0.5
+    assert CHANGE_S < float(told["suspected_s"]) < CHANGE_S + 1.0
+    assert float(told["probability"]) > 0.99
     assert float(told["rms_um"]) > 2.0 * float(told["usual_rms_um"])
     assert told["band_hz"] == "100 to 1000"
     assert "more samples are needed" in suspected.message or "diagnosis runs" in suspected.message

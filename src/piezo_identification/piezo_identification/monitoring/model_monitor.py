@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A model that runs beside the stage, and sequential tests on what it leaves of the measurement.
+"""A model that runs beside the stage, and the evidence that its error has grown.
 
-The residual is cut into blocks. What the blocks have while nothing has changed is learned first: a
-model has errors, and ordinary tracking repeats them. The memory is bounded however long it runs.
+The residual is cut into blocks. How large it usually is, for the motion of a block, is known from
+the model file and learned from all blocks so far; see `usual_error`. Whether it has grown is a sum
+of Bayes factors; see `change_evidence`. The memory is bounded however long it runs.
 """
 
 from collections import deque
@@ -11,28 +12,32 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.monitoring.cusum import Cusum, threshold_of
+from piezo_identification.monitoring.change_evidence import ChangeEvidence
+from piezo_identification.monitoring.slow_offset import SlowOffset
+from piezo_identification.monitoring.usual_error import KnownError, UsualError
 from piezo_models.cascade import StageMemory, StageModel
 from piezo_models.effects import Effect
 
 STATISTICS = {
-    "mean": "the displacement has an offset that the model lacks",
-    "gain": "the displacement is larger or smaller than the model's, in proportion",
-    "lag": "the displacement lags or leads the model's",
-    "scatter": "what the model leaves has another size",
+    "mean": "as an offset",
+    "gain": "in proportion to the motion",
+    "lag": "in proportion to the speed",
+    "scatter": "neither in proportion to the motion nor to the speed",
 }
-"""What each statistic of a block speaks of when it changes."""
-
+"""Parts of the error of a block, of which the largest is reported."""
 
 BAND_EDGES_HZ = (0.0, 10.0, 100.0, 1000.0, np.inf)
-"""Of the bands in which the residual is told to have grown: a decade each."""
+"""Of the bands in which motion and error are taken: a decade each."""
 
-LEAST_OFFSET = 0.1
-"""Part of the usual residual that a deviation of its mean is at least: a creep that the model has
-not quite moves it by less for ever."""
+LEAST_PART = 0.01
+"""Part of the whole motion below which that in a band is alike, and of the travel below which all
+of it is."""
 
 REMEMBERED_BLOCKS = 4096
 """Of which the beginning is remembered, for when a change began."""
+
+HOURS_BETWEEN_CHANGES = 1.0
+"""Expected before anything is measured; the probability of a change follows from it."""
 
 
 @dataclass(frozen=True)
@@ -44,86 +49,77 @@ class MonitorSettings:
     block_s : float
         Length of a block: a few periods of what is tracked, so that blocks are alike.
     learning_blocks : int
-        From which mean and scatter of the statistics are learned.
+        Of a kind of motion, from which its usual error is learned; older ones fade.
     false_alarms_per_hour : float
-        Of all tests together, while nothing has changed.
-    shift : float
-        Change that is found fastest, in standard deviations of a block's statistic.
-    unsure : float
-        Standard deviations of the learned means by which the allowance is widened: what was
-        learned is off by chance, and an endless sum would find it.
+        At most, while nothing has changed.
     alike : float
-        Part of its motion by which a block may differ from the one before. A changed stage
-        moves otherwise under the same voltage, or takes another voltage for the same motion. Where
-        both are others, something else is tracked.
-    patience : int
-        Blocks of something else, one after the other, after which the monitor learns anew.
+        Part by which the motion of blocks of one kind may differ.
     """
 
     block_s: float = 0.2
     learning_blocks: int = 100
-    false_alarms_per_hour: float = 0.1
-    shift: float = 1.5
-    unsure: float = 2.0
+    false_alarms_per_hour: float = 0.01
     alike: float = 0.1
-    patience: int = 5
-
-    @property
-    def allowance(self) -> float:
-        """Return what each sum subtracts from a value, in standard deviations."""
-        return 0.5 * self.shift + self.unsure / float(np.sqrt(self.learning_blocks))
 
     @property
     def threshold(self) -> float:
-        """Return the threshold of each of the one-sided sums."""
-        blocks_an_hour = 3600.0 / self.block_s
-        sums = 2 * len(STATISTICS)
-        return threshold_of(
-            sums * blocks_an_hour / self.false_alarms_per_hour, self.allowance)
+        """Return the logarithm of the Bayes factor at which a change is reported."""
+        return float(np.log(3600.0 / self.block_s / self.false_alarms_per_hour))
+
+    def probability(self, logarithm: float) -> float:
+        """Return how likely a change is, from the logarithm of its Bayes factor."""
+        odds = logarithm - np.log(3600.0 * HOURS_BETWEEN_CHANGES / self.block_s)
+        return float(0.5 * (1.0 + np.tanh(0.5 * odds)))
 
 
 @dataclass(frozen=True)
 class Suspicion:
-    """An alarm of one of the tests.
+    """A change that is reported.
 
     Attributes
     ----------
     statistic : str
-        A key of `STATISTICS`.
+        A key of `STATISTICS`: what most of the error is.
     at_s : float
-        Time of the alarm since the first sample.
+        Time of the report since the first sample.
     since_s : float
         When the change is estimated to have begun.
-    change : float
-        Of the statistic since then at least, in standard deviations of a block; negative where it
-        fell.
     usual_rms_um, rms_um : float
-        Of the residual about its mean, before the change and in the block of the alarm.
+        Error of the model as it is usual for this motion, and in the last block.
+    probability : float
+        That the error has grown, from 0 to 1.
     band_hz : (float, float)
-        In which the power of the residual grew most.
+        In which most of the error lies.
     """
 
     statistic: str
     at_s: float
     since_s: float
-    change: float
-    usual_rms_um: float = 0.0
-    rms_um: float = 0.0
-    band_hz: tuple[float, float] = (0.0, 0.0)
+    usual_rms_um: float
+    rms_um: float
+    probability: float
+    band_hz: tuple[float, float]
 
     def sentence(self) -> str:
-        """Tell what is suspected."""
-        return (f"since {self.since_s:.1f} s {STATISTICS[self.statistic]}: its {self.statistic} "
-                f"changed by {self.change:+.1f} standard deviations of a block")
+        """Say what is suspected."""
+        return (f"since {self.since_s:.1f} s the model errs by {self.rms_um:.3g} um where "
+                f"{self.usual_rms_um:.3g} um are usual, most of it from {self.band_hz[0]:g} to "
+                f"{self.band_hz[1]:g} Hz and {STATISTICS[self.statistic]} "
+                f"(probability {self._probability()})")
+
+    def _probability(self) -> str:
+        return "above 0.9999" if self.probability > 0.9999 else f"{self.probability:.4f}"
 
 
 class ModelMonitor:
-    """Run a model beside the stage, and tell when it no longer fits.
+    """Run a model beside the stage, and report when it no longer fits.
 
     Parameters
     ----------
     memory : StageMemory, optional
         Past of the stage before the first sample; by default it rested at 0 V.
+    known : KnownError, optional
+        Of the model; by default nothing is known, and all is learned.
 
     Raises
     ------
@@ -133,7 +129,7 @@ class ModelMonitor:
 
     def __init__(self, model: StageModel, sample_period_s: float,
                  settings: MonitorSettings | None = None,
-                 memory: StageMemory | None = None) -> None:
+                 memory: StageMemory | None = None, known: KnownError | None = None) -> None:
         for effect in model.effects:
             if effect.remembers and type(effect).advance is Effect.advance and (
                     effect.place not in ("modes", "linear")):
@@ -149,7 +145,9 @@ class ModelMonitor:
         self._waiting_v: list[FloatArray] = []
         self._waiting_um: list[FloatArray] = []
         self._sample = 0
-        self._begin_learning()
+        low_um, high_um = model.hysteresis.output_range_um
+        self._travel_um = float(high_um - low_um)
+        self._begin_learning(known or KnownError())
 
     @property
     def block_samples(self) -> int:
@@ -164,11 +162,11 @@ class ModelMonitor:
 
     @property
     def is_learning(self) -> bool:
-        """Tell whether it still learns what is usual, and raises no alarm."""
-        return self._tests is None
+        """Return whether it has seen too little to know from that what is usual."""
+        return self._blocks < self._settings.learning_blocks
 
     def watch(self, voltage_v: FloatArray, displacement_um: FloatArray) -> list[Suspicion]:
-        """Take the next samples; return the alarms that they raise.
+        """Take the next samples; return the changes that they show.
 
         Parameters
         ----------
@@ -192,6 +190,8 @@ class ModelMonitor:
             For which each voltage is held, where that is not the one of the monitor.
         """
         period_s = sample_period_s or self._period_s
+        for slow in self._slow:
+            slow.begin()
         waiting = np.concatenate([*self._waiting_v, np.empty(0)])
         self._waiting_v.clear()
         self._waiting_um.clear()
@@ -200,7 +200,7 @@ class ModelMonitor:
                 self._advance(voltages_v, held_s)
 
     def begin_anew(self, memory: StageMemory | None = None, sample: int | None = None) -> None:
-        """Learn anew, such as after a gap or where something else is tracked.
+        """Learn anew without what is known of the model, such as after a gap.
 
         Parameters
         ----------
@@ -214,16 +214,13 @@ class ModelMonitor:
             self._memory = memory.copy()
         self._waiting_v.clear()
         self._waiting_um.clear()
-        self._begin_learning()
+        self._begin_learning(KnownError())
 
-    def _begin_learning(self) -> None:
-        self._learned: list[FloatArray] = []
-        self._tests: list[Cusum] | None = None
-        self._usual = self._spread = np.zeros(len(STATISTICS))
-        self._motion: FloatArray | None = None
-        self._powers: list[FloatArray] = []
-        self._unlike = 0
+    def _begin_learning(self, known: KnownError) -> None:
+        self._usual = UsualError(known, len(BAND_EDGES_HZ), self._settings.learning_blocks)
+        self._evidence = ChangeEvidence()
         self._begins: deque[int] = deque(maxlen=REMEMBERED_BLOCKS)
+        self._slow, self._blocks = (SlowOffset(), SlowOffset()), 0
 
     def _next_block(self, waiting: list[FloatArray]) -> FloatArray:
         joined = np.concatenate(waiting)
@@ -240,133 +237,85 @@ class ModelMonitor:
 
     def _watch_block(self, voltage_v: FloatArray,
                      displacement_um: FloatArray) -> list[Suspicion]:
-        begin = self._sample
+        self._begins.append(self._sample)
         simulated_um = self._advance(voltage_v, self._period_s)
         residual_um = displacement_um - simulated_um
-        motion = np.array([motion_of(simulated_um), motion_of(displacement_um)])
+        offset_um, slow_um = (
+            slow.take(float(signal_um.mean()))
+            for slow, signal_um in zip(self._slow, (residual_um, simulated_um), strict=True))
+        motion_um = np.append(np.sqrt(band_powers(simulated_um, self._period_s)), abs(slow_um))
+        features = self._features(simulated_um, motion_um)
+        value = float(np.log(max(np.hypot(np.std(residual_um), offset_um), 1e-12)))
+        expected = self._usual.expected(motion_um, features)
+        change = self._evidence.add(value, expected)
+        self._blocks += 1
+        if change.logarithm < self._settings.threshold:
+            self._usual.take(motion_um, features, value, 1.0 / (1.0 + np.exp(change.logarithm)))
+            return []
+        self._usual.grow(change.factor)
+        self._evidence = ChangeEvidence()
         powers = band_powers(residual_um, self._period_s)
-        if self._tests is None:
-            if self._is_other(motion):
-                self._begin_learning()
-            self._motion = motion
-            self._learn(block_statistics(residual_um, simulated_um), powers)
-            return []
-        if self._is_other(motion):
-            self._unlike += 1
-            if self._unlike >= self._settings.patience:
-                self._begin_learning()
-            return []
-        self._unlike, self._motion = 0, motion  # which creeps
-        self._begins.append(begin)
-        found = (block_statistics(residual_um, simulated_um) - self._usual) / self._spread
-        grown = int(np.argmax(powers - self._power))
-        return [
-            self._suspicion(name, changed, powers, grown)
-            for name, value, test in zip(STATISTICS, found, self._tests, strict=True)
-            if (changed := test.add(float(value)))]
+        most = int(np.argmax(powers))
+        return [Suspicion(
+            largest_part(residual_um, offset_um, simulated_um), self._sample * self._period_s,
+            self._begins[-min(change.blocks, len(self._begins))] * self._period_s,
+            float(np.exp(expected.middle)), float(np.exp(value)),
+            self._settings.probability(change.logarithm),
+            (BAND_EDGES_HZ[most], min(BAND_EDGES_HZ[most + 1], 0.5 / self._period_s)))]
 
-    def _suspicion(self, name: str, changed: int, powers: FloatArray, grown: int) -> Suspicion:
-        since = self._begins[-min(abs(changed), len(self._begins))]
-        least = self._settings.allowance + self._settings.threshold / abs(changed)
-        return Suspicion(
-            name, self._sample * self._period_s, since * self._period_s,
-            float(np.copysign(least, changed)), float(np.sqrt(self._power.sum())),
-            float(np.sqrt(powers.sum())),
-            (BAND_EDGES_HZ[grown], min(BAND_EDGES_HZ[grown + 1], 0.5 / self._period_s)))
+    def _features(self, simulated_um: FloatArray, motion_um: FloatArray) -> FloatArray:
+        """Return what makes a kind of motion, over what is alike: see `UsualError.expected`.
 
-    def _is_other(self, motion: FloatArray) -> bool:
-        """Tell whether both the model and the stage move otherwise than in the block before."""
-        than = self._motion
-        if than is None:
-            return False
-        scale = np.maximum(than[:, 1:2], np.finfo(float).tiny)
-        return bool(np.all(np.any(
-            np.abs(motion - than) > self._settings.alike * scale, axis=1)))
-
-    def _learn(self, found: FloatArray, powers: FloatArray) -> None:
-        self._learned.append(found)
-        self._powers.append(powers)
-        if len(self._learned) == self._settings.learning_blocks:
-            self._end_learning()
-
-    def _end_learning(self) -> None:
-        learned = np.array(self._learned)
-        self._usual = learned.mean(axis=0)
-        self._spread = np.array([long_run_deviation(column) for column in learned.T])
-        self._power = np.mean(self._powers, axis=0)
-        mean = list(STATISTICS).index("mean")
-        self._spread[mean] = max(
-            self._spread[mean], LEAST_OFFSET * float(np.sqrt(self._power.sum())))
-        self._learned, self._powers = [], []
-        threshold, allowance = self._settings.threshold, self._settings.allowance
-        self._tests = [Cusum(threshold, allowance) for _ in STATISTICS]
+        These are position, way, slow departure, motion in the bands, and time in the run.
+        """
+        alike, least_um = self._settings.alike, LEAST_PART * self._travel_um
+        scale_um = alike * np.std(simulated_um) + least_um
+        floor_um = LEAST_PART * (np.std(simulated_um) + least_um)
+        return np.concatenate([
+            np.array([simulated_um.mean(), simulated_um[-1] - simulated_um[0], motion_um[-1]])
+            / scale_um,
+            np.log(motion_um[:-1] + floor_um) / alike, [self._slow[0].age]])
 
 
-def motion_of(displacement_um: FloatArray) -> FloatArray:
-    """Return mean and standard deviation of a block, shape (2,).
+def band_powers(signal_um: FloatArray, sample_period_s: float) -> FloatArray:
+    """Return the mean square of a signal about its mean in the bands of `BAND_EDGES_HZ`.
+
+    Its straight line belongs to the lowest band.
 
     Parameters
     ----------
-    displacement_um : ndarray, shape (N,)
-    """
-    return np.array([displacement_um.mean(), displacement_um.std()])
-
-
-def band_powers(residual_um: FloatArray, sample_period_s: float) -> FloatArray:
-    """Return the mean square of a residual about its mean in the bands of `BAND_EDGES_HZ`.
-
-    Parameters
-    ----------
-    residual_um : ndarray, shape (N,)
+    signal_um : ndarray, shape (N,)
 
     Returns
     -------
     ndarray, shape (4,)
-        In um^2; by Parseval they sum to the variance.
+        In um^2; they sum to the variance.
     """
-    spectrum = np.abs(np.fft.rfft(residual_um - residual_um.mean()) / residual_um.size) ** 2
-    spectrum[1 : (residual_um.size + 1) // 2] *= 2.0
-    frequency_hz = np.fft.rfftfreq(residual_um.size, sample_period_s)
-    return np.histogram(frequency_hz, BAND_EDGES_HZ, weights=spectrum)[0]
+    line = np.linspace(-1.0, 1.0, signal_um.size)
+    slope_um = float(line @ signal_um / (line @ line))
+    left_um = signal_um - signal_um.mean() - slope_um * line
+    spectrum = np.abs(np.fft.rfft(left_um) / left_um.size) ** 2
+    spectrum[1 : (left_um.size + 1) // 2] *= 2.0
+    frequency_hz = np.fft.rfftfreq(left_um.size, sample_period_s)
+    powers = np.histogram(frequency_hz, BAND_EDGES_HZ, weights=spectrum)[0]
+    powers[0] += slope_um**2 * float(np.mean(line**2))
+    return powers
 
 
-def block_statistics(residual_um: FloatArray, simulated_um: FloatArray) -> FloatArray:
-    """Return the statistics of a block in the order of `STATISTICS`, shape (4,).
+def largest_part(residual_um: FloatArray, offset_um: float, simulated_um: FloatArray) -> str:
+    """Return which of `STATISTICS` most of an error is.
 
     Parameters
     ----------
     residual_um, simulated_um : ndarray, shape (N,)
-
-    Returns
-    -------
-    ndarray
-        Mean in um; gain and lag as least squares of the residual on the motion and its
-        derivative a sample; logarithm of the RMS about the mean.
+    offset_um : float
+        Of the residual.
     """
-    moving_um = simulated_um - simulated_um.mean()
-    speed_um = np.gradient(simulated_um)
-    columns = np.column_stack([np.ones(residual_um.size), moving_um, speed_um])
-    mean, gain, lag = np.linalg.lstsq(columns, residual_um, rcond=1e-9)[0]
-    scatter_um = float(np.std(residual_um))
-    return np.array([mean, gain, -lag, np.log(max(scatter_um, 1e-12))])
-
-
-def long_run_deviation(values: FloatArray) -> float:
-    """Return the standard deviation that the sum of many values grows by, root of their number.
-
-    Parameters
-    ----------
-    values : ndarray, shape (N,)
-
-    Returns
-    -------
-    float
-        The standard deviation, widened as far as neighbours are alike (first-order
-        autoregression), and never zero.
-    """
-    left = values - values.mean()
-    power = float(left @ left)
-    if power <= 0.0:
-        return 1e-12
-    alike = min(0.9, max(0.0, float(left[1:] @ left[:-1]) / power))
-    return float(np.std(values, ddof=1) * np.sqrt((1.0 + alike) / (1.0 - alike)))
+    left_um = residual_um - residual_um.mean()
+    powers = {"mean": offset_um**2}
+    for name, shape_um in (("gain", simulated_um), ("lag", np.gradient(simulated_um))):
+        varying_um = shape_um - shape_um.mean()
+        along = float(varying_um @ left_um) / max(float(varying_um @ varying_um), 1e-300)
+        powers[name] = along**2 * float(np.mean(varying_um**2))
+    powers["scatter"] = float(np.mean(left_um**2)) - powers["gain"] - powers["lag"]
+    return max(powers, key=lambda name: powers[name])

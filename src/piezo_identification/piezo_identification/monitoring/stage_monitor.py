@@ -13,6 +13,7 @@ from piezo_identification.monitoring.model_monitor import (
     MonitorSettings,
     Suspicion,
 )
+from piezo_identification.monitoring.usual_error import KnownError
 from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
@@ -48,6 +49,8 @@ class StageMonitor:
         How much of the past is kept for a diagnosis (s).
     rest_voltage_v : float
         At which the stage has rested before the first sample.
+    known : KnownError, optional
+        Of the model; by default nothing is known, and all is learned.
 
     Attributes
     ----------
@@ -62,11 +65,11 @@ class StageMonitor:
 
     def __init__(self, model: StageModel, sample_rate_hz: float,
                  settings: MonitorSettings | None = None, kept_s: float = 10.0,
-                 rest_voltage_v: float = 0.0) -> None:
+                 rest_voltage_v: float = 0.0, known: KnownError | None = None) -> None:
         self._model, self._rest_voltage_v = model, rest_voltage_v
         self.sample_rate_hz = sample_rate_hz
         self._monitor = ModelMonitor(
-            model, 1.0 / sample_rate_hz, settings, model.memory(rest_voltage_v))
+            model, 1.0 / sample_rate_hz, settings, model.memory(rest_voltage_v), known)
         self._size = self._monitor.block_samples
         self._pieces: deque[_Piece] = deque(
             maxlen=max(2, round(kept_s * sample_rate_hz / self._size)))
@@ -79,7 +82,7 @@ class StageMonitor:
 
     @property
     def is_learning(self) -> bool:
-        """Tell whether it still learns what is usual, and raises no alarm."""
+        """Return whether it has seen too little to know from that what is usual."""
         return self._monitor.is_learning
 
     @property

@@ -15,6 +15,7 @@ from std_msgs.msg import String
 from piezo_identification.monitoring.explain_change import Explainer
 from piezo_identification.monitoring.model_monitor import MonitorSettings, Suspicion
 from piezo_identification.monitoring.stage_monitor import StageMonitor
+from piezo_identification.monitoring.usual_error import known_error
 from piezo_models.model_file import load_model
 from piezo_ros.diagnostics import diagnostic
 from piezo_ros.parameters import declare, declare_data_root
@@ -36,10 +37,10 @@ class MonitorNode(LifecycleNode):
                             "is tested: a few periods of what is tracked (s).", 0.001, 60.0),
             learning_blocks=declare(
                 self, "learning_blocks", defaults.learning_blocks,
-                "Blocks of which it is learned what is usual.", 10, 100_000),
+                "Blocks of a kind of motion of which it is learned what is usual.", 10, 100_000),
             false_alarms_per_hour=declare(
                 self, "false_alarms_per_hour", defaults.false_alarms_per_hour,
-                "False alarms while nothing changes (1/h).", 1e-6, 100.0))
+                "Most false alarms while nothing changes (1/h).", 1e-6, 100.0))
         self._kept_s = declare(self, "kept_s", 10.0, "How much of the past is kept for a "
                                "diagnosis (s).", 0.1, 600.0)
         self._diagnosed_s = declare(
@@ -87,6 +88,7 @@ class MonitorNode(LifecycleNode):
         if self._explainer is not None:
             self._explainer.end()
         self._first: Suspicion | None = None
+        self._last: Suspicion | None = None
         self._explainer = None
         self._offer: ExtendedModel | None = None
         self._found = ""
@@ -104,9 +106,10 @@ class MonitorNode(LifecycleNode):
         if not (self._active and self._model_path and described):
             return
         try:
+            identified = load_model(self._model_path)
             self._monitor = StageMonitor(
-                load_model(self._model_path).model, described.sample_rate_hz, self._settings,
-                self._kept_s, described.rest_voltage_v)
+                identified.model, described.sample_rate_hz, self._settings, self._kept_s,
+                described.rest_voltage_v, known_error(identified))
         except ValueError as error:
             self._why_blind = str(error)
             self.get_logger().error(f"cannot watch the stage: {error}")
@@ -120,9 +123,10 @@ class MonitorNode(LifecycleNode):
         raised = monitor.take(
             block.first_sample, block.sample_period_s, np.frombuffer(block.voltage_v),
             np.frombuffer(block.displacement_um), block.flags)
-        if raised and self._first is None:
-            self._first = raised[0]
-            self.get_logger().warning(f"the model no longer fits: {self._first.sentence()}")
+        if raised:
+            self._last = raised[-1]
+            self._first = self._first or raised[0]
+            self.get_logger().warning(f"the model no longer fits: {self._last.sentence()}")
             self._tell()
         if self._first and self._diagnosed_s and not (self._explainer or self._found):
             wanted = self._diagnosed_s * monitor.sample_rate_hz
@@ -166,12 +170,12 @@ class MonitorNode(LifecycleNode):
         if self._monitor is not None:
             values["lost_samples"] = self._monitor.lost_samples
             values["watched_until_s"] = f"{self._monitor.watched_until_s:.3f}"
-        if (first := self._first) is not None:
+        if (last := self._last) is not None:
             values |= {
-                "since_s": f"{first.since_s:.3f}", "suspected_s": f"{first.at_s:.3f}",
-                "statistic": first.statistic, "change": f"{first.change:+.2f}",
-                "usual_rms_um": f"{first.usual_rms_um:.6f}", "rms_um": f"{first.rms_um:.6f}",
-                "band_hz": "{:g} to {:g}".format(*first.band_hz), "found": self._found}
+                "since_s": f"{last.since_s:.3f}", "suspected_s": f"{last.at_s:.3f}",
+                "statistic": last.statistic, "probability": f"{last.probability:.6f}",
+                "usual_rms_um": f"{last.usual_rms_um:.6f}", "rms_um": f"{last.rms_um:.6f}",
+                "band_hz": "{:g} to {:g}".format(*last.band_hz), "found": self._found}
         if self._offer is not None:
             values["extended_model"] = self._offer.extended_model
         self._diagnostics.publish(diagnostic(self, "model", level, message, values))
@@ -181,13 +185,13 @@ class MonitorNode(LifecycleNode):
             return DiagnosticStatus.OK, "not active: activate it first"
         if self._monitor is None:
             return DiagnosticStatus.STALE, self._why_blind
-        if self._first is None:
+        if self._last is None:
             learning = "learns what is usual" if self._monitor.is_learning else "the model fits"
             return DiagnosticStatus.OK, learning
         done = ("an extended model is offered: accept_extended_model" if self._offer
                 else "a diagnosis runs" if self._explainer
                 else "no model explains it" if self._found else "more samples are needed")
-        return DiagnosticStatus.WARN, f"{self._first.sentence()}; {done}"
+        return DiagnosticStatus.WARN, f"{self._last.sentence()}; {done}"
 
 
 def main(args: list[str] | None = None) -> None:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How soon the monitor finds a change of the stage, and how often it errs in an hour without."""
+"""How soon the monitor finds that a model's error doubled, and how often it errs in ten hours."""

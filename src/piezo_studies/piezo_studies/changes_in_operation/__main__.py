@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Change the stage while a model watches it, and write the table into docs/diagnosis.md."""
+"""Watch a stage of another form than its model, then change it; write docs/diagnosis.md."""
 
 import argparse
 from pathlib import Path
 
 from piezo_common.marked_sections import with_sections
-from piezo_studies.changes_in_operation.watched import CHANGES, HOUR_S, table, watch
-from piezo_studies.thesis.identified_stage import identified_stage
+from piezo_sim.plant.plant_file import read_plant
+from piezo_studies.changes_in_operation.doubled import CHANGES, table, watch_doubling
+from piezo_studies.changes_in_operation.identified_beam import PLANT, identified_beam
+from piezo_studies.changes_in_operation.references import KINDS
+from piezo_studies.changes_in_operation.watched import WatchedStage, watch_unchanged
 
 SECTION = "changes in operation"
 """Mark of the table in the page."""
@@ -23,13 +26,23 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="changes_in_operation", description=__doc__)
     parser.add_argument("--page", type=Path, default=Path("docs/diagnosis.md"),
                         help="page whose table is written anew; its text stays")
+    parser.add_argument("--output", type=Path, default=Path("runs/changes-in-operation"),
+                        help="folder of the model; one that it has is taken as it is")
+    parser.add_argument("--hours", type=float, default=10.0,
+                        help="time of the stage in which nothing changes")
     options = parser.parse_args(arguments)
-    model = identified_stage()
-    runs = [watch(model, change, seed) for seed, change in enumerate(CHANGES, start=1)]
-    runs.append(watch(model, "", 0, HOUR_S))
+    watched = WatchedStage(read_plant(PLANT), identified_beam(options.output))
+    at_first = watched.copy()
+    reports = watch_unchanged(watched, options.hours)
+    for report in reports:
+        print(f"{report.kind}: {report.suspicion.sentence()}")
+    rows = [(change, *([watch_doubling(stage, kind, change) for kind in KINDS]
+                       for stage in (watched, at_first))) for change in CHANGES]
+    lines = (f"Suspicions in {options.hours:g} h in which nothing changed: {len(reports)}.\n\n"
+             + table(rows))
     text = options.page.read_text(encoding="utf-8")
-    options.page.write_text(with_sections(text, {SECTION: table(runs)}), encoding="utf-8")
-    print(table(runs))
+    options.page.write_text(with_sections(text, {SECTION: lines}), encoding="utf-8")
+    print(lines)
 
 
 if __name__ == "__main__":

@@ -1,104 +1,128 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The simulated stage with a change at a time, tracked by feedforward and watched by a model."""
+"""A simulated stage of another form than its model, tracked by feedforward and watched."""
 
-from dataclasses import dataclass
+from copy import deepcopy
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from piezo_controller.references.reference import Reference
-from piezo_controller.tracking.tracking_modes import StageClock, plan_mode
+from piezo_common.arrays import FloatArray
 from piezo_identification.monitoring.model_monitor import Suspicion
 from piezo_identification.monitoring.stage_monitor import StageMonitor
-from piezo_models.cascade import StageModel
+from piezo_identification.monitoring.usual_error import known_error
+from piezo_models.identified_model import IdentifiedModel
 from piezo_recorder.sample_block import Flag
-from piezo_sim.effects.loaded_mode import LoadedMode
-from piezo_sim.effects.placement import add_effect
-from piezo_sim.effects.switched_heat import SwitchedHeat
-from piezo_sim.plant.plant_effect import Effect
-from piezo_sim.plant.plant_file import read_plant
+from piezo_sim.plant.plant_file import PlantConfig
 from piezo_sim.simulated_stage import SimulatedStage
+from piezo_studies.changes_in_operation.references import CLOCK, KINDS, RUN_S, plan_of
 
-CLOCK = StageClock(sample_rate_hz=4000.0, samples_per_tick=4)
-"""A tenth of the usual clock: an hour of it is computed in a minute."""
-
-REFERENCE = Reference("multi_frequency", (10.0, 170.0), (40.0, 4.0), (0.0, 1.0), 57.0)
-CHANGE_S = 30.0
-AFTER_S = 60.0
-HOUR_S = 3600.0
 PART_SAMPLES = 4000
-_MODE = 2846.0, 0.68535
+BACK_S, REST_S = 0.1, 0.15
+"""Of the way back from a run to 0 V, and of the rest there."""
 
-CHANGES: dict[str, Effect] = {
-    "first mode 3 % faster": LoadedMode(*_MODE, 1.03**-2 - 1.0, 0.0, CHANGE_S),
-    "load: a mass of 5 % of the first mode's": LoadedMode(*_MODE, 0.05, 0.0, CHANGE_S),
-    "load: a spring of 0.5 % of the first mode's": LoadedMode(*_MODE, 0.0, 0.005, CHANGE_S),
-    "drift that begins with 2 nm/s": SwitchedHeat(0.2, 100.0, CHANGE_S),
-}
+LATER_KINDS = 5
+"""Kinds of references that are tracked in the second half only."""
 
 
 @dataclass(frozen=True)
-class Watched:
-    """What the monitor said of one run.
+class Report:
+    """A suspicion while nothing changed.
 
     Attributes
     ----------
-    change : str
-        Empty for none.
-    watched_s : float
-        Stage time of the run.
+    kind : str
+        Of the reference.
+    suspicion : Suspicion
     """
 
-    change: str
-    watched_s: float
-    raised: tuple[Suspicion, ...]
-
-    @property
-    def false_alarms(self) -> int:
-        """Count the alarms before the change, or all without one."""
-        return sum(not self.change or found.at_s < CHANGE_S for found in self.raised)
-
-    @property
-    def found(self) -> list[Suspicion]:
-        """Return the alarms at the time of the first one since the change."""
-        later = [found for found in self.raised if found.at_s >= CHANGE_S]
-        return [found for found in later if found.at_s == later[0].at_s]
+    kind: str
+    suspicion: Suspicion
 
 
-def watch(model: StageModel, change: str, seed: int, duration_s: float = 0.0) -> Watched:
-    """Track with a model's feedforward, and let it watch.
+@dataclass(eq=False)
+class WatchedStage:
+    """A stage, its monitor, and the sample that comes next.
+
+    Attributes
+    ----------
+    plant : PlantConfig
+    identified : IdentifiedModel
+    seed : int
+        Of the sensor's noise.
+    """
+
+    plant: PlantConfig
+    identified: IdentifiedModel
+    seed: int = 1
+    stage: SimulatedStage = field(init=False)
+    monitor: StageMonitor = field(init=False)
+    next_sample: int = 0
+
+    def __post_init__(self) -> None:
+        self.stage = opened(self.plant, self.seed)
+        self.monitor = StageMonitor(self.identified.model, CLOCK.sample_rate_hz,
+                                    known=known_error(self.identified))
+
+    def copy(self) -> "WatchedStage":
+        """Return the same stage with the same monitor, to go on with independently."""
+        return deepcopy(self, {id(self.identified): self.identified})
+
+    def play(self, voltage_v: FloatArray, added_um: FloatArray | None = None,
+             flags: int = int(Flag.TRACKING)) -> list[Suspicion]:
+        """Play voltages and return what is suspected.
+
+        Parameters
+        ----------
+        voltage_v : ndarray, shape (N,)
+        added_um : ndarray, shape (N,), optional
+            By which a changed stage is elsewhere.
+        """
+        raised: list[Suspicion] = []
+        for begin in range(0, voltage_v.size, PART_SAMPLES):
+            part = slice(begin, begin + PART_SAMPLES)
+            measured_um = np.asarray(self.stage.exchange(voltage_v[part]))
+            if added_um is not None:
+                measured_um = measured_um + added_um[part]
+            raised += self.monitor.take(self.next_sample, CLOCK.sample_period_s, voltage_v[part],
+                                        measured_um, flags)
+            self.next_sample += measured_um.size
+        return raised
+
+    def run(self, kind: str, draw: int) -> list[Suspicion]:
+        """Track a reference from rest to rest; return what is suspected."""
+        voltage_v = plan_of(kind, self.identified.model, draw).voltage_v(0, samples(RUN_S))
+        raised = self.play(voltage_v)
+        self.play(np.append(np.linspace(voltage_v[-1], 0.0, samples(BACK_S)),
+                            np.zeros(samples(REST_S))), flags=0)
+        return raised
+
+
+def opened(plant: PlantConfig, seed: int) -> SimulatedStage:
+    """Return a simulated stage at rest."""
+    stage = SimulatedStage(plant, seed, CLOCK.sample_rate_hz)
+    stage.open()
+    return stage
+
+
+def samples(duration_s: float) -> int:
+    """Return how many samples of the clock a time has."""
+    return round(duration_s * CLOCK.sample_rate_hz)
+
+
+def watch_unchanged(watched: WatchedStage, hours: float, seed: int = 0) -> list[Report]:
+    """Track references in random order on a stage that does not change.
 
     Parameters
     ----------
-    change : str
-        Of `CHANGES`; empty for none.
+    hours : float
+        Time of the stage; the last kinds of references are tracked in its second half only.
     seed : int
-        Of the sensor's noise.
-    duration_s : float
-        0 for as long as the change is looked for.
+        Of the order.
     """
-    duration_s = duration_s or CHANGE_S + AFTER_S
-    plant = read_plant()
-    plan = plan_mode("feedforward", REFERENCE, model, CLOCK, duration_s)
-    stage = SimulatedStage(
-        add_effect(plant, CHANGES[change]) if change else plant, seed, CLOCK.sample_rate_hz)
-    stage.open()
-    monitor = StageMonitor(model, CLOCK.sample_rate_hz)
-    raised: list[Suspicion] = []
-    for first in range(0, round(duration_s * CLOCK.sample_rate_hz), PART_SAMPLES):
-        voltage_v = plan.voltage_v(first, PART_SAMPLES)
-        displacement_um = np.asarray(stage.exchange(voltage_v))
-        raised += monitor.take(first, CLOCK.sample_period_s, voltage_v, displacement_um,
-                               int(Flag.TRACKING))
-    return Watched(change, duration_s, tuple(raised))
-
-
-def table(runs: list[Watched]) -> str:
-    """Return the rows of runs as Markdown."""
-    rows = ["| change after 30 s | found after | by | false alarms |", "|---|---|---|---|"]
-    for run in runs:
-        found = run.found if run.change else []
-        after = f"{found[0].at_s - CHANGE_S:.1f} s" if found else "not found" if run.change else "-"
-        by = ", ".join(one.statistic for one in found) or "-"
-        name = run.change or f"none, in {run.watched_s / 60.0:g} min"
-        rows.append(f"| {name} | {after} | {by} | {run.false_alarms} |")
-    return "\n".join(rows) + "\n"
+    random, kinds = np.random.default_rng(seed), list(KINDS)
+    runs, reports = round(3600.0 * hours / RUN_S), []
+    for number in range(runs):
+        known = kinds if 2 * number >= runs else kinds[:-LATER_KINDS]
+        kind = known[random.integers(len(known))]
+        reports += [Report(kind, found) for found in watched.run(kind, int(random.integers(100)))]
+    return reports

@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How large a model's error usually is for a kind of motion, and how surely that is known.
+
+The square of the error is the noise's and a part of the motion's in each band; these parts are
+known from the model file, and better from all that was tracked so far. A kind of motion differs
+from that by a factor of its own, and each of its blocks by another one. Both are log-normal with
+spreads that are pooled over all kinds (A. Gelman et al., Bayesian Data Analysis, 2013, chapter 5),
+so that a kind that was never seen is expected as widely as kinds differ, and one that was seen as
+narrowly as its blocks do.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from piezo_common.arrays import FloatArray
+from piezo_models.identified_model import IdentifiedModel
+
+KINDS = 512
+"""Of motion that are remembered; the one that was not met for longest is forgotten first."""
+
+BETWEEN, WITHIN = 0.5, 0.2
+"""Spreads of the logarithm from kind to kind and from block to block before any were seen."""
+
+BELIEVED_KINDS, BELIEVED_BLOCKS = 4.0, 3.0
+"""Kinds, and blocks of a kind, for which these spreads, and later the pooled ones, count."""
+
+STATED_SPREAD = 0.7
+"""Of the logarithm of an error that a model file states: a factor of two."""
+
+WANDER = 0.3
+"""Spread of the logarithm that is usual without any reason: a third more or less."""
+
+FURTHEST = 4.0
+"""Scales by which a block may differ: one that differs by more is learned as if by that."""
+
+STEPS = 3
+"""Of Gauss and Newton at most whenever a kind joins: the parts are nearly right before."""
+
+
+@dataclass(frozen=True)
+class KnownError:
+    """What is known of a model's error before it is watched.
+
+    Attributes
+    ----------
+    part_of_motion : float
+        RMS of the error over that of the motion.
+    noise_um : float
+        Of the sensor, RMS.
+    spread : float
+        Standard deviation of the logarithms of both.
+    """
+
+    part_of_motion: float = 3e-3
+    noise_um: float = 0.01
+    spread: float = 3.0
+
+
+def known_error(identified: IdentifiedModel) -> KnownError:
+    """Return what a model file states of the model's error.
+
+    That is its error on unseen data, or on the data it was fitted to where there is none, and the
+    least noise of its recordings.
+    """
+    stated = list(_stated_percent(identified.errors)) or [
+        part["error_percent"] for part in identified.adequacy.values()
+        if part.get("error_percent")]
+    noise_um = [part["noise_rms_um"] for part in identified.adequacy.values()
+                if part.get("noise_rms_um")]
+    if not stated:
+        return KnownError()
+    unknown = KnownError()
+    return KnownError(float(np.max(stated)) / 100.0, min(noise_um, default=unknown.noise_um),
+                      STATED_SPREAD)
+
+
+def _stated_percent(errors: Mapping[str, Any]) -> Iterator[float]:
+    """Yield the relative errors of the whole motion in a tree of errors."""
+    for name, value in errors.items():
+        if isinstance(value, Mapping):
+            yield from _stated_percent(value)
+        elif name == "e_y_percent" and value > 0.0:
+            yield float(value)
+
+
+@dataclass(eq=False)
+class _Kind:
+    """A kind of motion with the logarithms of its errors: their number, mean and squares about it.
+
+    Attributes
+    ----------
+    features : ndarray, shape (F,)
+    motion_um : ndarray, shape (B,)
+        RMS of the motion in each band.
+    """
+
+    features: FloatArray
+    motion_um: FloatArray
+    blocks: float = 0.0
+    mean: float = 0.0
+    squares: float = 0.0
+    met: int = field(default=0)
+
+    def take(self, value: float, weight: float, most: int) -> None:
+        """Take the logarithm of a block's error; what is older than so many blocks fades."""
+        if self.blocks > most - weight:
+            self.squares *= (most - weight) / self.blocks
+            self.blocks = most - weight
+        self.blocks += weight
+        away = value - self.mean
+        self.mean += away * weight / self.blocks
+        self.squares += weight * away * (value - self.mean)
+
+
+@dataclass(frozen=True)
+class Expected:
+    """The logarithm of a block's error (um) as it is expected: a Student distribution.
+
+    Attributes
+    ----------
+    middle, scale, freedom : float
+    """
+
+    middle: float
+    scale: float
+    freedom: float
+
+
+class UsualError:
+    """What size the error of a model has, by the kind of motion.
+
+    Parameters
+    ----------
+    known : KnownError
+    bands : int
+        In which the motion is divided.
+    memory : int
+        Blocks of a kind after which older ones fade.
+    """
+
+    def __init__(self, known: KnownError, bands: int, memory: int) -> None:
+        self._memory = memory
+        self._begin(np.log(np.append(np.full(bands, known.part_of_motion), known.noise_um)),
+                    known.spread)
+
+    def _begin(self, parts: FloatArray, spread: float) -> None:
+        """Begin with logarithms of the parts that are known to within a spread."""
+        self._prior, self._prior_spread = parts, spread
+        self._parts, self._covariance = parts.copy(), spread**2 * np.eye(parts.size)
+        self._kinds: list[_Kind] = []
+        self._met, self._unseen = 0, 0
+        self._between, self._within = BETWEEN, WITHIN
+
+    def expected(self, motion_um: FloatArray, features: FloatArray) -> Expected:
+        """Return how large the error of a block is expected.
+
+        Parameters
+        ----------
+        motion_um : ndarray, shape (B,)
+            RMS of the motion in each band.
+        features : ndarray, shape (F,)
+            Two blocks are of one kind where none of them differs by more than one.
+        """
+        kind = self._kind(features)
+        # From all others, where the kind is new; with it, as many blocks as that is worth.
+        middles, slopes = self._from_motion((motion_um if kind is None else kind.motion_um)[None])
+        middle, slope = float(middles[0]), slopes[0]
+        between = self._between**2 + float(slope @ self._covariance @ slope)
+        if kind is None:
+            # Kinds that are met for the first time one after the other err alike: all count once.
+            between *= 1.0 + self._unseen
+            return _wandering(middle, between + self._within**2, BELIEVED_BLOCKS)
+        freedom = BELIEVED_BLOCKS + kind.blocks - 1.0
+        variance = (BELIEVED_BLOCKS * self._within**2 + kind.squares) / freedom
+        worth = variance / between
+        return _wandering(
+            (worth * middle + kind.blocks * kind.mean) / (worth + kind.blocks),
+            variance * (1.0 + 1.0 / (worth + kind.blocks)), freedom)
+
+    def take(self, motion_um: FloatArray, features: FloatArray, value: float,
+             weight: float) -> None:
+        """Learn from the logarithm of a block's error (um).
+
+        Parameters
+        ----------
+        weight : float
+            Of the block, from 0 to 1, if its kind was met before.
+        """
+        expected, kind = self.expected(motion_um, features), self._kind(features)
+        is_new = kind is None
+        if kind is None:
+            if len(self._kinds) == KINDS:
+                self._kinds.remove(min(self._kinds, key=lambda each: each.met))
+            kind = _Kind(features, motion_um)
+            self._kinds.append(kind)
+            self._features = np.array([each.features for each in self._kinds])
+        self._met += 1
+        self._unseen = self._unseen + 1 if is_new else self._unseen // 2
+        kind.met = self._met
+        furthest = FURTHEST * expected.scale
+        kind.take(float(np.clip(value, expected.middle - furthest, expected.middle + furthest)),
+                  1.0 if is_new else weight, self._memory)
+        if is_new or self._met % self._memory == 0:
+            self._pool()
+
+    def grow(self, factor: float) -> None:
+        """Expect larger errors from now on; by how much for which kind is to be learned."""
+        growth = float(np.log(factor))
+        self._begin(self._parts + growth, growth)
+
+    def _kind(self, features: FloatArray) -> _Kind | None:
+        """Return the kind that is nearest, if it is near."""
+        if not self._kinds:
+            return None
+        away = np.abs(self._features - features).max(axis=1)
+        nearest = int(np.argmin(away))
+        return self._kinds[nearest] if away[nearest] <= 1.0 else None
+
+    def _from_motion(self, motion_um: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the logarithms of the errors of motions (K, B), and their slopes by the parts."""
+        powers = np.exp(2.0 * self._parts) * np.column_stack(
+            [motion_um**2, np.ones(len(motion_um))])
+        total = powers.sum(axis=1)
+        return 0.5 * np.log(total), powers / total[:, None]
+
+    def _pool(self) -> None:
+        """Estimate the parts and the spreads from all kinds."""
+        motion_um = np.array([kind.motion_um for kind in self._kinds])
+        means, blocks, squares = np.array(
+            [(kind.mean, kind.blocks, kind.squares) for kind in self._kinds]).T
+        repeated = blocks > 1.0
+        # Each kind counts once: those that go on for long do not speak for the others.
+        self._within = float(np.sqrt(
+            (BELIEVED_KINDS * WITHIN**2 + np.sum(squares[repeated] / (blocks[repeated] - 1.0)))
+            / (BELIEVED_KINDS + np.count_nonzero(repeated))))
+        weights = 1.0 / (self._between**2 + self._within**2 / blocks)
+        for _ in range(STEPS):
+            middles, slopes = self._from_motion(motion_um)
+            normal = (slopes * weights[:, None]).T @ slopes
+            self._covariance = np.linalg.inv(
+                normal + np.eye(self._prior.size) / self._prior_spread**2)
+            step = self._covariance @ (
+                slopes.T @ (weights * (means - middles))
+                + (self._prior - self._parts) / self._prior_spread**2)
+            self._parts = self._parts + np.clip(step, -1.0, 1.0)
+        left = means - self._from_motion(motion_um)[0]
+        fitted = float(np.trace(self._covariance @ normal))
+        self._between = float(np.sqrt(
+            (BELIEVED_KINDS * BETWEEN**2 + left @ left)
+            / (BELIEVED_KINDS + max(left.size - fitted, 0.0))))
+
+
+def _wandering(middle: float, variance: float, freedom: float) -> Expected:
+    """Add `WANDER`, with the degrees of freedom of Satterthwaite (1946)."""
+    whole = variance + WANDER**2
+    return Expected(middle, float(np.sqrt(whole)), freedom * (whole / variance) ** 2)

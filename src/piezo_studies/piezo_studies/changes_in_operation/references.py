@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Twenty kinds of references within the travel of the simulated stages, and their feedforward."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from piezo_controller.feedforward.periodic import FeedforwardPlan, plan_feedforward
+from piezo_controller.references.reference import Reference, sample_reference, trajectory
+from piezo_controller.references.smooth_rise import minimum_jerk
+from piezo_controller.tracking.tracking_modes import StageClock
+from piezo_models.cascade import StageModel
+
+CLOCK = StageClock(sample_rate_hz=4000.0, samples_per_tick=4)
+"""A tenth of the usual clock: an hour of it is computed in seconds."""
+
+RUN_S = 60.0
+"""Of one reference, from its approach on."""
+
+PERIOD_S, FADE_S = 20.0, 0.5
+"""Of a random reference that is faded in and out; each has a few of them, one after the other."""
+
+DRAWS = 5
+"""Random references of a kind."""
+
+KINDS: dict[str, Reference] = {
+    "sine 0.5 Hz, 80 um": Reference("harmonic", (0.5,), (80.0,), centre_um=57.0),
+    "sine 1 Hz, 20 um": Reference("harmonic", (1.0,), (20.0,), centre_um=30.0),
+    "sine 7 Hz, 40 um": Reference("harmonic", (6.25,), (40.0,), centre_um=60.0),
+    "sine 10 Hz, 60 um": Reference("harmonic", (10.0,), (60.0,), centre_um=57.0),
+    "sine 50 Hz, 10 um": Reference("harmonic", (50.0,), (10.0,), centre_um=80.0),
+    "sine 100 Hz, 20 um": Reference("harmonic", (100.0,), (20.0,), centre_um=50.0),
+    "sine 200 Hz, 4 um": Reference("harmonic", (200.0,), (4.0,), centre_um=40.0),
+    "sine 400 Hz, 2 um": Reference("harmonic", (400.0,), (2.0,), centre_um=57.0),
+    "10 and 170 Hz": Reference("multi_frequency", (10.0, 170.0), (40.0, 4.0), (0.0, 1.0), 57.0),
+    "50, 400 and 750 Hz": Reference(
+        "multi_frequency", (50.0, 400.0, 750.0), (20.0, 8.0, 4.0), centre_um=57.0),
+    "1, 3 and 9 Hz": Reference("multi_frequency", (1.0, 3.0, 9.0), (30.0, 15.0, 8.0),
+                               centre_um=50.0),
+    "triangle 0.1 Hz, 60 um": Reference("triangle", (0.1,), (60.0,), centre_um=57.0),
+    "triangle 1 Hz, 50 um": Reference("triangle", (1.0,), (50.0,), centre_um=57.0),
+    "triangle 8 Hz, 30 um": Reference("triangle", (8.0,), (30.0,), centre_um=70.0),
+    "triangle 25 Hz, 5 um": Reference("triangle", (25.0,), (5.0,), centre_um=35.0),
+    "raster 5 Hz, fast axis": Reference("raster", (5.0,), (40.0,), centre_um=57.0, lines=64),
+    "raster 10 Hz, slow axis": Reference(
+        "raster", (10.0,), (20.0,), centre_um=45.0, axis="slow", lines=64),
+    "random to 5 Hz": Reference("random", (0.0, 5.0), (60.0,), centre_um=57.0),
+    "random to 40 Hz": Reference("random", (0.0, 40.0), (40.0,), centre_um=57.0),
+    "random 100 to 300 Hz": Reference("random", (100.0, 300.0), (10.0,), centre_um=57.0),
+}
+
+
+@cache
+def plan_of(kind: str, model: StageModel, draw: int) -> FeedforwardPlan:
+    """Plan a run of a kind of reference.
+
+    Parameters
+    ----------
+    kind : str
+        Of `KINDS`.
+    draw : int
+        Of a random reference; others are always the same.
+    """
+    reference = KINDS[kind]
+    if reference.kind == "random":
+        samples = round(PERIOD_S * CLOCK.sample_rate_hz)
+        period_um = trajectory(
+            replace(reference, seed=draw % DRAWS), CLOCK.sample_rate_hz).sample(0, samples)
+        rise = minimum_jerk(round(FADE_S * CLOCK.sample_rate_hz))
+        fade = np.concatenate([rise, np.ones(samples - 2 * rise.size), rise[::-1]])
+        period_um = reference.centre_um + fade * (period_um - reference.centre_um)
+    else:
+        period_um = sample_reference(reference, CLOCK.sample_rate_hz)
+    return plan_feedforward(
+        period_um, model, voltage_range_v=CLOCK.voltage_range_v,
+        slew_limit_v_per_s=CLOCK.slew_limit_v_per_s, sample_period_s=CLOCK.sample_period_s,
+        start_voltage_v=CLOCK.rest_voltage_v, duration_s=RUN_S)
