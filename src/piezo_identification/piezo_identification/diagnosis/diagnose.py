@@ -16,6 +16,7 @@ import numpy as np
 from piezo_common.progress_part import Progress, part_of
 from piezo_identification.diagnosis.comparison.criteria import is_noise
 from piezo_identification.diagnosis.comparison.measures_of_fits import lack_of_fit
+from piezo_identification.diagnosis.comparison.reasons import Reason, Undecided
 from piezo_identification.diagnosis.comparison.selection import (
     Selection,
     left_rms_um,
@@ -57,7 +58,6 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
 from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
 from piezo_identification.diagnosis.joint.probabilities import SOMETHING_ELSE
 from piezo_identification.diagnosis.joint.remainder import HeldToNoise, held_to_noise
-from piezo_identification.diagnosis.reasons import Reason, Undecided
 from piezo_identification.diagnosis.verdict import Verdict
 from piezo_identification.fitting.dataset import simulate_recordings
 from piezo_identification.fitting.regression import Fit, Regression, first_regression

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from piezo_common.summary_table import SummaryTable
-from piezo_identification.diagnosis.reasons import Reason
+from piezo_identification.diagnosis.comparison.reasons import Reason
 from piezo_identification.diagnosis.verdict_view import (
     draw_verdict,
     summary_of_verdict,

@@ -14,7 +14,7 @@ from piezo_identification.diagnosis.comparison.measures_of_fits import (
     significance,
     visible_part,
 )
-from piezo_identification.diagnosis.reasons import OTHER_PARAMETERS, Reason, Undecided
+from piezo_identification.diagnosis.comparison.reasons import OTHER_PARAMETERS, Reason, Undecided
 from piezo_identification.fitting.effect_fit import fit_one_more, impossible_effects
 from piezo_identification.fitting.recording_evidence import recording_evidence
 from piezo_identification.fitting.regression import Fit, Regression

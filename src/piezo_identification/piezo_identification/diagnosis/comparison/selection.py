@@ -17,12 +17,12 @@ from piezo_identification.diagnosis.comparison.criteria import (
     simplest_first,
 )
 from piezo_identification.diagnosis.comparison.measures_of_fits import lack_of_fit, mean_square
+from piezo_identification.diagnosis.comparison.reasons import Undecided
 from piezo_identification.diagnosis.comparison.undecided import (
     explained_by_parameters,
     in_place_of_the_found,
     like_the_best,
 )
-from piezo_identification.diagnosis.reasons import Undecided
 from piezo_identification.fitting.effect_fit import fit_effects, impossible_effects
 from piezo_identification.fitting.regression import (
     Fit,

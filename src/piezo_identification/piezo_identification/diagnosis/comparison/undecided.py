@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.diagnosis.comparison.criteria import CRITERIA, is_indistinguishable
 from piezo_identification.diagnosis.comparison.measures_of_fits import lack_of_fit
-from piezo_identification.diagnosis.reasons import OTHER_PARAMETERS, Undecided
+from piezo_identification.diagnosis.comparison.reasons import OTHER_PARAMETERS, Undecided
 from piezo_identification.fitting.effect_fit import fit_effects, fit_one_more
 from piezo_identification.fitting.recording_evidence import recording_evidence
 from piezo_identification.fitting.regression import (

@@ -9,11 +9,11 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_common.side_by_side import side_by_side
+from piezo_identification.diagnosis.comparison.reasons import Reason
 from piezo_identification.diagnosis.joint.alternatives import Came, evidence_of
 from piezo_identification.diagnosis.joint.competition import wrong_um
 from piezo_identification.diagnosis.joint.far_starts import may_lead
 from piezo_identification.diagnosis.joint.probabilities import NONE, listed_probabilities
-from piezo_identification.diagnosis.reasons import Reason
 from piezo_identification.fitting.effect_fit import fit_one_more
 from piezo_identification.fitting.joint_fit import JointFit, JointProblem
 from piezo_identification.fitting.model_weights import HeldOut

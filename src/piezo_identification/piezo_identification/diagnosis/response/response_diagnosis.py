@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from piezo_common.arrays import ComplexArray
+from piezo_identification.diagnosis.comparison.reasons import Reason, Undecided
 from piezo_identification.diagnosis.evidence.recording_faults import wrong_sign
 from piezo_identification.diagnosis.evidence.stand_ins import with_stand_ins
-from piezo_identification.diagnosis.reasons import Reason, Undecided
 from piezo_identification.diagnosis.response.response_candidates import fit_each_candidate
 from piezo_identification.diagnosis.response.response_fit import (
     SETTINGS,

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from piezo_identification.commands.propose_command import main
+from piezo_identification.diagnosis.comparison.reasons import Reason
 from piezo_identification.diagnosis.experiment_design import expected_outcome as expected
 from piezo_identification.diagnosis.experiment_design.alternatives import effects_of
 from piezo_identification.diagnosis.experiment_design.candidate_waveforms import grid, waveform
@@ -17,7 +18,6 @@ from piezo_identification.diagnosis.experiment_design.propose import (
     propose,
     save_proposal,
 )
-from piezo_identification.diagnosis.reasons import Reason
 from piezo_identification.experiments.catalogue import Experiment, StageLimits
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.sensor_lag import SensorLag
