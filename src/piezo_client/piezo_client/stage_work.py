@@ -101,10 +101,14 @@ def _track(stage: Stage, options: argparse.Namespace) -> list[str]:
 
 
 def _shortfall(model: str | PathLike[str]) -> str:
-    """Say what is inadequate of a model whose file is on this machine; the nodes check the file."""
+    """Say what of a model is unfinished or inadequate.
+
+    Its file may be on another machine than this one; the nodes check it.
+    """
     try:
         document = json.loads(read_bounded_text(model, LARGEST_FILE_BYTES))
-        return shortfall(document.get("adequacy", {}), document.get("errors", {}))
+        return shortfall(document.get("adequacy", {}), document.get("errors", {}),
+                         document.get("unfinished", ""))
     except (OSError, ValueError, LookupError, AttributeError, TypeError):
         return ""
 

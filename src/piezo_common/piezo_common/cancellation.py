@@ -26,6 +26,19 @@ def checking(check: Callable[[], object]) -> Iterator[None]:
         _check.reset(token)
 
 
+@contextmanager
+def also_checking(check: Callable[[], object]) -> Iterator[None]:
+    """Let `check_cancelled` call a function behind those of the contexts around."""
+    before = _check.get()
+
+    def both() -> None:
+        before()
+        check()
+
+    with checking(both):
+        yield
+
+
 def check_cancelled() -> None:
     """Raise an exception if the work shall end; each iteration of an estimator calls this."""
     _check.get()()

@@ -5,11 +5,14 @@ import argparse
 import os
 import shlex
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
+
+from piezo_common.budget import Budget
 
 BAD_INPUT, INTERRUPTED, NO_READER = 2, 130, 141
 UMBRELLA = "piezo"
@@ -76,6 +79,7 @@ class Command:
 
     def carry_out(self, options: argparse.Namespace) -> int:
         """Do the work for options that a parser of `fill` read; return the exit status."""
+        options.begun_s = time.monotonic()
         try:
             for path in self._inputs(options):
                 if not path.exists():
@@ -114,6 +118,25 @@ def add_report_option(parser: argparse.ArgumentParser, where: str) -> None:
     """
     parser.add_argument("--no-report", dest="report", action="store_false",
                         help=f"do not write the page, {where}")
+
+
+def add_budget_option(parser: argparse.ArgumentParser) -> None:
+    """Add ``--budget``, the time that the work of a command may take."""
+    parser.add_argument("--budget", metavar="SECONDS", type=float,
+                        help="time that the command may take: it ends with the best result so far, "
+                        "and says what it has not tried; by default as long as it takes")
+
+
+def budget_of(options: argparse.Namespace, to_write_s: float = 0.0) -> Budget:
+    """Return the time of the option ``--budget``, which began with the command.
+
+    Parameters
+    ----------
+    to_write_s : float
+        Time to keep for what is written in the end.
+    """
+    return Budget(options.budget, taken_s=time.monotonic() - options.begun_s,
+                  to_write_s=to_write_s)
 
 
 def write_report(path: Path, page: str) -> None:

@@ -12,6 +12,8 @@ from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
 from typing import TypeVar
 
+from piezo_common.cancellation import also_checking, check_cancelled
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -20,6 +22,10 @@ MOST_THREADS = 4
 
 _this_thread = threading.local()
 """Has `is_beside_others` in threads that do one item while others do the next."""
+
+
+class OthersEnded(Exception):
+    """An item is done for nothing, as the work beside others has ended."""
 
 
 def cores() -> int:
@@ -39,7 +45,7 @@ def side_by_side(work: Callable[[Item], Result], items: Sequence[Item],
         Depends on its item alone.
     report : callable, optional
         Called with the number of each item, in their order, by the caller's thread. What it raises,
-        or Ctrl-C, ends the work when the items that have begun are done.
+        or Ctrl-C, ends the work where the items that have begun call `check_cancelled` next.
     threads : int, optional
         By default one for each core, but no more than `MOST_THREADS`; within an item that is done
         beside others one alone, as the cores are busy.
@@ -52,17 +58,30 @@ def side_by_side(work: Callable[[Item], Result], items: Sequence[Item],
         for number, item in enumerate(items):
             if report is not None:
                 report(number)
+            check_cancelled()
             results.append(work(item))
         return results
+    have_ended = threading.Event()
+
+    def check() -> None:
+        if have_ended.is_set():
+            raise OthersEnded
+
+    def done(item: Item) -> Result:
+        with also_checking(check):
+            check_cancelled()
+            return work(item)
+
     with ThreadPoolExecutor(threads, initializer=_mark) as pool:
         # Each in a copy of the caller's context, so that what ends the caller's work ends them.
-        futures = [pool.submit(copy_context().run, work, item) for item in items]
+        futures = [pool.submit(copy_context().run, done, item) for item in items]
         try:
             for number, future in enumerate(futures):
                 if report is not None:
                     report(number)
                 results.append(future.result())
         except BaseException:
+            have_ended.set()
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return results

@@ -47,6 +47,8 @@ class IdentifiedModel:
         By component (creep, dynamics, hysteresis): whether it leaves more than the noise of the
         recording that it was estimated from; see `model_document.AdequacyPart`. Empty where that
         is not known.
+    unfinished : str
+        Why the identification ended early, and what it has not tried; empty where it was done.
     """
 
     model: StageModel
@@ -59,6 +61,7 @@ class IdentifiedModel:
     rows: dict[str, dict[str, float]] = field(default_factory=dict)
     visited: NDArray[np.bool_] | None = None
     adequacy: dict[str, dict[str, Any]] = field(default_factory=dict)
+    unfinished: str = ""
 
     def __repr__(self) -> str:
         return f"<IdentifiedModel of {self.created}: {self.model!r}>"
@@ -71,8 +74,8 @@ class IdentifiedModel:
         return summary_of_identified(self)
 
     def shortfall(self) -> str:
-        """Say which parts are inadequate, and what that costs; empty where none is."""
-        return shortfall(self.adequacy, self.errors)
+        """Say what is unfinished or inadequate, and what that costs; empty where nothing is."""
+        return shortfall(self.adequacy, self.errors, self.unfinished)
 
     def predict(self, voltage_v: ArrayLike, sample_period_s: float) -> FloatArray:
         """Return the displacement under a voltage of which nothing was measured.

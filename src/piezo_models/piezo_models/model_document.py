@@ -209,6 +209,9 @@ class ModelDocument(Document):
     visited: list[str] | None = entry(
         "Row i of the density: 1 for each of its i + 1 cells that the recordings determine, "
         "else 0.", default=None)
+    unfinished: str = entry(
+        "Why the identification ended early, and what it has not tried; empty where it was done.",
+        default="")
     hysteresis: HysteresisPart = entry("Hysteresis.")
 
     @model_validator(mode="after")
@@ -299,6 +302,7 @@ def document_of(identified: "IdentifiedModel") -> dict[str, Any]:
         **first_rise,
         **({"adequacy": _plain(identified.adequacy)} if identified.adequacy else {}),
         **visited,
+        **({"unfinished": identified.unfinished} if identified.unfinished else {}),
         "hysteresis": {
             "voltage_min_v": hysteresis.voltage_min_v,
             "voltage_max_v": hysteresis.voltage_max_v,

@@ -85,6 +85,7 @@ def built_model(document: ModelDocument) -> IdentifiedModel:
         visited=_visited(document.visited),
         adequacy={component: part.model_dump(exclude_none=True)
                   for component, part in document.adequacy.items()},
+        unfinished=document.unfinished,
     )
 
 

@@ -103,13 +103,16 @@ def summary_of_identified(identified: "IdentifiedModel") -> SummaryTable:
     return SummaryTable(f"Model identified {identified.created}", HEADS, rows, tuple(notes))
 
 
-def shortfall(adequacy: Mapping[str, Mapping[str, Any]], errors: Mapping[str, Any]) -> str:
-    """Say which parts of a model are inadequate, and what that costs; empty where none is.
+def shortfall(adequacy: Mapping[str, Mapping[str, Any]], errors: Mapping[str, Any],
+              unfinished: str) -> str:
+    """Say what of a model is unfinished or inadequate, and what that costs; empty where nothing is.
 
     Parameters
     ----------
     adequacy, errors : dict
         Of an `IdentifiedModel`, or of its file.
+    unfinished : str
+        Of the same.
 
     Returns
     -------
@@ -123,11 +126,13 @@ def shortfall(adequacy: Mapping[str, Mapping[str, Any]], errors: Mapping[str, An
         percent = part.get("error_percent")
         of_motion = "" if percent is None else f", {percent:.3g} % of the motion"
         parts.append(f"{component} leaves {part['ratio']:.3g} times the noise{of_motion}")
-    if not parts:
-        return ""
-    unseen = errors.get("e_y_percent")
-    cost = "" if unseen is None else f"; on data that was not fitted it is wrong by {unseen:.3g} %"
-    return f"the model is inadequate: {', '.join(parts)}{cost}"
+    sentences = [f"the model is unfinished: {unfinished}"] if unfinished else []
+    if parts:
+        unseen = errors.get("e_y_percent")
+        cost = "" if unseen is None else (
+            f"; on data that was not fitted it is wrong by {unseen:.3g} %")
+        sentences.append(f"the model is inadequate: {', '.join(parts)}{cost}")
+    return "; ".join(sentences)
 
 
 def text_of_model(model: "StageModel") -> str:

@@ -9,6 +9,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from piezo_common.budget import Budget
 from piezo_controller.feedback.design_choices import (
     DEFAULT_WEIGHTS,
     DISTURBANCE_HZ,
@@ -54,7 +55,7 @@ def identify(
     modes: int | None = None, grid: int | None = None, refine: bool = False,
     rows_read: str = "start",
     progress: Callable[[str, float], object] | None = None,
-    note: Callable[[str], object] | None = None,
+    note: Callable[[str], object] | None = None, budget_s: float | None = None,
 ) -> IdentifiedModel:
     """Identify a model of the stage from recordings; at least one of the first three.
 
@@ -81,6 +82,10 @@ def identify(
     note : callable, optional
         Called with sentences on orders, coverage and starts, such as ``print``. Those on what is
         implausible are also said as a `DataWarning`.
+    budget_s : float, optional
+        Time after which the searches end with the best that they have found; `unfinished` of the
+        model then says what they have not tried. Ctrl-C ends them in the same way, once there is a
+        model.
 
     Raises
     ------
@@ -110,7 +115,7 @@ def identify(
     return identify_recordings(
         **given, progress=progress, refine=refine, method=method, note=tell,
         order=ResponseOrder(creep_pairs, modes, None), density=DensityOptions(grid),
-        read_at_samples=_read_at(rows_read))
+        read_at_samples=_read_at(rows_read), budget=Budget(budget_s))
 
 
 def simulate(model: AnyModel, data: Any, *, columns: Sequence[str] = (),
@@ -146,7 +151,8 @@ def simulate(model: AnyModel, data: Any, *, columns: Sequence[str] = (),
 
 def diagnose(model: AnyModel, data: Any, holdout: Any = None, *, identified_from: Any = None,
              columns: Sequence[str] = (),
-             progress: Callable[[str, float], None] | None = None) -> Verdict:
+             progress: Callable[[str, float], None] | None = None,
+             budget_s: float | None = None) -> Verdict:
     """Find what a model lacks to explain recordings.
 
     Parameters
@@ -163,6 +169,9 @@ def diagnose(model: AnyModel, data: Any, holdout: Any = None, *, identified_from
         See `piezo_offline.read`; of all of them.
     progress : callable, optional
         Called with what is done, and which part of the whole (0 to 1).
+    budget_s : float, optional
+        Time after which the comparison ends with the best that it has found; `not_tried` of the
+        verdict then says what is missing. Ctrl-C ends it in the same way.
 
     Returns
     -------
@@ -187,7 +196,7 @@ def diagnose(model: AnyModel, data: Any, holdout: Any = None, *, identified_from
     judged = [*(data if isinstance(data, list | tuple) else [data]), holdout]
     known, stated, noise = _known_of(model, identified_from, judged, columns)
     return diagnose_recordings(
-        stage_model, given, held_out, progress, known, stated, noise)
+        stage_model, given, held_out, progress, known, stated, noise, Budget(budget_s))
 
 
 def plot_residuals(verdict: Diagnosis, recording: int = 0) -> "Figure":

@@ -5,7 +5,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from piezo_common.command_line import Command, add_report_option
+from piezo_common.command_line import Command, add_budget_option, add_report_option
 from piezo_recorder.commands.data_flags import FILE_HELP, add_columns_option
 
 
@@ -21,6 +21,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
                         help="directory for the page and the pictures, NAME_check.png; by default "
                         "the current")
     add_report_option(parser, "check_report.html in --output")
+    add_budget_option(parser)
     add_columns_option(parser)
 
 

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from piezo_common.command_line import print_next, write_report
+from piezo_common.budget import Budget
+from piezo_common.command_line import budget_of, print_next, write_report
 from piezo_identification.analysis.distortion_over_frequency import (
     distortion_png,
     distortion_rows,
@@ -25,14 +26,21 @@ from piezo_identification.report.check_picture import draw_check
 from piezo_recorder.reading.data_options import read_all_given
 from piezo_recorder.reading.recording import Recording
 
+DRAWN_UNTIL = 0.5
+"""Share of the time that a check may take, after which nothing more is drawn."""
+
 
 def check_files(options: argparse.Namespace) -> None:
     """Print and draw what each recording of the options is good for."""
     options.output.mkdir(parents=True, exist_ok=True)
-    checked = []
+    budget = budget_of(options)
+    checked: list[tuple[str, RecordingCheck, dict[str, Suitability], Figure | None]] = []
     fit_for: dict[str, dict[str, Suitability]] = {}
     responses: list[str] = []
     for path in options.data:
+        if checked and budget.is_spent():
+            budget.not_tried.append(f"{path}")
+            continue
         if is_frequency_response(path):
             _print_response(path)
             responses.append(str(path))
@@ -43,11 +51,16 @@ def check_files(options: argparse.Namespace) -> None:
             print(f"{path}" + (f", recording {recording.title}" if several else ""))
             stem = f"{path.stem}{f'_{number}' if several else ''}"
             checked.append((stem, *_check_one(
-                recording, options.output / f"{stem}_check.png")))
+                recording, options.output / f"{stem}_check.png", budget)))
             if not several:
                 fit_for[str(path)] = checked[-1][2]
-    if checked and options.report:
-        write_report(options.output / "check_report.html", check_page(checked))
+    drawn = [(stem, check, of_check, figure) for stem, check, of_check, figure in checked if figure]
+    if drawn and options.report and not budget.is_spent(DRAWN_UNTIL):
+        write_report(options.output / "check_report.html", check_page(drawn))
+    elif checked and options.report:
+        budget.not_tried.append("the page")
+    if budget.not_tried:
+        print(budget.sentence("done"))
     given = given_as(fit_for)
     # A frequency response stands alone for the dynamics.
     given |= {"dynamics": responses[:1]} if responses else {}
@@ -59,11 +72,14 @@ def check_files(options: argparse.Namespace) -> None:
                "--output", "model.json")
 
 
-def _check_one(recording: Recording, picture: Path,
-               ) -> tuple[RecordingCheck, dict[str, Suitability], Figure]:
+def _check_one(recording: Recording, picture: Path, budget: Budget,
+               ) -> tuple[RecordingCheck, dict[str, Suitability], Figure | None]:
     check = check_recording(recording)
     fit_for = suitability(check)
     print("\n".join(check_table(check, fit_for)))
+    if budget.is_spent(DRAWN_UNTIL):
+        budget.not_tried.append(f"{picture}")
+        return check, fit_for, None
     figure = draw_check(picture, check)
     print(f"drawn {picture}")
     found = None if check.gaps or check.has_few_rows else distortion_of(check.recording)

@@ -5,7 +5,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from piezo_common.command_line import Command
+from piezo_common.command_line import Command, add_budget_option
 from piezo_identification.commands.response_options import add_response_options
 from piezo_recorder.commands.data_flags import add_columns_option
 
@@ -28,6 +28,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
                         "not at the paths that the model file names")
     parser.add_argument("--output", metavar="DIR", type=Path, required=True,
                         help="directory for the results; made if it is missing")
+    add_budget_option(parser)
     add_columns_option(parser)
     add_response_options(parser)
 

@@ -5,7 +5,8 @@ import argparse
 import sys
 from typing import Any
 
-from piezo_common.command_line import INTERRUPTED, print_next, print_progress
+from piezo_common.command_line import INTERRUPTED, budget_of, print_next
+from piezo_common.progress_lines import progress_printed
 from piezo_identification.commands.response_options import (
     hold_s_of,
     useless_response_options,
@@ -20,6 +21,9 @@ from piezo_identification.diagnosis.response.response_results import (
 from piezo_identification.estimators.frequency_response.response_file import is_frequency_response
 from piezo_models.model_file import load_model
 from piezo_recorder.reading.data_options import read_all_given
+
+PAGE_S = 5.0
+"""Time in which the results are drawn and written."""
 
 LEAST_PROBABILITY = 1e-3
 """Smaller ones are not printed."""
@@ -47,9 +51,12 @@ def diagnose_given(options: argparse.Namespace) -> int | None:
         raise ValueError(f"{option} has nothing to act on: leave it out, or give a frequency "
                          "response as --data")
     _print_shortfall(options)
-    results = diagnose_files(
-        options.model, options.data, options.holdout, options.output, print_progress,
-        lambda path: read_all_given(path, options), identified_from=options.identified_from)
+    budget = budget_of(options, PAGE_S)
+    with progress_printed(budget) as progress:
+        results = diagnose_files(
+            options.model, options.data, options.holdout, options.output, progress,
+            lambda path: read_all_given(path, options),
+            identified_from=options.identified_from, budget=budget)
     _print_table(results.diagnosis, verdict_sentence(results.diagnosis))
     if results.identified_from.not_asked:
         print(results.identified_from.not_asked)
@@ -59,9 +66,10 @@ def diagnose_given(options: argparse.Namespace) -> int | None:
         print(f"what would decide: {results.next_experiment.sentence()}")
     print(f"written to {options.output}")
     print(f"report: {results.report}")
-    if results.diagnosis.selection.interrupted:
-        print(f"{options.prog}: interrupted; the results hold what was found until then",
-              file=sys.stderr)
+    if results.diagnosis.not_tried:
+        print(f"{options.prog}: {results.diagnosis.not_tried}; the results hold what was found "
+              "until then", file=sys.stderr)
+    if budget.is_interrupted:
         return INTERRUPTED
     print_next(options, "piezo_controller", "design", "--model",
                options.output / "extended_model.json", "--output",

@@ -5,7 +5,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from piezo_common.command_line import Command, add_report_option
+from piezo_common.command_line import Command, add_budget_option, add_report_option
 from piezo_identification.commands.response_options import add_response_options
 from piezo_identification.commands.row_options import add_rows_option
 from piezo_recorder.commands.data_flags import add_columns_option
@@ -43,6 +43,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--band", metavar=("LOW_HZ", "HIGH_HZ"), type=float, nargs=2,
                         help="part of a frequency response to fit; by default all of it")
     add_report_option(parser, "MODEL_report.html beside the model")
+    add_budget_option(parser)
     add_columns_option(parser)
     parser.add_argument("--grid", metavar="CELLS", type=int, choices=range(4, 301),
                         help="cells of the hysteresis along each threshold, 4 to 300; by default "

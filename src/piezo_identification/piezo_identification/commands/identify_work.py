@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from piezo_common.command_line import print_next, print_progress, write_report
+from piezo_common.command_line import INTERRUPTED, budget_of, print_next, write_report
+from piezo_common.progress_lines import progress_printed
 from piezo_identification.adequacy.component_adequacy import adequacy_table
 from piezo_identification.commands.identify_command import EXPERIMENTS
 from piezo_identification.commands.response_options import (
@@ -33,9 +34,18 @@ from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import save_model
 from piezo_recorder.reading.data_options import read_given
 
+PAGE_S = 5.0
+"""Time in which the page of a model is drawn."""
 
-def identify_files(options: argparse.Namespace) -> None:
-    """Identify a model from the files of the options; write it, and print what was found."""
+
+def identify_files(options: argparse.Namespace) -> int | None:
+    """Identify a model from the files of the options; write it, and print what was found.
+
+    Returns
+    -------
+    int or None
+        Exit status, where the work was interrupted.
+    """
     paths = {name: getattr(options, name) for name in EXPERIMENTS}
     data = {name: _read(name, listed, options)
             for name, listed in paths.items() if listed is not None}
@@ -49,20 +59,27 @@ def identify_files(options: argparse.Namespace) -> None:
         data.get("creep"), data.get("dynamics"), data.get("hysteresis"), None))
     if slowest is not None and displacement_falls(slowest):
         print("the displacement falls as the voltage rises: its sign is changed throughout")
-    identified = identify(
-        **data, progress=print_progress, refine=options.refine, note=print,
-        method=options.method, read_at_samples=READINGS[options.rows_read],
-        order=ResponseOrder(options.creep_pairs, options.modes, options.antiresonances),
-        density=DensityOptions(options.grid, options.smoothing, options.translation_weight))
+    budget = budget_of(options, PAGE_S if options.report else 0.0)
+    with progress_printed(budget) as progress:
+        identified = identify(
+            **data, progress=progress, budget=budget, refine=options.refine, note=print,
+            method=options.method, read_at_samples=READINGS[options.rows_read],
+            order=ResponseOrder(options.creep_pairs, options.modes, options.antiresonances),
+            density=DensityOptions(options.grid, options.smoothing, options.translation_weight))
     save_model(options.output, identified)
     _print_summary(identified)
     print(f"model written to {options.output}")
+    if identified.unfinished:
+        print(f"the model is unfinished: {identified.unfinished}")
+    if budget.is_interrupted:
+        return INTERRUPTED
     if options.report:
         _write_report(identified, data, options)
     print_next(options, "piezo_identification", "simulate", "--model", options.output, "--data",
                "<a recording that was not fitted>", "--output", options.output.with_suffix(""))
     print_next(options, "piezo_controller", "design", "--model", options.output, "--output",
                options.output.with_name("controller.json"))
+    return None
 
 
 def _write_report(identified: IdentifiedModel, data: Mapping[str, Any],

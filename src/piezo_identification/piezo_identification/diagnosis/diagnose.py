@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from piezo_common.budget import SEARCH, Budget, spending, while_time_lasts
+from piezo_common.cancellation import check_cancelled
 from piezo_common.progress_part import Progress, part_of
 from piezo_identification.diagnosis.comparison.criteria import is_noise
 from piezo_identification.diagnosis.comparison.measures_of_fits import lack_of_fit
@@ -87,6 +89,12 @@ class VerdictSettings:
 
 SETTINGS = VerdictSettings()
 
+ALONE_UNTIL = 0.5
+"""Share of the time until which the new recordings are looked at alone, where there are others."""
+
+IN_THE_IDENTIFICATION = "which effects were there at the identification"
+"""What is left out where the time ends before the recordings of the identification are fitted."""
+
 SHARE_ALONE = 0.4
 """Part of the work for the new recordings alone, where others are asked as well."""
 
@@ -103,15 +111,19 @@ class Diagnosis(Verdict):
         To which what remains was held.
     stated : float
         By how much the model is known to be wrong, as a part of the RMS motion.
+    not_tried : str
+        Why the comparison ended early, and what it has not tried; empty where it was done.
     """
 
     selection: Selection
     noise: KnownNoise = field(default=KnownNoise(), kw_only=True)
     stated: float = field(default=0.0, kw_only=True)
+    not_tried: str = field(default="", kw_only=True)
 
     def document(self) -> dict[str, Any]:
         """Return the content of `verdict.json`."""
-        return super().document() | {"interrupted": self.selection.interrupted}
+        return super().document() | {"interrupted": self.selection.interrupted,
+                                     "not_tried": self.not_tried}
 
 
 @dataclass(frozen=True)
@@ -171,7 +183,8 @@ class Decision:
 def diagnose(model: StageModel, recordings: Sequence[Recording],
              holdout: Recording | None = None, progress: Progress | None = None,
              identified_from: IdentificationRecordings | None = None,
-             stated: float | None = None, noise: KnownNoise | None = None) -> Diagnosis:
+             stated: float | None = None, noise: KnownNoise | None = None,
+             budget: Budget | None = None) -> Diagnosis:
     """Find what a model lacks to explain recordings.
 
     Parameters
@@ -188,6 +201,9 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
         the recordings of the identification tell.
     noise : KnownNoise, optional
         What the model file tells of the noise; the recordings at hand tell the rest.
+    budget : Budget, optional
+        Time that the work may take: the comparison then ends with the best that it has found, as
+        it does with Ctrl-C.
 
     Raises
     ------
@@ -195,19 +211,31 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
         If there is no recording, or one cannot be used, or the held-out one is among the others.
     """
     refuse_known_holdout(holdout, recordings, identified_from)
+    budget = budget or Budget()
+    with spending(budget):
+        diagnosis = _diagnosed(model, recordings, holdout, progress,
+                               identified_from or IdentificationRecordings(), stated, noise, budget)
+    return replace(diagnosis, not_tried=budget.sentence())
+
+
+def _diagnosed(model: StageModel, recordings: Sequence[Recording], holdout: Recording | None,
+               progress: Progress | None, known: IdentificationRecordings, stated: float | None,
+               noise: KnownNoise | None, budget: Budget) -> Diagnosis:
     given = condition(model, recordings, holdout)
-    # Ctrl-C ends the comparison alone: what was found until then becomes a verdict.
-    known = identified_from or IdentificationRecordings()
+    # The end of the time ends the comparison alone: what was found until then becomes a verdict.
     share = SHARE_ALONE if known.recordings else 1.0
-    selection = compare_effects(model, given.recordings, part_of(progress, 0.0, share))
+    selection = compare_effects(model, given.recordings, part_of(progress, 0.0, share),
+                                ALONE_UNTIL if known.recordings else SEARCH)
     validation = Validation(selection.regression, given.holdout)
-    old = [] if selection.interrupted else old_recordings(model, known)
-    report = part_of(progress, share, 1.0)
-    try:
-        competition = compare_models(model, given.recordings, old, selection, stated, report)
-    except KeyboardInterrupt:
-        selection = replace(selection, interrupted=True)
+    report, competition, old = part_of(progress, share, 1.0), None, list[Recording]()
+    with while_time_lasts(IN_THE_IDENTIFICATION):
+        check_cancelled()
+        old = old_recordings(model, known)
+        competition = compare_models(
+            model, given.recordings, old, selection, stated, report)
+    if competition is None:
         competition = compare_models(model, given.recordings, [], selection, stated, report)
+    selection = replace(selection, interrupted=bool(budget.not_tried))
     selection = led_by_the_most_probable(selection, competition)
     competition = with_free_model(competition, model, given.recordings, selection)
     sources = noise_sources([*given.recordings, *filter(None, [given.holdout]), *old])
@@ -274,7 +302,7 @@ def condition(model: StageModel, recordings: Sequence[Recording],
 
 
 def compare_effects(model: StageModel, recordings: Sequence[Recording],
-                    progress: Progress | None) -> Selection:
+                    progress: Progress | None, share: float = SEARCH) -> Selection:
     """Simulate the recordings, and compare the effects that may explain the residual.
 
     A past of the hysteresis that fits best beside a model that lacks something may be there only to
@@ -284,6 +312,8 @@ def compare_effects(model: StageModel, recordings: Sequence[Recording],
     ----------
     recordings : sequence of Recording
         With the sign of the model, and their outliers marked.
+    share : float
+        Of the time that the work may take, after which the best until then is returned.
     """
     simulated = [simulate_recordings(model, recordings)]
     if any(part.past_v for part in simulated[0].simulated):
@@ -293,7 +323,7 @@ def compare_effects(model: StageModel, recordings: Sequence[Recording],
         residual = first_regression(dataset)
         selections.append(
             select_effects(residual, part_of(
-                progress, number / len(simulated), (number + 1) / len(simulated))))
+                progress, number / len(simulated), (number + 1) / len(simulated)), share))
         if selections[-1].interrupted:
             return selections[-1]
     with_past, plain = selections[0], selections[-1]

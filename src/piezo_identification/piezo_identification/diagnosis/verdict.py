@@ -172,7 +172,7 @@ def extended_model(identified: IdentifiedModel, verdict: Verdict,
     if verdict.model is identified.model:
         return identified
     return replace(
-        identified, model=verdict.model, uncertainties={}, adequacy={},
+        identified, model=verdict.model, uncertainties={}, adequacy={}, unfinished="",
         errors={**identified.errors, "before_diagnosis": verdict.before,
                 "after_diagnosis": verdict.after},
         recordings=[*identified.recordings, *map(origin_of, data)])

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from piezo_common.arrays import FloatArray
+from piezo_common.cancellation import check_cancelled
 from piezo_identification.fitting.clustered_covariance import clustered_covariance
 from piezo_identification.fitting.regression import Fit, Regression
 from piezo_models.effects import Effect, Evidence, Extent, fitted_values, with_fitted_values
@@ -64,6 +65,7 @@ def fit_effects(regression: Regression, effects: Sequence[Effect],
         )
 
     def remainder(vector: FloatArray) -> FloatArray:
+        check_cancelled()
         tried = effects_at(vector)
         return regression.remainder(
             regression.difference((*fixed, *tried), tried if quick else ()))

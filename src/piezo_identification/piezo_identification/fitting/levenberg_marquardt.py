@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from piezo_common.arrays import FloatArray
+from piezo_common.budget import is_time_up
 
 FIRST_DAMPING, FACTOR, MOST_DAMPING = 1e-3, 10.0, 1e6
 """The first step is not damped; where one does not gain, it is damped so much, then by a factor
@@ -62,7 +63,7 @@ class Descent:
 
 
 def descend(objective: Objective, vector: FloatArray, steps: int, worthwhile: float) -> Descent:
-    """Take steps until one promises too little, or until there are enough.
+    """Take steps until one promises too little, there are enough, or the time is up.
 
     Parameters
     ----------
@@ -73,6 +74,8 @@ def descend(objective: Objective, vector: FloatArray, steps: int, worthwhile: fl
     """
     value, gain, damping = objective.value(vector), np.inf, 0.0
     for _ in range(steps):
+        if is_time_up():
+            break
         residual, jacobian = objective.linearised(vector)
         if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
             return Descent(vector, value, 0.0, True)

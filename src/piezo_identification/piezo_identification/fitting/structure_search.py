@@ -6,6 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from piezo_common.budget import while_time_lasts
+from piezo_common.cancellation import check_cancelled
+from piezo_common.side_by_side import side_by_side
 from piezo_identification.fitting.whole_model import WholeFit, WholeModel
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
@@ -134,21 +137,22 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
     tried : list of (str, WholeFit)
         All that were tried, in their order.
     """
-    before = problem.fit(given, delay_s, 0)
+    best = before = problem.fit(given, delay_s, 0)
     tried = [("step by step", before)]
-    report("everything together", 0.0)
-    # The first fit tells how many errors are independent, the second one counts them so.
-    problem.count_as(problem.fit(given, delay_s, SETTINGS.steps))
-    problem.about_here()
-    best = before
-    for structure in starts(problem, given, delay_s):
-        if not is_asked_for(structure.model) or is_at_noise(problem, best):
-            continue
-        report(structure.change, 0.5)
-        fitted = problem.fit(structure.model, structure.delay_s, SETTINGS.steps)
-        tried.append((structure.change, fitted))
-        if is_better(fitted, best):
-            best = fitted
+    with while_time_lasts("other starts of the fit"):
+        report("everything together", 0.0)
+        # The first fit tells how many errors are independent, the second one counts them so.
+        problem.count_as(problem.fit(given, delay_s, SETTINGS.steps))
+        problem.about_here()
+        for structure in starts(problem, given, delay_s):
+            if not is_asked_for(structure.model) or is_at_noise(problem, best):
+                continue
+            report(structure.change, 0.5)
+            fitted = problem.fit(structure.model, structure.delay_s, SETTINGS.steps)
+            tried.append((structure.change, fitted))
+            if is_better(fitted, best):
+                best = fitted
+            check_cancelled()
     others = [fit for _, fit in tried[1:]
               if fit is not best and fit.evidence_over(best) > -SETTINGS.promise]
     others.sort(key=lambda fit: -fit.evidence_over(best))
@@ -174,41 +178,72 @@ def searched(problem: WholeModel, best: WholeFit,
     tried : list of (str, WholeFit)
     """
     refuted, tried = set[str](), list[Tried]()
-    for turn in range(SETTINGS.rounds):
-        screened = []
-        if not best.has_converged:
-            # Others would win by their steps alone.
-            again = problem.again(best, SETTINGS.followed_steps)
-            tried.append(("the same, on from there", again))
-            best = again if is_better(again, best) else best
-        # What is clearly wrong is far from where it would be right.
-        is_wrong = problem.fastest_over_noise(best) > SETTINGS.wrong
-        for structure in structures(problem, best):
-            if structure.change in refuted or not is_asked_for(structure.model):
-                continue
-            report(structure.change, turn / SETTINGS.rounds)
-            steps = (SETTINGS.steps if is_wrong or structure.is_far
-                     else SETTINGS.screening_steps)
-            fit = problem.fit(structure.model, structure.delay_s, steps, best.density_changes)
-            screened.append((structure.change, fit))
-        screened.sort(key=lambda entry: -entry[1].evidence_over(best))
-        followed = []
-        for change, fit in screened[: SETTINGS.followed]:
-            if not fit.has_converged and fit.evidence_over(best) > -SETTINGS.promise:
-                fit = problem.again(fit, SETTINGS.followed_steps)
-            followed.append((change, fit))
-        tried += followed + screened[SETTINGS.followed :]
-        refuted |= {change for change, fit in screened
-                    if fit.evidence_over(best) < -SETTINGS.promise}
-        better = [fit for _, fit in followed
-                  if is_better(fit, best) and has_modes_in_band(problem, fit)]
-        if not better:
-            break
-        best = max(better, key=lambda fit: fit.evidence_over(best))
-    problem.about_here()
-    last = problem.again(best, SETTINGS.steps)
-    tried.append(("the same, on from there", last))
-    return (last if is_better(last, best) else best), tried
+    screened = list[Tried]()
+    with while_time_lasts("further changes of the structure") as search:
+        for turn in range(SETTINGS.rounds):
+            screened = []
+            check_cancelled()
+            if not best.has_converged:
+                # Others would win by their steps alone.
+                again = problem.again(best, SETTINGS.followed_steps)
+                tried.append(("the same, on from there", again))
+                best = again if is_better(again, best) else best
+            _screen(problem, best, [
+                structure for structure in structures(problem, best)
+                if structure.change not in refuted and is_asked_for(structure.model)],
+                screened, _of_round(report, turn))
+            screened.sort(key=lambda entry: -entry[1].evidence_over(best))
+            followed = []
+            for change, fit in screened[: SETTINGS.followed]:
+                if not fit.has_converged and fit.evidence_over(best) > -SETTINGS.promise:
+                    fit = problem.again(fit, SETTINGS.followed_steps)
+                followed.append((change, fit))
+            screened[: SETTINGS.followed] = followed
+            tried += screened
+            refuted |= {change for change, fit in screened
+                        if fit.evidence_over(best) < -SETTINGS.promise}
+            better = _better(problem, followed, best)
+            if not better:
+                break
+            best = max(better, key=lambda fit: fit.evidence_over(best))
+        problem.about_here()
+        last = problem.again(best, SETTINGS.steps)
+        tried.append(("the same, on from there", last))
+        best = last if is_better(last, best) else best
+    if search.was_cut:
+        tried += [entry for entry in screened if entry not in tried]
+        best = max([best, *_better(problem, screened, best)],
+                   key=lambda fit: fit.evidence_over(best))
+    return best, tried
+
+
+def _screen(problem: WholeModel, best: WholeFit, listed: Sequence[Structure],
+            screened: list[Tried], report: Callable[[str, float], object]) -> None:
+    """Fit structures by a few steps, and add each to a list as soon as that is done."""
+    # What is clearly wrong is far from where it would be right.
+    is_wrong = problem.fastest_over_noise(best) > SETTINGS.wrong
+
+    def fit(structure: Structure) -> None:
+        steps = SETTINGS.steps if is_wrong or structure.is_far else SETTINGS.screening_steps
+        screened.append((structure.change, problem.fit(
+            structure.model, structure.delay_s, steps, best.density_changes)))
+
+    def reported(number: int) -> None:
+        report(listed[number].change, number / len(listed))
+
+    # The first computes what the others share.
+    side_by_side(fit, listed[:1], reported)
+    side_by_side(fit, listed[1:], lambda number: reported(number + 1))
+
+
+def _of_round(report: Callable[[str, float], object], turn: int) -> Callable[[str, float], object]:
+    """Return what a round is to call: nobody knows how many follow, as likely one more as none."""
+    return lambda what, part: report(what, 1.0 - 0.5 ** (turn + part))
+
+
+def _better(problem: WholeModel, tried: Sequence[Tried], best: WholeFit) -> list[WholeFit]:
+    """Return the fits that are better than the best so far, and that the samples show."""
+    return [fit for _, fit in tried if is_better(fit, best) and has_modes_in_band(problem, fit)]
 
 
 def starts(problem: WholeModel, given: StageModel,

@@ -10,6 +10,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+from piezo_common.budget import Budget, spending
 from piezo_common.cancellation import checking
 from piezo_identification.adequacy.component_adequacy import adequacy_document, adequacy_of
 from piezo_identification.adequacy.loop_shape import refuse_impossible_loops
@@ -80,7 +81,7 @@ def identify(
     order: ResponseOrder = ANY_ORDER,
     note: Callable[[str], object] | None = None,
     density: DensityOptions = CHOSEN_BY_DATA,
-    read_at_samples: float = 0.0,
+    read_at_samples: float = 0.0, budget: Budget | None = None,
 ) -> IdentifiedModel:
     """Identify a stage model step by step (thesis 4.5).
 
@@ -124,6 +125,10 @@ def identify(
         Instant at which the logger reads the displacement of a row, in sample periods after the
         row's voltage changes: 0 for the start of the hold, 1 for its end. Beyond that, rows that
         are read late are found from the dynamics; what is late behind them is the stage's delay.
+    budget : Budget, optional
+        Time that the work may take: searches then end with the best that they have found, and
+        `Budget.sentence` says what was not tried. The separate steps need some time, whatever it
+        is. Ctrl-C during the one fit, or in a search before, ends it in the same way.
 
     Raises
     ------
@@ -135,7 +140,9 @@ def identify(
     given = given_data(creep, dynamics, hysteresis, validation)
     stages, tell = Stages(progress, cancelled), note or (lambda text: None)
     paths = [data.path for data in given.values()]
-    with checking(stages.check), failures_explained(lambda: stages.current, paths):
+    budget = budget or Budget()
+    with checking(stages.check), spending(budget), failures_explained(
+            lambda: stages.current, paths):
         if refine or method != OUTPUT_ERROR:
             tell("nothing is to be asked for: identify always fits all components together at "
                  "the end, by their output error")
@@ -145,8 +152,8 @@ def identify(
         linear = estimate_linear_dynamics(
             of_kind(said, "creep"),
             fast[0] if fast and isinstance(fast[0], FrequencyResponse) else fast,
-            of_kind(said, "hysteresis"), order, stages.part(0.0, 0.6))
-        stages.begin("hysteresis", 0.6)
+            of_kind(said, "hysteresis"), order, stages.part(0.0, 0.15))
+        stages.begin("hysteresis", 0.15)
         read_at = found_readings(said, linear)
         recordings = aligned(said, read_at)
         for loops in of_kind(recordings, "hysteresis"):
@@ -159,7 +166,7 @@ def identify(
         fitted, read_at = fitted_together(
             fitted, said, read_at,
             partial(loops_beside, said, density, estimate) if of_kind(said, "hysteresis")
-            and linear.estimates and not first_rise else None, order, stages.part(0.75, 0.2), tell)
+            and linear.estimates and not first_rise else None, order, stages.part(0.3, 0.65), tell)
         tell_effects(fitted, tell)
         recordings, read_at = validation_as_read(
             fitted.model, said, aligned(said, read_at), read_at)
@@ -175,7 +182,7 @@ def identify(
                 if number is not None]))
         identified = replace(
             identified_model(fitted, errors, given, rows), adequacy=adequacy,
-            uncertainties=reliable(fitted.uncertainties, adequacy))
+            uncertainties=reliable(fitted.uncertainties, adequacy), unfinished=budget.sentence())
         stages.begin("done", 1.0)
     return identified
 

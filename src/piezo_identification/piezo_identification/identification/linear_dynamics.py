@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from piezo_common.budget import while_time_lasts
+from piezo_common.cancellation import check_cancelled
 from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.row_alignment import (
     is_point_by_point,
@@ -51,6 +53,9 @@ error of either, twice as many cells along a threshold make no difference."""
 CLEARLY_LESS = 0.9
 """Part of the residual to which creep has to come down if its rows are read otherwise than those of
 the dynamics: slow rows hardly tell."""
+
+SECOND_PASS = 0.3
+"""Share of the time that an identification may take, after which nothing is estimated once more."""
 
 BEFORE_DELAY = ("voltage", "modes")
 """Places of the effects that the delay of the stage comes after."""
@@ -203,16 +208,16 @@ def estimate_linear_dynamics(
     # Where only one is recorded, there is nothing to go through twice.
     passes = 2 if given and (creep or needs_hysteresis) else 1
     driving: DensityEstimate | None = None
-    for turn in range(passes):
+    def estimated(found: LinearDynamics, driving: DensityEstimate | None,
+                  turn: int) -> tuple[LinearDynamics, DensityEstimate | None]:
         if creep:
             begin("creep beside the dynamics" if turn else "creep", 0.5 * turn)
             found = found.with_creep(*creep_of(creep, found, bool(turn), order.creep_pairs))
         if not given:
-            continue
+            return found, driving
         begin("dynamics beside the creep" if turn else "dynamics", 0.5 * turn + 0.3)
         if isinstance(dynamics, FrequencyResponse):
-            found = found.with_response(_from_response(dynamics, found, order))
-            continue
+            return found.with_response(_from_response(dynamics, found, order)), driving
         if needs_hysteresis:
             driving = aligned_density(hysteresis, found, driving)[0]
         density = None if driving is None else driving.model()
@@ -220,7 +225,13 @@ def estimate_linear_dynamics(
         if order.creep_pairs is not None and found.creep.poles_rad_per_s:
             # As many pairs were asked for as there are; the one fit estimates them beside the rest.
             estimate = replace(estimate, creep=CreepDynamics())
-        found = found.with_dynamics(estimate)
+        return found.with_dynamics(estimate), driving
+
+    found, driving = estimated(found, driving, 0)
+    with while_time_lasts("creep and dynamics once more beside each other", SECOND_PASS):
+        for turn in range(1, passes):
+            check_cancelled()
+            found, driving = estimated(found, driving, turn)
     return found
 
 

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from piezo_common.budget import while_time_lasts
+from piezo_common.cancellation import check_cancelled
 from piezo_identification.conditioning.generator_edges import generator_edges
 from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.row_alignment import LATEST_READING
@@ -42,8 +44,8 @@ COMPONENTS_OF = {"creep": ("creep",), "dynamics": ("dynamics", "effects"),
 """What errors of a component move, as the model file names it: every recording has passed the
 hysteresis."""
 
-BEGUN = 0.3
-"""Part of the time that the starts take, as it is reported."""
+BEGUN, ANEW = 0.2, 0.2
+"""Parts of the time that the starts take, and the loops anew from each, as it is reported."""
 
 LOOPS = 2
 """Times at most that the loops are estimated anew beside what is fitted, in the end."""
@@ -77,18 +79,20 @@ class _Search:
         self.tried.extend(tried)
         length = (1.0 - BEGUN) / len(promising)
         state = self._from(promising[0], BEGUN, length)
-        for number, start in enumerate(promising[1:], 1):
-            if not is_at_noise(state.problem, state.best):
-                other = self._from(start, BEGUN + number * length, length)
-                state = other if is_better(other.best, state.best) else state
+        with while_time_lasts("the search from another start"):
+            for number, start in enumerate(promising[1:], 1):
+                check_cancelled()
+                if not is_at_noise(state.problem, state.best):
+                    other = self._from(start, BEGUN + number * length, length)
+                    state = other if is_better(other.best, state.best) else state
         return state
 
     def _from(self, start: WholeFit, begin: float, length: float) -> _State:
         """Estimate the loops anew, change the structure, and estimate the loops anew."""
         state = self._with_loops_anew(_State(self.given, start, self.problem), begin)
-        end = begin + 0.9 * length
-        best, changed = searched(
-            state.problem, state.best, self._part(begin, end - begin), self.is_asked_for)
+        end = begin + (1.0 - ANEW) * length
+        best, changed = searched(state.problem, state.best, self._part(
+            begin + ANEW * length, (1.0 - 2.0 * ANEW) * length), self.is_asked_for)
         self.tried.extend(changed)
         state = replace(state, best=best)
         for _ in range(LOOPS):
@@ -107,15 +111,17 @@ class _Search:
         if self.loops_beside is None or is_at_noise(before.problem, before.best):
             return before
         self.report("loops anew", fraction)
-        density = self.loops_beside(with_fit(before.fitted, before.best).model,
-                                    read_later(self.read_late_s, before.best))
-        problem = before.problem.with_hysteresis(density.model(), width)
-        again = problem.fit(replace(before.best.model, hysteresis=density.model()),
-                            before.best.delay_s, SETTINGS.steps)
-        self.tried.append(("loops anew", again))
-        if not is_better(again, before.best):
-            return before
-        return _State(replace(before.fitted, visited=density.visited), again, problem)
+        with while_time_lasts("the loops anew beside the fit"):
+            check_cancelled()
+            density = self.loops_beside(with_fit(before.fitted, before.best).model,
+                                        read_later(self.read_late_s, before.best))
+            problem = before.problem.with_hysteresis(density.model(), width)
+            again = problem.fit(replace(before.best.model, hysteresis=density.model()),
+                                before.best.delay_s, SETTINGS.steps)
+            self.tried.append(("loops anew", again))
+            if is_better(again, before.best):
+                return _State(replace(before.fitted, visited=density.visited), again, problem)
+        return before
 
     def _part(self, begin: float, length: float) -> Callable[[str, float], object]:
         return lambda what, fraction: self.report(what, begin + length * fraction)

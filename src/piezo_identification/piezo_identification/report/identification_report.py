@@ -52,7 +52,12 @@ def identification_page(identified: IdentifiedModel, given: Mapping[str, Data], 
 
 
 def identification_sentence(identified: IdentifiedModel) -> str:
-    """Return in one sentence how well the model fits what it was identified from."""
+    """Return how well the model fits what it was identified from, and if it is unfinished."""
+    unfinished = f"; unfinished: {identified.unfinished}" if identified.unfinished else ""
+    return _on_fit(identified) + unfinished
+
+
+def _on_fit(identified: IdentifiedModel) -> str:
     lacking = {name: part for name, part in identified.adequacy.items()
                if part["verdict"] == INADEQUATE}
     if not identified.adequacy:

@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A comparison that Ctrl-C ends, and one on other cores: the verdict is what was found."""
+"""A comparison that Ctrl-C or its time ends, and one on other cores: what was found counts."""
+
+from itertools import count
 
 import numpy as np
 import pytest
 
 from piezo_common import side_by_side
+from piezo_common.budget import Budget
 from piezo_identification.diagnosis.diagnose import diagnose
+from piezo_identification.diagnosis.report.diagnosis_report import render_report
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
@@ -59,6 +63,15 @@ def test_before_anything_is_found_the_verdict_names_nothing(line, recording):
     assert (document["verdict"], document["effects"]) == ("unexplained", [])
     assert document["after"] == document["before"]
     assert found.model is line
+
+
+def test_when_the_time_is_over_the_verdict_and_its_page_say_what_was_not_tried(line, recording):
+    found = diagnose(line, [recording], budget=Budget(1.0, count().__next__))
+    document = found.document()
+    assert document["interrupted"] and document["verdict"] == "unexplained"
+    assert document["not_tried"].startswith(
+        "the time of 1 s is over; not tried: further effects of the new recordings")
+    assert document["not_tried"] in render_report(found)
 
 
 def test_what_is_found_is_the_same_on_any_number_of_cores(line, recording, monkeypatch):

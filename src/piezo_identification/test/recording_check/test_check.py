@@ -300,6 +300,20 @@ def test_command_prints_the_table_and_draws_a_picture_for_each_kind(
     _assert_each_kind_is_drawn_by_what_it_shows(page)
 
 
+def test_command_whose_time_is_over_draws_nothing_and_says_so(tmp_path, save_csv, capsys):
+    """The least budget: reading alone takes longer."""
+    time_s = 0.01 * np.arange(4000)
+    files = [save_csv(tmp_path / f"{name}.csv", time_s, np.sin(time_s), 0.2 * np.sin(time_s))
+             for name in ("first", "second")]
+    folder = tmp_path / "pictures"
+    assert main(["--data", *map(str, files), "--output", str(folder), "--budget", "1e-9"]) == 0
+    printed = capsys.readouterr().out
+    assert re.search("^waveform ", printed, re.M)
+    assert printed.count("the time of 1e-09 s is over; not done: ") == 1
+    assert f"{folder / 'first_check.png'}; {files[1]}; the page\n" in printed
+    assert list(folder.iterdir()) == []
+
+
 def _assert_each_kind_is_drawn_by_what_it_shows(page):
     square, noise = page.numbers("square"), page.numbers("noise")
     assert max(square["time in the period (s)"]) == pytest.approx(7.99)

@@ -4,6 +4,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from piezo_common.budget import SEARCH, while_time_lasts
 from piezo_common.progress_part import Progress
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.analysis.error_distortion import excluded_by_distortion
@@ -73,8 +74,8 @@ class Selection:
         Other sets of the last round that leave not much more than the best, and those with an
         effect in place of one of the best that the data cannot tell from it.
     interrupted : bool
-        The comparison was ended by Ctrl-C: more effects may be missing, and those found may not be
-        needed beside each other.
+        The comparison was ended by Ctrl-C, or as its time was over: more effects may be missing,
+        and those found may not be needed beside each other.
     """
 
     regression: Regression
@@ -87,7 +88,8 @@ class Selection:
     interrupted: bool = False
 
 
-def select_effects(regression: Regression, progress: Progress | None = None) -> Selection:
+def select_effects(regression: Regression, progress: Progress | None = None,
+                   share: float = SEARCH) -> Selection:
     """Compare sets of the known effects on held-out data, and select the best.
 
     Every round adds one more effect to each of the few best sets of the round before, in every way,
@@ -98,6 +100,8 @@ def select_effects(regression: Regression, progress: Progress | None = None) -> 
     ----------
     progress : callable, optional
         Called with (what is done, fraction).
+    share : float
+        Of the time that the work may take, after which the best until then is returned.
     """
     kinds = [kind for kind in known_effects().values() if kind is not Outliers]
     excluded = excluded_by_distortion(regression.dataset.simulated, kinds)
@@ -108,7 +112,7 @@ def select_effects(regression: Regression, progress: Progress | None = None) -> 
     not_shown: dict[str, Undecided] = {}
     sets = [best]
     others: Sequence[Fit] = ()
-    try:
+    with while_time_lasts("further effects of the new recordings", share) as search:
         for turn in range(SETTINGS.most_effects):
             attempts: list[Attempt] = []
             for number, current in enumerate(sets):
@@ -145,7 +149,7 @@ def select_effects(regression: Regression, progress: Progress | None = None) -> 
         indistinguishable |= {name: found for name, (found, _) in alike.items()}
         others = _without_repeats([*others, *(fit for _, fit in alike.values())])
         not_shown |= explained_by_parameters(regression, kinds, best)
-    except KeyboardInterrupt:
+    if search.was_cut:
         # What was found until then is worth more than nothing.
         return Selection(
             regression, start, best, rounds, indistinguishable, not_shown, interrupted=True)

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from piezo_common.arrays import FloatArray
+from piezo_common.budget import while_time_lasts
 from piezo_common.progress_part import Progress, part_of
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.diagnosis.joint.far_starts import SETTINGS as FITS
@@ -150,18 +151,19 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
     best, asked = alternatives[0], {name for names in named for name in names}
     samples = sum(part.measured_um.size for part in problem.dataset.simulated)
     is_long = samples > SETTINGS.many_samples
-    for turn in range(1 if is_long else SETTINGS.most_effects):
-        guesses = _promising(problem, best.fit.regression, best.fit.effects, asked)
-        guesses = guesses[: len(since[0]) + (1 if is_long else SETTINGS.fitted)]
-        fitted = _each_beside(problem, best, guesses, _turn_of(progress, turn))
-        if turn == 0 and not is_long and not any(
-                _leaves_noise(problem, each, problem.new_count) for each in fitted):
-            fitted = _from_afar(problem, best, guesses, fitted)
-        alternatives = converged(problem, _possible(problem, [*alternatives, *fitted]))
-        now = most_probable(problem, alternatives)
-        if now is best or now.since or _leaves_noise(problem, now, problem.new_count):
-            break
-        best = now
+    with while_time_lasts("further effects in all recordings"):
+        for turn in range(1 if is_long else SETTINGS.most_effects):
+            guesses = _promising(problem, best.fit.regression, best.fit.effects, asked)
+            guesses = guesses[: len(since[0]) + (1 if is_long else SETTINGS.fitted)]
+            fitted = _each_beside(problem, best, guesses, _turn_of(progress, turn))
+            if turn == 0 and not is_long and not any(
+                    _leaves_noise(problem, each, problem.new_count) for each in fitted):
+                fitted = _from_afar(problem, best, guesses, fitted)
+            alternatives = converged(problem, _possible(problem, [*alternatives, *fitted]))
+            now = most_probable(problem, alternatives)
+            if now is best or now.since or _leaves_noise(problem, now, problem.new_count):
+                break
+            best = now
     return alternatives
 
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from piezo_common.arrays import FloatArray
+from piezo_common.budget import while_time_lasts
+from piezo_common.cancellation import check_cancelled
 from piezo_identification.diagnosis.comparison.criteria import is_noise
 from piezo_identification.diagnosis.comparison.selection import Selection
 from piezo_identification.diagnosis.comparison.undecided import in_place_of_the_found
@@ -320,7 +322,10 @@ def beside_alternative(selection: Selection, competition: Competition,
         numbers = regression.fit(added).parameter_count
         covariance = covariance[len(covariance) - numbers :, len(covariance) - numbers :]
     end = regression.fit(added, covariance)
-    alike = in_place_of_the_found(regression, list(known_effects().values()), end)
+    alike: dict[str, tuple[str, Fit]] = {}
+    with while_time_lasts("other effects in the place of those found"):
+        check_cancelled()
+        alike = in_place_of_the_found(regression, list(known_effects().values()), end)
     names = {name: found for name, (found, _) in alike.items()}
     return replace(selection, regression=regression, end=end,
                    indistinguishable=names | competition.indistinguishable())

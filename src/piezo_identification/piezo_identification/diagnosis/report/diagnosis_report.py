@@ -132,6 +132,7 @@ def _found(diagnosis: Diagnosis) -> Section:
     where = "{samples} samples of {source}".format(**diagnosis.holdout)
     told = [f"Held out: {where}, the same before and after. e_y is the norm of the difference over "
             "that of the measured displacement without its mean, in percent (4.20).",
+            *(f"It ended early: {each}." for each in filter(None, [diagnosis.not_tried])),
             *(f"{text}." for text in diagnosis.left_out),
             *(f"{fault['name']}: {fault['sentence']}. What to do: {fault['remedy']}."
               for fault in diagnosis.recording_faults)]

@@ -7,6 +7,8 @@ from datetime import datetime
 from os import PathLike
 from pathlib import Path
 
+from piezo_common.budget import Budget, spending, while_time_lasts
+from piezo_common.cancellation import check_cancelled
 from piezo_common.progress_part import Progress, part_of
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.diagnosis.diagnose import Diagnosis, diagnose
@@ -105,7 +107,7 @@ class DiagnosisResults:
 def diagnose_files(
     model: AnyPath, recordings: Sequence[AnyPath], holdout: AnyPath | None, directory: AnyPath,
     progress: Progress, read_file: Callable[[AnyPath], list[Recording]] = read_recordings,
-    identified_from: Sequence[AnyPath] = (),
+    identified_from: Sequence[AnyPath] = (), budget: Budget | None = None,
 ) -> DiagnosisResults:
     """Diagnose recordings and write verdict, extended model and report.
 
@@ -122,27 +124,31 @@ def diagnose_files(
     identified_from : sequence of path-like
         The recordings that the model was identified from, where they are not at the paths that
         the model file names.
+    budget : Budget, optional
+        Time that the work may take, see `diagnose`.
 
     Raises
     ------
     ValueError
         If a file cannot be read or written, or a recording cannot be used.
     """
+    budget = budget or Budget()
     progress("read the recordings", 0.0)
     given = read_given(model, recordings, holdout, directory, read_file, identified_from)
     diagnosis = diagnose(given.identified.model, given.recordings, given.holdout,
                          part_of(progress, READ_FRACTION, DESIGN_FRACTION),
                          identified_from=given.identified_from,
                          stated=stated_error(given.identified),
-                         noise=noise_of_model(given.identified))
+                         noise=noise_of_model(given.identified), budget=budget)
     proposal = None
-    try:
+    # The verdict is worth having without the experiment that would decide more.
+    with spending(budget), while_time_lasts("the experiment that would decide more"):
+        check_cancelled()
         proposal = what_would_decide(diagnosis, given.identified_from,
                                      part_of(progress, DESIGN_FRACTION, REPORT_FRACTION))
-    except KeyboardInterrupt:
-        # The verdict is worth having without the experiment that would decide more.
-        diagnosis = replace(
-            diagnosis, selection=replace(diagnosis.selection, interrupted=True))
+    if budget.not_tried:
+        diagnosis = replace(diagnosis, not_tried=budget.sentence(),
+                            selection=replace(diagnosis.selection, interrupted=True))
     progress("write the report", REPORT_FRACTION)
     return write_results(given, diagnosis, proposal)
 

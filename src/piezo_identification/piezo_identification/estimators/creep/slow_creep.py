@@ -18,6 +18,7 @@ from scipy.optimize import least_squares
 from scipy.sparse import csr_array
 
 from piezo_common.arrays import FloatArray
+from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.conditioning.creep_removal import inverse_of_creep
 from piezo_identification.conditioning.outlier_samples import good_samples
@@ -25,7 +26,9 @@ from piezo_identification.conditioning.segments import Recordings, played_segmen
 from piezo_identification.conditioning.waveforms import samples_per_mean
 from piezo_identification.estimators.creep.square_wave_creep import (
     BINS_PER_DECADE,
+    MORE_PAIRS,
     MOST_PAIRS,
+    SHARE_OF_CREEP,
     CreepNotShown,
     left_out_s,
 )
@@ -144,18 +147,19 @@ def _search(
     point = best = np.empty(0)
     residual = problem.residual(point)
     trials = [problem.trial(point, residual, 0.0)]
-    for _ in range(MOST_PAIRS if pair_count is None else pair_count):
-        for start in problem.starts(point):
-            trial_point = problem.refine(start)
-            if not problem.refusal(trial_point):
+    with while_time_lasts(MORE_PAIRS, 1.0 if pair_count else SHARE_OF_CREEP):
+        for _ in range(MOST_PAIRS if pair_count is None else pair_count):
+            for start in problem.starts(point):
+                trial_point = problem.refine(start)
+                if not problem.refusal(trial_point):
+                    break
+            left = problem.residual(trial_point)
+            gain = problem.gain_of(residual, left, 3, problem.alike(left))
+            trials.append(problem.trial(trial_point, left, trials[-1].information - gain))
+            if pair_count is None and (trials[-1].refusal or gain <= 0.0):
                 break
-        left = problem.residual(trial_point)
-        gain = problem.gain_of(residual, left, 3, problem.alike(left))
-        trials.append(problem.trial(trial_point, left, trials[-1].information - gain))
-        if pair_count is None and (trials[-1].refusal or gain <= 0.0):
-            break
-        point = best = trial_point
-        residual = left
+            point = best = trial_point
+            residual = left
     return best, trials
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares, nnls
 
 from piezo_common.arrays import FloatArray, IntArray
+from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.conditioning.generator_edges import free_running_level
 from piezo_identification.conditioning.recording_start import square_part, without_first
@@ -25,6 +26,9 @@ from piezo_identification.estimators.estimate import (
 )
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
+
+MORE_PAIRS, SHARE_OF_CREEP = "more pairs of the creep", 0.2
+"""What is left out, and from which share of the time of an identification."""
 
 MOST_PAIRS = 8
 """Pairs of pole and zero beyond which the search for their number ends."""
@@ -129,15 +133,16 @@ def _estimate(record: "_CreepRecord", pair_count: int | None) -> Estimate:
 def _estimate_as_held(record: "_CreepRecord", pair_count: int | None) -> Estimate:
     rates = np.empty(0)
     best, trials = rates, [record.trial(rates)]
-    for _ in range(MOST_PAIRS if pair_count is None else pair_count):
-        rates = record.refine(np.append(rates, record.best_further_rate(rates)))
-        trials.append(record.trial(rates))
-        better = trials[-1].information < min(trial.information for trial in trials[:-1])
-        if pair_count is None and not better:
-            break
-        # Creep over many decades: a number of pairs may be refused and a larger one fit.
-        if pair_count is not None or not trials[-1].refusal:
-            best = rates
+    with while_time_lasts(MORE_PAIRS, 1.0 if pair_count else SHARE_OF_CREEP):
+        for _ in range(MOST_PAIRS if pair_count is None else pair_count):
+            rates = record.refine(np.append(rates, record.best_further_rate(rates)))
+            trials.append(record.trial(rates))
+            better = trials[-1].information < min(trial.information for trial in trials[:-1])
+            if pair_count is None and not better:
+                break
+            # Creep over many decades: a number of pairs may be refused and a larger one fit.
+            if pair_count is not None or not trials[-1].refusal:
+                best = rates
     model, standard_deviations = record.creep(best)
     shown = len(model.poles_rad_per_s)
     if pair_count is not None and (trials[-1].refusal or shown < pair_count):

@@ -8,6 +8,7 @@ from itertools import combinations, product
 import numpy as np
 
 from piezo_common.arrays import FloatArray
+from piezo_common.budget import while_time_lasts
 from piezo_identification.estimators.dynamics.fast_dynamics import (
     ModeOrder,
     ascending_places,
@@ -80,6 +81,9 @@ HOPELESS = 10.0
 LAGGING_FORMS = 2
 """Forms, the best of as many modes, that are tried with a sensor's lag."""
 
+ORDERS = 0.3
+"""Share of the time that an identification may take, after which no further orders are tried."""
+
 SENSOR_LAGS = (0.3, 1.0, 4.0)
 """In sample periods, from which a sensor's lag is sought."""
 
@@ -141,8 +145,11 @@ class _Search:
             if len(frees) - 1 - best == PATIENCE:
                 break
         # A form with a lag of its own may have a mode less.
-        for free in frees[max(0, best - 1) : best + 1]:
-            self._try_forms(free)
+        with while_time_lasts("further orders of the dynamics", ORDERS):
+            for free in frees[max(0, best - 1) : best + 1]:
+                self._try_forms(free)
+        if not self._fits:
+            self._try_forms(frees[best])
 
     def _gain(self, fewer: FreeFit, more: FreeFit) -> float:
         """Return the information that further modes gain; errors that are alike count for fewer."""

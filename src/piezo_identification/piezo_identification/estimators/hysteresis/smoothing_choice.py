@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
+from piezo_common.budget import while_time_lasts
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.conditioning.waveforms import turning_points
 from piezo_identification.estimators.hysteresis.equations import (
@@ -36,6 +37,9 @@ far more than others, the standard error excuses anything, even a line."""
 RISES = 3
 """So many weights in a row, each of which predicts worse than the one before, end a search: those
 that would follow take most time, as the bounds then hold here and there."""
+
+WEIGHTS = 0.5
+"""Share of the time that an identification may take, after which no further weights are tried."""
 
 FEWEST_ROWS = 4
 """Samples to fit in a piece of a branch."""
@@ -184,13 +188,14 @@ class _Trials:
 
     def best(self, candidates: Iterable[Penalties]) -> Penalties:
         """Return the first candidate that predicts as well as any, until they get ever worse."""
-        listed: list[Penalties] = []
-        misfits: list[float] = []
-        for penalties in candidates:
-            listed.append(penalties)
-            misfits.append(float(self.misfits(penalties).sum()))
-            if len(misfits) > RISES and np.all(np.diff(misfits[-RISES - 1 :]) > 0.0):
-                break
+        first, *others = candidates
+        listed, misfits = [first], [float(self.misfits(first).sum())]
+        with while_time_lasts("further weights of the density", WEIGHTS):
+            for penalties in others:
+                misfits.append(float(self.misfits(penalties).sum()))
+                listed.append(penalties)
+                if len(misfits) > RISES and np.all(np.diff(misfits[-RISES - 1 :]) > 0.0):
+                    break
         least = listed[int(np.argmin(misfits))]
         return next(each for each in listed if self._as_well(self.misfits(each), least))
 

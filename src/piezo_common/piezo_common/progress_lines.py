@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Progress of a command as lines of text, of which none comes late."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from piezo_common.budget import Budget
+
+SILENT_S = 4.0
+"""Time after which what goes on is printed again."""
+
+TELLING = 0.05
+"""Part of the work from which the time taken so far tells what is left."""
+
+
+class ProgressLines:
+    """Print which step a command is at, and for a long one how long it has gone on.
+
+    Parameters
+    ----------
+    budget : Budget
+        Of the command: what is left is no more than it has.
+    clock : callable
+        Returns seconds.
+    """
+
+    def __init__(self, budget: Budget, clock: Callable[[], float] = time.monotonic) -> None:
+        self._budget, self._clock = budget, clock
+        self._begun_s = self._printed_s = clock()
+        self._stage, self._fraction = "", 0.0
+        self._one_at_a_time = threading.Lock()
+
+    def report(self, stage: str, fraction: float) -> None:
+        """Print that a step begins, and which part of the whole is done (0 to 1)."""
+        with self._one_at_a_time:
+            self._stage, self._fraction = stage, fraction
+            self._print()
+
+    def beat(self) -> None:
+        """Print again what goes on, unless something was printed just now."""
+        with self._one_at_a_time:
+            if self._stage and self._clock() - self._printed_s >= SILENT_S:
+                self._print()
+
+    def _print(self) -> None:
+        self._printed_s = self._clock()
+        taken_s, fraction = self._printed_s - self._begun_s, self._fraction
+        words = [f"{100.0 * fraction:3.0f} %  {self._stage}"]
+        if TELLING <= fraction < 1.0 and taken_s >= 1.0:
+            left_s = min(taken_s * (1.0 - fraction) / fraction, self._budget.left_s)
+            words.append(f"{taken_s:.0f} s so far, about {left_s:.0f} s left")
+        print(", ".join(words), flush=True)
+
+
+@contextmanager
+def progress_printed(budget: Budget) -> Iterator[Callable[[str, float], None]]:
+    """Give a function that prints the progress, called with (stage, fraction).
+
+    While the context lasts, nothing is silent for longer than `SILENT_S` and a second.
+    """
+    lines, is_over = ProgressLines(budget), threading.Event()
+
+    def beat() -> None:
+        while not is_over.wait(1.0):
+            lines.beat()
+
+    beats = threading.Thread(target=beat, name="progress", daemon=True)
+    beats.start()
+    try:
+        yield lines.report
+    finally:
+        is_over.set()
+        beats.join()

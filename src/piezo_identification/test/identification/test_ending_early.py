@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""An identification that ends early writes the best model so far, said to be unfinished."""
+
+from itertools import count
+
+import pytest
+
+from piezo_common.budget import Budget
+from piezo_identification.experiments import catalogue as experiments
+from piezo_identification.identification.identify import identify
+from piezo_identification.report.identification_report import identification_sentence
+from piezo_models.model_file import load_model, save_model
+from piezo_recorder.reading.reader import read_recording
+
+
+@pytest.fixture(scope="module")
+def recordings(play, csv_of, tmp_path_factory):
+    played = {
+        "dynamics": play(experiments.dynamics(duration_s=0.2), 1),
+        "hysteresis": play(experiments.hysteresis(level_count=8, harmonic_period_s=1.0), 1, 1000.0),
+        "validation": play(experiments.validation(arc_s=0.05, tones_s=0.2), 2)}
+    folder = tmp_path_factory.mktemp("recordings")
+    return {name: read_recording(csv_of(each, folder / f"{name}.csv"))
+            for name, each in played.items()}
+
+
+@pytest.fixture(scope="module")
+def whole(recordings):
+    return identify(**recordings)
+
+
+def interrupted_at(beginning):
+    def progress(stage, fraction):
+        if stage.startswith(beginning):
+            raise KeyboardInterrupt
+    return progress
+
+
+def test_an_identification_that_is_done_is_not_unfinished(whole):
+    assert whole.unfinished == "" and "unfinished" not in whole.shortfall()
+
+
+@pytest.mark.parametrize("stage", ["everything together", "with"])
+def test_ctrl_c_in_the_one_fit_leaves_the_best_model_so_far(recordings, whole, stage, tmp_path):
+    found = identify(**recordings, progress=interrupted_at(stage))
+    assert found.unfinished.startswith("interrupted; not tried: ")
+    assert found.unfinished in identification_sentence(found)
+    save_model(tmp_path / "model.json", found)
+    read = load_model(tmp_path / "model.json")
+    assert read.unfinished == found.unfinished
+    assert read.shortfall().startswith("the model is unfinished: interrupted; not tried: ")
+    assert found.errors["e_y_percent"] < 3.0 * whole.errors["e_y_percent"] + 1.0
+
+
+def test_ctrl_c_before_there_is_a_model_leaves_none(recordings):
+    with pytest.raises(KeyboardInterrupt):
+        identify(**recordings, progress=interrupted_at("hysteresis"))
+
+
+def test_a_budget_that_is_over_at_once_leaves_the_separate_steps(recordings):
+    told = []
+    found = identify(**recordings, note=told.append, budget=Budget(1.0, count().__next__))
+    assert found.unfinished.startswith("the time of 1 s is over; not tried: ")
+    table = next(text for text in told if text.startswith("one fit of the whole model"))
+    assert table.splitlines()[-1].startswith("step by step") and "<- written" in table
+
+
+def test_a_budget_that_is_large_enough_changes_nothing(recordings, whole):
+    found = identify(**recordings, budget=Budget(1e9, count().__next__))
+    assert found.unfinished == ""
+    assert found.errors == whole.errors
