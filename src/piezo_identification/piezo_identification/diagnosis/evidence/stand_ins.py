@@ -9,8 +9,8 @@ import numpy as np
 
 from piezo_models.effects import Effect, Extent, known_effects
 
-AT_BOUND = 1e-3
-"""Part of the range of a fitted number that counts as its end."""
+AT_BOUND = 0.01
+"""Part of a bound by which a fitted number that ended at it may differ from it."""
 
 LEAST_PROBABILITY = 1e-3
 """Below it, an effect is a guess, and the interval of its parameters says nothing."""
@@ -53,16 +53,15 @@ def _is_stand_in(entry: Mapping[str, Any], extent: Extent,
 
 def _is_at_a_bound(kind: type[Effect], parameters: Mapping[str, Any], extent: Extent) -> bool:
     """Return whether a parameter ended where the recordings, not nature, bound it."""
-    scales = {field.name: field.metadata["scale"] for field in fields(kind)}
+    declared = {field.name: field.metadata for field in fields(kind)}
     for name, bounds in kind.bounds(extent).items():
-        values, ends = np.atleast_1d(parameters[name]), np.array(bounds, dtype=float)
-        if scales[name] == "fixed":
+        nature = declared[name]
+        if nature["scale"] == "fixed":
             continue
-        if scales[name] == "logarithm":
-            with np.errstate(divide="ignore"):
-                values, ends = np.log(values), np.log(ends)
-        near = AT_BOUND * (np.ptp(ends) if np.isfinite(ends).all() else 0.0)
-        if np.any(np.abs(values[:, None] - ends) <= near):
+        ends = np.array([end for end, natural in zip(
+            bounds, (nature["low"], nature["high"]), strict=True) if end != natural])
+        values = np.atleast_1d(parameters[name])
+        if np.any(np.abs(values[:, None] - ends) <= AT_BOUND * np.abs(ends)):
             return True
     return False
 
