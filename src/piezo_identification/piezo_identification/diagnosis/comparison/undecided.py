@@ -5,9 +5,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from piezo_common.side_by_side import side_by_side
-from piezo_identification.diagnosis.comparison.criteria import CRITERIA, is_indistinguishable
+from piezo_identification.diagnosis.comparison.criteria import is_indistinguishable
 from piezo_identification.diagnosis.comparison.measures_of_fits import lack_of_fit
 from piezo_identification.diagnosis.comparison.reasons import OTHER_PARAMETERS, Undecided
+from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
 from piezo_identification.fitting.effect_fit import fit_effects, fit_one_more
 from piezo_identification.fitting.recording_evidence import recording_evidence
 from piezo_identification.fitting.regression import (
@@ -20,19 +21,15 @@ from piezo_models.effects import Effect
 
 @dataclass(frozen=True)
 class UndecidedSettings:
-    """When other causes are looked for than a change of the model's parameters.
-
-    Both are multiples of the lack of fit that is left with the parameters free.
+    """When another cause does as well as a change of the model's parameters.
 
     Attributes
     ----------
-    much_explained : float
-        What must be left with fixed parameters for other causes to be looked for.
     as_good : float
-        What an effect may leave instead.
+        What it may leave, over the lack of fit that is left with the parameters free. No cause is
+        looked for where fixed parameters leave no more.
     """
 
-    much_explained: float = 4.0
     as_good: float = 2.0
 
 
@@ -99,8 +96,8 @@ def explained_by_parameters(regression: Regression, kinds: Sequence[type[Effect]
         Names of the effects, and the reason why they are not decidable.
     """
     fixed = with_fixed_parameters(regression, best.effects)
-    left = max(CRITERIA.noise**2, lack_of_fit(regression, best))
-    if lack_of_fit(fixed, fixed.fit(best.effects)) < SETTINGS.much_explained * left:
+    left = max(PROBABILITIES.passes**2, lack_of_fit(regression, best))
+    if lack_of_fit(fixed, fixed.fit(best.effects)) <= SETTINGS.as_good * left:
         return {}
     evidence = recording_evidence(fixed, best.effects)
     present = {effect.name for effect in best.effects}

@@ -31,11 +31,12 @@ def with_stand_ins(entries: Sequence[dict[str, Any]], extent: Extent,
     probabilities : dict of str to float
         Of sets of effects, their names joined by +; empty where they are not known.
     """
-    return [_marked(entry) if _is_stand_in(entry, extent, probabilities) else entry
+    return [as_stand_in(entry) if _is_stand_in(entry, extent, probabilities) else entry
             for entry in entries]
 
 
-def _marked(entry: Mapping[str, Any]) -> dict[str, Any]:
+def as_stand_in(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Mark the entry of an effect, and leave out its standard deviations."""
     return {name: value for name, value in entry.items()
             if name != "standard_deviations"} | {STAND_IN: True}
 
@@ -64,6 +65,11 @@ def _is_at_a_bound(kind: type[Effect], parameters: Mapping[str, Any], extent: Ex
         if np.any(np.abs(values[:, None] - ends) <= AT_BOUND * np.abs(ends)):
             return True
     return False
+
+
+def named(entries: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the names of the effects that are no stand-ins."""
+    return [entry["name"] for entry in entries if not entry.get(STAND_IN)]
 
 
 def name_of(entry: Mapping[str, Any]) -> str:

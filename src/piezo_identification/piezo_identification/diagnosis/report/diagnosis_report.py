@@ -49,7 +49,7 @@ def _sentence(diagnosis: Diagnosis) -> str:
     names = " and ".join(map(name_of, diagnosis.effects))
     if diagnosis.verdict == "none":
         anew = "" if after == before else (
-            f", and {after:.3g} nm with its parameters estimated anew on all recordings")
+            f", and {after:.3g} nm with its parameters estimated anew")
         return f"The model lacks nothing that the data shows: {before:.3g} nm RMS are left{anew}."
     if diagnosis.verdict == "explained":
         if [entry["name"] for entry in diagnosis.effects] == ["outliers"]:
