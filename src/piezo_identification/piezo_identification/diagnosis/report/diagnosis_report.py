@@ -123,8 +123,9 @@ def _on_intervals(diagnosis: Diagnosis) -> Iterator[str]:
     stand_ins = [entry["name"] for entry in diagnosis.effects if entry.get(STAND_IN)]
     if stand_ins:
         yield (f"What the model lacks behaves like {' and '.join(stand_ins)}, which fits but "
-               "cannot be believed: a parameter ended at its bound, or the probability is below "
-               f"{LEAST_PROBABILITY:g}. So there is no interval.")
+               "cannot be believed: a parameter ended at its bound, the probability is below "
+               f"{LEAST_PROBABILITY:g}, or it contributes less than the noise beside a stronger "
+               "effect. So there is no interval.")
 
 
 def _found(diagnosis: Diagnosis) -> Section:
