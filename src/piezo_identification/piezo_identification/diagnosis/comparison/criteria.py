@@ -16,7 +16,6 @@ from piezo_identification.diagnosis.comparison.measures_of_fits import (
     mean_square,
     significance,
 )
-from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
 from piezo_identification.fitting.regression import Fit, Regression
 
 
@@ -26,6 +25,8 @@ class Criteria:
 
     Attributes
     ----------
+    noise : float
+        Size of what is left beyond the noise, in tolerances, below which it passes for noise.
     overwhelming : float
         Part below which the mean square on held-out data convinces by itself: where one event, such
         as a jump, holds all of the evidence, there is no significance by numbers.
@@ -49,6 +50,7 @@ class Criteria:
         How many times as much as the best of them they may leave.
     """
 
+    noise: float = 0.8
     overwhelming: float = 0.36
     significant: float = 5.0
     noticeable: float = 0.25
@@ -66,7 +68,7 @@ CRITERIA = Criteria()
 
 def is_noise(regression: Regression, fit: Fit) -> bool:
     """Return whether a fit leaves so little that the diagnosis takes it for noise."""
-    return lack_of_fit(regression, fit) <= PROBABILITIES.passes**2
+    return lack_of_fit(regression, fit) <= CRITERIA.noise**2
 
 
 def is_convincing(regression: Regression, start: Fit, before: Fit, after: Fit) -> bool:

@@ -5,10 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from piezo_common.side_by_side import side_by_side
-from piezo_identification.diagnosis.comparison.criteria import is_indistinguishable
+from piezo_identification.diagnosis.comparison.criteria import CRITERIA, is_indistinguishable
 from piezo_identification.diagnosis.comparison.measures_of_fits import lack_of_fit
 from piezo_identification.diagnosis.comparison.reasons import OTHER_PARAMETERS, Undecided
-from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
 from piezo_identification.fitting.effect_fit import fit_effects, fit_one_more
 from piezo_identification.fitting.recording_evidence import recording_evidence
 from piezo_identification.fitting.regression import (
@@ -96,7 +95,7 @@ def explained_by_parameters(regression: Regression, kinds: Sequence[type[Effect]
         Names of the effects, and the reason why they are not decidable.
     """
     fixed = with_fixed_parameters(regression, best.effects)
-    left = max(PROBABILITIES.passes**2, lack_of_fit(regression, best))
+    left = max(CRITERIA.noise**2, lack_of_fit(regression, best))
     if lack_of_fit(fixed, fixed.fit(best.effects)) <= SETTINGS.as_good * left:
         return {}
     evidence = recording_evidence(fixed, best.effects)
