@@ -417,9 +417,12 @@ def tell(model: StageModel, given: Conditioned, selection: Selection, validation
     effects = with_stand_ins(
         [entry | {"came": decision.came} for entry in effect_entries(regression, fit)],
         regression.dataset.extent, decision.probabilities)
-    # Outliers had bent the parameters of a model that was identified with them.
+    # Outliers had bent the parameters of a model that was identified with them; and where no effect
+    # is named, the parameters may explain what the given ones do not.
+    may_move = outliers or decision.verdict == "none" and not is_noise(
+        regression, regression.as_given())
     is_changed = bool(fit.effects or regression.dataset.model is not model
-                      or outliers and validation.improves(fit))
+                      or may_move and validation.improves(fit))
     extended = regression.extended_model(fit) if is_changed else model
     if outliers:
         effects.append(outliers.entry(regression, fit))

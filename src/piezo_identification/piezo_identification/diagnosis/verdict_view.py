@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from piezo_common.summary_table import Cell, SummaryTable
+from piezo_identification.diagnosis.evidence.stand_ins import name_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,7 +19,7 @@ HEADS = ("", "value", "std. dev.", "unit")
 
 def text_of_verdict(verdict: "Verdict") -> str:
     """Return a verdict in one line."""
-    named = " and ".join(entry["name"] for entry in verdict.effects)
+    named = " and ".join(map(name_of, verdict.effects))
     before, after = (errors["rms_um"] for errors in (verdict.before, verdict.after))
     return (f"<{type(verdict).__name__}: {verdict.verdict}{' by ' if named else ''}{named}, "
             f"{1e3 * before:.4g} nm RMS before, {1e3 * after:.4g} nm after, "
@@ -45,7 +46,7 @@ def summary_of_verdict(verdict: "Verdict") -> SummaryTable:
 
 
 def _effect_rows(entry: dict[str, Any]) -> Iterator[tuple[Cell, ...]]:
-    yield (f"{entry['name']}, error reduction", entry["error_reduction_percent"], None, "%")
+    yield (f"{name_of(entry)}, error reduction", entry["error_reduction_percent"], None, "%")
     deviations = entry.get("standard_deviations", {})
     for name, value in entry["parameters"].items():
         values = np.atleast_1d(value)

@@ -253,7 +253,7 @@ class JointProblem:
 
 
 def _left_um(regression: Regression, effects: Sequence[Effect]) -> FloatArray:
-    return regression.tolerance_um * regression.nuisance_remainder(regression.difference(effects))
+    return regression.tolerance_um * regression.as_given(effects).residual
 
 
 def correlated_scale(residual: FloatArray) -> float:

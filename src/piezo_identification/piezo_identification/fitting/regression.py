@@ -147,17 +147,19 @@ class Regression:
         return Fit(tuple(effects), difference - explained, difference,
                    np.asarray(coefficients, dtype=float), covariance)
 
-    def nuisance_remainder(self, difference: FloatArray) -> FloatArray:
-        """Return what the nuisance regressors alone leave at all rows, (r,).
+    def as_given(self, effects: Sequence[Effect] = ()) -> Fit:
+        """Fit what belongs to a recording beside effects and the model as they are.
 
-        They belong to a recording and not to a model. So all rows tell of them: the ends of an
-        initial creep that only held-out rows show would be anything otherwise.
+        All rows tell of it: the ends of an initial creep that only held-out rows show would be
+        anything otherwise.
         """
-        dataset = self.dataset
-        nuisance = dataset.regressors[:, : dataset.nuisance_count] / self.tolerance_um[:, None]
+        dataset, difference = self.dataset, self.difference(effects)
         rows = self.estimation | self.validation
-        sizes = np.linalg.lstsq(nuisance[rows], difference[rows], rcond=1e-12)[0]
-        return difference - nuisance @ sizes
+        coefficients = np.zeros(dataset.regressors.shape[1])
+        coefficients[: dataset.nuisance_count] = np.linalg.lstsq(
+            self.weighted[rows, : dataset.nuisance_count], difference[rows], rcond=1e-12)[0]
+        return Fit(tuple(effects), difference - self.weighted @ coefficients, difference,
+                   coefficients)
 
     def noise_of_rows(self) -> FloatArray:
         """Return the sensor's noise at all rows, in tolerances, (r,)."""

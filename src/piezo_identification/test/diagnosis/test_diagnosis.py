@@ -9,7 +9,11 @@ from piezo_identification.commands.diagnose_command import main
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.diagnosis.comparison.measures_of_fits import significance
 from piezo_identification.diagnosis.diagnose import diagnose
-from piezo_identification.diagnosis.report.diagnosis_report import render_report
+from piezo_identification.diagnosis.evidence.effect_entries import effect_entries
+from piezo_identification.diagnosis.report.diagnosis_report import (
+    render_report,
+    verdict_sentence,
+)
 from piezo_identification.experiments import catalogue as experiments
 from piezo_identification.fitting.dataset import simulate_recordings
 from piezo_identification.fitting.free_parameters import changed_model, free_sensitivities
@@ -26,6 +30,7 @@ from piezo_identification.fitting.regression import (
 from piezo_identification.prediction import predict
 from piezo_identification.simulation.model_run import ModelRun
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
+from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.periodic_disturbance import PeriodicDisturbance
 from piezo_models.effects.vibration_mode import VibrationMode
@@ -65,6 +70,15 @@ def test_noise_is_noise(plant, record):
     assert diagnosis.before == diagnosis.after
 
 
+def test_where_only_other_parameters_leave_noise_the_extended_model_has_them(plant, record):
+    off = replace(plant, dynamics=replace(
+        plant.dynamics, time_constant_s=1.03 * plant.dynamics.time_constant_s))
+    diagnosis = diagnose(off, [record()])
+    assert (diagnosis.verdict, diagnosis.effects) == ("none", [])
+    assert diagnosis.after["rms_um"] < 2.0 * diagnosis.noise_floor_um < diagnosis.before["rms_um"]
+    assert "estimated anew" in verdict_sentence(diagnosis)
+
+
 @pytest.mark.kernels
 def test_a_missing_mode_is_found_and_its_parameters_are_those_of_the_plant(of_mode):
     assert of_mode.verdict == "explained"
@@ -75,6 +89,16 @@ def test_a_missing_mode_is_found_and_its_parameters_are_those_of_the_plant(of_mo
         assert error < 0.02 * value
         assert error < 10.0 * first["standard_deviations"][name]
     assert of_mode.after["rms_um"] < 1.1 * of_mode.noise_floor_um < 0.5 * of_mode.before["rms_um"]
+
+
+def test_beside_a_stronger_effect_one_below_the_noise_is_a_stand_in(plant, record):
+    """The noise is 8.8 nm, and the width of the play about what it contributes."""
+    regression = first_regression(simulate_recordings(plant, [record(MODE)]))
+    for effects, are_named in [((MODE, Backlash(1e-3)), (True, False)),
+                               ((MODE, Backlash(0.1)), (True, True)),
+                               ((Backlash(1e-3),), (True,))]:
+        entries = effect_entries(regression, regression.fit(effects))
+        assert tuple("stand_in" not in entry for entry in entries) == are_named
 
 
 def test_the_extended_model_is_better_on_another_recording(plant, of_mode, record):

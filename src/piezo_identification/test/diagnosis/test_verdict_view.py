@@ -39,6 +39,7 @@ def test_line_names_the_effects_and_both_errors():
     assert repr(verdict(FOUND)) == ("<Verdict: explained by delay and periodic_disturbance, "
                                     "20 nm RMS before, 4 nm after, 3 nm noise>")
     assert "explained, 20 nm" in repr(verdict([]))
+    assert "by what behaves like delay, 20 nm" in repr(verdict([FOUND[0] | {"stand_in": True}]))
 
 
 def test_picture_has_a_bar_for_each_error_and_effect():

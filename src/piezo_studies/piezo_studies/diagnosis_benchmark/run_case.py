@@ -9,6 +9,8 @@ import numpy as np
 
 from piezo_identification.diagnosis.comparison.measures_of_fits import lack_of_fit
 from piezo_identification.diagnosis.diagnose import diagnose
+from piezo_identification.diagnosis.evidence.known_noise import noise_of_model
+from piezo_identification.diagnosis.evidence.stand_ins import named
 from piezo_identification.diagnosis.experiment_design.decide import decide
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
@@ -143,16 +145,17 @@ def _diagnoses(known, identified_from, recording, hidden, seed, experiments):
     """Return the diagnosis of a recording, and one with each recording that was then proposed."""
     old, stated = IdentificationRecordings(identified_from, ()), stated_error(known)
     if not experiments:
-        return [diagnose(known.model, [recording], identified_from=old, stated=stated)]
+        return [diagnose(known.model, [recording], identified_from=old, stated=stated,
+                         noise=noise_of_model(known))]
     steps = decide(
         known.model, [recording], records.player_of_proposals(hidden, seed), experiments,
-        records.STAGE_LIMITS, identified_from=old, stated=stated)
+        records.STAGE_LIMITS, identified_from=old, stated=stated, noise=noise_of_model(known))
     return [step.diagnosis for step in steps]
 
 
 def _told(diagnosis):
     return {"verdict": diagnosis.verdict, "probabilities": diagnosis.probabilities,
-            "effects": [entry["name"] for entry in diagnosis.effects],
+            "effects": named(diagnosis.effects),
             "not_decidable": sorted(diagnosis.not_decidable)}
 
 

@@ -4,6 +4,8 @@
 import numpy as np
 
 from piezo_identification.diagnosis.diagnose import diagnose
+from piezo_identification.diagnosis.evidence.known_noise import noise_of_model
+from piezo_identification.diagnosis.evidence.stand_ins import named
 from piezo_identification.diagnosis.report.results import stated_error
 from piezo_identification.fitting.dataset import simulate_recordings
 from piezo_identification.fitting.regression import first_regression
@@ -41,7 +43,8 @@ def run_small_case(case, identified):
         if drawn is None:
             return None
     recording = records.record(plant if drawn is None else drawn.plant, experiment, seed)
-    diagnosis = diagnose(identified.model, [recording], stated=stated_error(identified))
+    diagnosis = diagnose(identified.model, [recording], stated=stated_error(identified),
+                         noise=noise_of_model(identified))
     size, told = 0.0, []
     if drawn is not None:
         without_um, added_um = _responses_um(plant, drawn.plant, experiment, seed, recording)
@@ -56,7 +59,7 @@ def run_small_case(case, identified):
              "whole_over_noise": drawn.contribution_rms_um / noise}],
         "in_model": [effect.name for effect in identified.model.effects],
         "verdict": diagnosis.verdict, "probabilities": diagnosis.probabilities,
-        "effects": [entry["name"] for entry in diagnosis.effects],
+        "effects": named(diagnosis.effects),
         "not_decidable": sorted(diagnosis.not_decidable),
         "estimates": told,
         "noise_um": noise, "noise_found_um": diagnosis.noise_floor_um,

@@ -26,7 +26,7 @@ class Criteria:
     Attributes
     ----------
     noise : float
-        Size of what is left beyond the noise, in tolerances, below which it counts as noise.
+        Size of what is left beyond the noise, in tolerances, below which it passes for noise.
     overwhelming : float
         Part below which the mean square on held-out data convinces by itself: where one event, such
         as a jump, holds all of the evidence, there is no significance by numbers.

@@ -13,8 +13,12 @@ def mean_square(regression: Regression, fit: Fit) -> float:
 
 def lack_of_fit(regression: Regression, fit: Fit) -> float:
     """Return the mean square left beyond the noise on the validation set, in tolerances."""
-    expected = float(np.mean(regression.noise_of_rows()[regression.validation] ** 2))
-    return max(0.0, mean_square(regression, fit) - expected)
+    return max(0.0, mean_square(regression, fit) - noise(regression) ** 2)
+
+
+def noise(regression: Regression) -> float:
+    """Return the RMS of the sensor's noise on the validation set, in tolerances."""
+    return float(np.sqrt(np.mean(regression.noise_of_rows()[regression.validation] ** 2)))
 
 
 def significance(regression: Regression, before: Fit, after: Fit) -> float:

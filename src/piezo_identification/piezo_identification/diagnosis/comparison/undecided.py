@@ -20,19 +20,15 @@ from piezo_models.effects import Effect
 
 @dataclass(frozen=True)
 class UndecidedSettings:
-    """When other causes are looked for than a change of the model's parameters.
-
-    Both are multiples of the lack of fit that is left with the parameters free.
+    """When another cause does as well as a change of the model's parameters.
 
     Attributes
     ----------
-    much_explained : float
-        What must be left with fixed parameters for other causes to be looked for.
     as_good : float
-        What an effect may leave instead.
+        What it may leave, over the lack of fit that is left with the parameters free. No cause is
+        looked for where fixed parameters leave no more.
     """
 
-    much_explained: float = 4.0
     as_good: float = 2.0
 
 
@@ -100,7 +96,7 @@ def explained_by_parameters(regression: Regression, kinds: Sequence[type[Effect]
     """
     fixed = with_fixed_parameters(regression, best.effects)
     left = max(CRITERIA.noise**2, lack_of_fit(regression, best))
-    if lack_of_fit(fixed, fixed.fit(best.effects)) < SETTINGS.much_explained * left:
+    if lack_of_fit(fixed, fixed.fit(best.effects)) <= SETTINGS.as_good * left:
         return {}
     evidence = recording_evidence(fixed, best.effects)
     present = {effect.name for effect in best.effects}

@@ -184,7 +184,7 @@ class Validation:
         regression = self.regression
         if self.holdout is not None:
             return _predicted(regression.dataset.model, self.holdout)
-        return self._at_rows(regression.nuisance_remainder(regression.difference(())))
+        return self._at_rows(regression.as_given().residual)
 
     def _of(self, fit: Fit | None) -> "_Samples":
         """Return samples of the model extended by a fit, or as given without one."""

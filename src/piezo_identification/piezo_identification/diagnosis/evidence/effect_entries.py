@@ -11,7 +11,9 @@ from piezo_common.arrays import FloatArray
 from piezo_identification.diagnosis.comparison.measures_of_fits import (
     contribution_rms,
     mean_square,
+    noise,
 )
+from piezo_identification.diagnosis.evidence.stand_ins import as_stand_in
 from piezo_identification.fitting.regression import Fit, Regression
 from piezo_models.effects import Effect
 
@@ -23,19 +25,22 @@ def effect_entries(regression: Regression, fit: Fit) -> list[dict[str, Any]]:
     -------
     list of dict
         `name`, `parameters`, `error_reduction_percent` and, where they are known,
-        `standard_deviations` of the parameters that were fitted.
+        `standard_deviations` of the parameters that were fitted. Beside a stronger effect, one that
+        contributes less than the noise is a stand-in.
     """
-    entries: list[dict[str, Any]] = []
-    for number, effect in enumerate(fit.effects):
-        # Without it and everything else as it is, the error would be larger by what it contributes.
-        added = contribution_rms(regression, regression.fit(fit.without(number)), fit)
-        left = np.sqrt(mean_square(regression, fit))
-        entries.append({
-            "name": effect.name, "parameters": effect.parameters(),
-            "error_reduction_percent": float(100.0 * (1.0 - left / np.hypot(left, added)))})
+    # Without an effect and everything else as it is, the error would be larger by what it adds.
+    added = [contribution_rms(regression, regression.fit(fit.without(number)), fit)
+             for number in range(len(fit.effects))]
+    left = np.sqrt(mean_square(regression, fit))
+    entries: list[dict[str, Any]] = [{
+        "name": effect.name, "parameters": effect.parameters(),
+        "error_reduction_percent": float(100.0 * (1.0 - left / np.hypot(left, each)))}
+        for effect, each in zip(fit.effects, added, strict=True)]
     if fit.covariance is not None:
         _add_deviations(entries, fit.effects, fit.covariance)
-    return entries
+    named = min(noise(regression), max(added, default=0.0))
+    return [entry if each >= named else as_stand_in(entry)
+            for entry, each in zip(entries, added, strict=True)]
 
 
 def _add_deviations(entries: list[dict[str, Any]], effects: Sequence[Effect],

@@ -9,8 +9,8 @@ import numpy as np
 
 from piezo_models.effects import Effect, Extent, known_effects
 
-AT_BOUND = 1e-3
-"""Part of the range of a fitted number that counts as its end."""
+AT_BOUND = 0.01
+"""Part of a bound by which a fitted number that ended at it may differ from it."""
 
 LEAST_PROBABILITY = 1e-3
 """Below it, an effect is a guess, and the interval of its parameters says nothing."""
@@ -31,11 +31,12 @@ def with_stand_ins(entries: Sequence[dict[str, Any]], extent: Extent,
     probabilities : dict of str to float
         Of sets of effects, their names joined by +; empty where they are not known.
     """
-    return [_marked(entry) if _is_stand_in(entry, extent, probabilities) else entry
+    return [as_stand_in(entry) if _is_stand_in(entry, extent, probabilities) else entry
             for entry in entries]
 
 
-def _marked(entry: Mapping[str, Any]) -> dict[str, Any]:
+def as_stand_in(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Mark the entry of an effect, and leave out its standard deviations."""
     return {name: value for name, value in entry.items()
             if name != "standard_deviations"} | {STAND_IN: True}
 
@@ -53,18 +54,22 @@ def _is_stand_in(entry: Mapping[str, Any], extent: Extent,
 
 def _is_at_a_bound(kind: type[Effect], parameters: Mapping[str, Any], extent: Extent) -> bool:
     """Return whether a parameter ended where the recordings, not nature, bound it."""
-    scales = {field.name: field.metadata["scale"] for field in fields(kind)}
+    declared = {field.name: field.metadata for field in fields(kind)}
     for name, bounds in kind.bounds(extent).items():
-        values, ends = np.atleast_1d(parameters[name]), np.array(bounds, dtype=float)
-        if scales[name] == "fixed":
+        nature = declared[name]
+        if nature["scale"] == "fixed":
             continue
-        if scales[name] == "logarithm":
-            with np.errstate(divide="ignore"):
-                values, ends = np.log(values), np.log(ends)
-        near = AT_BOUND * (np.ptp(ends) if np.isfinite(ends).all() else 0.0)
-        if np.any(np.abs(values[:, None] - ends) <= near):
+        ends = np.array([end for end, natural in zip(
+            bounds, (nature["low"], nature["high"]), strict=True) if end != natural])
+        values = np.atleast_1d(parameters[name])
+        if np.any(np.abs(values[:, None] - ends) <= AT_BOUND * np.abs(ends)):
             return True
     return False
+
+
+def named(entries: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the names of the effects that are no stand-ins."""
+    return [entry["name"] for entry in entries if not entry.get(STAND_IN)]
 
 
 def name_of(entry: Mapping[str, Any]) -> str:

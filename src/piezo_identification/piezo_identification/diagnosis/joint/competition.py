@@ -9,7 +9,7 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
-from piezo_identification.diagnosis.comparison.criteria import is_noise
+from piezo_identification.diagnosis.comparison.criteria import CRITERIA, is_noise
 from piezo_identification.diagnosis.comparison.selection import Selection
 from piezo_identification.diagnosis.comparison.undecided import in_place_of_the_found
 from piezo_identification.diagnosis.joint.alternatives import (
@@ -252,7 +252,7 @@ def _names(fit: Fit) -> set[str]:
 
 def _passing_um(noise_um: FloatArray, least_um: FloatArray) -> FloatArray:
     """Return what passes for noise, RMS."""
-    return np.hypot(noise_um, least_um) * np.hypot(1.0, PROBABILITIES.passes)
+    return np.hypot(noise_um, least_um) * np.hypot(1.0, CRITERIA.noise)
 
 
 def _motion_um(dataset: Dataset) -> FloatArray:

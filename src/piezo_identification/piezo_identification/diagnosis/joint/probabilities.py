@@ -44,8 +44,6 @@ class ProbabilitySettings:
     ----------
     something_else : float
         Prior probability of what is not on the list, over that of one of the alternatives.
-    passes : float
-        What may be left beyond the noise to pass for noise, over the tolerance.
     carried_over : float
         Standard deviation of the logarithm of what a model is wrong by in one recording, over what
         it is wrong by in another.
@@ -60,7 +58,6 @@ class ProbabilitySettings:
     """
 
     something_else: float = 0.05
-    passes: float = 0.8
     carried_over: float = 0.3
     most_wrong: float = 1e-3
     believed: float = 0.5

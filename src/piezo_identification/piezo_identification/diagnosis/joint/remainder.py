@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezo_identification.adequacy.lack_of_fit import SETTINGS as ADEQUACY
+from piezo_identification.diagnosis.comparison.criteria import CRITERIA
 from piezo_identification.diagnosis.evidence.known_noise import KnownNoise
 from piezo_identification.diagnosis.joint.probabilities import (
     MOST_GAIN,
@@ -59,7 +60,7 @@ def held_to_noise(shares: Mapping[str, float], remainders: Sequence[Remainder], 
     noise = np.array([source.rms_um**2 for source in sources])
     least = np.array([(tolerance * each.travel_um) ** 2 for each in remainders])
     left = np.array([each.held_out.mean_square_um2 for each in remainders])
-    passing = (noise + least) * (1.0 + SETTINGS.passes**2)
+    passing = (noise + least) * (1.0 + CRITERIA.noise**2)
     samples = np.array([min(each.held_out.independent, SETTINGS.most_effective)
                         for each in remainders])
     gain = gain_of_noise(left + least, samples, passing, np.array(

@@ -49,7 +49,7 @@ def _sentence(diagnosis: Diagnosis) -> str:
     names = " and ".join(map(name_of, diagnosis.effects))
     if diagnosis.verdict == "none":
         anew = "" if after == before else (
-            f", and {after:.3g} nm with its parameters estimated anew on all recordings")
+            f", and {after:.3g} nm with its parameters estimated anew")
         return f"The model lacks nothing that the data shows: {before:.3g} nm RMS are left{anew}."
     if diagnosis.verdict == "explained":
         if [entry["name"] for entry in diagnosis.effects] == ["outliers"]:
@@ -123,8 +123,9 @@ def _on_intervals(diagnosis: Diagnosis) -> Iterator[str]:
     stand_ins = [entry["name"] for entry in diagnosis.effects if entry.get(STAND_IN)]
     if stand_ins:
         yield (f"What the model lacks behaves like {' and '.join(stand_ins)}, which fits but "
-               "cannot be believed: a parameter ended at its bound, or the probability is below "
-               f"{LEAST_PROBABILITY:g}. So there is no interval.")
+               "cannot be believed: a parameter ended at its bound, the probability is below "
+               f"{LEAST_PROBABILITY:g}, or it contributes less than the noise beside a stronger "
+               "effect. So there is no interval.")
 
 
 def _found(diagnosis: Diagnosis) -> Section:

@@ -23,9 +23,8 @@ from piezo_identification.diagnosis.response.response_measures import (
     describe_residual,
     held_out_errors,
     is_convincing,
-    lack_of_fit,
+    is_explained,
     reduction_percent,
-    times_the_noise,
 )
 from piezo_identification.diagnosis.verdict import Verdict
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
@@ -136,8 +135,7 @@ def select_linear_effects(problem: ResponseProblem) -> ResponseSelection:
     effects: list[dict[str, Any]] = []
     tried: list[list[tuple[str, float]]] = []
     not_told_from: dict[str, str] = {}
-    while (len(effects) < CRITERIA.most_effects
-           and lack_of_fit(problem, current) > CRITERIA.explained):
+    while len(effects) < CRITERIA.most_effects and not is_explained(problem, current):
         fits = fit_each_candidate(problem, current)
         tried.append([(fit.effects[-1].name, reduction_percent(problem, current, fit))
                       for fit in fits])
@@ -158,8 +156,7 @@ def select_linear_effects(problem: ResponseProblem) -> ResponseSelection:
         entry["parameters"] = effect.parameters()
         not_told_from.pop(entry["name"], None)
     return ResponseSelection(current, effects, tried, not_told_from, refused,
-                             lack_of_fit(problem, current) <= CRITERIA.explained
-                             and times_the_noise(problem, current) <= CRITERIA.near_noise)
+                             is_explained(problem, current))
 
 
 def _accepted(problem: ResponseProblem,
@@ -183,7 +180,9 @@ def _told(problem: ResponseProblem, selection: ResponseSelection,
           is_reversed: bool) -> ResponseDiagnosis:
     """Put the verdict together with its numbers and reasons."""
     given, effects = problem.as_given(), selection.effects
-    final = selection.fit if effects else given
+    # Without an effect, other parameters may still explain what the given ones do not.
+    is_changed = bool(effects) or selection.is_explained and not is_explained(problem, given)
+    final = selection.fit if is_changed else given
     faults = [wrong_sign(problem.measured.path)] if is_reversed else []
     undecided = {name: Undecided(Reason.LIKE_ANOTHER, f"the response does not tell it from {found}")
                  for name, found in selection.not_told_from.items()} | selection.refused
@@ -192,7 +191,7 @@ def _told(problem: ResponseProblem, selection: ResponseSelection,
         verdict, left = "unexplained", describe_residual(problem, selection.fit)
     return ResponseDiagnosis(
         verdict=verdict, effects=with_stand_ins(effects, problem.extent, {}),
-        model=problem.extended_model(selection.fit) if effects else problem.model,
+        model=problem.extended_model(selection.fit) if is_changed else problem.model,
         before=held_out_errors(problem, given), after=held_out_errors(problem, final),
         noise_floor_um=problem.noise,
         holdout={"source": "frequencies that were not fitted",

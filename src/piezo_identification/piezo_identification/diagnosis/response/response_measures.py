@@ -11,6 +11,7 @@ from piezo_identification.diagnosis.response.response_fit import (
     ResponseFit,
     ResponseProblem,
 )
+from piezo_identification.fitting.regression import SETTINGS as FIT
 
 
 @dataclass(frozen=True)
@@ -26,11 +27,9 @@ class ResponseCriteria:
     told_apart_percent : float
         Difference of two errors below which the response does not tell the candidates apart.
     explained : float
-        Mean square beyond the tolerance below which the search for effects ends.
+        Mean square beyond the tolerance that may remain of a response that is explained.
     near_noise : float
-        Multiple of the noise that may remain of a response that is explained.
-    accuracy : float
-        Part of the RMS gain to which a good model is right where a response has no noise.
+        Multiple of the noise that may remain of it.
     most_effects : int
         As many as there are kinds of linear effects.
     """
@@ -40,7 +39,6 @@ class ResponseCriteria:
     told_apart_percent: float = 5.0
     explained: float = 1.0
     near_noise: float = 3.0
-    accuracy: float = 1e-3
     most_effects: int = 4
 
 
@@ -104,9 +102,12 @@ def describe_residual(problem: ResponseProblem, fit: ResponseFit) -> str:
     )
 
 
-def times_the_noise(problem: ResponseProblem, fit: ResponseFit) -> float:
-    """Return what a fit leaves of held-out frequencies, over noise and accuracy of the gain."""
-    rows = ~problem.estimation
-    gain = np.sqrt(np.mean(np.abs(problem.measured.gain[rows]) ** 2))
-    return held_out_errors(problem, fit)["rms_um"] / float(
-        np.hypot(problem.noise, CRITERIA.accuracy * gain))
+def is_explained(problem: ResponseProblem, fit: ResponseFit) -> bool:
+    """Return whether a fit leaves so little of the held-out frequencies that it passes for noise.
+
+    Of a response without noise, the accuracy of a good model remains.
+    """
+    gain = np.sqrt(np.mean(np.abs(problem.measured.gain[~problem.estimation]) ** 2))
+    passing = CRITERIA.near_noise * np.hypot(problem.noise, FIT.model_tolerance * gain)
+    return bool(lack_of_fit(problem, fit) <= CRITERIA.explained
+                and held_out_errors(problem, fit)["rms_um"] <= passing)

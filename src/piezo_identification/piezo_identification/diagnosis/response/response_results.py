@@ -63,7 +63,10 @@ def response_sentence(diagnosis: ResponseDiagnosis) -> str:
     """Return the verdict in a sentence."""
     names = ", then ".join(map(name_of, diagnosis.effects))
     if diagnosis.verdict == "none":
-        return "The model explains the response: what is left is noise."
+        who = "The model"
+        if diagnosis.after != diagnosis.before:
+            who = "No effect is missing: the model with slightly other dynamics"
+        return f"{who} explains the response: what remains passes for noise."
     found = f"The model lacks {names}." if names else "No linear effect explains what is left."
     return f"{found} {diagnosis.left}".strip()
 

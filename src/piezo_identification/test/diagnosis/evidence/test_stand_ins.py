@@ -5,6 +5,7 @@ import pytest
 
 from piezo_identification.diagnosis.evidence.stand_ins import name_of, with_stand_ins
 from piezo_models.effects import Extent
+from piezo_models.effects.delay import Delay
 from piezo_models.effects.gain_drift import GainDrift
 
 EXTENT = Extent(10.0, 0.0, 100.0, 2.0, 1e-3)
@@ -22,3 +23,10 @@ def test_an_effect_at_its_bound_or_of_tiny_probability_is_a_stand_in(
     assert found.get("stand_in", False) is is_marked
     assert ("standard_deviations" in found) is not is_marked
     assert name_of(found).startswith("what behaves like") is is_marked
+
+
+def test_a_delay_is_no_stand_in_because_the_recording_is_long():
+    delay = Delay(1e-4)
+    entry = {"name": delay.name, "parameters": delay.parameters(), "standard_deviations": {}}
+    long = Extent(10.0, 0.0, 100.0, 28.0, 1e-3)
+    assert with_stand_ins([entry], long, {"delay": 0.9}) == [entry]

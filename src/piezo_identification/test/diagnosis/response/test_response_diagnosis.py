@@ -11,6 +11,7 @@ from piezo_identification.commands.diagnose_command import main
 from piezo_identification.diagnosis.response import response_diagnosis
 from piezo_identification.diagnosis.response.response_diagnosis import diagnose_response
 from piezo_identification.diagnosis.response.response_fit import ResponseProblem, full_response
+from piezo_identification.diagnosis.response.response_results import response_sentence
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
@@ -38,6 +39,24 @@ def test_a_response_that_the_model_explains_needs_nothing():
     diagnosis = diagnose_response(MODEL, measured(1.0))
     assert (diagnosis.verdict, diagnosis.effects) == ("none", [])
     assert diagnosis.model is MODEL
+
+
+def test_where_only_other_dynamics_leave_noise_the_model_has_them():
+    moved = replace(MODEL, dynamics=replace(MODEL.dynamics, mode_frequencies_rad_per_s=(2323.0,)))
+    diagnosis = diagnose_response(
+        MODEL, measured(full_response(moved, FREQUENCY_HZ) / full_response(MODEL, FREQUENCY_HZ)))
+    assert (diagnosis.verdict, diagnosis.effects) == ("none", [])
+    assert diagnosis.model.dynamics.mode_frequencies_rad_per_s == pytest.approx((2323.0,), rel=1e-4)
+    assert diagnosis.after["rms_um"] < 3.0 * diagnosis.noise_floor_um < diagnosis.before["rms_um"]
+    assert "slightly other dynamics" in response_sentence(diagnosis)
+
+
+def test_less_than_a_percent_of_the_gain_is_named_where_it_is_more_than_noise():
+    diagnosis = diagnose_response(MODEL, measured(
+        np.exp(-2j * np.pi * FREQUENCY_HZ * 1e-5), noise=2e-6))
+    (found,) = diagnosis.effects
+    assert (diagnosis.verdict, found["name"]) == ("explained", "delay")
+    assert "stand_in" not in found
 
 
 def test_a_rise_towards_low_frequencies_is_creep():
