@@ -2,6 +2,7 @@
 """Start the real nodes as processes, and talk to them as any client would."""
 
 import array
+import os
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -425,9 +426,11 @@ def told():
 
 @pytest.fixture(scope="session")
 def identification(whole_suite, tmp_path_factory, told):
-    """Of the stage /left, through the whole sequence."""
+    """Of the stage /left, through the whole sequence; ``make long`` chooses the orders, too."""
+    orders = {} if os.environ.get("LONG_TESTS") else {"creep_pairs": 4, "modes": 2}
     with Stage("/left", progress=lambda *progress: told.append(progress)) as stage:
-        return whole_suite.beside(stage.identify, tmp_path_factory.mktemp("identification"))
+        return whole_suite.beside(
+            stage.identify, tmp_path_factory.mktemp("identification"), **orders)
 
 
 @pytest.fixture(scope="session")

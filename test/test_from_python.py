@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from piezo_offline import steps
+from piezo_recorder.reading.recording import Recording
+
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "from_python.md"
 NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
@@ -22,6 +25,24 @@ def loaded(path):
 
 cells = loaded(ROOT / "tools" / "run_cells.py")
 made = loaded(ROOT / "examples" / "make_recordings.py")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def fitted_once():
+    """Fit once what the page and the notebook both ask of the same recordings."""
+    models, identify = {}, steps.identify_recordings
+
+    def identify_once(progress, note, **asked):
+        key = repr({name: part.displacement_um.tobytes() if isinstance(part, Recording) else part
+                    for name, part in asked.items()})
+        if key not in models:
+            models[key] = identify(progress=progress, note=note, **asked)
+        return models[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(steps, "identify_recordings", identify_once)
+        yield
+    assert len(models) == 1
 
 
 def test_examples_of_the_page_run_and_find_the_stage_that_was_made(tmp_path, monkeypatch, capsys):

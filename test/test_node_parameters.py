@@ -16,6 +16,7 @@ from ament_index_python.packages import get_package_prefix
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, ListParameters
 
+from piezo_bringup.forked_processes import ForkedProcesses
 from piezo_bringup.processes import EXECUTABLES
 from piezo_controller.tracking.feedbacks import FeedbackSettings
 from piezo_identification.experiments.catalogue import EXPERIMENTS, named_experiment
@@ -48,37 +49,50 @@ def test_every_parameter_has_a_description_a_range_and_a_unit(serving, node):
             if d.type == ParameterType.PARAMETER_INTEGER and not d.integer_range] == []
 
 
-@pytest.mark.parametrize(("node", "arguments", "line"), [
-    ("stage", ["-p", "sample_rate_hz:=5.0"],
+@pytest.mark.parametrize(("node", "parameters", "line"), [
+    ("stage", {"sample_rate_hz": 5.0},
      "parameter sample_rate_hz is out of range: give a value from 10 to 200000"),
-    ("stage", ["-p", "sample_rate_hz:=40000"],
+    ("stage", {"sample_rate_hz": 40000},
      "parameter sample_rate_hz is no float: give a value such as 40000.0"),
-    ("stage", ["-p", "timing:=slow"],
-     "parameter timing is 'slow': give paced or lockstep"),
-    ("controller", ["-p", "feedback_place:=inside"],
+    ("stage", {"timing": "slow"}, "parameter timing is 'slow': give paced or lockstep"),
+    ("controller", {"feedback_place": "inside"},
      "parameter feedback_place is 'inside': give before_inverse or behind_inverse"),
-    ("stage", ["-p", "autostart:=true", "-p", "plant:=/no/plant.yaml"],
+    ("stage", {"autostart": True, "plant": "/no/plant.yaml"},
      "/no/plant.yaml: the plant file cannot be read"),
-    ("hardware", ["-p", "autostart:=true", "-p", "backend_file:=CALIBRATION"],
+    ("recorder", {"topics": "[samples]"}, "names 1 topics, types 6"),
+])
+def test_bad_parameter_ends_the_node_at_start_with_one_clear_line(
+        node, parameters, line, tmp_path):
+    with ForkedProcesses(tmp_path) as processes:
+        processes.start(node, parameters)
+        assert processes.process(node).wait(300.0) == 2
+    assert_said_once(line, processes.log(node).read_text())
+
+
+@pytest.mark.parametrize(("package", "executable", "arguments", "line"), [
+    ("piezo_stage_driver", "stage",
+     ["-p", "autostart:=true", "-p", f"backend_file:={CALIBRATION}"],
      "the backend nidaqmx needs the Python package nidaqmx"),
-    ("hardware", ["-p", "autostart:=true"], "set the parameter backend_file"),
-    ("hardware", ["-p", "backend:=mine"], "there is no backend 'mine': set the parameter backend"),
-    ("recorder", ["-p", "topics:=[samples]"], "names 1 topics, types 6"),
-    ("recorder", ["--params-file", "/no/parameters.yaml"],
+    ("piezo_stage_driver", "stage", ["-p", "autostart:=true"], "set the parameter backend_file"),
+    ("piezo_stage_driver", "stage", ["-p", "backend:=mine"],
+     "there is no backend 'mine': set the parameter backend"),
+    ("piezo_recorder", "recorder", ["--params-file", "/no/parameters.yaml"],
      "Couldn't parse params file: '--params-file /no/parameters.yaml'"),
 ])
-def test_bad_parameter_ends_the_node_at_start_with_one_clear_line(node, arguments, line):
-    package, executable = {"hardware": ("piezo_stage_driver", "stage"), **EXECUTABLES}[node]
-    arguments = [argument.replace("CALIBRATION", str(CALIBRATION)) for argument in arguments]
+def test_executable_that_cannot_start_ends_with_one_clear_line(
+        package, executable, arguments, line):
     environment = {**os.environ}
     environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)  # of this process alone
     ended = subprocess.run(
         [Path(get_package_prefix(package), "lib", package, executable), "--ros-args", *arguments],
         env=environment, capture_output=True, text=True, timeout=300)
     assert ended.returncode == 2
-    said = [text for text in ended.stderr.splitlines() if line in text]
-    assert len(said) == 1
-    assert "Traceback" not in ended.stderr
+    assert_said_once(line, ended.stderr)
+
+
+def assert_said_once(line, printed):
+    assert len([text for text in printed.splitlines() if line in text]) == 1
+    assert "Traceback" not in printed
 
 
 def test_stage_with_the_profile_for_hardware_waits_unconfigured_and_says_how_to_go_on():

@@ -4,11 +4,15 @@
 import json
 import os
 import subprocess
-import sys
-from importlib.metadata import version
+import sysconfig
+import venv
+from importlib.metadata import distribution
+from pathlib import Path
 
 import numpy as np
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from piezo_recorder.sample_block import TYPE_NAME
@@ -42,15 +46,29 @@ print(json.dumps(read))
 
 @pytest.fixture
 def clean_python(tmp_path):
-    """Interpreter of a new environment with the readers only, in the versions of this one."""
+    """Interpreter of an environment with the readers and what they need only, of this one."""
     environment = tmp_path / "environment"
-    subprocess.run([sys.executable, "-m", "venv", environment], check=True, env=clean_variables())
-    python = environment / "bin" / "python"
-    subprocess.run(
-        [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check",
-         *(f"{package}=={version(package)}" for package in PACKAGES)],
-        check=True, env=clean_variables())
-    return python
+    venv.create(environment, symlinks=True)
+    packages = Path(sysconfig.get_path("purelib", vars={
+        "base": environment, "platbase": environment}, scheme="venv"))
+    for name in with_requirements(PACKAGES):
+        for top in {file.parts[0] for file in distribution(name).files} - {"..", "__pycache__"}:
+            if not (packages / top).exists():
+                (packages / top).symlink_to(distribution(name).locate_file(top))
+    return environment / "bin" / "python"
+
+
+def with_requirements(names):
+    """Names of distributions, and of all that they require here."""
+    found, asked = set(), list(names)
+    while asked:
+        name = canonicalize_name(asked.pop())
+        if name not in found:
+            found.add(name)
+            requirements = map(Requirement, distribution(name).requires or ())
+            asked += [each.name for each in requirements
+                      if each.marker is None or each.marker.evaluate({"extra": ""})]
+    return found
 
 
 def clean_variables():

@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What `convert` writes is read back as it was."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from rosbags.highlevel import AnyReader
 
 from piezo_recorder.commands.convert_command import main as convert_main
 from piezo_recorder.reading.reader import read_recording
@@ -48,6 +51,22 @@ def test_converted_recording_is_read_back_as_it_was(tmp_path, table, name, capsy
     else:
         assert "not written: temperature" in said
         assert b"sha256" in after.attachments["conversion.json"]
+
+
+def test_blocks_end_where_the_period_or_the_flags_change_and_nowhere_else(tmp_path, table):
+    strides, flags = np.repeat([2, 1], [60, 40]), np.repeat([0, 1, 0, 1], [30, 50, 19, 1])
+    count = len(strides)
+    recording = replace(
+        read_recording(table), columns={}, sample_rate_hz=4000.0, flags=flags.astype(np.uint32),
+        sample_index=np.cumsum(strides) - strides, sample_periods_s=strides / 4000.0,
+        voltage_v=np.zeros(count), displacement_um=np.zeros(count))
+    convert.write_recording(recording, tmp_path / "new")
+    with AnyReader([tmp_path / "new"]) as reader:
+        blocks = [reader.deserialize(data, connection.msgtype)
+                  for connection, _, data in reader.messages()]
+    assert [(block.first_sample, len(block.voltage_v), block.flags) for block in blocks] == [
+        (0, 30, 0), (60, 30, 1), (120, 20, 1), (140, 19, 0), (159, 1, 1)]
+    assert {block.missed_feedback for block in blocks} == {0}
 
 
 def test_each_of_several_recordings_is_written_under_its_title(tmp_path, capsys):
