@@ -14,6 +14,7 @@ from piezo_models.effects import EFFECTS
 from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.amplitude_damping import AmplitudeDamping
 from piezo_models.effects.backlash import Backlash
+from piezo_models.effects.band_limited_voltage import BandLimitedVoltage
 from piezo_models.effects.converter_steps import SensorSteps, VoltageSteps
 from piezo_models.effects.coupled_mode import CoupledMode
 from piezo_models.effects.creep import Creep
@@ -48,7 +49,7 @@ COMPENSATED = [
     (SensorLag(1e-4), 1e-6), (SensorNonlinearity(0.1, 0.5, 0.3, 0.1, 50.0, 50.0), 1e-6),
     (SlewLimit(1e6), 1e-6), (VoltageClipping(-18.0, 118.0), 1e-6),
     (AmplifierLag(4e-5), 1e-3),
-    (SecondOrderAmplifier(4e-5, 0.7), 1e-2),
+    (SecondOrderAmplifier(4e-5, 0.7), 1e-2), (BandLimitedVoltage(), 1e-6),
     (RateDependentHysteresis(0.02, 1000.0, 0.3, 1e-3), 1e-3),
     (Stiffening(0.3, 0.3, 0.3, 50.0, 50.0, 2846.0, 0.68), 1e-6), (Backlash(0.05), 5e-3),
     (Hysteresis((0.05, 0.1), (0.02, -0.02), (0.0, 0.2), 50.0, 50.0), 1e-6),

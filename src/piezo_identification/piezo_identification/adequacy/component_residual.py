@@ -31,13 +31,13 @@ from piezo_identification.estimators.frequency_response.response_file import Fre
 from piezo_identification.estimators.frequency_response.response_hold import without_hold
 from piezo_identification.estimators.poles.pole_responses import HeldInput
 from piezo_identification.simulation.model_run import ModelRun, starting_past_v
+from piezo_identification.simulation.recorded_voltage import in_parts
 from piezo_identification.simulation.sampled_response import (
     behind_lags,
     leading_lags,
     respond,
 )
 from piezo_models.cascade import StageModel
-from piezo_models.effects.amplifier_lag import parts_of_rows
 from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
 
@@ -190,10 +190,9 @@ def _behind_amplifier(model: StageModel, part: Recording, level: FloatArray) -> 
         return level
     low_v, high_v = float(np.min(part.voltage_v)), float(np.max(part.voltage_v))
     voltage_v = low_v + (high_v - low_v) * (level - level.min()) / np.ptp(level)
-    parts = parts_of_rows(ahead, part.sample_period_s, samples_per_mean(part))
+    in_parts_v, parts = in_parts(voltage_v, ahead, part.sample_period_s, samples_per_mean(part))
     return model.hysteresis.simulate(
-        model.amplified(np.repeat(voltage_v, parts), part.sample_period_s / parts),
-        model.hysteresis.memory())
+        model.amplified(in_parts_v, part.sample_period_s / parts), model.hysteresis.memory())
 
 
 def _of_any_wave(free_gain: bool, model: StageModel, data: Recording) -> ComponentResidual:

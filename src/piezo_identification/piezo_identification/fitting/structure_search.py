@@ -13,11 +13,12 @@ from piezo_identification.fitting.whole_model import WholeFit, WholeModel
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
 from piezo_models.effects.amplifier_lag import AmplifierLag
+from piezo_models.effects.band_limited_voltage import BandLimitedVoltage
 from piezo_models.effects.coupled_mode import CoupledMode
 from piezo_models.effects.second_order_amplifier import SecondOrderAmplifier
 from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.effects.vibration_mode import VibrationMode
-from piezo_models.linear.dynamics import CreepDynamics
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
 
 @dataclass(frozen=True)
@@ -144,8 +145,13 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
         # The first fit tells how many errors are independent, the second one counts them so.
         problem.count_as(problem.fit(given, delay_s, SETTINGS.steps))
         problem.about_here()
-        for structure in starts(problem, given, delay_s):
+        for structure in [*starts(problem, given, delay_s),
+                          *between_rows(problem, given, delay_s)]:
             if not is_asked_for(structure.model) or is_at_noise(problem, best):
+                continue
+            is_smooth = any(
+                isinstance(each, BandLimitedVoltage) for each in structure.model.effects)
+            if is_smooth and problem.fastest_over_noise(best) <= SETTINGS.wrong:
                 continue
             report(structure.change, 0.5)
             fitted = problem.fit(structure.model, structure.delay_s, SETTINGS.steps)
@@ -279,6 +285,29 @@ def starts(problem: WholeModel, given: StageModel,
         if any(isinstance(effect, VibrationMode) for effect in given.effects):
             yield Structure(f"{what}, with an electric lag", replace(
                 _electric(bare, lag_s), effects=effects), delay_s)
+
+
+def between_rows(problem: WholeModel, given: StageModel,
+                 delay_s: float | None) -> Iterator[Structure]:
+    """Yield models of a voltage that is smooth between its rows, of all modes and of the loudest.
+
+    A held voltage comes later by half a row, and weaker where it is fast: a fit takes both for
+    lags and further modes. Slow voltages do not tell the two apart, so that it is asked of models
+    that are clearly wrong alone. The rows of means are read as they are.
+    """
+    if not problem.is_sampled or given.dynamics.is_static and not given.effects_at("modes"):
+        return
+    later_s = (delay_s or 0.0) + 0.5 * problem.sample_period_s
+    smooth = (BandLimitedVoltage(),)
+    yield Structure("a smooth voltage", replace(given, effects=(*smooth, *given.effects)), later_s)
+    highest = _highest_rad_per_s(problem)
+    frequency = np.geomspace(1e-3 * highest, highest, 4000)
+    gain = np.abs(given.response(frequency / (2.0 * np.pi))) / np.abs(given.response([0.0]))
+    loudest = int(np.argmax(gain))
+    mode = ElectricVibrationDynamics(
+        0.0, (float(frequency[loudest]),), (float(0.5 / max(gain[loudest], 1.0)),))
+    yield Structure("a smooth voltage, the loudest mode", replace(
+        given, dynamics=mode, effects=smooth), later_s)
 
 
 def _without_gaps(creep: CreepDynamics) -> CreepDynamics:

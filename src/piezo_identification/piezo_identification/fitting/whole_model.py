@@ -31,6 +31,7 @@ from piezo_identification.fitting.regression import Regression
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, Evidence, fitted_values, units_of_fitted
+from piezo_models.effects.band_limited_voltage import BandLimitedVoltage
 from piezo_models.effects.delay import Delay
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_recorder.reading.recording import Recording
@@ -174,13 +175,13 @@ class WholeModel:
             range(len(recordings)))
         self.sample_period_s = min(part.sample_period_s for part in simulated)
         # Means cannot be read at another time.
-        is_sampled = all(part.samples_per_mean == 1 for part in simulated)
-        self._earliest_s = EARLIEST * self.sample_period_s if is_sampled else 0.0
+        self.is_sampled = all(part.samples_per_mean == 1 for part in simulated)
+        self._earliest_s = EARLIEST * self.sample_period_s if self.is_sampled else 0.0
         self._dataset = dataset_of(simulated, recordings, lambda _, rows: np.zeros((rows.size, 0)))
         self.noise = estimate_noise(self._dataset, model.effects)
         good = ~self._dataset.at_rows(self.noise.outliers)
         self._fitted, self._good = self._dataset.for_estimation & good, good
-        self._of_pieces_um: dict[int, FloatArray] = {}
+        self.about_here()
 
     def with_hysteresis(self, hysteresis: PreisachModel, width: float) -> "WholeModel":
         """Return the same problem, another hysteresis given, and the prior width of its changes."""
@@ -199,7 +200,7 @@ class WholeModel:
 
         Fits of models that differ by a part share it.
         """
-        self._of_pieces_um = {}
+        self._of_pieces_um: dict[tuple[Effect, ...], dict[int, FloatArray]] = {}
 
     def count_as(self, fit: WholeFit) -> None:
         """Let errors of each recording count for as many as are independent beside a fit."""
@@ -282,10 +283,12 @@ class WholeModel:
         rows = dataset.regressors.shape[0]
         dataset = replace(dataset, regressors=np.broadcast_to(
             0.0, (rows, dataset.nuisance_count + free_count(bare))))
+        smooth = tuple(each for each in effects if isinstance(each, BandLimitedVoltage))
         return JointErrors(
             dataset, self._fitted, self._good, len(dataset.simulated), effects, frozenset(),
             pieces_um=self._pieces_um, independent=self._independent,
-            hysteresis_width=self._hysteresis_width, of_pieces_um=self._of_pieces_um)
+            hysteresis_width=self._hysteresis_width,
+            of_pieces_um=self._of_pieces_um.setdefault(smooth, {}))
 
     @cached_property
     def _pieces_um(self) -> list[list[FloatArray]] | None:

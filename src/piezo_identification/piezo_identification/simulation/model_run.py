@@ -16,13 +16,13 @@ from piezo_identification.conditioning.waveforms import (
     samples_per_mean,
     with_voltage_before,
 )
+from piezo_identification.simulation.recorded_voltage import in_parts
 from piezo_identification.simulation.sampled_response import (
     behind_lags,
     leading_lags,
     respond,
 )
 from piezo_models.cascade import StageModel
-from piezo_models.effects.amplifier_lag import parts_of_rows
 from piezo_models.hysteresis.first_rise import CYCLED
 from piezo_recorder.reading.recording import Recording
 
@@ -125,8 +125,9 @@ class ModelRun:
         period_s = self.part.sample_period_s
         joined_v, lead = with_voltage_before(recording, self.part)
         self._samples = samples_per_mean(self.part)
-        parts = parts_of_rows(model.effects_at("voltage"), period_s, self._samples)
-        amplified_v = model.amplified(np.repeat(joined_v, parts), period_s / parts)
+        in_parts_v, parts = in_parts(
+            joined_v, model.effects_at("voltage"), period_s, self._samples)
+        amplified_v = model.amplified(in_parts_v, period_s / parts)
         lead *= parts
         # As far as the first voltage of the part, from which it is simulated.
         self._before_v, self._voltage_v = amplified_v[: lead + 1], amplified_v[lead:]

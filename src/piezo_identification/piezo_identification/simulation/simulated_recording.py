@@ -22,6 +22,7 @@ from piezo_identification.conditioning.waveforms import (
     with_voltage_before,
 )
 from piezo_identification.simulation.model_run import ModelRun, starting_past_v
+from piezo_identification.simulation.recorded_voltage import in_parts
 from piezo_identification.simulation.sampled_response import (
     behind_lags,
     leading_lags,
@@ -29,7 +30,6 @@ from piezo_identification.simulation.sampled_response import (
 )
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
-from piezo_models.effects.amplifier_lag import parts_of_rows
 from piezo_models.hysteresis.first_rise import CYCLED
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_recorder.reading.recording import Recording
@@ -87,7 +87,7 @@ class SimulatedRecording:
         First sample at which the start has settled.
     hysteresis_um, input_um : (N parts,) array
         Output of the hysteresis, and the same with its creep: the input of the linear part. A row
-        has several parts where a lag in front of them moves within it, see `parts_of_rows`.
+        has several parts where the voltage moves within it, see `in_parts`.
 
     Raises
     ------
@@ -259,9 +259,10 @@ class SimulatedRecording:
 
     def _amplified(self, effects: Sequence[Effect]) -> FloatArray:
         """Return the voltage behind effects and those of the model, in the parts of all rows."""
-        parts = parts_of_rows((*effects, *self.model.effects_at("voltage")), self.sample_period_s,
-                              self.samples_per_mean)
-        voltage_v, period_s = np.repeat(self._joined_v, parts), self.sample_period_s / parts
+        voltage_v, parts = in_parts(
+            self._joined_v, (*effects, *self.model.effects_at("voltage")), self.sample_period_s,
+            self.samples_per_mean)
+        period_s = self.sample_period_s / parts
         for effect in effects:
             voltage_v = effect.apply(voltage_v, period_s)
         return self.model.amplified(voltage_v, period_s)

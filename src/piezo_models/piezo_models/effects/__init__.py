@@ -8,6 +8,7 @@ from piezo_common.registered import registered
 from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.amplitude_damping import AmplitudeDamping
 from piezo_models.effects.backlash import Backlash
+from piezo_models.effects.band_limited_voltage import BandLimitedVoltage
 from piezo_models.effects.converter_steps import SensorSteps, VoltageSteps
 from piezo_models.effects.coupled_mode import CoupledMode
 from piezo_models.effects.creep import Creep
@@ -51,6 +52,7 @@ EFFECTS = (
     RateDependentHysteresis,
     AmplifierLag,
     SecondOrderAmplifier,
+    BandLimitedVoltage,
     Stiffening,
     HystereticSpring,
     AmplitudeDamping,

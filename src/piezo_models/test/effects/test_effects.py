@@ -23,6 +23,7 @@ from piezo_models.effects import (
 from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.amplitude_damping import AmplitudeDamping
 from piezo_models.effects.backlash import Backlash
+from piezo_models.effects.band_limited_voltage import BandLimitedVoltage
 from piezo_models.effects.converter_steps import SensorSteps, VoltageSteps
 from piezo_models.effects.coupled_mode import CoupledMode
 from piezo_models.effects.creep import Creep
@@ -66,6 +67,7 @@ EXAMPLES = (
     RateDependentHysteresis(0.05, 100.0, 0.3, 1e-3),
     AmplifierLag(4e-5),
     SecondOrderAmplifier(4e-5, 0.7),
+    BandLimitedVoltage(),
     Stiffening(0.1, 0.2, 0.3, 10.0, 20.0, 5000.0, 0.1),
     HystereticSpring(-0.2, 0.01, 0.2, 2.0, -0.5, 1.0, 10.0, 10.0, 5000.0, 0.1),
     AmplitudeDamping(0.01, 0.5, 10.0, 5000.0, 0.1),
@@ -219,7 +221,7 @@ PARTS = ([], [1], [1, 2, 3], [700], [5, 5, 1000], list(range(100, 1500, 100)))
 @pytest.mark.parametrize("effect", [
     *EXAMPLES, Delay(0.0), Delay(0.3 * PERIOD_S), Delay(1.7 * PERIOD_S), Delay(400.2 * PERIOD_S),
     SensorLag(2e-4), PeriodicDisturbance(50.0, 0.1, 0.2, (0.1,), (0.05,)),
-], ids=lambda effect: f"{effect.name} {next(iter(effect.parameters().values()))}")
+], ids=lambda effect: f"{effect.name} {next(iter(effect.parameters().values()), None)}")
 def test_a_simulation_in_parts_is_the_whole(effect):
     random = np.random.default_rng(2)
     voltage_v = np.cumsum(random.normal(scale=2.0, size=1500)).clip(-20.0, 120.0)

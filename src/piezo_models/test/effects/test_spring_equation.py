@@ -56,18 +56,9 @@ def test_the_force_is_the_polynomial_within_the_range_and_goes_on_straight():
     assert np.diff(ends) == pytest.approx([(SOFTEST - 1.0) * HALF_RANGE_UM] * 2)
 
 
-@pytest.mark.parametrize("viscous", [0.0, -0.06, 0.2])
-@pytest.mark.parametrize(("phase", "samples", "tolerance"), [
-    (0.72, 1000, 5e-3), (0.05, 3000, 1e-4)])
-def test_in_motion_it_is_the_solution_of_the_equation_of_motion(
-        phase, samples, tolerance, viscous):
-    """A force three times that of the linear spring, on coarse samples and on fine ones."""
-    parts, w, damping_ratio = SPRINGS["hard"], 440.0, 0.05
-    period_s = phase / w
-    time_s = np.arange(samples) * period_s
-
-    def drive(t):
-        return 15.0 * np.sin(0.15 * w * t) + 12.0 * np.sin(0.61 * w * t)
+def errors_in_motion(parts, drive, w, time_s, viscous):
+    """Return the errors in motion, the motion, and that of the linear spring, over the last two."""
+    damping_ratio = 0.05
 
     def motion(t, state, of_spring, damped):
         y, speed = state
@@ -80,9 +71,37 @@ def test_in_motion_it_is_the_solution_of_the_equation_of_motion(
     rest_um = brentq(lambda y: y + force(parts, y), -100.0, 100.0)
     linear_um = solved(lambda y: 0.0, 0.0)
     expected_um = solved(partial(force, parts), rest_um, 2.0 * damping_ratio + viscous)
-    found_um = spring(parts, w, damping_ratio, viscous).apply(linear_um, period_s, 0.0)
+    found_um = spring(parts, w, damping_ratio, viscous).apply(linear_um, time_s[1], 0.0)
+    return found_um - expected_um, expected_um, linear_um
+
+
+@pytest.mark.parametrize("viscous", [0.0, -0.06, 0.2])
+@pytest.mark.parametrize(("phase", "samples", "tolerance"), [
+    (0.72, 1000, 5e-3), (0.05, 3000, 1e-4)])
+def test_in_motion_it_is_the_solution_of_the_equation_of_motion(
+        phase, samples, tolerance, viscous):
+    """A force three times that of the linear spring, on coarse samples and on fine ones."""
+    w = 440.0
+    errors_um, expected_um, linear_um = errors_in_motion(
+        SPRINGS["hard"],
+        lambda t: 15.0 * np.sin(0.15 * w * t) + 12.0 * np.sin(0.61 * w * t), w,
+        np.arange(samples) * phase / w, viscous)
     assert np.std(linear_um - expected_um) > np.std(expected_um)
-    assert np.std(found_um - expected_um) < tolerance * np.std(expected_um)
+    assert np.std(errors_um) < tolerance * np.std(expected_um)
+
+
+def test_noise_up_to_a_third_of_the_sample_rate_is_followed_between_the_samples():
+    """A mode at a ninth of it."""
+    random, w, period_s = np.random.default_rng(3), 440.0, 2.0 * np.pi / 9.0 / 440.0
+    rates = 2.0 * np.pi / period_s * np.linspace(0.01, 1.0 / 3.0, 40)
+    phases = random.uniform(0.0, 2.0 * np.pi, rates.size)
+    begun = 20.0 * period_s
+    errors_um, expected_um, linear_um = errors_in_motion(
+        (0.0, 0.0, 2.0, 0.0),
+        lambda t: 0.8 * np.tanh(t / begun) ** 4 * np.sum(np.sin(rates * t + phases)),
+        w, np.arange(400) * period_s, 0.1)
+    assert np.std(linear_um - expected_um) > 0.1 * np.std(expected_um)
+    assert np.std(errors_um) < 5e-3 * np.std(expected_um)
 
 
 def test_a_spring_that_gives_way_within_the_range_is_impossible():

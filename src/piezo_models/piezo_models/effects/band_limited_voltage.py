@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A voltage that was measured with the displacement, and is smooth between its rows."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+
+from piezo_common.arrays import FloatArray
+from piezo_models.effects.effect import Effect, Evidence
+
+BEYOND = 256
+"""Rows beyond either end of a recording that its voltage is taken to go on, turned about its end:
+what they make of the rows inside falls with the inverse of the distance."""
+
+
+@dataclass(frozen=True)
+class BandLimitedVoltage(Effect):
+    """The voltage of a row is a sample of a smooth voltage, and is not held until the next one.
+
+    That is so where a voltage passed a filter, and was measured as the displacement was: it has no
+    part above half the rate of the rows, so that its samples are all of it (Pintelon and Schoukens,
+    "System Identification", 2012, 13.2). It is a property of recordings: voltages that are sent are
+    held, and so `StageModel.simulate` takes them.
+    """
+
+    name: ClassVar[str] = "band_limited_voltage"
+    place: ClassVar[str] = "voltage"
+    experiment: ClassVar[str] = "dynamics up to a third of the sample rate"
+    distortion: ClassVar[frozenset[str] | None] = frozenset()
+
+    def apply(self, signal: FloatArray, sample_period_s: float,
+              rest: float | None = None) -> FloatArray:
+        """Return the signal: it is between the rows that a recording has another voltage."""
+        return signal
+
+    def advance(self, signal: FloatArray, sample_period_s: float,
+                past: None = None) -> tuple[FloatArray, None]:
+        """Return the signal; nothing is remembered."""
+        return signal, None
+
+    @classmethod
+    def starts(cls, evidence: Evidence) -> list[Self]:
+        """Return none: `identify` compares it with a held voltage, all other parameters free."""
+        return []
+
+
+def means_of_parts(voltage_v: FloatArray, parts: int) -> FloatArray:
+    """Return the means of a band-limited voltage over the parts of its rows.
+
+    Parameters
+    ----------
+    voltage_v : (N,) array
+        At the beginning of each row.
+
+    Returns
+    -------
+    (N parts,) array
+    """
+    rows = voltage_v.size
+    beyond = min(BEYOND, rows - 1)
+    if beyond < 1:
+        return np.repeat(voltage_v, parts)
+    first, last = voltage_v[0], voltage_v[-1]
+    extended = np.concatenate([
+        2.0 * first - voltage_v[beyond:0:-1], voltage_v,
+        2.0 * last - voltage_v[-2 : -beyond - 2 : -1]])
+    size = next_fast_len(extended.size, real=True)
+    # From one end to the other it goes straight, as a period has to close.
+    closing = np.linspace(extended[-1], extended[0], size - extended.size + 2)[1:-1]
+    cycles = rfftfreq(size) / parts
+    lines = rfft(np.concatenate([extended, closing])) * np.exp(1j * np.pi * cycles)
+    fine = np.zeros(size * parts // 2 + 1, dtype=complex)
+    fine[: lines.size] = parts * np.sinc(cycles) * lines
+    if size % 2 == 0:
+        fine[lines.size - 1] *= 0.5
+    begin = beyond * parts
+    return irfft(fine, size * parts)[begin : begin + rows * parts]
