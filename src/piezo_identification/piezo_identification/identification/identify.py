@@ -182,7 +182,9 @@ def identify(
                 if number is not None]))
         identified = replace(
             identified_model(fitted, errors, given, rows), adequacy=adequacy,
-            uncertainties=reliable(fitted.uncertainties, adequacy), unfinished=budget.sentence())
+            uncertainties=reliable(fitted.uncertainties, adequacy,
+                                   isinstance(dynamics, FrequencyResponse)),
+            unfinished=budget.sentence())
         stages.begin("done", 1.0)
     return identified
 

@@ -235,8 +235,8 @@ def with_fit(fitted: FittedModel, fit: WholeFit) -> FittedModel:
     return replace(fitted, model=model, uncertainties=uncertainties)
 
 
-def reliable(uncertainties: Mapping[str, Any],
-             adequacy: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+def reliable(uncertainties: Mapping[str, Any], adequacy: Mapping[str, Mapping[str, Any]],
+             is_response: bool) -> dict[str, Any]:
     """Leave out the standard deviations of what an inadequate component moves.
 
     What it leaves is no noise, so that they would be too small.
@@ -245,9 +245,12 @@ def reliable(uncertainties: Mapping[str, Any],
     ----------
     adequacy : dict of str to dict
         Of the model file.
+    is_response : bool
+        The dynamics are those of a frequency response, which no loops have moved.
     """
     unknown = {part for name, each in adequacy.items() if each["verdict"] == "inadequate"
-               for part in COMPONENTS_OF.get(experiment_of(name), ())}
+               for part in COMPONENTS_OF.get(experiment_of(name), ())
+               if not (is_response and experiment_of(name) == "hysteresis")}
     return {part: each for part, each in uncertainties.items() if part not in unknown}
 
 

@@ -218,6 +218,6 @@ def _check_sign(path: str, segments: Sequence[HysteresisSegment]) -> None:
     """Refuse a hysteresis that falls where the voltage rises, the dynamics removed."""
     products = [(segment.voltage_v - segment.voltage_v.mean()) @ segment.output_um
                 for segment in segments]
-    if sum(products) <= 0.0:
+    if sum(products) < 0.0:
         raise ValueError(f"{path}: the displacement falls where the voltage rises: "
                          "reverse the sign of one")
