@@ -10,7 +10,6 @@ import numpy as np
 from piezo_identification.diagnosis.comparison.measures_of_fits import lack_of_fit
 from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_identification.diagnosis.evidence.known_noise import noise_of_model
-from piezo_identification.diagnosis.evidence.stand_ins import named
 from piezo_identification.diagnosis.experiment_design.decide import decide
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
@@ -155,7 +154,7 @@ def _diagnoses(known, identified_from, recording, hidden, seed, experiments):
 
 def _told(diagnosis):
     return {"verdict": diagnosis.verdict, "probabilities": diagnosis.probabilities,
-            "effects": named(diagnosis.effects),
+            "effects": [entry["name"] for entry in diagnosis.effects],
             "not_decidable": sorted(diagnosis.not_decidable)}
 
 

@@ -5,7 +5,6 @@ import argparse
 
 import numpy as np
 
-from piezo_identification.diagnosis.evidence.stand_ins import named
 from piezo_identification.diagnosis.experiment_design.decide import decide
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
@@ -57,7 +56,7 @@ def decide_twin(cause, clean, plant_seed, seed, budget=1, over_noise=OVER_NOISE)
                    identified_from=IdentificationRecordings(identified_from, ()))
     return {"cause": cause, "steps": [
         {"verdict": step.diagnosis.verdict,
-         "effects": named(step.diagnosis.effects),
+         "effects": [entry["name"] for entry in step.diagnosis.effects],
          "not_decidable": sorted(step.diagnosis.not_decidable),
          "probabilities": step.probabilities, "is_decided": step.is_decided,
          "proposed": None if step.proposal is None else step.proposal.document()}

@@ -19,8 +19,8 @@ def main(arguments: list[str] | None = None) -> None:
         Those of the command line by default.
     """
     parser = argparse.ArgumentParser(prog="diagnosis_calibration", description=__doc__)
-    parser.add_argument("--cases", type=int, default=500, help="how many (%(default)s)")
-    parser.add_argument("--seed", type=int, default=306, help="of everything random (%(default)s)")
+    parser.add_argument("--cases", type=int, default=100, help="how many (%(default)s)")
+    parser.add_argument("--seed", type=int, default=523, help="of everything random (%(default)s)")
     parser.add_argument("--seconds", type=float, default=float("inf"),
                         help="of the processor, after which no other case begins")
     parser.add_argument("--output", type=Path, default=Path("runs/diagnosis-calibration"),

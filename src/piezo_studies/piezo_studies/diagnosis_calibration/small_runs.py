@@ -5,7 +5,6 @@ import numpy as np
 
 from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_identification.diagnosis.evidence.known_noise import noise_of_model
-from piezo_identification.diagnosis.evidence.stand_ins import named
 from piezo_identification.diagnosis.report.results import stated_error
 from piezo_identification.fitting.dataset import simulate_recordings
 from piezo_identification.fitting.regression import first_regression
@@ -59,7 +58,7 @@ def run_small_case(case, identified):
              "whole_over_noise": drawn.contribution_rms_um / noise}],
         "in_model": [effect.name for effect in identified.model.effects],
         "verdict": diagnosis.verdict, "probabilities": diagnosis.probabilities,
-        "effects": named(diagnosis.effects),
+        "effects": [entry["name"] for entry in diagnosis.effects],
         "not_decidable": sorted(diagnosis.not_decidable),
         "estimates": told,
         "noise_um": noise, "noise_found_um": diagnosis.noise_floor_um,

@@ -67,11 +67,6 @@ def _is_at_a_bound(kind: type[Effect], parameters: Mapping[str, Any], extent: Ex
     return False
 
 
-def named(entries: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the names of the effects that are no stand-ins."""
-    return [entry["name"] for entry in entries if not entry.get(STAND_IN)]
-
-
 def name_of(entry: Mapping[str, Any]) -> str:
     """Return the name of an effect as a sentence says it."""
     return f"what behaves like {entry['name']}" if entry.get(STAND_IN) else str(entry["name"])
