@@ -43,6 +43,7 @@ MORE_LENIENT = {
     ("controller", "sample_period_s: one"), ("controller", "sample_period_s: two"),
     *(("model", f"uncertainties.creep.{name}_rad_per_s.{number}: null")
       for name in ("poles", "zeros") for number in (0, 1))}
+LONG = bool(os.environ.get("LONG_TESTS"))
 LONGEST_SENTENCE = 1000
 REFERENCE = Reference("harmonic", (100.0,), (40.0,), (), 57.0)
 
@@ -270,12 +271,12 @@ def test_changed_document_is_read_or_refused_as_before(kind, tmp_path_factory):
     path = tmp_path_factory.mktemp(kind) / "file"
     every = dict(mutations(kind))
     assert ACCEPTED[kind].keys() <= every.keys()
-    if os.environ.get("LONG_TESTS"):
+    if LONG:
         for name, document in every.items():
             assert_as_before(kind, name, document, path)
         return
 
-    @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    @settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
     @given(st.sampled_from(sorted(every)))
     def one_change(name):
         assert_as_before(kind, name, every[name], path)
@@ -297,7 +298,8 @@ def test_several_wild_changes_are_read_or_refused_in_one_sentence(kind, tmp_path
     document = KINDS[kind].document
     everywhere = sorted(places(document), key=str)
 
-    @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    @settings(max_examples=500 if LONG else 40, deadline=None,
+              suppress_health_check=[HealthCheck.too_slow])
     @given(st.lists(st.tuples(st.sampled_from(everywhere), ANY), min_size=1, max_size=3))
     def wild(changes):
         copied = copy.deepcopy(document)
