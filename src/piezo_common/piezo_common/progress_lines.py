@@ -50,7 +50,8 @@ class ProgressLines:
         words = [f"{100.0 * fraction:3.0f} %  {self._stage}"]
         if TELLING <= fraction < 1.0 and taken_s >= 1.0:
             left_s = min(taken_s * (1.0 - fraction) / fraction, self._budget.left_s)
-            words.append(f"{taken_s:.0f} s so far, about {left_s:.0f} s left")
+            words.append(f"{taken_s:.0f} s so far" + (
+                f", about {left_s:.0f} s left" if left_s else "; the time is over, this step ends"))
         print(", ".join(words), flush=True)
 
 

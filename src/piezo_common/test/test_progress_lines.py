@@ -43,6 +43,13 @@ def test_no_more_is_left_than_the_budget_has(clock, capsys):
     assert capsys.readouterr().out.endswith("about 10 s left\n")
 
 
+def test_a_step_that_ends_later_than_the_budget_promises_no_time(clock, capsys):
+    lines = ProgressLines(Budget(20.0, clock), clock)
+    clock.seconds = 21.0
+    lines.report("dynamics", 0.1)
+    assert capsys.readouterr().out.endswith("21 s so far; the time is over, this step ends\n")
+
+
 def test_the_lines_end_with_their_context(capsys):
     with progress_printed(Budget()) as progress:
         progress("creep", 0.0)

@@ -9,7 +9,7 @@ import pytest
 from piezo_common import side_by_side
 from piezo_common.budget import Budget
 from piezo_identification.diagnosis.diagnose import diagnose
-from piezo_identification.diagnosis.report.diagnosis_report import render_report
+from piezo_identification.diagnosis.report.diagnosis_report import render_report, verdict_sentence
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
@@ -72,6 +72,8 @@ def test_when_the_time_is_over_the_verdict_and_its_page_say_what_was_not_tried(l
     assert document["not_tried"].startswith(
         "the time of 1 s is over; not tried: further effects of the new recordings")
     assert document["not_tried"] in render_report(found)
+    sentence = verdict_sentence(found)
+    assert "no effect compared until then explains" in sentence and "probability" not in sentence
 
 
 def test_what_is_found_is_the_same_on_any_number_of_cores(line, recording, monkeypatch):

@@ -41,7 +41,8 @@ UNLIKELY = 0.5
 
 def verdict_sentence(diagnosis: Diagnosis) -> str:
     """Return the verdict in one sentence, with its probability where that is known."""
-    return f"{_sentence(diagnosis)}{_probability(diagnosis)}"
+    probability = "" if diagnosis.not_tried else _probability(diagnosis)
+    return f"{_sentence(diagnosis)}{probability}"
 
 
 def _sentence(diagnosis: Diagnosis) -> str:
@@ -59,7 +60,8 @@ def _sentence(diagnosis: Diagnosis) -> str:
         return (f"The model lacks {names}: with it the error on held-out data falls from "
                 f"{before:.3g} to {after:.3g} nm RMS.")
     beside = f" beside {names}" if names else ""
-    return (f"Something is left{beside} that no known effect explains: {after:.3g} nm RMS on "
+    compared = "effect compared until then" if diagnosis.not_tried else "known effect"
+    return (f"Something is left{beside} that no {compared} explains: {after:.3g} nm RMS on "
             f"held-out data.")
 
 

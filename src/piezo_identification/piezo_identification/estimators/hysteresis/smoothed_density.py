@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piezo_common.arrays import FloatArray
+from piezo_common.budget import while_time_lasts
 from piezo_identification.estimators.hysteresis.density_estimate import (
     LINE,
     DensityEstimate,
@@ -164,17 +165,18 @@ def density_of_segments(
         beside = equations.beside(unknowns)
     else:
         unknowns, beside, _ = equations.solve(penalties, multiplier)
-        if translation_weight is None and penalties.translation and plays is None:
-            # Loops that were alike on the coarse grid need not be on the fine one.
-            free = choice.without_translation
-            others = equations.solve(free, multiplier)[:2]
-            if equations.misfit(unknowns, beside) > (
-                    LARGEST_TRANSLATION_COST * equations.misfit(*others)):
-                penalties, (unknowns, beside) = free, others
-        without = equations.solve(replace(penalties, is_reversible=False), multiplier)[:2]
-        if equations.misfit(*without) < (
-                LARGEST_REVERSIBLE_GAIN * equations.misfit(unknowns, beside)):
-            penalties, (unknowns, beside) = replace(penalties, is_reversible=False), without
+        with while_time_lasts("a density of fewer parts"):
+            if translation_weight is None and penalties.translation and plays is None:
+                # Loops that were alike on the coarse grid need not be on the fine one.
+                free = choice.without_translation
+                others = equations.solve(free, multiplier)[:2]
+                if equations.misfit(unknowns, beside) > (
+                        LARGEST_TRANSLATION_COST * equations.misfit(*others)):
+                    penalties, (unknowns, beside) = free, others
+            without = equations.solve(replace(penalties, is_reversible=False), multiplier)[:2]
+            if equations.misfit(*without) < (
+                    LARGEST_REVERSIBLE_GAIN * equations.misfit(unknowns, beside)):
+                penalties, (unknowns, beside) = replace(penalties, is_reversible=False), without
     # The first column of a segment is the offset of its samples of a known past.
     known = np.flatnonzero(np.diag(equations.corner)[equations.offset_columns] > 0.0)
     offset_um = float(beside[equations.offset_columns[known[0]]]) if known.size else 0.0

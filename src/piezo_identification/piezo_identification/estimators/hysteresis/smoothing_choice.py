@@ -38,8 +38,8 @@ RISES = 3
 """So many weights in a row, each of which predicts worse than the one before, end a search: those
 that would follow take most time, as the bounds then hold here and there."""
 
-WEIGHTS = 0.5
-"""Share of the time that an identification may take, after which no further weights are tried."""
+FURTHER_WEIGHTS, WEIGHTS = "further weights of the density", 0.5
+"""What is left out, and from which share of the time of an identification."""
 
 FEWEST_ROWS = 4
 """Samples to fit in a piece of a branch."""
@@ -190,7 +190,7 @@ class _Trials:
         """Return the first candidate that predicts as well as any, until they get ever worse."""
         first, *others = candidates
         listed, misfits = [first], [float(self.misfits(first).sum())]
-        with while_time_lasts("further weights of the density", WEIGHTS):
+        with while_time_lasts(FURTHER_WEIGHTS, WEIGHTS):
             for penalties in others:
                 misfits.append(float(self.misfits(penalties).sum()))
                 listed.append(penalties)
@@ -206,15 +206,18 @@ class _Trials:
         does not, stronger ones are.
         """
         first = SMOOTHING_WEIGHTS.index(penalties.smoothing)
-        tried = [penalties]
-        for weights in (SMOOTHING_WEIGHTS[first + 1 :], SMOOTHING_WEIGHTS[:first][::-1]):
-            for weight in weights:
-                least = min(self.misfits(each).sum() for each in tried)
-                tried.append(replace(penalties, smoothing=weight))
-                if self.misfits(tried[-1]).sum() >= least:
+        tried, least = [penalties], self.misfits(penalties).sum()
+        with while_time_lasts(FURTHER_WEIGHTS):
+            for weights in (SMOOTHING_WEIGHTS[first + 1 :], SMOOTHING_WEIGHTS[:first][::-1]):
+                for weight in weights:
+                    further = replace(penalties, smoothing=weight)
+                    misfit = self.misfits(further).sum()
+                    tried.append(further)
+                    if misfit >= least:
+                        break
+                    least = misfit
+                if len(tried) > 2:
                     break
-            if len(tried) > 2:
-                break
         return self.best(sorted(tried, key=lambda each: -each.smoothing))
 
     def forces(self, penalties: Penalties) -> FloatArray:
