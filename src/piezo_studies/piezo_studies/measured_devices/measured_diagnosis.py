@@ -78,18 +78,6 @@ class Finding:
         )
 
 
-def findings(directory):
-    """Diagnose all measured sets.
-
-    Parameters
-    ----------
-    directory : path-like
-    """
-    yield cantilever_without_vibration(directory)
-    yield nanopositioner_without_creep(directory)
-    yield from scanner_without_asymmetry(directory)
-
-
 def cantilever_without_vibration(directory):
     """Diagnose a static hysteresis, fitted on slow cycles, on rest and ringing after the jump."""
     recording = read_recording(Path(directory) / CANTILEVER)
@@ -158,3 +146,11 @@ def _finding(data, poor_model, diagnosis, held_out):
         tuple(entry["name"] for entry in diagnosis.effects), held_out,
         diagnosis.before["e_y_percent"], diagnosis.after["e_y_percent"], left=diagnosis.left,
     )
+
+
+FINDINGS = {
+    "cantilever": lambda directory: [cantilever_without_vibration(directory)],
+    "nanopositioner": lambda directory: [nanopositioner_without_creep(directory)],
+    "scanner": scanner_without_asymmetry,
+}
+"""What finds the faults of poor models of a set, by the set's name."""

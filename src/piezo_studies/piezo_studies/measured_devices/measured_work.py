@@ -4,26 +4,38 @@
 import json
 from dataclasses import asdict
 
-from piezo_studies.measured_devices import measured, measured_pictures, oscillators
-from piezo_studies.measured_devices.measured_diagnosis import findings
+from piezo_studies.measured_devices import (
+    measured,
+    measured_pictures,
+    measured_sets,
+    oscillators,
+)
+from piezo_studies.measured_devices.measured_diagnosis import FINDINGS
 
 
 def measure_devices(options):
     """Fit the measured sets of the options; print and write the errors beside the published."""
     data, output = options.data, options.output
+    lines = {each.name: each.missing(data) for each in measured_sets.SETS}
+    present = {name for name, line in lines.items() if line is None}
+    for line in filter(None, lines.values()):
+        print(line)
+    if not present:
+        raise ValueError(f"{data} holds none of the measured sets that are named above")
     output.mkdir(parents=True, exist_ok=True)
     figures = []
-    for name, run in SETS.items():
+    for name in (each for each in SETS if each in present):
         print(f"fitting {name}", flush=True)
-        figures += run(data, output)
+        figures += SETS[name](data, output)
     found = []
-    for name, study in OSCILLATORS.items():
+    for name in (each for each in OSCILLATORS if each in present):
         print(f"fitting and diagnosing {name}", flush=True)
-        benchmark = study(data)
+        benchmark = OSCILLATORS[name](data)
         figures += benchmark.figures
         found.append(benchmark.finding)
     print("diagnosing poor models", flush=True)
-    found += findings(data)
+    for name in (each for each in FINDINGS if each in present):
+        found += FINDINGS[name](data)
     rows = [asdict(figure) | {"reached": figure.is_reached} for figure in figures]
     (output / "table.json").write_text(json.dumps(
         {"rows": rows, "findings": [asdict(finding) for finding in found]}, indent=1) + "\n")

@@ -18,6 +18,7 @@ from piezo_studies.measured_devices.measured import (
     NESTED_LOOPS,
 )
 from piezo_studies.measured_devices.measured_command import main
+from piezo_studies.measured_devices.measured_sets import SETS
 
 CANTILEVER_DYNAMICS = ElectricVibrationDynamics(
     1e-4, (6030.0, 10_800.0), (0.033, 0.035), (7850.0,), (0.05,)
@@ -120,9 +121,25 @@ def test_there_is_a_picture_of_every_prediction(output):
     }
 
 
-def test_a_missing_set_is_named(tmp_path, capsys):
+def test_missing_sets_are_skipped_with_a_line_that_says_how_to_get_them(
+        data, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(measured_work, "FINDINGS", {})
+    only = tmp_path / "data"
+    (only / NANOPOSITIONER).parent.mkdir(parents=True)
+    (only / NANOPOSITIONER).write_bytes((data / NANOPOSITIONER).read_bytes())
+    monkeypatch.setattr(measured, "ORDER", ResponseOrder(creep_pairs=2, modes=2, antiresonances=1))
+    assert main(["--data", str(only), "--output", str(tmp_path / "new")]) == 0
+    skipped = [line for line in capsys.readouterr().out.splitlines() if line.startswith("skipped")]
+    assert len(skipped) == len(SETS) - 1
+    assert all(word in line for line in skipped for word in ("Source: ", "licence: ", "to fetch: "))
+    rows = json.loads((tmp_path / "new" / "table.json").read_text())["rows"]
+    assert {row["data"] for row in rows} == {"nanopositioner"}
+
+
+def test_a_directory_without_any_set_is_refused(tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     assert main(["--data", str(tmp_path / "empty"), "--output", str(tmp_path)]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert NESTED_LOOPS in error
+    printed = capsys.readouterr()
+    assert printed.err.count("\n") == 1
+    assert "holds none of the measured sets" in printed.err
+    assert NESTED_LOOPS in printed.out

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Public sets of measured data: files, source, licence, and how to get them."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from piezo_studies.measured_devices.measured import (
+    CANTILEVER,
+    MAJOR_LOOPS,
+    NANOPOSITIONER,
+    NESTED_LOOPS,
+)
+from piezo_studies.measured_devices.oscillators import (
+    ARROW,
+    BOUC_WEN,
+    BOUC_WEN_MULTISINE,
+    BOUC_WEN_SWEEP,
+    CIRCUIT,
+)
+
+NO_LICENCE = "none known that lets others redistribute it"
+COLUMNS = "columns time_s, voltage_v, displacement_um"
+
+
+@dataclass(frozen=True)
+class MeasuredSet:
+    """Files of one device below the directory of the measured sets.
+
+    Parameters
+    ----------
+    files : tuple of str
+        All of them are needed.
+    source, licence, fetch : str
+        For people.
+    """
+
+    name: str
+    files: tuple[str, ...]
+    source: str
+    licence: str
+    fetch: str
+
+    def missing(self, directory: Path) -> str | None:
+        """Return a line about the first file that is not there; None where all are."""
+        absent = next((name for name in self.files if not (directory / name).is_file()), None)
+        if absent is None:
+            return None
+        return (f"skipped {self.name}: {directory / absent} is not there. Source: {self.source}; "
+                f"licence: {self.licence}; to fetch: {self.fetch}")
+
+
+SETS = tuple(MeasuredSet(*each) for each in (
+    ("scanner", (NESTED_LOOPS, MAJOR_LOOPS), "x axis of a piezo scanner of an AFM, by its owners",
+     NO_LICENCE, "ask the owners"),
+    ("cantilever", (CANTILEVER,), "a piezo cantilever, by its owners", NO_LICENCE,
+     "ask the owners"),
+    ("nanopositioner", (NANOPOSITIONER,), "a flexure nanopositioner, by its owners", NO_LICENCE,
+     "ask the owners"),
+    ("the circuit", (CIRCUIT, ARROW), "https://www.nonlinearbenchmark.org/benchmarks/silverbox",
+     NO_LICENCE, f"{COLUMNS}, from the Python package nonlinear-benchmarks"),
+    ("Bouc-Wen", (BOUC_WEN, BOUC_WEN_MULTISINE, BOUC_WEN_SWEEP),
+     "https://www.nonlinearbenchmark.org/benchmarks/bouc-wen", NO_LICENCE,
+     f"{COLUMNS}, from that page"),
+))
