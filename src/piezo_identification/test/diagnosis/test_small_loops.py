@@ -43,6 +43,7 @@ def test_a_density_that_is_wrong_at_small_spans_is_no_effect(plant, record):
     assert diagnosis.before["rms_um"] > 1.5 * diagnosis.noise_floor_um
 
 
+@pytest.mark.long
 def test_a_play_is_named_beside_such_a_density(plant, record):
     diagnosis = diagnose(less_near_the_diagonal(plant), [record(Backlash(0.4))])
     assert [each["name"] for each in diagnosis.effects] == ["backlash"]

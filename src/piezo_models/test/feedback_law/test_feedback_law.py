@@ -220,6 +220,10 @@ def test_law_that_does_not_fit_is_refused(changes, text):
         replace(integral_law(0.1), **changes)
 
 
+def test_a_law_may_be_bounded_by_less_than_a_volt_and_a_micrometre():
+    replace(integral_law(0.1), max_feedback_v=0.5, max_error_um=0.5)
+
+
 @pytest.mark.parametrize("factor", [0.01, 0.1, 10.0])
 def test_an_inverse_of_another_hysteresis_is_refused(factor):
     """Its voltages would be so many times too high or too low."""

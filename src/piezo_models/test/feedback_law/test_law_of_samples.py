@@ -11,14 +11,19 @@ from piezo_models.feedback_law.feedback_law import (
     DeclaredPlant,
     FeedbackLaw,
     FeedbackLawError,
+    InverseHysteresis,
     LinearBlock,
 )
 from piezo_models.feedback_law.law_check import LARGEST_SENSITIVITY, check_law
 from piezo_models.feedback_law.running_law import RunningLaw
+from piezo_models.hysteresis.preisach import PreisachModel
 
 SAMPLES, CLOCK_S = 10, 1e-4
 INTEGRATOR = LinearBlock.of([1.0], [0.05], [1.0], [0.05])
 OFFSET_UM = 3.0
+STRAIGHT = PreisachModel(
+    -100.0, 100.0, np.zeros((20, 20)), -100.0, reversible_um_per_v=np.ones(20))
+"""Of 1 um/V, without hysteresis."""
 
 
 def first_order(pole=0.8):
@@ -59,9 +64,11 @@ class Loop:
         self.running = following
 
 
-def test_without_a_limit_the_observer_changes_nothing():
+@pytest.mark.parametrize("inverse", [None, InverseHysteresis(STRAIGHT, 1.0)],
+                         ids=["alone", "behind an inverse"])
+def test_without_a_limit_the_observer_changes_nothing(inverse):
     """The integral of the error of the sample before, summed by hand."""
-    loop = Loop(law_of(INTEGRATOR))
+    loop = Loop(law_of(INTEGRATOR, inverse=inverse))
     given_v = loop.play(30)
     expected_v = -0.05 * np.cumsum(np.array(loop.measured_um))[:-1]
     np.testing.assert_allclose(given_v[1:], expected_v, atol=1e-12)

@@ -49,7 +49,8 @@ def bent(width_um):
         ElectricVibrationDynamics(0.0, (360.0,), (0.15,)))
 
 
-@pytest.mark.parametrize("width_um", [0.4, 0.8, 1.6])
+@pytest.mark.parametrize("width_um", [
+    pytest.param(0.4, marks=pytest.mark.long), pytest.param(0.8, marks=pytest.mark.long), 1.6])
 def test_a_play_is_taken_out_of_the_hysteresis_that_has_it(width_um):
     problem = JointProblem(bent(width_um), [recording(1, width_um)], [recording(2, width_um)])
     beside = problem.fit(())

@@ -65,7 +65,7 @@ def edges_s(rows_of_period, duty, first_row):
 
 
 @pytest.mark.parametrize(("rows_of_period", "duty", "delay_rows"), [
-    pytest.param(602.625, 0.5, 0.0, id="edges at eighths"),
+    pytest.param(602.625, 0.5, 0.0, id="edges at eighths", marks=pytest.mark.long),
     pytest.param(411.3719, 0.43, 2.6, id="edges anywhere")])
 def test_what_follows_the_edges_of_a_free_running_generator_is_told_to_the_noise(
         rows_of_period, duty, delay_rows):
@@ -84,6 +84,7 @@ def test_what_follows_the_edges_of_a_free_running_generator_is_told_to_the_noise
     assert np.abs(found - truth).max() < 2e-3 * np.abs(truth).max()
 
 
+@pytest.mark.long
 def test_the_dynamics_under_a_free_running_generator_are_adequate():
     recording = record(edges_s(602.625, 0.5, 120.317))
     adequacy = identify(dynamics=recording).adequacy["dynamics"]
