@@ -55,6 +55,8 @@ class SearchSettings:
         many steps as the first fit.
     highest : float
         Frequency of such a mode at most, over that of the samples.
+    slowest : float
+        Frequency of a mode at least, over the highest: of a slower one, creep has been taken.
     most_damped : float
         Damping ratio of a mode that is kept in the plainest start.
     most_uncoupled : float
@@ -80,6 +82,7 @@ class SearchSettings:
     adequate: float = 0.2
     wrong: float = 3.0
     highest: float = 0.3
+    slowest: float = 1e-3
     most_damped: float = 0.5
     most_uncoupled: float = 0.3
     first_lag: float = 0.5
@@ -91,6 +94,9 @@ SETTINGS = SearchSettings()
 
 Tried = tuple[str, WholeFit]
 """What was changed, and how that fitted."""
+
+Begun = tuple[WholeModel, WholeFit]
+"""A start that was fitted, behind the problem with its loops."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +122,8 @@ class Structure:
 def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
           report: Callable[[str, float], object] = lambda *_: None,
           is_asked_for: Callable[[StageModel], bool] = lambda _: True,
-          ) -> tuple[list[WholeFit], list[Tried]]:
+          with_loops_beside: Callable[[Structure], WholeModel] | None = None,
+          ) -> tuple[list[Begun], list[Tried]]:
     """Fit the whole model from several starts.
 
     Parameters
@@ -129,40 +136,61 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
         Called with what is tried, and the fraction done, before each.
     is_asked_for : callable
         Tells whether a model may be tried.
+    with_loops_beside : callable, optional
+        Returns the problem with the loops that were estimated anew beside a structure as it is.
+        Those of the given model follow what its creep and dynamics lack, from which a fit with
+        other ones takes long to come back, if it does. The starts differ little in what the loops
+        see, so that one estimate serves all but the given model.
 
     Returns
     -------
-    promising : list of WholeFit
+    promising : list of (WholeModel, WholeFit)
         The best of all that were tried, the given model included, and those that are not far
-        behind it: which of them leads farthest is not known before.
+        behind it, each with its problem: which of them leads farthest is not known before.
     tried : list of (str, WholeFit)
         All that were tried, in their order.
     """
     best = before = problem.fit(given, delay_s, 0)
     tried = [("step by step", before)]
+    found, beside = [(problem, before)], problem
     with while_time_lasts("other starts of the fit"):
         report("everything together", 0.0)
         # The first fit tells how many errors are independent, the second one counts them so.
-        problem.count_as(problem.fit(given, delay_s, SETTINGS.steps))
+        first = problem.fit(given, delay_s, SETTINGS.steps)
+        problem.count_as(first)
         problem.about_here()
-        for structure in [*starts(problem, given, delay_s),
-                          *between_rows(problem, given, delay_s)]:
+        if is_asked_for(given):
+            together = problem.again(first, SETTINGS.followed_steps)
+            tried.append(("everything together", together))
+            found.append((problem, together))
+            best = together if is_better(together, best) else best
+        between = list(between_rows(problem, given, delay_s))
+        for structure in [*starts(problem, given, delay_s), *between]:
+            check_cancelled()
             if not is_asked_for(structure.model) or is_at_noise(problem, best):
                 continue
-            is_smooth = any(
-                isinstance(each, BandLimitedVoltage) for each in structure.model.effects)
-            if is_smooth and problem.fastest_over_noise(best) <= SETTINGS.wrong:
+            if structure in between and problem.fastest_over_noise(best) <= SETTINGS.wrong:
                 continue
             report(structure.change, 0.5)
-            fitted = problem.fit(structure.model, structure.delay_s, SETTINGS.steps)
-            tried.append((structure.change, fitted))
-            if is_better(fitted, best):
-                best = fitted
-            check_cancelled()
-    others = [fit for _, fit in tried[1:]
-              if fit is not best and fit.evidence_over(best) > -SETTINGS.promise]
-    others.sort(key=lambda fit: -fit.evidence_over(best))
-    return [best, *others[: SETTINGS.rivals]], tried
+            if structure not in between and beside is problem and with_loops_beside is not None:
+                beside = with_loops_beside(structure)
+            where = problem if structure in between else beside
+            # A delay takes the place of an amplifier that has yet to be found.
+            is_delayed_later = structure.delay_s is None and (delay_s or 0.0) > 0.0
+            fit = where.fit(structure.model, structure.delay_s,
+                            SETTINGS.followed_steps if is_delayed_later else SETTINGS.steps)
+            here = [(structure.change, fit)]
+            if is_delayed_later:
+                here.append((f"{structure.change}, and a delay", where.fit(
+                    fit.model, 0.0, SETTINGS.steps, fit.density_changes)))
+            tried += here
+            found += [(where, each) for _, each in here]
+            for _, each in here:
+                best = each if is_better(each, best) else best
+    promising = [(where, fit) for where, fit in found if fit is best or (
+        fit is not before and fit.evidence_over(best) > -SETTINGS.promise)]
+    promising.sort(key=lambda entry: (entry[1] is not best, -entry[1].evidence_over(best)))
+    return promising[: 1 + SETTINGS.rivals], tried
 
 
 def searched(problem: WholeModel, best: WholeFit,
@@ -256,11 +284,10 @@ def starts(problem: WholeModel, given: StageModel,
            delay_s: float | None) -> Iterator[Structure]:
     """Yield what the search may begin from.
 
-    That is the given model, and the modes that ring alone with a lag on either side of the
+    Beside the given model, those are the modes that ring alone with a lag on either side of the
     hysteresis: a search without the hysteresis takes what its loops do for dynamics, from which no
     step by step leads back.
     """
-    yield Structure("everything together", given, delay_s)
     ringing = [effect for effect in given.effects
                if isinstance(effect, VibrationMode) and _rings(problem, effect)]
     if given.dynamics.is_static and not ringing:
@@ -271,20 +298,19 @@ def starts(problem: WholeModel, given: StageModel,
                   if type(effect) is AmplifierLag), problem.sample_period_s)
     bare = replace(_electric(given, 0.0), creep=_creep_as_far_as(_without_gaps(given.creep), min(
         (mode.frequency_rad_per_s for mode in ringing), default=0.0)))
-    apart = _apart(ringing)
-    for modes in [ringing, apart] if len(apart) < len(ringing) else [ringing]:
-        effects = (*_in_phase(modes), *others)
-        what = f"{len(modes)} modes that ring"
-        yield Structure(f"{what}, with an amplifier's lag", replace(
-            bare, effects=(AmplifierLag(lag_s), *effects)), delay_s)
-        if any(type(mode) is CoupledMode for mode in modes):
-            # A delay would take its place.
-            late_s = lag_s + max(delay_s or 0.0, 0.0)
-            yield Structure(f"{what} in phase, an amplifier of second order", replace(
-                bare, effects=(SecondOrderAmplifier(late_s), *_uncoupled(modes), *others)), None)
-        if any(isinstance(effect, VibrationMode) for effect in given.effects):
-            yield Structure(f"{what}, with an electric lag", replace(
-                _electric(bare, lag_s), effects=effects), delay_s)
+    modes = _apart(ringing)
+    effects = (*_in_phase(modes), *others)
+    what = f"{len(modes)} modes that ring"
+    yield Structure(f"{what}, with an amplifier's lag", replace(
+        bare, effects=(AmplifierLag(lag_s), *effects)), delay_s)
+    if any(type(mode) is CoupledMode for mode in modes):
+        # It begins without a delay, which is added to it later.
+        late_s = lag_s + max(delay_s or 0.0, 0.0)
+        yield Structure(f"{what} in phase, an amplifier of second order", replace(
+            bare, effects=(SecondOrderAmplifier(late_s), *_uncoupled(modes), *others)), None)
+    if any(isinstance(effect, VibrationMode) for effect in given.effects):
+        yield Structure(f"{what}, with an electric lag", replace(
+            _electric(bare, lag_s), effects=effects), delay_s)
 
 
 def between_rows(problem: WholeModel, given: StageModel,
@@ -352,7 +378,7 @@ def _in_phase(modes: Sequence[VibrationMode]) -> tuple[VibrationMode, ...]:
     """Return coupled modes as those of a structure, which together make up the displacement."""
     coupled = [mode for mode in modes if type(mode) is CoupledMode]
     whole = sum(mode.participation for mode in coupled)
-    if not coupled or whole <= 0.0:
+    if not coupled or whole == 0.0:
         return tuple(modes)
     return tuple(
         replace(mode, participation=mode.participation / whole, velocity_participation=0.0)
@@ -381,8 +407,9 @@ def _apart(modes: Sequence[VibrationMode]) -> list[VibrationMode]:
 
 
 def _rings(problem: WholeModel, mode: VibrationMode) -> bool:
+    fastest = _highest_rad_per_s(problem)
     return (mode.damping_ratio < SETTINGS.most_damped
-            and mode.frequency_rad_per_s <= _highest_rad_per_s(problem))
+            and SETTINGS.slowest * fastest <= mode.frequency_rad_per_s <= fastest)
 
 
 def is_at_noise(problem: WholeModel, fit: WholeFit) -> bool:

@@ -20,6 +20,7 @@ from piezo_identification.estimators.frequency_response.response_model import Re
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
 from piezo_identification.fitting.structure_search import (
     SETTINGS,
+    Structure,
     begun,
     is_at_noise,
     is_better,
@@ -74,22 +75,31 @@ class _Search:
 
     def best(self, delay_s: float | None) -> _State:
         """Return the best model that the search leads to from the promising starts."""
+        anew = list[DensityEstimate]()
+
+        def with_loops_beside(start: Structure) -> WholeModel:
+            anew.append(self._loops_beside(self.problem.fit(start.model, start.delay_s, 0)))
+            return self.problem.with_hysteresis(anew[0].model(), BESIDE_ROUGH)
+
         promising, tried = begun(
-            self.problem, self.given.model, delay_s, self._part(0.0, BEGUN), self.is_asked_for)
+            self.problem, self.given.model, delay_s, self._part(0.0, BEGUN), self.is_asked_for,
+            with_loops_beside if self.loops_beside is not None else None)
         self.tried.extend(tried)
         length = (1.0 - BEGUN) / len(promising)
-        state = self._from(promising[0], BEGUN, length)
+        states = [_State(self.given if problem is self.problem else replace(
+            self.given, visited=anew[0].visited), fit, problem) for problem, fit in promising]
+        state = self._from(states[0], BEGUN, length)
         with while_time_lasts("the search from another start"):
-            for number, start in enumerate(promising[1:], 1):
+            for number, start in enumerate(states[1:], 1):
                 check_cancelled()
                 if not is_at_noise(state.problem, state.best):
                     other = self._from(start, BEGUN + number * length, length)
                     state = other if is_better(other.best, state.best) else state
         return state
 
-    def _from(self, start: WholeFit, begin: float, length: float) -> _State:
+    def _from(self, start: _State, begin: float, length: float) -> _State:
         """Estimate the loops anew, change the structure, and estimate the loops anew."""
-        state = self._with_loops_anew(_State(self.given, start, self.problem), begin)
+        state = self._with_loops_anew(start, begin)
         end = begin + (1.0 - ANEW) * length
         best, changed = searched(state.problem, state.best, self._part(
             begin + ANEW * length, (1.0 - 2.0 * ANEW) * length), self.is_asked_for)
@@ -113,8 +123,7 @@ class _Search:
         self.report("loops anew", fraction)
         with while_time_lasts("the loops anew beside the fit"):
             check_cancelled()
-            density = self.loops_beside(with_fit(before.fitted, before.best).model,
-                                        read_later(self.read_late_s, before.best))
+            density = self._loops_beside(before.best)
             problem = before.problem.with_hysteresis(density.model(), width)
             again = problem.fit(replace(before.best.model, hysteresis=density.model()),
                                 before.best.delay_s, SETTINGS.steps)
@@ -122,6 +131,10 @@ class _Search:
             if is_better(again, before.best):
                 return _State(replace(before.fitted, visited=density.visited), again, problem)
         return before
+
+    def _loops_beside(self, fit: WholeFit) -> DensityEstimate:
+        assert self.loops_beside is not None
+        return self.loops_beside(with_delay(fit), read_later(self.read_late_s, fit))
 
     def _part(self, begin: float, length: float) -> Callable[[str, float], object]:
         return lambda what, fraction: self.report(what, begin + length * fraction)
@@ -222,17 +235,25 @@ def _has_order(order: ResponseOrder, model: StageModel) -> bool:
 def with_fit(fitted: FittedModel, fit: WholeFit) -> FittedModel:
     """Return the model of a fit with its standard deviations."""
     of_parts, of_effects, of_delay_s = fit.deviations()
-    effects = list(zip(fit.model.effects, of_effects, strict=True))
-    if fit.delay_s is not None and fit.delay_s > 0.0:
-        effects.append((Delay(fit.delay_s), {"delay_s": of_delay_s}))
-    # The sort is stable: what is behind the delay stays in its order.
-    effects.sort(key=lambda each: 0 if each[0].place in BEFORE_DELAY else
-                 1 if isinstance(each[0], Delay) else 2)
+    model = with_delay(fit)
+    known = {id(effect): each for effect, each in zip(fit.model.effects, of_effects, strict=True)}
     uncertainties: dict[str, Any] = dict(of_parts)
-    if effects:
-        uncertainties["effects"] = [deviations for _, deviations in effects]
-    model = replace(fit.model, effects=tuple(effect for effect, _ in effects))
+    if model.effects:
+        uncertainties["effects"] = [
+            {"delay_s": of_delay_s} if isinstance(effect, Delay) else known[id(effect)]
+            for effect in model.effects]
     return replace(fitted, model=model, uncertainties=uncertainties)
+
+
+def with_delay(fit: WholeFit) -> StageModel:
+    """Return the model of a fit with its delay among its effects."""
+    effects = list(fit.model.effects)
+    if fit.delay_s is not None and fit.delay_s > 0.0:
+        effects.append(Delay(fit.delay_s))
+    # The sort is stable: what is behind the delay stays in its order.
+    effects.sort(key=lambda effect: 0 if effect.place in BEFORE_DELAY else
+                 1 if isinstance(effect, Delay) else 2)
+    return replace(fit.model, effects=tuple(effects))
 
 
 def reliable(uncertainties: Mapping[str, Any], adequacy: Mapping[str, Mapping[str, Any]],

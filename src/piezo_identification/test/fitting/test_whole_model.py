@@ -9,7 +9,7 @@ import pytest
 from piezo_identification.conditioning.outlier_samples import with_outliers_marked
 from piezo_identification.experiments import catalogue as experiments
 from piezo_identification.fitting.structure_search import begun, is_better, searched, structures
-from piezo_identification.fitting.whole_model import WholeModel
+from piezo_identification.fitting.whole_model import BESIDE_ROUGH, WholeModel
 from piezo_identification.prediction import unseen_errors
 from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.second_order_amplifier import SecondOrderAmplifier
@@ -48,7 +48,7 @@ def wrong(plant):
 
 def sought(problem, model):
     promising, tried = begun(problem, model, None)
-    best, more = searched(problem, promising[0])
+    best, more = searched(*promising[0])
     return best, tried + more
 
 
@@ -124,6 +124,26 @@ def test_an_amplifier_of_second_order_takes_the_place_of_a_lag(plant, play):
     [amplifier] = fit.model.effects
     assert amplifier.quality_factor == pytest.approx(0.8, rel=0.1)
     assert np.std(fit.left_um[0][0]) < 1.1 * NOISE_UM < np.std(before.left_um[0][0])
+
+
+def test_starts_have_the_loops_that_were_estimated_beside_them(plant, wrong, recordings):
+    """A line that no prior bends into loops would keep every start from the truth."""
+    loops = wrong.hysteresis
+    gain = np.ptp(loops.output_range_um) / (loops.voltage_max_v - loops.voltage_min_v)
+    line = replace(wrong, hysteresis=replace(
+        loops, density_um_per_v2=1e-3 * loops.density_um_per_v2,
+        reversible_um_per_v=np.full_like(loops.reversible_um_per_v, gain)))
+    problem, anew = WholeModel(line, recordings, [0.0] * 3), []
+
+    def with_loops_beside(_):
+        anew.append(problem.with_hysteresis(plant.hysteresis, BESIDE_ROUGH))
+        return anew[0]
+
+    _, tried = begun(problem, line, None, with_loops_beside=with_loops_beside)
+    (_, together), (_, start) = tried[1:]
+    left_um = [np.std(fit.left_um[2][0]) for fit in (together, start)]
+    assert len(anew) == 1
+    assert left_um[1] < 0.2 * left_um[0]
 
 
 def test_rows_that_are_read_late_within_their_hold_are_found(plant, play):
