@@ -32,11 +32,11 @@ def fitted_once():
     """Fit once what the page and the notebook both ask of the same recordings."""
     models, identify = {}, steps.identify_recordings
 
-    def identify_once(progress, note, **asked):
+    def identify_once(progress, note, budget, **asked):
         key = repr({name: part.displacement_um.tobytes() if isinstance(part, Recording) else part
                     for name, part in asked.items()})
         if key not in models:
-            models[key] = identify(progress=progress, note=note, **asked)
+            models[key] = identify(progress=progress, note=note, budget=budget, **asked)
         return models[key]
 
     with pytest.MonkeyPatch.context() as patch:

@@ -220,6 +220,8 @@ def changed_model(model: StageModel, changes: FloatArray) -> StageModel:
 def changes_between(model: StageModel, changed: StageModel) -> FloatArray:
     """Return the changes that lead from the creep and dynamics of a model to those of another.
 
+    Not finite where no factor leads from one to the other, as between sizes of unlike signs.
+
     Parameters
     ----------
     model, changed : StageModel
@@ -230,13 +232,14 @@ def changes_between(model: StageModel, changed: StageModel) -> FloatArray:
     (n,) array
         In widths, the first of those that `changed_model` takes.
     """
-    def logarithms(each: StageModel) -> FloatArray:
+    def values(each: StageModel) -> FloatArray:
         poles, zeros = (np.array(values) for values in (
             each.creep.poles_rad_per_s, each.creep.zeros_rad_per_s))
         rest = dynamics_vector(each.dynamics)
-        return np.log(np.concatenate([poles, (zeros - poles) / poles, rest[rest > 0.0]]))
+        return np.concatenate([poles, (zeros - poles) / poles, rest[rest > 0.0]])
 
-    return np.asarray((logarithms(changed) - logarithms(model)) / WIDTHS.logarithm)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.log(values(changed) / values(model)) / WIDTHS.logarithm)
 
 
 def lowest_changes(hysteresis: PreisachModel) -> FloatArray:

@@ -46,7 +46,7 @@ class ErrorSettings:
     Attributes
     ----------
     independent : float
-        Errors of each recording that count: as many as the evidence counts at most.
+        Errors of each recording that count, as many in all fits.
     longest : float
         Widths by which one step may change a parameter of the model.
     derivative_step : float
@@ -150,8 +150,6 @@ class JointErrors:
     columns : (r, n) array, optional
         Derivatives of the displacement by the unknowns, in um, that stand for those everywhere;
         by default they are computed.
-    independent : (R,) array, optional
-        Errors of each recording that count; by default as many as count at most.
     hysteresis_width : float
         Prior width of the changes of the hysteresis, over that of `free_parameters`.
 
@@ -166,13 +164,10 @@ class JointErrors:
                  held: Sequence[Effect] = (),
                  pieces_um: Sequence[Sequence[FloatArray]] | None = None,
                  columns: FloatArray | None = None,
-                 independent: FloatArray | None = None,
                  hysteresis_width: float = 1.0,
                  of_pieces_um: dict[int, FloatArray] | None = None) -> None:
         self._of_pieces_um = of_pieces_um
         self.dataset, self.new_count, self.later = dataset, new_count, later
-        self._independent = np.full(
-            len(dataset.simulated), SETTINGS.independent) if independent is None else independent
         self.count = dataset.regressors.shape[1] - dataset.nuisance_count
         self._fitted = [fitted[mask] for mask in dataset.masks()]
         self._good = [good[mask] for mask in dataset.masks()]
@@ -243,7 +238,8 @@ class JointErrors:
         """Return the evidence against the unknowns; infinite where nothing can be simulated."""
         squares = self.squares_um2(vector) + self.accuracy_um**2
         changes = self._prior * vector[: self.count]
-        against = float(0.5 * self._independent @ np.log(squares) + 0.5 * changes @ changes)
+        against = float(
+            0.5 * SETTINGS.independent * np.log(squares).sum() + 0.5 * changes @ changes)
         return against if np.isfinite(against) else np.inf
 
     def linearised(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -296,7 +292,7 @@ class JointErrors:
         squares = self.squares_um2(vector) + self.accuracy_um**2
         residuals, jacobians = [], []
         for index, (fitted, square) in enumerate(zip(self._fitted, squares, strict=True)):
-            weight = np.sqrt(self._independent[index] / (np.count_nonzero(fitted) * square))
+            weight = np.sqrt(SETTINGS.independent / (np.count_nonzero(fitted) * square))
             left = self._left_beside(index, point.nuisance[index], columns[index])[0]
             moved = self._moved_with_rates(point, index)
             left[:, : moved.shape[1]] += moved

@@ -40,8 +40,8 @@ class SearchSettings:
     promise : float
         Evidence, as a natural logarithm, by which a structure may be behind then; one that is
         further behind is not tried again.
-    rivals : int
-        Starts beside the best from which the search goes on, if they are as promising.
+    promise_of_start : float
+        The same for a start with another kind of amplifier, whose loops were not estimated yet.
     chance : float
         The same by which rows that are held out may be worse, by chance alone.
     modes_less : int
@@ -75,7 +75,7 @@ class SearchSettings:
     followed: int = 2
     rounds: int = 10
     promise: float = 100.0
-    rivals: int = 1
+    promise_of_start: float = 1000.0
     chance: float = 3.0
     modes_less: int = 2
     above_noise: float = 1.05
@@ -145,8 +145,9 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
     Returns
     -------
     promising : list of (WholeModel, WholeFit)
-        The best of all that were tried, the given model included, and those that are not far
-        behind it, each with its problem: which of them leads farthest is not known before.
+        The best of all that were tried, the given model included, and the best with another kind
+        of amplifier if it is not far behind, each with its problem: which of them leads farthest is
+        not known before.
     tried : list of (str, WholeFit)
         All that were tried, in their order.
     """
@@ -155,12 +156,8 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
     found, beside = [(problem, before)], problem
     with while_time_lasts("other starts of the fit"):
         report("everything together", 0.0)
-        # The first fit tells how many errors are independent, the second one counts them so.
-        first = problem.fit(given, delay_s, SETTINGS.steps)
-        problem.count_as(first)
-        problem.about_here()
         if is_asked_for(given):
-            together = problem.again(first, SETTINGS.followed_steps)
+            together = problem.fit(given, delay_s, SETTINGS.steps)
             tried.append(("everything together", together))
             found.append((problem, together))
             best = together if is_better(together, best) else best
@@ -187,10 +184,17 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
             found += [(where, each) for _, each in here]
             for _, each in here:
                 best = each if is_better(each, best) else best
-    promising = [(where, fit) for where, fit in found if fit is best or (
-        fit is not before and fit.evidence_over(best) > -SETTINGS.promise)]
-    promising.sort(key=lambda entry: (entry[1] is not best, -entry[1].evidence_over(best)))
-    return promising[: 1 + SETTINGS.rivals], tried
+    promising = [(where, fit) for where, fit in found if fit is best]
+    rivals = [(where, fit) for where, fit in found
+              if fit is not before and has_amplifier(fit) != has_amplifier(best)
+              and fit.evidence_over(best) > -SETTINGS.promise_of_start]
+    promising += sorted(rivals, key=lambda entry: -entry[1].evidence_over(best))[:1]
+    return promising, tried
+
+
+def has_amplifier(fit: WholeFit) -> bool:
+    """Tell whether a fit has an amplifier of second order, to which no step by step leads."""
+    return any(isinstance(effect, SecondOrderAmplifier) for effect in fit.model.effects)
 
 
 def searched(problem: WholeModel, best: WholeFit,

@@ -23,7 +23,6 @@ from piezo_identification.fitting.free_parameters import (
 from piezo_identification.fitting.joint_errors import SETTINGS as ERRORS
 from piezo_identification.fitting.joint_errors import JointErrors, simulated_by
 from piezo_identification.fitting.joint_fit import SETTINGS as JOINT
-from piezo_identification.fitting.joint_fit import correlated_scale
 from piezo_identification.fitting.levenberg_marquardt import descend
 from piezo_identification.fitting.noise_estimate import estimate_noise
 from piezo_identification.fitting.recording_evidence import recording_evidence
@@ -88,23 +87,14 @@ class WholeFit:
         """Return the changes of the hysteresis that was given, in widths."""
         return self.vector[physical_count(self.model) : self.errors.count]
 
-    @cached_property
-    def independent(self) -> FloatArray:
-        """Return how many of the errors of each recording count as independent, (R,)."""
-        return np.array([
-            min(ERRORS.independent,
-                left.size * float(np.mean(left**2)) / max(correlated_scale(left) ** 2, 1e-300))
-            for left, _ in self.left_um])
-
     def evidence_over(self, other: "WholeFit") -> float:
         """Return by how much the evidence for this model is more than for another.
 
         That is the logarithm of the ratio of their likelihoods, less half the logarithm of the
-        number of errors for each number more (Schwarz 1978). Rows are as many as err independently
-        beside the better of the two.
+        number of errors for each number more (Schwarz 1978). As many errors of each recording count
+        in all fits, so that three models are in one order whichever two are compared.
         """
-        independent = np.maximum(self.independent, other.independent)
-        price = 0.5 * np.log(independent.sum())
+        price = 0.5 * np.log(ERRORS.independent * len(self.left_um))
         return self._likelihood_over(other, 0) - price * (self.numbers - other.numbers)
 
     def held_out_over(self, other: "WholeFit") -> float:
@@ -112,10 +102,9 @@ class WholeFit:
         return self._likelihood_over(other, 1)
 
     def _likelihood_over(self, other: "WholeFit", rows: int) -> float:
-        independent = np.maximum(self.independent, other.independent)
         mine, others = (np.array([np.mean(left[rows] ** 2) for left in fit.left_um])
                         + self.accuracy_um**2 for fit in (self, other))
-        return float(0.5 * independent @ np.log(others / mine))
+        return float(0.5 * ERRORS.independent * np.log(others / mine).sum())
 
     def deviations(self) -> tuple[dict[str, dict[str, Any]], list[dict[str, float]], float]:
         """Return standard deviations: of creep and dynamics, of the effects, and of the delay."""
@@ -168,7 +157,6 @@ class WholeModel:
                  read_late_s: Sequence[float]) -> None:
         bare = replace(model, effects=())
         self._given, self._hysteresis_width = model, BESIDE_ROUGH
-        self._independent = np.full(len(recordings), ERRORS.independent)
         simulated = side_by_side(
             lambda index: SimulatedRecording(
                 model, recordings[index], read_late_s=read_late_s[index]).with_model(bare),
@@ -202,10 +190,6 @@ class WholeModel:
         """
         self._of_pieces_um: dict[tuple[Effect, ...], dict[int, FloatArray]] = {}
 
-    def count_as(self, fit: WholeFit) -> None:
-        """Let errors of each recording count for as many as are independent beside a fit."""
-        self._independent = fit.independent
-
     def fit(self, model: StageModel, delay_s: float | None, steps: int,
             density_changes: FloatArray | None = None) -> WholeFit:
         """Fit all parameters of a model, its effects and its delay.
@@ -231,7 +215,8 @@ class WholeModel:
         # What is known before is what the separate steps found.
         about = replace(model, hysteresis=self._given.hysteresis, effects=())
         if len(model.creep.poles_rad_per_s) == len(self._given.creep.poles_rad_per_s):
-            about = replace(about, creep=self._given.creep)
+            known = replace(about, creep=self._given.creep)
+            about = known if np.isfinite(changes_between(known, model)).all() else about
         errors = self._errors(about, effects, shift_s)
         changes = np.zeros(errors.count)
         begun = changes_between(about, model)
@@ -286,7 +271,7 @@ class WholeModel:
         smooth = tuple(each for each in effects if isinstance(each, BandLimitedVoltage))
         return JointErrors(
             dataset, self._fitted, self._good, len(dataset.simulated), effects, frozenset(),
-            pieces_um=self._pieces_um, independent=self._independent,
+            pieces_um=self._pieces_um,
             hysteresis_width=self._hysteresis_width,
             of_pieces_um=self._of_pieces_um.setdefault(smooth, {}))
 

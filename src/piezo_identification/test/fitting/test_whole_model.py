@@ -140,7 +140,7 @@ def test_starts_have_the_loops_that_were_estimated_beside_them(plant, wrong, rec
         return anew[0]
 
     _, tried = begun(problem, line, None, with_loops_beside=with_loops_beside)
-    (_, together), (_, start) = tried[1:]
+    (_, together), (_, start) = tried[1:3]
     left_um = [np.std(fit.left_um[2][0]) for fit in (together, start)]
     assert len(anew) == 1
     assert left_um[1] < 0.2 * left_um[0]
@@ -160,3 +160,20 @@ def test_rows_that_are_read_late_within_their_hold_are_found(plant, play):
     problem = WholeModel(plant, [late], [0.0])
     best, _ = sought(problem, plant)
     assert best.delay_s == pytest.approx(-2.5e-5, abs=2e-6)
+
+
+def test_three_fits_are_in_one_order_whichever_two_are_compared(wrong, recordings):
+    problem = WholeModel(wrong, recordings, [0.0] * 3)
+    first = problem.fit(wrong, None, 0)
+    second, third = (problem.fit(wrong, None, steps) for steps in (1, 3))
+    assert third.evidence_over(first) == pytest.approx(
+        third.evidence_over(second) + second.evidence_over(first))
+
+
+def test_a_pair_of_the_creep_may_have_another_sign_than_that_which_was_given(wrong, recordings):
+    problem = WholeModel(wrong, recordings, [0.0] * 3)
+    poles = wrong.creep.poles_rad_per_s
+    turned = CreepDynamics(poles, (*wrong.creep.zeros_rad_per_s[:-1], 0.99 * poles[-1]))
+    fit = problem.fit(replace(wrong, creep=turned), None, 2)
+    assert np.isfinite(fit.evidence_over(problem.fit(wrong, None, 0)))
+    assert fit.model.creep.zeros_rad_per_s[-1] < fit.model.creep.poles_rad_per_s[-1]

@@ -60,6 +60,6 @@ def test_a_smooth_voltage_is_found_and_a_held_one_is_not_called_smooth(measured)
     held = replace(
         measured, displacement_um=HELD.simulate(measured.voltage_v, PERIOD_S) + noise)
     for recording, effects in ((measured, SMOOTH.effects), (held, ())):
-        [best, *_], _ = begun(WholeModel(wrong, [recording], [0.0]), wrong, None)
+        [(_, best), *_], _ = begun(WholeModel(wrong, [recording], [0.0]), wrong, None)
         assert best.model.effects == effects
         assert best.model.dynamics.mode_frequencies_rad_per_s == pytest.approx([700.0], rel=1e-3)
