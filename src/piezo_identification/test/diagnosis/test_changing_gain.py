@@ -35,7 +35,9 @@ def recording(gain, offset_um=0.0):
 
 @pytest.mark.parametrize(("gain", "lost"), [
     (lambda time_s, way: 1.0 - 0.04 * time_s / 40.0, -0.04),
-    (lambda time_s, way: 1.0 - 0.04 * (1.0 - np.exp(-3.0 * way)), -0.04 * (1.0 - np.exp(-3.0))),
+    pytest.param(
+        lambda time_s, way: 1.0 - 0.04 * (1.0 - np.exp(-3.0 * way)), -0.04 * (1.0 - np.exp(-3.0)),
+        marks=pytest.mark.long),
 ], ids=["in time", "along the way"])
 def test_a_gain_that_changes_is_named_with_its_change(gain, lost):
     diagnosis = diagnose(LINE, [recording(gain, offset_um=4.0)])

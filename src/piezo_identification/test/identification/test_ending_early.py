@@ -36,11 +36,13 @@ def interrupted_at(beginning):
     return progress
 
 
+@pytest.mark.long
 def test_an_identification_that_is_done_is_not_unfinished(whole):
     assert whole.unfinished == "" and "unfinished" not in whole.shortfall()
 
 
-@pytest.mark.parametrize("stage", ["everything together", "with"])
+@pytest.mark.parametrize("stage", [
+    "everything together", pytest.param("with", marks=pytest.mark.long)])
 def test_ctrl_c_in_the_one_fit_leaves_the_best_model_so_far(recordings, whole, stage, tmp_path):
     found = identify(**recordings, progress=interrupted_at(stage))
     assert found.unfinished.startswith("interrupted; not tried: ")
@@ -65,6 +67,7 @@ def test_a_budget_that_is_over_at_once_leaves_the_separate_steps(recordings):
     assert table.splitlines()[-1].startswith("step by step") and "<- written" in table
 
 
+@pytest.mark.long  # a whole identification
 def test_a_budget_that_is_large_enough_changes_nothing(recordings, whole):
     found = identify(**recordings, budget=Budget(1e9, count().__next__))
     assert found.unfinished == ""

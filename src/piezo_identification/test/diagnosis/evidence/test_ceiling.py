@@ -50,6 +50,7 @@ def test_what_follows_from_the_voltage_is_predicted_from_the_voltage(ceiling_bes
     assert found.random_um < 1.3 * 0.009
 
 
+@pytest.mark.long
 def test_hum_is_predicted_from_the_past_and_not_from_the_voltage(ceiling_beside, recorded):
     added_um = 0.03 * np.sin(2.0 * np.pi * 333.3 * recorded.time_s)
     found = ceiling_beside(added_um)

@@ -25,7 +25,8 @@ MODE = (3900.0, 0.1)
 ORDER = ModeOrder(1, sensor_lags=1)
 
 
-@pytest.mark.parametrize("ratio", [1.0, 1.02, 1.5])
+@pytest.mark.parametrize("ratio", [
+    pytest.param(1.0, marks=pytest.mark.long), 1.02, pytest.param(1.5, marks=pytest.mark.long)])
 def test_the_deviation_of_lags_is_that_of_many_draws(ratio):
     stage = IndependentStage(ratio * LAG_S, ((*MODE, 1.0),), sensor_lag_s=LAG_S)
     exact = stage.record(square_wave_v(periods=18), PERIOD_S)
