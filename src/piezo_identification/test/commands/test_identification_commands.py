@@ -49,7 +49,8 @@ def options(files):
 @pytest.fixture(scope="module")
 def model_file(files, tmp_path_factory):
     path = tmp_path_factory.mktemp("models") / "model.json"
-    assert identify_main([*options(files), "--output", str(path)]) == 0
+    arguments = [*options(files), "--output", path, "--creep-pairs", 4, "--modes", 2]
+    assert identify_main([str(argument) for argument in arguments]) == 0
     return path
 
 
