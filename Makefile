@@ -2,6 +2,8 @@
 SHELL := bash
 # The matrices are small: more threads only wait for each other.
 export OPENBLAS_NUM_THREADS ?= 1
+# Many short processes import the same libraries, which takes three times as long without bytecode.
+unexport PYTHONDONTWRITEBYTECODE
 in_environment := source install/setup.bash &&
 
 .PHONY: help setup demo test test-repeat mutants style quick long coverage kernels soak bench paced reproduce high-bandwidth published-reference changes recipe measured recording-kinds other-makes diagnose-suite twins calibration docs constants api clean

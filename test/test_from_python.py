@@ -28,21 +28,32 @@ made = loaded(ROOT / "examples" / "make_recordings.py")
 
 
 @pytest.fixture(scope="module", autouse=True)
-def fitted_once():
-    """Fit once what the page and the notebook both ask of the same recordings."""
-    models, identify = {}, steps.identify_recordings
+def computed_once():
+    """Identify and diagnose once what the page and the notebook both ask of the same recordings."""
+    identified, diagnosed = {}, {}
+    identify, diagnose = steps.identify_recordings, steps.diagnose_recordings
 
     def identify_once(progress, note, budget, **asked):
-        key = repr({name: part.displacement_um.tobytes() if isinstance(part, Recording) else part
-                    for name, part in asked.items()})
-        if key not in models:
-            models[key] = identify(progress=progress, note=note, budget=budget, **asked)
-        return models[key]
+        key = repr({name: content(part) for name, part in asked.items()})
+        if key not in identified:
+            identified[key] = identify(progress=progress, note=note, budget=budget, **asked)
+        return identified[key]
+
+    def diagnose_once(model, recordings, *asked):
+        key = id(model), repr([content(each) for each in recordings])
+        if key not in diagnosed:
+            diagnosed[key] = diagnose(model, recordings, *asked)
+        return diagnosed[key]
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(steps, "identify_recordings", identify_once)
+        patch.setattr(steps, "diagnose_recordings", diagnose_once)
         yield
-    assert len(models) == 1
+    assert len(identified) == len(diagnosed) == 1
+
+
+def content(part):
+    return part.displacement_um.tobytes() if isinstance(part, Recording) else part
 
 
 def test_examples_of_the_page_run_and_find_the_stage_that_was_made(tmp_path, monkeypatch, capsys):

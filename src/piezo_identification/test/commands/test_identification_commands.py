@@ -16,6 +16,7 @@ from piezo_recorder.reading.reader import read_recording, sha256_of
 HEADER = "time_s,voltage_v,displacement_um"
 NAMES = ("creep", "dynamics", "hysteresis", "validation")
 GRID = ("--grid", 40, "--smoothing", 1e-10, "--translation-weight", 1e-10)
+FINE_GRID = ("--grid", 120, "--smoothing", 1e-13, "--translation-weight", 1e-12)
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +50,8 @@ def options(files):
 @pytest.fixture(scope="module")
 def model_file(files, tmp_path_factory):
     path = tmp_path_factory.mktemp("models") / "model.json"
-    assert identify_main([*options(files), "--output", str(path)]) == 0
+    arguments = [*options(files), "--output", path, "--creep-pairs", 4, "--modes", 2, *FINE_GRID]
+    assert identify_main([str(argument) for argument in arguments]) == 0
     return path
 
 

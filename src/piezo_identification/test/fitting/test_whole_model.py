@@ -92,6 +92,7 @@ def test_a_model_that_is_right_is_not_replaced_by_a_worse_one(plant, recordings)
     assert not best.model.effects
 
 
+@pytest.mark.long
 def test_a_lag_that_stands_behind_the_hysteresis_is_moved_to_the_front(plant, play):
     stage = replace(plant, effects=(AmplifierLag(LAG_S),))
     parts = [play(experiments.dynamics(duration_s=0.1), 1, stage=stage),

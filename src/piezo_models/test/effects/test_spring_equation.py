@@ -77,7 +77,7 @@ def errors_in_motion(parts, drive, w, time_s, viscous):
 
 @pytest.mark.parametrize("viscous", [0.0, -0.06, 0.2])
 @pytest.mark.parametrize(("phase", "samples", "tolerance"), [
-    (0.72, 1000, 5e-3), (0.05, 3000, 1e-4)])
+    (0.72, 300, 5e-3), (0.05, 1500, 1e-4)])
 def test_in_motion_it_is_the_solution_of_the_equation_of_motion(
         phase, samples, tolerance, viscous):
     """A force three times that of the linear spring, on coarse samples and on fine ones."""

@@ -165,7 +165,8 @@ def test_a_response_that_does_not_wait_at_a_reversal_is_found():
     voltage_v, seen_v = reversal_curves(-20.0, 120.0, 40), unseen_voltage_v(-20.0, 120.0)
     noise_um = np.random.default_rng(2).normal(scale=NOISE_UM, size=voltage_v.size)
     estimate = smoothed_density(
-        voltage_v, plant.simulate(voltage_v) + noise_um, np.linspace(-20.0, 120.0, 81))
+        voltage_v, plant.simulate(voltage_v) + noise_um, np.linspace(-20.0, 120.0, 81),
+        smoothing_weight=1e-13)
     expected = np.interp(np.arange(80) + 0.5, 0.08 * (np.arange(1000) + 0.5), rate_um_per_v)
     np.testing.assert_allclose(estimate.reversible_um_per_v, expected, rtol=0.05)
     error_um = estimate.model().simulate(seen_v) - plant.simulate(seen_v)
