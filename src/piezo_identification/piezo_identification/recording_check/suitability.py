@@ -143,7 +143,8 @@ def given_as(fit_for: Mapping[str, Mapping[str, Suitability]]) -> dict[str, list
     -------
     dict of str to (list of str)
         By experiment: the recordings that are fit for it, or else those that are partly so. The
-        validation is the first one that no other experiment has; without one, there is none.
+        validation is the first one that no other experiment has, or else the last one that none of
+        them needs; without one, there is none.
     """
     given: dict[str, list[str]] = {}
     for experiment in EXPERIMENTS[:-1]:
@@ -152,10 +153,15 @@ def given_as(fit_for: Mapping[str, Mapping[str, Suitability]]) -> dict[str, list
                      if experiment in verdicts and verdicts[experiment].verdict == verdict]
             if found and experiment not in given:
                 given[experiment] = found
-    used = {name for names in given.values() for name in names}
-    rest = [name for name, verdicts in fit_for.items() if name not in used
-            and "validation" in verdicts and verdicts["validation"].verdict == "yes"]
-    return given | ({"validation": rest[:1]} if given and rest else {})
+    unseen = [name for name, verdicts in fit_for.items()
+              if "validation" in verdicts and verdicts["validation"].verdict == "yes"]
+    rest = [name for name in unseen if not any(name in names for names in given.values())]
+    spare = [name for name in reversed(unseen)
+             if all(names != [name] for names in given.values())]
+    held_out = (rest or spare)[:1] if given else []
+    others = {experiment: [name for name in names if name not in held_out]
+              for experiment, names in given.items()}
+    return others | ({"validation": held_out} if held_out else {})
 
 
 def _for_nothing(check: RecordingCheck) -> str:
@@ -169,8 +175,7 @@ def _for_nothing(check: RecordingCheck) -> str:
     if check.range_um < NEEDS.range_over_noise * check.noise_um:
         return (f"the displacement moves by {check.range_um:.3g} um in a noise of "
                 f"{check.noise_um:.2g} um: drive it further")
-    clipped = next((text for text in check.warnings if "clipped" in text), "")
-    return "the sensor is clipped" if clipped else ""
+    return "the sensor is clipped" if check.is_clipped else ""
 
 
 def _hysteresis(check: RecordingCheck) -> Suitability:
