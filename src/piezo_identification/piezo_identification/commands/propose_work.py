@@ -17,7 +17,7 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
 )
 from piezo_identification.diagnosis.report.results import stated_error
 from piezo_identification.experiments.stage_limits import StageLimits
-from piezo_models.model_file import load_model
+from piezo_models.model_file import announced_model
 from piezo_recorder.reading.data_options import read_all_given
 from piezo_recorder.reading.reader import read_recordings
 
@@ -25,7 +25,7 @@ from piezo_recorder.reading.reader import read_recordings
 def propose_given(options: argparse.Namespace) -> None:
     """Design the recording that decides, by the files of the options; write and print it."""
     verdict = _read_verdict(options.verdict)
-    identified = load_model(options.model)
+    identified = announced_model(options.model)
     known = find_identification_recordings(
         identified, options.model, read_recordings, others=options.data)
     recordings = [recording for path in options.data for recording in read_all_given(path, options)]

@@ -21,7 +21,7 @@ from piezo_identification.report.simulation_report import (
     simulation_page,
 )
 from piezo_models.identified_model import IdentifiedModel
-from piezo_models.model_file import load_model
+from piezo_models.model_file import announced_model
 from piezo_recorder.reading.data_options import read_given
 from piezo_recorder.reading.waveform_file import read_waveform
 
@@ -31,9 +31,7 @@ DOTS_PER_INCH = 120
 def simulate_file(options: argparse.Namespace) -> None:
     """Simulate the model of the options under a recording; print the error and draw both."""
     model_path, data_path, directory = options.model, options.data, options.output
-    identified = load_model(model_path)
-    if identified.shortfall():
-        print(identified.shortfall())
+    identified = announced_model(model_path)
     if options.voltage:
         _predict(identified, options.voltage, directory)
         return
