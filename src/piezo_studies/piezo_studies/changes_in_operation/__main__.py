@@ -4,12 +4,12 @@
 import argparse
 from pathlib import Path
 
-from piezo_common.marked_sections import with_sections
 from piezo_sim.plant.plant_file import read_plant
 from piezo_studies.changes_in_operation.doubled import CHANGES, table, watch_doubling
 from piezo_studies.changes_in_operation.identified_beam import PLANT, identified_beam
 from piezo_studies.changes_in_operation.references import KINDS
 from piezo_studies.changes_in_operation.watched import WatchedStage, watch_unchanged
+from piezo_studies.marked_sections import with_sections
 
 SECTION = "changes in operation"
 """Mark of the table in the page."""

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from piezo_common.marked_sections import with_sections
+from piezo_studies.marked_sections import with_sections
 from piezo_studies.recording_recipe.trials import TABLES, Trial
 
 SECTIONS = "trials of "
