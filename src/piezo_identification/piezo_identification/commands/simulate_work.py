@@ -10,8 +10,6 @@ from piezo_common.arrays import FloatArray
 from piezo_common.command_line import print_next, write_report
 from piezo_common.picture_style import to_png
 from piezo_identification.commands.row_options import READINGS
-from piezo_identification.conditioning.outlier_samples import outlier_text
-from piezo_identification.conditioning.sensor_sign import sign_text
 from piezo_identification.prediction import Prediction
 from piezo_identification.prediction.outside_identified import outside_identified
 from piezo_identification.prediction.row_reading import predict_as_identified
@@ -39,13 +37,6 @@ def simulate_file(options: argparse.Namespace) -> None:
         identified, read_given(data_path, options), READINGS[options.rows_read])
     for sentence in sentences:
         print(sentence)
-    if prediction.reversed:
-        print(sign_text(data_path))
-    if not prediction.good.all():
-        print(outlier_text(data_path, ~prediction.good, prediction.time_s))
-    if prediction.past_v:
-        print("the recording does not begin saturated: taken to have come from {:.4g} V by way of "
-              "{:.4g} V".format(*prediction.past_v))
     print(f"e_y_percent {prediction.e_y_percent():.4g}")
     found = outside_identified(identified, prediction.voltage_v, prediction.past_v)
     for sentence in found.sentences():

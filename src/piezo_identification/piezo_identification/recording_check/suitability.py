@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Which experiment a recording can stand for, and why not."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +9,13 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_identification.analysis.gain_over_frequency import gain_of
 from piezo_identification.conditioning import waveforms
-from piezo_identification.recording_check.check import FEWEST_ROWS, RecordingCheck
+from piezo_identification.conditioning.segments import Recordings, listed
+from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
+from piezo_identification.recording_check.check import (
+    FEWEST_ROWS,
+    RecordingCheck,
+    check_recording,
+)
 from piezo_identification.recording_check.waveform_kind import BROADBAND, LEVELS
 
 CYCLES = ("triangle", "sine", "cycles")
@@ -129,6 +135,22 @@ def suitability_for(check: RecordingCheck, experiment: str) -> Suitability:
                            "segments")
     return Suitability("partly", f"only a segment without one of the {check.gaps} gaps; "
                        f"{found.reason}")
+
+
+def unfit_sentences(given: Recordings | FrequencyResponse, experiment: str) -> Iterator[str]:
+    """Yield which recordings can hardly stand for the experiment that they were given as, and why.
+
+    Parameters
+    ----------
+    given : Recording, sequence of Recording, or FrequencyResponse
+        Of a response nothing is said.
+    experiment : str
+        One of `EXPERIMENTS`.
+    """
+    for recording in () if isinstance(given, FrequencyResponse) else listed(given):
+        fit = suitability_for(check_recording(recording), experiment)
+        if fit.verdict == "no":
+            yield f"{recording.path} can hardly stand for the {experiment}: {fit.reason}"
 
 
 def given_as(fit_for: Mapping[str, Mapping[str, Suitability]]) -> dict[str, list[str]]:
