@@ -16,7 +16,7 @@ from piezo_identification.conditioning.sensor_noise import (
 )
 from piezo_identification.estimators.hysteresis.density_fit import levels_passed
 from piezo_identification.estimators.hysteresis.everett_regression import visited_cells
-from piezo_identification.recording_check.waveform_kind import Waveform, waveform_of
+from piezo_identification.recording_check.waveform_kind import Kind, Waveform, waveform_of
 from piezo_models.model_summary import visited_fraction
 from piezo_recorder.reading.plausibility import clipped_ends, implausible
 from piezo_recorder.reading.recording import Recording
@@ -40,7 +40,7 @@ MOST_OF_SWING, MOST_OF_NOISE = 1e-3, 4.0
 CREEPS = 1e-4
 """Part of the swing by which the mean voltage of the second half of a hold may differ."""
 
-REST = Waveform("constant", "", np.empty(0, dtype=np.intp))
+REST = Waveform(Kind.CONSTANT, "", np.empty(0, dtype=np.intp))
 
 SETTLED_PART = 2e-3
 """Part of the range below which a difference between periods, or a trend at rest, is none."""
@@ -115,7 +115,7 @@ class RecordingCheck:
     def waveform(self) -> Waveform:
         """What the voltage does."""
         if self.has_few_rows:
-            return Waveform("constant", "too few rows", np.empty(0, dtype=np.intp))
+            return Waveform(Kind.CONSTANT, "too few rows", np.empty(0, dtype=np.intp))
         return waveform_of(self.voltage_v, self.sample_period_s)
 
     @cached_property

@@ -16,10 +16,7 @@ from piezo_identification.recording_check.check import (
     RecordingCheck,
     check_recording,
 )
-from piezo_identification.recording_check.waveform_kind import BROADBAND, LEVELS
-
-CYCLES = ("triangle", "sine", "cycles")
-"""Kinds that go up and down."""
+from piezo_identification.recording_check.waveform_kind import Kind
 
 ROWS_FOR_HOLDS, HELD = 5000, 0.01
 """Rows of a recording in which holds are sought, and part of the swing that may change in one."""
@@ -202,11 +199,11 @@ def _for_nothing(check: RecordingCheck) -> str:
 
 def _hysteresis(check: RecordingCheck) -> Suitability:
     waveform = check.waveform
-    if waveform.kind == "square":
+    if waveform.kind is Kind.SQUARE:
         return Suitability("no", "the voltage takes two levels only: give slow cycles")
     rows = waveform.branch_s / check.sample_period_s
     if waveform.branch_s <= waveforms.SETTINGS.slow_branch_s and (
-            waveform.kind in CYCLES and rows >= NEEDS.rows_per_branch):
+            waveform.kind.has_cycles and rows >= NEEDS.rows_per_branch):
         return Suitability("partly", f"{waveform.branch_s:.3g} s between reversals are fast: give "
                            "--dynamics, too, or vibrations and lags count as hysteresis")
     if waveform.branch_s <= waveforms.SETTINGS.slow_branch_s:
@@ -247,7 +244,7 @@ def _creep(check: RecordingCheck) -> Suitability:
 def _hold_s(check: RecordingCheck) -> float:
     """Return for how long levels are held, between jumps or ramps; 0 where none are."""
     waveform = check.waveform
-    if waveform.kind in LEVELS:
+    if waveform.kind.has_levels:
         return waveform.branch_s
     if not NEEDS.hold_s <= waveform.branch_s < np.inf:
         return 0.0
@@ -273,7 +270,7 @@ def _dynamics(check: RecordingCheck) -> Suitability:
     if period_s > waveforms.SLOWEST_FAST_ROWS_S:
         return Suitability("no", f"too slow to hold dynamics: {rate}, while stages answer within "
                            "milliseconds")
-    if waveform.kind in LEVELS:
+    if waveform.kind.has_levels:
         response = jump_response(voltage_v, displacement_um, waveform.jumps)
         if response.size < 4:
             return Suitability("no", f"too few rows behind each step {rate}: record faster")
@@ -289,7 +286,7 @@ def _dynamics(check: RecordingCheck) -> Suitability:
                                "rows in a period, and may be something faster, folded: record at "
                                "least ten times faster than the highest mode")
         return Suitability("yes", f"steps that ring or lag over several rows, {rate}")
-    if waveform.kind not in BROADBAND and not _is_steep(check):
+    if not waveform.kind.is_broadband and not _is_steep(check):
         jumps = waveform.jumps.size
         if jumps:
             return Suitability("partly", f"{jumps} jump{'s' if jumps > 1 else ''} among slow "
@@ -308,7 +305,7 @@ def _dynamics(check: RecordingCheck) -> Suitability:
 
 def _is_steep(check: RecordingCheck) -> bool:
     """Tell whether cycles cross most of the swing at once, as steps behind an amplifier do."""
-    if check.waveform.kind != "cycles" or check.waveform.jumps.size:
+    if check.waveform.kind is not Kind.CYCLES or check.waveform.jumps.size:
         return False
     rows = max(1, round(NEEDS.steep_s / check.sample_period_s))
     crossed_v = np.abs(check.voltage_v[rows:] - check.voltage_v[:-rows])
