@@ -13,7 +13,6 @@ from piezo_identification.diagnosis.joint.probabilities import NONE, SOMETHING_E
 from piezo_studies.diagnosis_benchmark.outcome import CLEAR, outcome, strongest
 
 BINS = 10
-LEAST_PROBABILITY = 1e-12
 
 
 @dataclass(frozen=True)
@@ -125,19 +124,6 @@ def reliability(probabilities, true, bins=BINS):
         error += counts[-1] * abs(stated[-1] - came_true[-1])
     return Reliability(tuple(edges.tolist()), tuple(stated), tuple(came_true), tuple(counts),
                        float(error / max(1, len(probabilities))))
-
-
-def tempered(probabilities, temperature):
-    """Return probabilities with their logarithms over a temperature, summing to one.
-
-    Parameters
-    ----------
-    probabilities : dict of str to float
-    """
-    powers = {label: max(share, LEAST_PROBABILITY) ** (1.0 / temperature)
-              for label, share in probabilities.items()}
-    whole = sum(powers.values())
-    return {label: power / whole for label, power in powers.items()}
 
 
 def draw_reliability(axes, found):
