@@ -49,7 +49,8 @@ def simulate_file(options: argparse.Namespace) -> None:
         if options.report:
             write_report(directory / "simulation_report.html", simulation_page(
                 prediction, [f"model: `{model_path}`", f"recording: `{data_path}`"],
-                [f"{sentence}." for sentence in found.sentences()], found.deviation_um))
+                [f"{sentence}." for sentence in (*sentences, *found.sentences())],
+                found.deviation_um))
     print("e_y: norm of the difference over that of the measured displacement without its mean "
           "(4.20), percent")
     print_next(options, "piezo_identification", "diagnose", "--model", model_path, "--data",
