@@ -36,8 +36,11 @@ def main(arguments: list[str] | None = None) -> None:
     reports = watch_unchanged(watched, options.hours)
     for report in reports:
         print(f"{report.kind}: {report.suspicion.sentence()}")
-    rows = [(change, *([watch_doubling(stage, kind, change) for kind in KINDS]
-                       for stage in (watched, at_first))) for change in CHANGES]
+    rows = []
+    for change in CHANGES:
+        later, first = ([watch_doubling(stage, kind, change) for kind in KINDS]
+                        for stage in (watched, at_first))
+        rows.append((change, later, first))
     lines = (f"Suspicions in {options.hours:g} h in which nothing changed: {len(reports)}.\n\n"
              + table(rows))
     text = options.page.read_text(encoding="utf-8")

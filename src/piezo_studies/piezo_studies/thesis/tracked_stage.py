@@ -131,7 +131,7 @@ def track(mode, frequency_hz, amplitude_um, samples_per_tick=40, duration_s=DURA
 
     stage = SimulatedStage(seed=7)
     stage.open()
-    true_um = []
+    true_um: list[np.ndarray] = []
 
     def exchange(voltage_v):
         begin = len(true_um) * samples_per_tick
