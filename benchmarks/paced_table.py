@@ -17,7 +17,7 @@ from pathlib import Path
 from bare_timer import PRIORITY
 from paced_onboard import onboard_run
 
-from piezo_common.marked_sections import with_sections
+from piezo_studies.marked_sections import with_sections
 
 SECTION = "paced loop on board"
 """Mark of the table in the page."""

@@ -22,13 +22,13 @@ from piezo_controller.feedback.feedback_design import design_feedback, feedback_
 from piezo_controller.feedback.multirate_feedback import MultirateFeedback
 from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_controller.references.reference import Reference
-from piezo_controller.tracking.offline_loop import play_run
 from piezo_controller.tracking.tracking_modes import StageClock, plan_mode
 from piezo_controller.tracking.tracking_run import TrackingRun
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import save_model
+from piezo_studies.thesis.offline_loop import play_run
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "adding_a_controller.md").read_text(encoding="utf-8")

@@ -7,7 +7,7 @@ import shlex
 import signal
 import sys
 from collections.abc import Callable
-from os import PathLike
+from pathlib import Path
 
 from piezo_client.client import GoalFailed
 from piezo_client.overview import stages_seen, status_lines
@@ -29,6 +29,9 @@ def drive(options: argparse.Namespace) -> int:
     for number in signal.SIGINT, signal.SIGTERM:
         signal.signal(number, signal.default_int_handler)
     progress = ProgressLine()
+    lacking = _shortfall(getattr(options, "model", None))
+    if lacking:
+        print(lacking, flush=True)
     try:
         with Stage(options.namespace, progress.show, options.wait_s) as stage:
             lines = WORK[options.command](stage, options)
@@ -88,9 +91,6 @@ def _track(stage: Stage, options: argparse.Namespace) -> list[str]:
     reference = (
         {"kind": "file", "file": str(options.file)} if options.file else
         SHAPES[options.shape](options.frequency_hz, options.amplitude_um, options.centre_um))
-    lacking = _shortfall(options.model)
-    if lacking:
-        print(lacking, flush=True)
     run = stage.track(reference, options.model, options.mode, options.duration_s, options.output,
                       options.controller or "")
     return [f"e_rms_percent {run.e_rms_percent:.4g}",
@@ -100,11 +100,10 @@ def _track(stage: Stage, options: argparse.Namespace) -> list[str]:
                   "--output", options.output / "diagnosis")]
 
 
-def _shortfall(model: str | PathLike[str]) -> str:
-    """Say what of a model is unfinished or inadequate.
-
-    Its file may be on another machine than this one; the nodes check it.
-    """
+def _shortfall(model: Path | None) -> str:
+    """Say what of a model is unfinished or inadequate; a file that is none is left to the nodes."""
+    if model is None:
+        return ""
     try:
         document = json.loads(read_bounded_text(model, LARGEST_FILE_BYTES))
         return shortfall(document.get("adequacy", {}), document.get("errors", {}),

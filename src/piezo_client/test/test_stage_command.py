@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
+import json
 from argparse import Namespace
+from contextlib import nullcontext
 from pathlib import Path
-from types import SimpleNamespace
 
-from piezo_client import stage_command
-from piezo_client.stage_work import WORK
+import pytest
+
+from piezo_client import stage_command, stage_work
 
 
 def test_interrupt_before_the_work_is_read_ends_in_one_line(monkeypatch, capsys):
@@ -16,11 +18,17 @@ def test_interrupt_before_the_work_is_read_ends_in_one_line(monkeypatch, capsys)
     assert capsys.readouterr().err == "stage: interrupted; nothing had begun\n"
 
 
-def test_model_that_is_no_file_is_left_to_the_nodes_without_being_read():
-    run = SimpleNamespace(e_rms_percent=0.1, largest_error_um=0.2, message="", path=Path("run"))
-    options = Namespace(
-        file=None, shape="harmonic", frequency_hz=100.0, amplitude_um=5.0, centre_um=50.0,
-        model=Path("/dev/zero"), mode="composite", duration_s=1.0, output=Path("runs"),
-        controller=None, namespace="")
-    lines = WORK["track"](SimpleNamespace(track=lambda *_: run), options)
-    assert lines[0] == "e_rms_percent 0.1"
+@pytest.mark.parametrize("model, said", [
+    (Path("/dev/zero"), ""),  # left to the nodes without being read to its end
+    ("lacking.json", "the model is inadequate: creep leaves 3 times the noise\n"),
+])
+@pytest.mark.parametrize("command", ["track", "diagnose"])
+def test_what_a_model_lacks_is_said_first(monkeypatch, tmp_path, capsys, command, model, said):
+    part = {"ratio": 3.0, "verdict": "inadequate"}
+    (tmp_path / "lacking.json").write_text(json.dumps({"adequacy": {"creep": part}}))
+    monkeypatch.setattr(stage_work.signal, "signal", lambda *_: None)
+    monkeypatch.setattr(stage_work, "Stage", lambda *_: nullcontext())
+    monkeypatch.setitem(stage_work.WORK, command, lambda stage, options: ["done"])
+    options = Namespace(command=command, model=tmp_path / model, namespace="", wait_s=1.0)
+    assert stage_work.drive(options) == 0
+    assert capsys.readouterr().out == f"{said}done\n"

@@ -54,38 +54,19 @@ def e_y_percent(measured_um: ArrayLike, estimated_um: ArrayLike,
     ValueError
         If the lengths differ, or the measured displacement is empty or has no norm.
     """
-    return _norm_ratio_percent(measured_um, estimated_um, remove_offset)
+    measured, estimated = _pair(measured_um, estimated_um)
+    if remove_offset:
+        measured, estimated = measured - measured.mean(), estimated - estimated.mean()
+    return _percent(float(np.linalg.norm(measured - estimated)), float(np.linalg.norm(measured)))
 
 
 def e_r_percent(reference_um: ArrayLike, displacement_um: ArrayLike,
                 remove_offset: bool = True) -> float:
     """Return the norm of the tracking error in percent of that of the reference, eq. (4.23).
 
-    Parameters
-    ----------
-    reference_um, displacement_um : (N,) array_like
-    remove_offset : bool
-        Take each signal's mean off first, as chapter 4 does.
-
-    Returns
-    -------
-    float
-        Percent.
-
-    Raises
-    ------
-    ValueError
-        If the lengths differ, or the reference is empty or has no norm.
+    It is `e_y_percent` of a reference and the displacement that followed it.
     """
-    return _norm_ratio_percent(reference_um, displacement_um, remove_offset)
-
-
-def _norm_ratio_percent(truth_um: ArrayLike, estimate_um: ArrayLike,
-                        remove_offset: bool) -> float:
-    truth, estimate = _pair(truth_um, estimate_um)
-    if remove_offset:
-        truth, estimate = truth - truth.mean(), estimate - estimate.mean()
-    return _percent(float(np.linalg.norm(truth - estimate)), float(np.linalg.norm(truth)))
+    return e_y_percent(reference_um, displacement_um, remove_offset)
 
 
 def _pair(one: ArrayLike, other: ArrayLike) -> tuple[FloatArray, FloatArray]:

@@ -45,6 +45,14 @@ def save_model(path: str | PathLike[str], identified: IdentifiedModel) -> None:
         ) from error
 
 
+def announced_model(path: str | PathLike[str]) -> IdentifiedModel:
+    """Read a model file for a command, and print first what the model lacks; see `load_model`."""
+    identified = load_model(path)
+    if identified.shortfall():
+        print(identified.shortfall(), flush=True)
+    return identified
+
+
 def load_model(path: str | PathLike[str]) -> IdentifiedModel:
     """Read a model file.
 

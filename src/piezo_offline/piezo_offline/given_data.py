@@ -67,6 +67,11 @@ def read(
     return recording
 
 
+def in_list(given: Any) -> list[Any]:
+    """Return what was given, one or several, as a list."""
+    return list(given) if isinstance(given, list | tuple) else [given]
+
+
 def recordings_of(given: Any, columns: Sequence[str], name: str) -> list[Recording]:
     """Return one recording or several as a list; see `read`.
 
@@ -76,8 +81,7 @@ def recordings_of(given: Any, columns: Sequence[str], name: str) -> list[Recordi
     name : str
         Of arrays and frames, numbered where there are several.
     """
-    several = isinstance(given, list | tuple)
-    listed = list(given) if several else [given]
+    listed = in_list(given)
     names = [f"{name} {number}" if number > 1 else name for number in range(1, len(listed) + 1)]
     return [read(each, columns, called) for each, called in zip(listed, names, strict=True)]
 

@@ -3,7 +3,6 @@
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from hashlib import sha256
 from os import PathLike
 from pathlib import Path
@@ -18,14 +17,11 @@ from piezo_controller.feedback.design_choices import (
 from piezo_controller.feedback.feedback_design import FeedbackController
 from piezo_controller.feedback.stage_design import design_for_stage
 from piezo_identification.commands.row_options import READINGS
-from piezo_identification.conditioning.sensor_sign import sign_text
 from piezo_identification.diagnosis.diagnose import Diagnosis
 from piezo_identification.diagnosis.diagnose import diagnose as diagnose_recordings
-from piezo_identification.diagnosis.evidence.known_noise import KnownNoise, noise_of_model
+from piezo_identification.diagnosis.evidence.known_noise import noise_of_model
 from piezo_identification.diagnosis.joint.identification_recordings import (
-    IdentificationRecordings,
     find_identification_recordings,
-    fitted_hashes,
 )
 from piezo_identification.diagnosis.report.results import stated_error
 from piezo_identification.diagnosis.response.response_diagnosis import diagnose_response
@@ -36,12 +32,17 @@ from piezo_identification.identification.identify import Implausible
 from piezo_identification.identification.identify import identify as identify_recordings
 from piezo_identification.prediction.prediction import Prediction
 from piezo_identification.prediction.row_reading import all_as_identified, predict_as_identified
-from piezo_identification.recording_check.check import check_recording
-from piezo_identification.recording_check.suitability import suitability_for
+from piezo_identification.recording_check.suitability import unfit_sentences
 from piezo_models.cascade import StageModel
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import load_model
-from piezo_offline.given_data import DataWarning, read, recordings_of, response_in
+from piezo_offline.given_data import (
+    DataWarning,
+    in_list,
+    read,
+    recordings_of,
+    response_in,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -102,8 +103,8 @@ def identify(
             given[name] = response
             continue
         listed = recordings_of(data, columns, name)
-        for each in listed:
-            _warn_unfit(each, name)
+        for sentence in unfit_sentences(listed, name):
+            warnings.warn(sentence, DataWarning, stacklevel=2)
         given[name] = listed[0] if len(listed) == 1 else listed
 
     def tell(text: str) -> None:
@@ -144,8 +145,6 @@ def simulate(model: AnyModel, data: Any, *, columns: Sequence[str] = (),
     prediction, sentences = predict_as_identified(_opened(model), recording, _read_at(rows_read))
     for sentence in sentences:
         warnings.warn(sentence, DataWarning, stacklevel=2)
-    if prediction.reversed:
-        warnings.warn(sign_text(recording.path), DataWarning, stacklevel=2)
     return prediction
 
 
@@ -188,15 +187,23 @@ def diagnose(model: AnyModel, data: Any, holdout: Any = None, *, identified_from
     response = response_in(data)
     if response is not None:
         return diagnose_response(stage_model, response)
-    given, sentences = all_as_identified(opened, recordings_of(data, columns, "data"))
+    judged = recordings_of(data, columns, "data")
+    held = [] if holdout is None else [read(holdout, columns, "held-out data")]
+    given, sentences = all_as_identified(opened, judged)
     for sentence in sentences:
         warnings.warn(sentence, DataWarning, stacklevel=2)
-    held_out = None if holdout is None else all_as_identified(
-        opened, [read(holdout, columns, "held-out data")])[0][0]
-    judged = [*(data if isinstance(data, list | tuple) else [data]), holdout]
-    known, stated, noise = _known_of(model, identified_from, judged, columns)
+    held_out = next(iter(all_as_identified(opened, held)[0]), None)
+    identified = opened if isinstance(opened, IdentifiedModel) else IdentifiedModel(
+        opened, (opened.hysteresis.voltage_min_v, opened.hysteresis.voltage_max_v))
+    moved = [] if identified_from is None else [
+        each if isinstance(each, str | PathLike) else read(each, columns, "identified_from")
+        for each in in_list(identified_from)]
+    known = find_identification_recordings(
+        identified, model if isinstance(model, str | PathLike) else ".",
+        lambda path: recordings_of(path, columns, str(path)), moved, [*judged, *held])
     return diagnose_recordings(
-        stage_model, given, held_out, progress, known, stated, noise, Budget(budget_s))
+        stage_model, given, held_out, progress, known, stated_error(identified),
+        noise_of_model(identified), Budget(budget_s))
 
 
 def plot_residuals(verdict: Diagnosis, recording: int = 0) -> "Figure":
@@ -288,33 +295,7 @@ def _identified(model: AnyModel) -> tuple[StageModel, str]:
     return load_model(model).model, sha256(Path(model).read_bytes()).hexdigest()
 
 
-def _known_of(
-    model: AnyModel, identified_from: Any, others: Sequence[Any], columns: Sequence[str],
-) -> tuple[IdentificationRecordings, float | None, KnownNoise]:
-    """Return what a model was identified from, how wrong it is known to be, and its noise."""
-    known = None
-    if identified_from is not None:
-        given = recordings_of(identified_from, columns, "identified_from")
-        known = IdentificationRecordings(tuple(given), ())
-    if isinstance(model, StageModel):
-        return known or IdentificationRecordings(), None, KnownNoise()
-    identified, path = (model, ".") if isinstance(model, IdentifiedModel) else (
-        load_model(model), str(model))
-    known = known or find_identification_recordings(
-        identified, path, lambda name: recordings_of(name, columns, str(name)),
-        others=[each for each in others if isinstance(each, str | PathLike)])
-    fitted = replace(known, hashes=fitted_hashes(identified))
-    return fitted, stated_error(identified), noise_of_model(identified)
-
-
 def _read_at(rows_read: str) -> float:
     if rows_read not in READINGS:
         raise ValueError(f'rows_read is {rows_read!r}: give "start" or "end"')
     return READINGS[rows_read]
-
-
-def _warn_unfit(recording: Any, name: str) -> None:
-    fit = suitability_for(check_recording(recording), name)
-    if fit.verdict == "no":
-        warnings.warn(f"{recording.path} can hardly stand for the {name}: {fit.reason}",
-                      DataWarning, stacklevel=3)

@@ -10,6 +10,7 @@ from piezo_identification.identification.identify import Implausible
 from piezo_models import CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel
 from piezo_models.identified_model import IdentifiedModel
 from piezo_offline import DataWarning, design, diagnose, identify, read, simulate, steps
+from piezo_recorder.reading.reader import origin_of
 from piezo_recorder.reading.recording import Recording
 
 TIME_S = 0.01 * np.arange(600)
@@ -55,6 +56,20 @@ def test_simulate_and_diagnose_read_rows_as_those_of_the_identification(monkeypa
         diagnose(model, data, data)
     for recording in (*asked[0][1], asked[0][2]):
         assert recording.sample_index[0] == 1
+
+
+def test_recordings_that_are_said_to_be_of_the_identification_are_read_as_they_were(
+        measured_um, monkeypatch):
+    asked = []
+    monkeypatch.setattr(steps, "diagnose_recordings", lambda *given: asked.append(given))
+    fitted, new = read(arrays(measured_um)), arrays(2.0 * measured_um)
+    model = IdentifiedModel(
+        MODEL, (0.0, 100.0), sample_periods_s={"hysteresis": 0.01},
+        recordings=[origin_of(fitted)], rows={"hysteresis": {"read_at_samples": 1.0}})
+    diagnose(model, new, identified_from=arrays(measured_um))
+    (known,) = asked[0][4].recordings
+    np.testing.assert_array_equal(known.displacement_um, measured_um[:-1])
+    assert known.sample_index[0] == 1
 
 
 def test_what_was_assumed_or_is_implausible_is_a_warning(measured_um):
@@ -111,9 +126,9 @@ def test_diagnosis_asks_what_the_model_was_identified_from(measured_um, tmp_path
     model = identify(hysteresis=path, grid=8)
     diagnose(model, data)
     diagnose(model, path)
-    diagnose(model, data, identified_from=[data, data])
+    diagnose(model, data, identified_from=[arrays(2.0 * measured_um), arrays(3.0 * measured_um)])
     diagnose(model.model, data)
-    assert [len(given[4].recordings) for given in asked] == [1, 0, 2, 0]
+    assert [len(given[4].recordings) for given in asked] == [1, 0, 3, 0]
 
 
 @pytest.mark.parametrize("grid", [12, 16, 30])

@@ -14,11 +14,6 @@ from piezo_controller.feedback.design_choices import (
 )
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; see `piezo_common.command_line.Command.main`."""
-    return COMMAND.main(arguments)
-
-
 def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", type=Path, required=True, help="model file")
     parser.add_argument("--method", choices=METHODS, default=METHODS[0],
@@ -52,6 +47,7 @@ COMMAND = Command(
     _add_options, "piezo_controller.commands.design_work:design_controller",
     inputs=("model",), check=_check,
     interrupted="a controller file that it named as written is whole")
+main = COMMAND.main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -35,7 +35,7 @@ from piezo_controller.feedback.synthesis.generalised_plant import design_plant, 
 from piezo_controller.feedback.synthesis.h_infinity import is_stable
 from piezo_controller.feedback.synthesis.weights import DesignWeights
 from piezo_models.cascade import StageModel
-from piezo_models.model_file import load_model
+from piezo_models.model_file import announced_model
 
 GAIN_SPREAD = 0.12
 DRAWN = 40
@@ -49,10 +49,7 @@ DOTS_PER_INCH = 120
 
 def design_controller(options: argparse.Namespace) -> None:
     """Design the controller of the options; write it, print its margins and draw its loop."""
-    identified = load_model(options.model)
-    if identified.shortfall():
-        print(identified.shortfall())
-    model = identified.model
+    model = announced_model(options.model).model
     design = design_for_stage(
         model, options.weights, options.method, options.scaling, options.disturbance_hz,
         options.samples_per_tick, options.at_once, not options.full_order, options.delay_ticks,

@@ -7,11 +7,11 @@ from piezo_controller.feedback.multirate_feedback import MultirateFeedback
 from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_controller.feedforward.periodic import plan_feedforward
 from piezo_controller.references.reference import Reference, sample_reference
-from piezo_controller.tracking.offline_loop import play_run
 from piezo_controller.tracking.tracking_run import TrackingRun
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_studies.thesis.offline_loop import play_run
 
 pytestmark = pytest.mark.kernels
 

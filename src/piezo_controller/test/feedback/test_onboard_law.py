@@ -15,11 +15,11 @@ from piezo_controller.feedback.onboard_law import FADE_S, onboard_law
 from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_controller.feedforward.periodic import plan_feedforward
 from piezo_controller.references.reference import Reference, sample_reference
-from piezo_controller.tracking.offline_loop import play_run
 from piezo_controller.tracking.tracking_run import TrackingRun
 from piezo_models.feedback_law.feedback_law import FeedbackLawError
 from piezo_models.feedback_law.law_check import check_law
 from piezo_models.feedback_law.running_law import RunningLaw
+from piezo_studies.thesis.offline_loop import play_run
 
 SAMPLES, CLOCK_PERIOD_S, MAX_FEEDBACK_V = 40, 25e-6, 20.0
 TICKS = 400

@@ -12,7 +12,6 @@ from piezo_controller.feedback.multirate_feedback import MultirateFeedback
 from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_controller.feedforward.periodic import plan_feedforward
 from piezo_controller.references.reference import InvalidReference, Reference, sample_reference
-from piezo_controller.tracking.offline_loop import play_run
 from piezo_controller.tracking.tracking_modes import (
     FEEDBACK_METHODS,
     MODES,
@@ -21,6 +20,7 @@ from piezo_controller.tracking.tracking_modes import (
     plan_mode,
 )
 from piezo_controller.tracking.tracking_run import TrackingRun
+from piezo_studies.thesis.offline_loop import play_run
 
 STAGE = StageClock()
 DURATION_S = 0.1

@@ -9,11 +9,6 @@ from piezo_common.command_line import Command, add_budget_option, add_report_opt
 from piezo_recorder.commands.data_flags import FILE_HELP, add_columns_option
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; see `piezo_common.command_line.Command.main`."""
-    return COMMAND.main(arguments)
-
-
 def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", metavar="FILE", type=Path, required=True, nargs="+",
                         help=FILE_HELP)
@@ -31,6 +26,7 @@ COMMAND = Command(
     epilog="Prints sample period, jitter, noise, drift, ranges, waveform, state at the start, "
     "the visited part of the Preisach plane, and which experiment each can stand for.",
     inputs=("data",), interrupted="what it printed holds, and so do the pictures that it named")
+main = COMMAND.main
 
 if __name__ == "__main__":
     sys.exit(main())

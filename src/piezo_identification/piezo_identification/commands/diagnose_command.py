@@ -10,11 +10,6 @@ from piezo_identification.commands.response_options import add_response_options
 from piezo_recorder.commands.data_flags import add_columns_option
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; see `piezo_common.command_line.Command.main`."""
-    return COMMAND.main(arguments)
-
-
 def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", metavar="MODEL", type=Path, required=True, help="model file")
     parser.add_argument("--data", metavar="FILE", type=Path, required=True, nargs="+",
@@ -40,6 +35,7 @@ COMMAND = Command(
     "two thirds of the recordings and compared on the rest, the validation set.",
     inputs=("model", "data", "holdout", "identified_from"),
     interrupted="nothing is known yet; results in --output, if any, are of an earlier run")
+main = COMMAND.main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -8,11 +8,6 @@ from pathlib import Path
 from piezo_common.command_line import Command
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; see `piezo_common.command_line.Command.main`."""
-    return COMMAND.main(arguments)
-
-
 def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("table", metavar="TABLE", type=Path,
                         help="CSV with the columns model,data and if need be holdout, "
@@ -31,6 +26,7 @@ COMMAND = Command(
     "named and skipped.",
     inputs=("table",),
     interrupted="the rows that were done are kept; begin again to do the others")
+main = COMMAND.main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -19,7 +19,7 @@ from piezo_identification.diagnosis.response.response_results import (
     response_sentence,
 )
 from piezo_identification.estimators.frequency_response.response_file import is_frequency_response
-from piezo_models.model_file import load_model
+from piezo_models.model_file import announced_model
 from piezo_recorder.reading.data_options import read_all_given
 
 PAGE_S = 5.0
@@ -40,7 +40,7 @@ def diagnose_given(options: argparse.Namespace) -> int | None:
     if is_frequency_response(options.data[0]):
         if len(options.data) > 1 or options.holdout or options.identified_from:
             raise ValueError(f"{options.data[0]} is a frequency response: give it alone")
-        _print_shortfall(options)
+        announced_model(options.model)
         diagnosis = diagnose_response_file(
             options.model, options.data[0], options.output, hold_s_of(options))
         _print_table(diagnosis, response_sentence(diagnosis))
@@ -50,7 +50,7 @@ def diagnose_given(options: argparse.Namespace) -> int | None:
     for option in (name for name, given in useless_response_options(options).items() if given):
         raise ValueError(f"{option} has nothing to act on: leave it out, or give a frequency "
                          "response as --data")
-    _print_shortfall(options)
+    announced_model(options.model)
     budget = budget_of(options, PAGE_S)
     with progress_printed(budget) as progress:
         results = diagnose_files(
@@ -75,12 +75,6 @@ def diagnose_given(options: argparse.Namespace) -> int | None:
                options.output / "extended_model.json", "--output",
                options.output / "controller.json")
     return None
-
-
-def _print_shortfall(options: argparse.Namespace) -> None:
-    lacking = load_model(options.model).shortfall()
-    if lacking:
-        print(lacking)
 
 
 def _print_table(diagnosis: Any, sentence: str) -> None:

@@ -19,11 +19,6 @@ EXPERIMENTS = {
 }
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; see `piezo_common.command_line.Command.main`."""
-    return COMMAND.main(arguments)
-
-
 def _add_options(parser: argparse.ArgumentParser) -> None:
     for name, help_text in EXPERIMENTS.items():
         parser.add_argument(f"--{name}", metavar="FILE", type=Path, help=help_text,
@@ -75,6 +70,7 @@ COMMAND = Command(
     "more FILEs of at least one kind. Without --creep the model does not creep; without "
     "--dynamics it answers at once; without --hysteresis that of the others is taken.",
     inputs=tuple(EXPERIMENTS), check=_check, interrupted="no model was written")
+main = COMMAND.main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -18,18 +18,16 @@ from piezo_identification.commands.response_options import (
 )
 from piezo_identification.commands.row_options import READINGS
 from piezo_identification.conditioning.segments import Recordings
-from piezo_identification.conditioning.sensor_sign import displacement_falls
 from piezo_identification.estimators.frequency_response.response_file import (
     FrequencyResponse,
     is_frequency_response,
     read_frequency_response,
 )
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
-from piezo_identification.identification.given_data import given_data, slowest_recording
+from piezo_identification.identification.given_data import given_data
 from piezo_identification.identification.given_hysteresis import DensityOptions
 from piezo_identification.identification.identify import identify
-from piezo_identification.recording_check.check import check_recording
-from piezo_identification.recording_check.suitability import suitability_for
+from piezo_identification.recording_check.suitability import unfit_sentences
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import save_model
 from piezo_recorder.reading.data_options import read_given
@@ -49,16 +47,14 @@ def identify_files(options: argparse.Namespace) -> int | None:
     paths = {name: getattr(options, name) for name in EXPERIMENTS}
     data = {name: _read(name, listed, options)
             for name, listed in paths.items() if listed is not None}
-    _tell_unfit(data)
+    for name, given in data.items():
+        for sentence in unfit_sentences(given, name):
+            print(sentence)
     _check_options(data.get("dynamics"), options)
     if options.band is not None:
         data["dynamics"] = data["dynamics"].between(*options.band)
     if isinstance(data.get("dynamics"), FrequencyResponse):
         data["dynamics"] = data["dynamics"].held(hold_s_of(options))
-    slowest = slowest_recording(given_data(
-        data.get("creep"), data.get("dynamics"), data.get("hysteresis"), None))
-    if slowest is not None and displacement_falls(slowest):
-        print("the displacement falls as the voltage rises: its sign is changed throughout")
     budget = budget_of(options, PAGE_S if options.report else 0.0)
     with progress_printed(budget) as progress:
         identified = identify(
@@ -92,17 +88,6 @@ def _write_report(identified: IdentifiedModel, data: Mapping[str, Any],
     write_report(options.output.with_name(f"{options.output.stem}_report.html"),
                  identification_page(identified, given, options.output,
                                      READINGS[options.rows_read]))
-
-
-def _tell_unfit(data: Mapping[str, Any]) -> None:
-    """Print which recordings can hardly stand for the experiment that they were given as."""
-    for name, given in data.items():
-        for each in given if isinstance(given, list) else [given]:
-            if isinstance(each, FrequencyResponse):
-                continue
-            fit = suitability_for(check_recording(each), name)
-            if fit.verdict == "no":
-                print(f"{each.path} can hardly stand for the {name}: {fit.reason}")
 
 
 def _read(name: str, paths: Path | Sequence[Path], options: argparse.Namespace) -> Any:

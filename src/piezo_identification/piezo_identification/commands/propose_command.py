@@ -9,11 +9,6 @@ from piezo_common.command_line import Command
 from piezo_recorder.commands.data_flags import add_columns_option
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; see `piezo_common.command_line.Command.main`."""
-    return COMMAND.main(arguments)
-
-
 def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", metavar="MODEL", type=Path, required=True,
                         help="model file that was diagnosed")
@@ -51,6 +46,7 @@ COMMAND = Command(
     epilog="Writes next_experiment.csv, which `stage play` plays, and next_experiment.json with "
     "what each alternative predicts.",
     inputs=("model", "verdict", "data"), check=_check)
+main = COMMAND.main
 
 if __name__ == "__main__":
     sys.exit(main())

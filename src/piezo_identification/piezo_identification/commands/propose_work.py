@@ -17,7 +17,8 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
 )
 from piezo_identification.diagnosis.report.results import stated_error
 from piezo_identification.experiments.stage_limits import StageLimits
-from piezo_models.model_file import load_model
+from piezo_identification.prediction.row_reading import all_as_identified
+from piezo_models.model_file import announced_model
 from piezo_recorder.reading.data_options import read_all_given
 from piezo_recorder.reading.reader import read_recordings
 
@@ -25,10 +26,13 @@ from piezo_recorder.reading.reader import read_recordings
 def propose_given(options: argparse.Namespace) -> None:
     """Design the recording that decides, by the files of the options; write and print it."""
     verdict = _read_verdict(options.verdict)
-    identified = load_model(options.model)
+    identified = announced_model(options.model)
     known = find_identification_recordings(
         identified, options.model, read_recordings, others=options.data)
-    recordings = [recording for path in options.data for recording in read_all_given(path, options)]
+    recordings, sentences = all_as_identified(identified, (
+        recording for path in options.data for recording in read_all_given(path, options)))
+    for sentence in sentences:
+        print(sentence)
     limits = StageLimits(options.lowest_v, options.highest_v, options.slew_limit_v_per_s,
                          options.sample_rate_hz, options.rest_v)
     print_progress("fit the alternatives", 0.0)

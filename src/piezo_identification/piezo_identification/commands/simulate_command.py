@@ -10,11 +10,6 @@ from piezo_identification.commands.row_options import add_rows_option
 from piezo_recorder.commands.data_flags import FILE_HELP, add_columns_option
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; see `piezo_common.command_line.Command.main`."""
-    return COMMAND.main(arguments)
-
-
 def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", metavar="MODEL", type=Path, required=True, help="model file")
     source = parser.add_mutually_exclusive_group(required=True)
@@ -45,6 +40,7 @@ COMMAND = Command(
     "past of the hysteresis, as far as the recording does not tell them, are fitted.",
     check=_check, inputs=("model", "data", "voltage"),
     interrupted="pictures that it named are whole")
+main = COMMAND.main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -10,8 +10,6 @@ from piezo_common.arrays import FloatArray
 from piezo_common.command_line import print_next, write_report
 from piezo_common.picture_style import to_png
 from piezo_identification.commands.row_options import READINGS
-from piezo_identification.conditioning.outlier_samples import outlier_text
-from piezo_identification.conditioning.sensor_sign import sign_text
 from piezo_identification.prediction import Prediction
 from piezo_identification.prediction.outside_identified import outside_identified
 from piezo_identification.prediction.row_reading import predict_as_identified
@@ -21,7 +19,7 @@ from piezo_identification.report.simulation_report import (
     simulation_page,
 )
 from piezo_models.identified_model import IdentifiedModel
-from piezo_models.model_file import load_model
+from piezo_models.model_file import announced_model
 from piezo_recorder.reading.data_options import read_given
 from piezo_recorder.reading.waveform_file import read_waveform
 
@@ -31,9 +29,7 @@ DOTS_PER_INCH = 120
 def simulate_file(options: argparse.Namespace) -> None:
     """Simulate the model of the options under a recording; print the error and draw both."""
     model_path, data_path, directory = options.model, options.data, options.output
-    identified = load_model(model_path)
-    if identified.shortfall():
-        print(identified.shortfall())
+    identified = announced_model(model_path)
     if options.voltage:
         _predict(identified, options.voltage, directory)
         return
@@ -41,13 +37,6 @@ def simulate_file(options: argparse.Namespace) -> None:
         identified, read_given(data_path, options), READINGS[options.rows_read])
     for sentence in sentences:
         print(sentence)
-    if prediction.reversed:
-        print(sign_text(data_path))
-    if not prediction.good.all():
-        print(outlier_text(data_path, ~prediction.good, prediction.time_s))
-    if prediction.past_v:
-        print("the recording does not begin saturated: taken to have come from {:.4g} V by way of "
-              "{:.4g} V".format(*prediction.past_v))
     print(f"e_y_percent {prediction.e_y_percent():.4g}")
     found = outside_identified(identified, prediction.voltage_v, prediction.past_v)
     for sentence in found.sentences():
@@ -60,7 +49,8 @@ def simulate_file(options: argparse.Namespace) -> None:
         if options.report:
             write_report(directory / "simulation_report.html", simulation_page(
                 prediction, [f"model: `{model_path}`", f"recording: `{data_path}`"],
-                [f"{sentence}." for sentence in found.sentences()], found.deviation_um))
+                [f"{sentence}." for sentence in (*sentences, *found.sentences())],
+                found.deviation_um))
     print("e_y: norm of the difference over that of the measured displacement without its mean "
           "(4.20), percent")
     print_next(options, "piezo_identification", "diagnose", "--model", model_path, "--data",

@@ -11,11 +11,6 @@ USUAL = ("sweep", "creep", "dynamics", "hysteresis", "validation")
 NAMES = (*USUAL, "multisine", "diagnostic", "distortion")
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; see `piezo_common.command_line.Command.main`."""
-    return COMMAND.main(arguments)
-
-
 def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--directory", metavar="DIR", type=Path, required=True,
                         help="where the files go, NAME.csv")
@@ -57,6 +52,7 @@ COMMAND = Command(
     epilog="Each file has the columns time_s and voltage_v, from rest and back. Play it, and put "
     "the displacement beside it: `check` and `identify` read the result.",
     check=_check, interrupted="the files that it named are complete")
+main = COMMAND.main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -8,7 +8,6 @@ ceiling, verdict. The report of it is written by `piezo_identification.diagnosis
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -55,6 +54,7 @@ from piezo_identification.diagnosis.joint.competition import (
 )
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
+    digest_of,
     old_recordings,
 )
 from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
@@ -66,7 +66,6 @@ from piezo_identification.fitting.regression import Fit, Regression, first_regre
 from piezo_identification.simulation.model_run import PastSearchSettings
 from piezo_models.cascade import StageModel
 from piezo_models.effects import known_effects
-from piezo_recorder.reading.reader import sha256_of
 from piezo_recorder.reading.recording import Recording
 
 if TYPE_CHECKING:
@@ -262,25 +261,18 @@ def refuse_known_holdout(holdout: Recording | None, recordings: Sequence[Recordi
     ValueError
         If it has the SHA-256 of one of them; the validation of an identification was not fitted.
     """
-    digest = "" if holdout is None else _digest(holdout)
+    digest = "" if holdout is None else digest_of(holdout)
     if holdout is None or not digest:
         return
     known = identified_from or IdentificationRecordings()
     what = ""
-    if digest in map(_digest, recordings):
+    if digest in map(digest_of, recordings):
         what = "one of the recordings that are diagnosed"
-    elif digest in (known.hashes or map(_digest, known.recordings)):
+    elif digest in (known.hashes or map(digest_of, known.recordings)):
         what = "one of the recordings that the model was identified from"
     if what:
         raise ValueError(f"{holdout.path} cannot be held out, because it is {what}: hold out a "
                          "recording that no fit has seen, or none")
-
-
-def _digest(recording: Recording) -> str:
-    """Return the SHA-256 of a recording; empty where it came from no file."""
-    if recording.sha256 or not Path(recording.path).exists():
-        return recording.sha256
-    return sha256_of(recording.path)
 
 
 def condition(model: StageModel, recordings: Sequence[Recording],

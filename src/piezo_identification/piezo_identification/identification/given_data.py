@@ -79,12 +79,12 @@ def conditioned_data(given: Mapping[str, Data], tell: Callable[[str], object],
     Parameters
     ----------
     tell : callable
-        Called with text on the outliers.
+        Called with text on the outliers and the sign.
     read_at_samples : float
         See `identify`.
     """
-    return aligned(
-        rising_with_voltage(without_gaps(with_marked_outliers(given, tell))), read_at_samples)
+    marked = without_gaps(with_marked_outliers(given, tell))
+    return aligned(rising_with_voltage(marked, tell), read_at_samples)
 
 
 def without_gaps(recordings: Mapping[str, Data]) -> dict[str, Data]:
@@ -129,17 +129,22 @@ def with_marked_outliers(
     return marked
 
 
-def rising_with_voltage(recordings: Mapping[str, Data]) -> dict[str, Any]:
+def rising_with_voltage(
+    recordings: Mapping[str, Data], tell: Callable[[str], object],
+) -> dict[str, Any]:
     """Change the sign of all displacements where that of the slowest falls with the voltage.
 
     Parameters
     ----------
     recordings : dict of str to Recording or FrequencyResponse
         With marked outliers.
+    tell : callable
+        Called with a sentence if the signs are changed.
     """
     slowest = slowest_recording(recordings)
     if slowest is None or not displacement_falls(slowest):
         return dict(recordings)
+    tell("the displacement falls as the voltage rises: its sign is changed throughout")
     return {name: reversed_data(data) for name, data in recordings.items()}
 
 
@@ -153,6 +158,8 @@ def slowest_recording(recordings: Mapping[str, Data]) -> Recording | None:
             if isinstance(data, Recording):
                 return data
     return None
+
+
 def aligned(
     recordings: Mapping[str, Data], read_at_samples: float | Mapping[str, float],
 ) -> dict[str, Data]:

@@ -33,6 +33,7 @@ from piezo_identification.experiments.relay_feedback import (
     relay_oscillation,
 )
 from piezo_identification.identification.identify import IdentificationCancelled, identify
+from piezo_identification.recording_check.suitability import unfit_sentences
 from piezo_models.model_file import save_model
 from piezo_recorder.reading.reader import read_recording
 from piezo_ros.parameters import declare, declare_data_root
@@ -218,6 +219,9 @@ class IdentificationNode(LifecycleNode):
                 f"{', '.join(EXPERIMENTS)}, in this order, or none")
         progress.check()
         recordings = dict(zip(EXPERIMENTS, map(read_recording, result.recordings), strict=True))
+        for name, recording in recordings.items():
+            for sentence in unfit_sentences(recording, name):
+                self.get_logger().warning(sentence)
         try:
             identified = identify(
                 creep=recordings["creep"], dynamics=recordings["dynamics"],

@@ -3,11 +3,13 @@
 
 from collections.abc import Iterable, Sequence
 
+from piezo_identification.conditioning.outlier_samples import outlier_text
 from piezo_identification.conditioning.row_alignment import (
     read_as,
     reading_at_jumps,
     rows_read_at_start,
 )
+from piezo_identification.conditioning.sensor_sign import sign_text
 from piezo_identification.prediction.prediction import Prediction, predict
 from piezo_identification.simulation.model_run import ModelRun, conditioned
 from piezo_models.cascade import StageModel
@@ -89,7 +91,7 @@ def predict_as_identified(
     -------
     prediction : Prediction
     sentences : list of str
-        On how the rows were read, if not with their voltage.
+        On what was assumed of its rows, its sign, its outliers and its past.
 
     Raises
     ------
@@ -97,7 +99,15 @@ def predict_as_identified(
         If the recording has gaps, or is too short.
     """
     (read,), sentences = all_as_identified(model, [recording], said_at_samples)
-    return predict(model if isinstance(model, StageModel) else model.model, read), sentences
+    prediction = predict(model if isinstance(model, StageModel) else model.model, read)
+    if prediction.reversed:
+        sentences.append(sign_text(recording.path))
+    if not prediction.good.all():
+        sentences.append(outlier_text(recording.path, ~prediction.good, prediction.time_s))
+    if prediction.past_v:
+        sentences.append("{}: it does not begin saturated: taken to have come from {:.4g} V by way "
+                         "of {:.4g} V".format(recording.path, *prediction.past_v))
+    return prediction, sentences
 
 
 def read_as_explained(

@@ -16,9 +16,9 @@ from piezo_identification.conditioning.sensor_noise import (
 )
 from piezo_identification.estimators.hysteresis.density_fit import levels_passed
 from piezo_identification.estimators.hysteresis.everett_regression import visited_cells
-from piezo_identification.recording_check.waveform_kind import Waveform, waveform_of
+from piezo_identification.recording_check.waveform_kind import Kind, Waveform, waveform_of
 from piezo_models.model_summary import visited_fraction
-from piezo_recorder.reading.plausibility import implausible
+from piezo_recorder.reading.plausibility import clipped_ends, implausible
 from piezo_recorder.reading.recording import Recording
 
 PLANE_CELLS, FEWEST_PLANE_CELLS = 40, 10
@@ -34,7 +34,13 @@ DRIFT_ROWS = 200_000
 SETTLED_NOISES = 5.0
 """A trend at rest that is larger than so many standard deviations of its noise counts."""
 
-REST = Waveform("constant", "", np.empty(0, dtype=np.intp))
+MOST_OF_SWING, MOST_OF_NOISE = 1e-3, 4.0
+"""Part of the swing, and multiple of the noise of the first rows, that a held voltage may move."""
+
+CREEPS = 1e-4
+"""Part of the swing by which the mean voltage of the second half of a hold may differ."""
+
+REST = Waveform(Kind.CONSTANT, "", np.empty(0, dtype=np.intp))
 
 SETTLED_PART = 2e-3
 """Part of the range below which a difference between periods, or a trend at rest, is none."""
@@ -109,7 +115,7 @@ class RecordingCheck:
     def waveform(self) -> Waveform:
         """What the voltage does."""
         if self.has_few_rows:
-            return Waveform("constant", "too few rows", np.empty(0, dtype=np.intp))
+            return Waveform(Kind.CONSTANT, "too few rows", np.empty(0, dtype=np.intp))
         return waveform_of(self.voltage_v, self.sample_period_s)
 
     @cached_property
@@ -167,6 +173,11 @@ class RecordingCheck:
     def warnings(self) -> list[str]:
         """What is implausible."""
         return implausible(self.whole)
+
+    @property
+    def is_clipped(self) -> bool:
+        """Whether the sensor stays at an end of its range while the voltage moves on."""
+        return bool(clipped_ends(self.whole.displacement_um, self.whole.voltage_v))
 
     @property
     def swing_v(self) -> float:
@@ -261,13 +272,9 @@ def start_of(displacement_um: FloatArray, voltage_v: FloatArray, waveform: Wavef
     start : str
     is_settled : bool
     """
-    swing_v, range_um = float(np.ptp(voltage_v)), float(np.ptp(displacement_um))
-    moved = np.abs(voltage_v - voltage_v[0]) > 1e-3 * swing_v
-    held = int(np.argmax(moved)) if moved.any() else len(voltage_v)
-    # A sine that begins at its lowest voltage hardly moves at first, but it moves.
-    creeps_v = abs(voltage_v[: held // 2].mean() - voltage_v[held // 2 : held].mean()) \
-        if held > 1 else np.inf
-    if held >= FEWEST_ROWS // 2 and creeps_v <= 1e-4 * swing_v:
+    range_um = float(np.ptp(displacement_um))
+    held = _held_rows(voltage_v)
+    if held:
         at = np.arange(held) - 0.5 * (held - 1)
         slope = float(at @ displacement_um[:held] / (at @ at))
         trend_um = slope * held
@@ -287,3 +294,19 @@ def start_of(displacement_um: FloatArray, voltage_v: FloatArray, waveform: Wavef
         return (f"in motion: its first period differs from its last by {change_um:.3g} um RMS",
                 False)
     return "in motion: the voltage moves from the first row on", False
+
+
+def _held_rows(voltage_v: FloatArray) -> int:
+    """Return in how many rows from the first on the voltage is held; 0 where it moves at once."""
+    swing_v = float(np.ptp(voltage_v))
+    # Second differences hold the noise, and hardly anything of a smooth motion.
+    noise_v = float(np.median(np.abs(np.diff(voltage_v[:FEWEST_ROWS], 2))))
+    for most_v in MOST_OF_SWING * swing_v, MOST_OF_NOISE * noise_v:
+        moved = np.abs(voltage_v - voltage_v[0]) > most_v
+        held = int(np.argmax(moved)) if moved.any() else voltage_v.size
+        # A sine that begins at its lowest voltage hardly moves at first, but it moves.
+        if held >= FEWEST_ROWS // 2:
+            first_v, second_v = (half.mean() for half in np.array_split(voltage_v[:held], 2))
+            if abs(first_v - second_v) <= CREEPS * swing_v:
+                return held
+    return 0

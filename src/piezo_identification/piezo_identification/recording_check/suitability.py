@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Which experiment a recording can stand for, and why not."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,11 +9,14 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_identification.analysis.gain_over_frequency import gain_of
 from piezo_identification.conditioning import waveforms
-from piezo_identification.recording_check.check import FEWEST_ROWS, RecordingCheck
-from piezo_identification.recording_check.waveform_kind import BROADBAND, LEVELS
-
-CYCLES = ("triangle", "sine", "cycles")
-"""Kinds that go up and down."""
+from piezo_identification.conditioning.segments import Recordings, listed
+from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
+from piezo_identification.recording_check.check import (
+    FEWEST_ROWS,
+    RecordingCheck,
+    check_recording,
+)
+from piezo_identification.recording_check.waveform_kind import Kind
 
 ROWS_FOR_HOLDS, HELD = 5000, 0.01
 """Rows of a recording in which holds are sought, and part of the swing that may change in one."""
@@ -131,6 +134,22 @@ def suitability_for(check: RecordingCheck, experiment: str) -> Suitability:
                        f"{found.reason}")
 
 
+def unfit_sentences(given: Recordings | FrequencyResponse, experiment: str) -> Iterator[str]:
+    """Yield which recordings can hardly stand for the experiment that they were given as, and why.
+
+    Parameters
+    ----------
+    given : Recording, sequence of Recording, or FrequencyResponse
+        Of a response nothing is said.
+    experiment : str
+        One of `EXPERIMENTS`.
+    """
+    for recording in () if isinstance(given, FrequencyResponse) else listed(given):
+        fit = suitability_for(check_recording(recording), experiment)
+        if fit.verdict == "no":
+            yield f"{recording.path} can hardly stand for the {experiment}: {fit.reason}"
+
+
 def given_as(fit_for: Mapping[str, Mapping[str, Suitability]]) -> dict[str, list[str]]:
     """Say which of several recordings to give for which experiment.
 
@@ -143,7 +162,8 @@ def given_as(fit_for: Mapping[str, Mapping[str, Suitability]]) -> dict[str, list
     -------
     dict of str to (list of str)
         By experiment: the recordings that are fit for it, or else those that are partly so. The
-        validation is the first one that no other experiment has; without one, there is none.
+        validation is the first one that no other experiment has, or else the last one that none of
+        them needs; without one, there is none.
     """
     given: dict[str, list[str]] = {}
     for experiment in EXPERIMENTS[:-1]:
@@ -152,10 +172,15 @@ def given_as(fit_for: Mapping[str, Mapping[str, Suitability]]) -> dict[str, list
                      if experiment in verdicts and verdicts[experiment].verdict == verdict]
             if found and experiment not in given:
                 given[experiment] = found
-    used = {name for names in given.values() for name in names}
-    rest = [name for name, verdicts in fit_for.items() if name not in used
-            and "validation" in verdicts and verdicts["validation"].verdict == "yes"]
-    return given | ({"validation": rest[:1]} if given and rest else {})
+    unseen = [name for name, verdicts in fit_for.items()
+              if "validation" in verdicts and verdicts["validation"].verdict == "yes"]
+    rest = [name for name in unseen if not any(name in names for names in given.values())]
+    spare = [name for name in reversed(unseen)
+             if all(names != [name] for names in given.values())]
+    held_out = (rest or spare)[:1] if given else []
+    others = {experiment: [name for name in names if name not in held_out]
+              for experiment, names in given.items()}
+    return others | ({"validation": held_out} if held_out else {})
 
 
 def _for_nothing(check: RecordingCheck) -> str:
@@ -169,17 +194,16 @@ def _for_nothing(check: RecordingCheck) -> str:
     if check.range_um < NEEDS.range_over_noise * check.noise_um:
         return (f"the displacement moves by {check.range_um:.3g} um in a noise of "
                 f"{check.noise_um:.2g} um: drive it further")
-    clipped = next((text for text in check.warnings if "clipped" in text), "")
-    return "the sensor is clipped" if clipped else ""
+    return "the sensor is clipped" if check.is_clipped else ""
 
 
 def _hysteresis(check: RecordingCheck) -> Suitability:
     waveform = check.waveform
-    if waveform.kind == "square":
+    if waveform.kind is Kind.SQUARE:
         return Suitability("no", "the voltage takes two levels only: give slow cycles")
     rows = waveform.branch_s / check.sample_period_s
     if waveform.branch_s <= waveforms.SETTINGS.slow_branch_s and (
-            waveform.kind in CYCLES and rows >= NEEDS.rows_per_branch):
+            waveform.kind.has_cycles and rows >= NEEDS.rows_per_branch):
         return Suitability("partly", f"{waveform.branch_s:.3g} s between reversals are fast: give "
                            "--dynamics, too, or vibrations and lags count as hysteresis")
     if waveform.branch_s <= waveforms.SETTINGS.slow_branch_s:
@@ -220,7 +244,7 @@ def _creep(check: RecordingCheck) -> Suitability:
 def _hold_s(check: RecordingCheck) -> float:
     """Return for how long levels are held, between jumps or ramps; 0 where none are."""
     waveform = check.waveform
-    if waveform.kind in LEVELS:
+    if waveform.kind.has_levels:
         return waveform.branch_s
     if not NEEDS.hold_s <= waveform.branch_s < np.inf:
         return 0.0
@@ -246,7 +270,7 @@ def _dynamics(check: RecordingCheck) -> Suitability:
     if period_s > waveforms.SLOWEST_FAST_ROWS_S:
         return Suitability("no", f"too slow to hold dynamics: {rate}, while stages answer within "
                            "milliseconds")
-    if waveform.kind in LEVELS:
+    if waveform.kind.has_levels:
         response = jump_response(voltage_v, displacement_um, waveform.jumps)
         if response.size < 4:
             return Suitability("no", f"too few rows behind each step {rate}: record faster")
@@ -262,7 +286,7 @@ def _dynamics(check: RecordingCheck) -> Suitability:
                                "rows in a period, and may be something faster, folded: record at "
                                "least ten times faster than the highest mode")
         return Suitability("yes", f"steps that ring or lag over several rows, {rate}")
-    if waveform.kind not in BROADBAND and not _is_steep(check):
+    if not waveform.kind.is_broadband and not _is_steep(check):
         jumps = waveform.jumps.size
         if jumps:
             return Suitability("partly", f"{jumps} jump{'s' if jumps > 1 else ''} among slow "
@@ -281,7 +305,7 @@ def _dynamics(check: RecordingCheck) -> Suitability:
 
 def _is_steep(check: RecordingCheck) -> bool:
     """Tell whether cycles cross most of the swing at once, as steps behind an amplifier do."""
-    if check.waveform.kind != "cycles" or check.waveform.jumps.size:
+    if check.waveform.kind is not Kind.CYCLES or check.waveform.jumps.size:
         return False
     rows = max(1, round(NEEDS.steep_s / check.sample_period_s))
     crossed_v = np.abs(check.voltage_v[rows:] - check.voltage_v[:-rows])

@@ -2,6 +2,7 @@
 """Which kind of waveform a voltage is."""
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 from scipy.signal import correlate
@@ -10,11 +11,34 @@ from scipy.stats import spearmanr
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.waveforms import turning_points
 
-LEVELS = ("square", "steps")
-"""Kinds that jump between levels."""
 
-BROADBAND = ("multisine", "noise", "chirp")
-"""Kinds that excite many frequencies."""
+class Kind(StrEnum):
+    """What a voltage may be, and what of a stage such a voltage shows."""
+
+    CONSTANT = "constant"
+    SQUARE = "square"
+    STEPS = "steps"
+    TRIANGLE = "triangle"
+    SINE = "sine"
+    CYCLES = "cycles"  # of changing amplitude, or with rests between
+    MULTISINE = "multisine"
+    NOISE = "noise"
+    CHIRP = "chirp"
+
+    @property
+    def has_levels(self) -> bool:
+        """Whether it jumps between levels."""
+        return self in (Kind.SQUARE, Kind.STEPS)
+
+    @property
+    def has_cycles(self) -> bool:
+        """Whether it goes up and down."""
+        return self in (Kind.TRIANGLE, Kind.SINE, Kind.CYCLES)
+
+    @property
+    def is_broadband(self) -> bool:
+        """Whether it excites many frequencies."""
+        return self in (Kind.MULTISINE, Kind.NOISE, Kind.CHIRP)
 
 
 @dataclass(frozen=True)
@@ -103,9 +127,7 @@ class Waveform:
 
     Attributes
     ----------
-    kind : str
-        ``constant``, ``square``, ``steps``, ``triangle``, ``sine``, ``cycles`` (of changing
-        amplitude or rest between), ``multisine``, ``noise``, ``chirp``.
+    kind : Kind
     text : str
         One sentence part for people.
     jumps : ndarray of int
@@ -116,7 +138,7 @@ class Waveform:
         Samples after which it repeats; 0 where it does not.
     """
 
-    kind: str
+    kind: Kind
     text: str
     jumps: np.ndarray
     branch_s: float = np.inf
@@ -135,7 +157,7 @@ def waveform_of(voltage_v: FloatArray, period_s: float) -> Waveform:
     none = np.empty(0, dtype=np.intp)
     swing_v = float(np.ptp(voltage_v))
     if swing_v <= SETTINGS.constant * float(np.abs(voltage_v).max()):
-        return Waveform("constant", f"{voltage_v.mean():.6g} V throughout", none)
+        return Waveform(Kind.CONSTANT, f"{voltage_v.mean():.6g} V throughout", none)
     with_levels = _levels(voltage_v, swing_v, period_s)
     if with_levels:
         return with_levels
@@ -150,7 +172,7 @@ def waveform_of(voltage_v: FloatArray, period_s: float) -> Waveform:
     period = 0 if growth else _repeat(part_v)
     kind, text = _kind_of_moving(
         part_v, period_s, branches_s[1:-1], branch_s, period, heights, spectrum, growth)
-    jumps = none if kind in BROADBAND else _lone_jumps(voltage_v, swing_v)
+    jumps = none if kind.is_broadband else _lone_jumps(voltage_v, swing_v)
     if jumps.size:
         text += f", with {jumps.size} jump{'s' if jumps.size > 1 else ''}"
     return Waveform(kind, text, jumps, branch_s, period)
@@ -202,10 +224,10 @@ def _levels(voltage_v: FloatArray, swing_v: float, period_s: float) -> Waveform 
     branch_s = float(np.median(rows[rows > 4])) * period_s
     if groups == 2 and widest <= 1.01 * SETTINGS.widest_level:
         count = "one step" if jumps.size == 1 else f"{jumps.size} steps"
-        return Waveform("square", f"{count} between {voltage_v.min():.5g} and "
+        return Waveform(Kind.SQUARE, f"{count} between {voltage_v.min():.5g} and "
                         f"{voltage_v.max():.5g} V, held for {branch_s:.4g} s", jumps, branch_s)
-    return Waveform("steps", f"{jumps.size} steps over {groups} levels, held for {branch_s:.4g} s",
-                    jumps, branch_s)
+    return Waveform(Kind.STEPS, f"{jumps.size} steps over {groups} levels, held for "
+                    f"{branch_s:.4g} s", jumps, branch_s)
 
 
 def _repeat(voltage_v: FloatArray) -> int:
@@ -233,7 +255,7 @@ def _repeat(voltage_v: FloatArray) -> int:
 
 def _kind_of_moving(voltage_v: FloatArray, period_s: float, branches_s: FloatArray,
                     branch_s: float, period: int, heights: FloatArray,
-                    spectrum: tuple[float, float, float, float], growth: str) -> tuple[str, str]:
+                    spectrum: tuple[float, float, float, float], growth: str) -> tuple[Kind, str]:
     frequency_hz, share, sparse, band_hz = spectrum
     again = f", repeated every {period * period_s:.4g} s" if period else ""
     # Over many rows, so that noise counts little.
@@ -241,7 +263,7 @@ def _kind_of_moving(voltage_v: FloatArray, period_s: float, branches_s: FloatArr
     slopes = np.abs(voltage_v[stride:] - voltage_v[:-stride]) / stride
     low, middle, high = np.quantile(slopes, [0.1, 0.5, 0.9])
     if middle > 0.0 and high - low < SETTINGS.even_slope * middle:
-        return "triangle", (f"ramps of {middle / period_s:.4g} V/s, {branch_s:.4g} s between "
+        return Kind.TRIANGLE, (f"ramps of {middle / period_s:.4g} V/s, {branch_s:.4g} s between "
                             f"reversals{again}")
     mean_slopes = heights / branches_s
     if branches_s.size >= 6 and np.ptp(branches_s) > 0.0:
@@ -253,24 +275,26 @@ def _kind_of_moving(voltage_v: FloatArray, period_s: float, branches_s: FloatArr
             many = max(3, branches_s.size // 50)
             at_first, at_last = (3, many) if first > last else (many, 3)
             first, last = branches_s[:at_first].mean(), branches_s[-at_last:].mean()
-            return "chirp", f"{0.5 / first:.4g} to {0.5 / last:.4g} Hz"
+            return Kind.CHIRP, f"{0.5 / first:.4g} to {0.5 / last:.4g} Hz"
     if share > SETTINGS.one_tone:
-        return ("cycles", f"a sine of {frequency_hz:.4g} Hz whose amplitude {growth}") if growth \
-            else ("sine", f"{frequency_hz:.4g} Hz")
+        if growth:
+            return Kind.CYCLES, f"a sine of {frequency_hz:.4g} Hz whose amplitude {growth}"
+        return Kind.SINE, f"{frequency_hz:.4g} Hz"
     if mean_slopes.size and np.ptp(np.quantile(mean_slopes, [0.1, 0.9])) < (
             SETTINGS.even_slope * np.median(mean_slopes)):
         # Ways of ever larger amplitude take longer, too, and sweep no frequency.
         slope_v = np.median(mean_slopes) * np.ptp(voltage_v)
-        return "cycles", (f"{slope_v:.4g} V/s in steps, {branch_s:.4g} s between reversals{again}")
+        return Kind.CYCLES, (
+            f"{slope_v:.4g} V/s in steps, {branch_s:.4g} s between reversals{again}")
     spread = np.ptp(np.quantile(branches_s, [0.1, 0.9])) if branches_s.size else 0.0
     full = heights.size > 0 and float(np.median(heights)) > SETTINGS.full_cycle
     telegraph = (branches_s.size > SETTINGS.most_cycles
                  and spread > SETTINGS.random_branches * branch_s)
     if full and not telegraph or spread <= SETTINGS.even_branches * branch_s:
-        return "cycles", f"{branch_s:.4g} s between reversals, of no single sine{again}"
+        return Kind.CYCLES, f"{branch_s:.4g} s between reversals, of no single sine{again}"
     if period or sparse < SETTINGS.sparse:
-        return "multisine", f"up to {band_hz:.4g} Hz{again}"
-    return "noise", f"up to {band_hz:.4g} Hz"
+        return Kind.MULTISINE, f"up to {band_hz:.4g} Hz{again}"
+    return Kind.NOISE, f"up to {band_hz:.4g} Hz"
 
 
 def _swings_of_tone(voltage_v: FloatArray, frequency: float) -> FloatArray:

@@ -22,7 +22,7 @@ from piezo_common.picture_style import (
 from piezo_identification.analysis.gain_over_frequency import LINES
 from piezo_identification.recording_check.check import RecordingCheck
 from piezo_identification.recording_check.suitability import jump_response
-from piezo_identification.recording_check.waveform_kind import BROADBAND, LEVELS
+from piezo_identification.recording_check.waveform_kind import Kind
 from piezo_identification.report import signal_pictures as signals
 from piezo_identification.report.waveform_view import WaveformView, view_of
 
@@ -58,14 +58,14 @@ def check_figure(check: RecordingCheck) -> Figure:
     _draw_time(time, below, view, voltage_v, displacement_um)
     if tracked:
         _draw_tracking(time, figure.add_subplot(grid[1, :], sharex=time), view, check)
-    if check.waveform.kind in LEVELS:
+    if check.waveform.kind.has_levels:
         signals.draw_step_response(
             left, jump_response(voltage_v, displacement_um, check.waveform.jumps), period_s)
-        (_draw_drift if check.waveform.kind == "square" else _draw_levels)(right, check)
-    elif check.waveform.kind in BROADBAND:
+        (_draw_drift if check.waveform.kind is Kind.SQUARE else _draw_levels)(right, check)
+    elif check.waveform.kind.is_broadband:
         signals.draw_gain(left, voltage_v, displacement_um, period_s)
         signals.draw_coherence(right, voltage_v, displacement_um, period_s)
-    elif check.waveform.kind == "constant":
+    elif check.waveform.kind is Kind.CONSTANT:
         _draw_spectrum(left, displacement_um, period_s)
         _draw_histogram(right, displacement_um)
     else:

@@ -17,7 +17,6 @@ from piezo_common.picture_style import (
     plain_numbers,
 )
 from piezo_common.report_page import Picture, pictured
-from piezo_identification.recording_check.waveform_kind import BROADBAND
 from piezo_identification.report import signal_pictures as signals
 from piezo_identification.report.component_evidence import ComponentEvidence
 from piezo_identification.report.response_band import (
@@ -62,7 +61,7 @@ def _fit(evidence: ComponentEvidence) -> tuple[Figure, str]:
         return figure, ("Mean creep after the steps, measured and modelled; below, what is left "
                         "of it, without its mean.")
     if evidence.component == "hysteresis" and not view.has_levels and (
-            view.kind not in BROADBAND):
+            not view.kind.is_broadband):
         signals.draw_loops(above, residual.voltage_v, residual.measured_um, evidence.fitted_um)
         signals.draw_loop_difference(below, residual.voltage_v, evidence.left_um,
                                      evidence.noise_um)

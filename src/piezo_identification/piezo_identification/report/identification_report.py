@@ -7,6 +7,7 @@ from typing import Any
 
 from piezo_common.report_page import Section, render_page
 from piezo_identification.adequacy.component_adequacy import INADEQUATE
+from piezo_identification.conditioning.row_alignment import rows_read_at_start
 from piezo_identification.identification.given_data import Data
 from piezo_identification.prediction import predict
 from piezo_identification.report.component_evidence import ComponentEvidence, component_evidence
@@ -117,7 +118,9 @@ def _errors(identified: IdentifiedModel, validation: list[Data]) -> Iterator[Sec
     if recording is not None:
         told.insert(0, f"Validation: `{recording.path}`, which no parameter was fitted to.")
         if not recording.gaps:
-            pictures = list(prediction_pictures(predict(identified.model, recording)))
+            read_at = identified.rows.get("validation", {}).get("read_at_samples", 0.0)
+            pictures = list(prediction_pictures(
+                predict(identified.model, rows_read_at_start(recording, read_at))))
     yield Section("Errors on data that was not fitted", told,
                   [("error on unseen data", "e_y (%)"), *rows] if rows else (), pictures)
 

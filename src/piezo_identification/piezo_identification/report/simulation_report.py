@@ -12,7 +12,6 @@ from piezo_common.report_page import Picture, Section, pictured, render_page
 from piezo_identification.conditioning.sensor_noise import repeated_period, sensor_noise_um
 from piezo_identification.conditioning.waveforms import slow_branches
 from piezo_identification.prediction.prediction import Prediction
-from piezo_identification.recording_check.waveform_kind import BROADBAND
 from piezo_identification.report import signal_pictures as signals
 from piezo_identification.report.waveform_view import WaveformView, view_of
 
@@ -133,13 +132,13 @@ def _beside(prediction: Prediction, view: WaveformView, left_um: FloatArray,
     if view.has_levels:
         return
     slow = slow_branches(prediction.time_s, prediction.voltage_v)
-    if view.is_mean and view.kind not in BROADBAND:
+    if view.is_mean and not view.kind.is_broadband:
         yield _loops([view.mean(values) for values in _signals(prediction, left_um)],
                      noise_um / np.sqrt(view.periods), view.title)
     elif slow.any():
         title = "its slow branches" if not slow.all() else view.title
         yield _loops([values[slow] for values in _signals(prediction, left_um)], noise_um, title)
-    if view.kind in BROADBAND:
+    if view.kind.is_broadband:
         figure = new_figure(4.0)
         signals.draw_gain(figure.subplots(), prediction.voltage_v, prediction.measured_um,
                           view.sample_period_s, prediction.simulated_um)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.recording_check.waveform_kind import LEVELS, Waveform, waveform_of
+from piezo_identification.recording_check.waveform_kind import Kind, Waveform, waveform_of
 
 EVEN = 0.01
 """Part of a period by which the periods of a square wave may differ."""
@@ -30,8 +30,7 @@ class WaveformView:
 
     Parameters
     ----------
-    kind : str
-        Of the waveform, see `waveform_kind.Waveform`.
+    kind : Kind
     starts : ndarray of int
         Of the periods whose mean is drawn; of a voltage that does not repeat itself, its first
         sample.
@@ -41,7 +40,7 @@ class WaveformView:
         Samples at which the voltage takes another level.
     """
 
-    kind: str
+    kind: Kind
     starts: NDArray[np.intp]
     samples: int
     sample_period_s: float
@@ -60,7 +59,7 @@ class WaveformView:
     @property
     def has_levels(self) -> bool:
         """Whether the voltage jumps between levels, so that its loop is a rectangle."""
-        return self.kind in LEVELS
+        return self.kind.has_levels
 
     @property
     def title(self) -> str:
@@ -128,7 +127,7 @@ def view_of(voltage_v: FloatArray, sample_period_s: float,
 def _are_alike(voltage_v: FloatArray, starts: NDArray[np.intp], samples: int,
                waveform: Waveform) -> bool:
     """Tell whether periods are the same, and not cycles whose amplitude grows or shrinks."""
-    if waveform.kind in LEVELS:
+    if waveform.kind.has_levels:
         return True
     folded = np.stack([voltage_v[start : start + samples] for start in starts])
     spread_v = np.sqrt(np.mean(np.var(folded, axis=0)))
@@ -137,10 +136,10 @@ def _are_alike(voltage_v: FloatArray, starts: NDArray[np.intp], samples: int,
 
 def _period(waveform: Waveform) -> tuple[int, int]:
     """Return the first sample of a period and the samples of one; 0 samples for no period."""
-    if waveform.kind not in LEVELS:
+    if not waveform.kind.has_levels:
         return 0, waveform.period
     spans = waveform.jumps[2:] - waveform.jumps[:-2]
-    if waveform.kind != "square" or spans.size < 2:
+    if waveform.kind is not Kind.SQUARE or spans.size < 2:
         return 0, 0
     period = int(np.median(spans))
     # Free-running generators step a sample earlier or later now and then, but do not drift off.

@@ -258,14 +258,18 @@ class SimulatedRecording:
         return self._samples_before * (values.size // self._joined_v.size)
 
     def _amplified(self, effects: Sequence[Effect]) -> FloatArray:
-        """Return the voltage behind effects and those of the model, in the parts of all rows."""
+        """Return the voltage behind those of the model and then effects, in the parts of all rows.
+
+        In this order the model that has all of them applies them.
+        """
         voltage_v, parts = in_parts(
-            self._joined_v, (*effects, *self.model.effects_at("voltage")), self.sample_period_s,
+            self._joined_v, (*self.model.effects_at("voltage"), *effects), self.sample_period_s,
             self.samples_per_mean)
         period_s = self.sample_period_s / parts
+        voltage_v = self.model.amplified(voltage_v, period_s)
         for effect in effects:
             voltage_v = effect.apply(voltage_v, period_s)
-        return self.model.amplified(voltage_v, period_s)
+        return voltage_v
 
     def _cycled_um(self, hysteresis: PreisachModel, amplified_v: FloatArray) -> FloatArray:
         """Return the output of a stage that was cycled, from the first sample of the recording."""

@@ -55,8 +55,9 @@ def test_recording_of_a_file_is_what_it_was_written_for(tmp_path, name, verdict,
     path = tmp_path / "recorded.csv"
     np.savetxt(path, np.c_[time_s, voltage_v, displacement_um], "%.9g", ",", comments="",
                header="time_s,voltage_v,displacement_um")
-    verdicts = suitability(check_recording(read_recording(str(path))))
-    assert verdicts[PURPOSES.get(name, name)].verdict == verdict
+    check = check_recording(read_recording(str(path)))
+    assert check.start.startswith("at rest: the first ")
+    assert suitability(check)[PURPOSES.get(name, name)].verdict == verdict
 
 
 @pytest.mark.parametrize(("options", "sentence"), [

@@ -144,6 +144,13 @@ def test_recordings_are_given_for_what_they_are_fit_for():
     assert given == {"creep": ["steps.csv"], "hysteresis": ["loops.csv"],
                      "validation": ["other.csv"]}
     assert given_as({"other.csv": fit(validation="yes")}) == {}
+    # Without one to spare, the last of several of a kind is not fitted, so that an error is known.
+    given = given_as({
+        "steps.csv": fit(dynamics="yes", validation="yes"),
+        "loops.csv": fit(hysteresis="yes", validation="yes"),
+        "tones.csv": fit(dynamics="yes", validation="yes")})
+    assert given == {"dynamics": ["steps.csv"], "hysteresis": ["loops.csv"],
+                     "validation": ["tones.csv"]}
 
 
 def test_steps_measured_behind_an_amplifier_are_dynamics(read):
@@ -181,6 +188,10 @@ def test_states_at_the_start_are_told_apart(read):
     check = check_recording(read(level_v, creeping, 1e-2))
     assert not check.starts_settled and check.start.startswith("still settling")
     assert suitability(check)["creep"].verdict == "partly"
+    rests_v = np.append(np.full(20, 10.0), 50.0 - 40.0 * np.cos(2 * np.pi * time_s[:-20] / 40.0))
+    rests_v += 1e-4 * random.normal(size=rests_v.size)
+    check = check_recording(read(rests_v, 0.2 * rests_v + noise_um, 1e-2))
+    assert check.starts_settled and check.start.startswith("at rest: the first 0.2")
     sine_v = 50.0 + 40.0 * np.sin(2 * np.pi * time_s / 4.0)
     check = check_recording(read(sine_v, 0.2 * sine_v + noise_um, 1e-2))
     assert check.starts_settled and check.start.startswith("periodic")

@@ -13,6 +13,7 @@ from piezo_identification.simulation.simulated_recording import (
     SETTINGS,
     SimulatedRecording,
 )
+from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.effect import parameter
 from piezo_models.effects.sensor_lag import SensorLag
@@ -104,10 +105,14 @@ def test_another_model_is_simulated_as_if_the_recording_had_been_read_for_it(
     np.testing.assert_array_equal(moved.drive_um, anew.drive_um)
 
 
-def test_new_effects_follow_those_of_the_model_as_in_the_extended_model(recording, plant):
-    curved, lagging = sensor(0.3), Backlash(0.05)
-    beside = recording.with_model(replace(plant, effects=(lagging,))).simulate((curved,))
-    extended = recording.with_model(replace(plant, effects=(lagging, curved))).simulate()
+@pytest.mark.parametrize("own, new", [
+    (Backlash(0.05), sensor(0.3)),
+    (AmplifierLag(2e-4), VoltageClipping(-10.0, 40.0)),
+], ids=["behind", "voltage"])
+def test_new_effects_follow_those_of_the_model_as_in_the_extended_model(
+        recording, plant, own, new):
+    beside = recording.with_model(replace(plant, effects=(own,))).simulate((new,))
+    extended = recording.with_model(replace(plant, effects=(own, new))).simulate()
     np.testing.assert_array_equal(beside, extended)
 
 

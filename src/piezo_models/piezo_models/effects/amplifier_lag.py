@@ -3,13 +3,13 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import control
 
-from piezo_common.arrays import FloatArray
-from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, parameter
-from piezo_models.effects.filtering import filtered, filtered_on, slowed, unfiltered_period
+from piezo_models.effects.effect import Effect, Evidence
+from piezo_models.effects.filtering import slowed
+from piezo_models.effects.lag import Lag
 from piezo_models.effects.sensor_lag import SensorLag
 
 SHORTEST, SHORT, LONGEST = 0.02, 0.25, 5.0
@@ -22,49 +22,23 @@ PARTS_OF_SHORT, PARTS_OF_LONG = 4, 8
 
 
 @dataclass(frozen=True)
-class AmplifierLag(Effect):
+class AmplifierLag(Lag):
     """The voltage at the actuator follows the one asked for with a time constant.
 
     A held voltage x is approached as v' = (x - v) / T; the hysteresis gets the mean of v over each
-    sample period. A sine cannot tell this lag from one behind the hysteresis, a step can: the
-    hysteresis is flat after a reversal, so that it answers the first part of a step with less.
+    sample period, which is what a sample is behind a straight voltage. A sine cannot tell this lag
+    from one behind the hysteresis, a step can: the hysteresis is flat after a reversal, so that it
+    answers the first part of a step with less.
     """
 
     name: ClassVar[str] = "amplifier_lag"
     place: ClassVar[str] = "voltage"
     experiment: ClassVar[str] = "dynamics beside hysteresis: a fast square wave, and slow loops"
-    distortion: ClassVar[frozenset[str] | None] = frozenset()
     indistinguishable_from: ClassVar[tuple[str, ...]] = ("delay", "sensor_lag")
-
-    time_constant_s: float = parameter("s", "logarithm", LEAST, MOST)
-
-    # The mean over a period behind a held voltage is what a sample is behind a straight one.
-    def apply(self, signal: FloatArray, sample_period_s: float,
-              rest: float | None = None) -> FloatArray:
-        """Return the signal behind the effect, as `Effect.apply` describes."""
-        return filtered([1.0], self._denominator(), signal, sample_period_s, rest)
-
-    def advance(self, signal: FloatArray, sample_period_s: float,
-                past: Any = None) -> tuple[FloatArray, Any]:
-        """Continue the signal behind the effect; the past is the filter's state."""
-        return filtered_on([1.0], self._denominator(), signal, sample_period_s, past)
-
-    def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
-        """Divide the period by the lag, harmonic by harmonic."""
-        return unfiltered_period([1.0], self._denominator(), wanted, sample_period_s)
 
     def lag(self) -> control.StateSpace | None:
         """Return the lag as a continuous system, as `Effect.lag` describes."""
         return slowed([1.0], [1.0, 1.0], self.time_constant_s)
-
-    def _denominator(self) -> list[float]:
-        # With a square of zero the filter has a closed form, however short the lag is.
-        return [0.0, self.time_constant_s, 1.0]
-
-    @classmethod
-    def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
-        """Bound the time constant by what the recordings can show."""
-        return {"time_constant_s": (1e-4 * extent.sample_period_s, 0.3 * extent.duration_s)}
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:

@@ -2,15 +2,16 @@
 """Lag of the sensor, or of the filter behind it."""
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import control
 import numpy as np
 
-from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_common.arrays import ComplexArray
 from piezo_models.effects.delay import Delay
-from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, parameter
-from piezo_models.effects.filtering import filtered, filtered_on, slowed, unfiltered_period
+from piezo_models.effects.effect import Evidence, parameter
+from piezo_models.effects.filtering import slowed
+from piezo_models.effects.lag import Lag
 
 ROUNDED = 0.25
 
@@ -19,7 +20,7 @@ SHARPEST = 1e-6
 
 
 @dataclass(frozen=True)
-class SensorLag(Effect):
+class SensorLag(Lag):
     """The sensor follows the displacement with a time constant; the stage itself does not lag.
 
     By 1 / (1 + T s + r (T s)^2): of first order where the roundness r is 0, two equal lags where
@@ -29,25 +30,9 @@ class SensorLag(Effect):
     name: ClassVar[str] = "sensor_lag"
     place: ClassVar[str] = "sensor"
     experiment: ClassVar[str] = Delay.experiment
-    distortion: ClassVar[frozenset[str] | None] = frozenset()
     indistinguishable_from: ClassVar[tuple[str, ...]] = ("delay",)
 
-    time_constant_s: float = parameter("s", "logarithm", LEAST, MOST)
     roundness: float = parameter("1", "linear", 0.0, 0.5, default=0.0)
-
-    def apply(self, signal: FloatArray, sample_period_s: float,
-              rest: float | None = None) -> FloatArray:
-        """Return the signal behind the effect, as `Effect.apply` describes."""
-        return filtered([1.0], self._denominator(), signal, sample_period_s, rest)
-
-    def advance(self, signal: FloatArray, sample_period_s: float,
-                past: Any = None) -> tuple[FloatArray, Any]:
-        """Continue the signal behind the effect; the past is the filter's state."""
-        return filtered_on([1.0], self._denominator(), signal, sample_period_s, past)
-
-    def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
-        """Divide the period by the lag, harmonic by harmonic."""
-        return unfiltered_period([1.0], self._denominator(), wanted, sample_period_s)
 
     def lag(self) -> control.StateSpace | None:
         """Return the lag as a continuous system, as `Effect.lag` describes."""
@@ -62,11 +47,6 @@ class SensorLag(Effect):
 
     def _denominator(self) -> list[float]:
         return [self.roundness * self.time_constant_s**2, self.time_constant_s, 1.0]
-
-    @classmethod
-    def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
-        """Bound the parameters by what the recordings can show."""
-        return {"time_constant_s": (1e-4 * extent.sample_period_s, 0.3 * extent.duration_s)}
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:

@@ -9,11 +9,6 @@ from piezo_common.command_line import Command
 from piezo_recorder.commands.data_flags import FILE_HELP, add_columns_option
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; see `piezo_common.command_line.Command.main`."""
-    return COMMAND.main(arguments)
-
-
 def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", metavar="FILE", type=Path, help=FILE_HELP)
     parser.add_argument("output", metavar="NEW", type=Path,
@@ -35,6 +30,7 @@ COMMAND = Command(
     epilog="Several recordings of one file become NEW_1, NEW_2 and so on, by their titles.",
     inputs=("recording",), check=_check,
     interrupted="NEW, if it is there, is incomplete: remove it")
+main = COMMAND.main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -8,11 +8,6 @@ from pathlib import Path
 from piezo_common.command_line import Command
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; see `piezo_common.command_line.Command.main`."""
-    return COMMAND.main(arguments)
-
-
 def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", type=Path, help="directory or MCAP file; it stays as it is")
     parser.add_argument("output", type=Path, help="directory to make")
@@ -22,6 +17,7 @@ COMMAND = Command(
     "repair", "Make a whole recording of what a killed recorder left.", _add_options,
     "piezo_recorder.writing.repair:repair_given", inputs=("recording",),
     interrupted="the output, if it is there, is incomplete: remove it")
+main = COMMAND.main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -8,11 +8,6 @@ from pathlib import Path
 from piezo_common.command_line import Command
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run the command; see `piezo_common.command_line.Command.main`."""
-    return COMMAND.main(arguments)
-
-
 def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("recording", type=Path, help="directory, MCAP file or table")
 
@@ -22,6 +17,7 @@ COMMAND = Command(
     "piezo_recorder.reading.sample_account:report_file",
     epilog="The status is 1 where samples are missing, 2 where it cannot be read.",
     inputs=("recording",))
+main = COMMAND.main
 
 if __name__ == "__main__":
     sys.exit(main())

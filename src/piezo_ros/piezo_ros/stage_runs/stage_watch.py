@@ -4,7 +4,7 @@
 import threading
 import time
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 from piezo_ros.presence import Presence
@@ -13,6 +13,8 @@ from piezo_ros.quality import DIAGNOSTICS_DEPTH
 # The stage tells how it is every second, and later on a busy computer.
 NEWS_TIMEOUT_S = 10.0
 POLL_S = 0.05
+ACTIVE = "active"
+"""Key of the stage's diagnostics: whether it is active, True or False."""
 
 
 class StageWatch:
@@ -22,14 +24,13 @@ class StageWatch:
         self._node = node
         self._name = f"{node.get_namespace().rstrip('/')}/stage"
         self._news = threading.Event()
-        self._stopped = self._state = ""
         self.begin()
         node.create_subscription(
             DiagnosticArray, "/diagnostics", self._on_diagnostics, DIAGNOSTICS_DEPTH)
 
     def begin(self) -> None:
         """Begin a run: what was before does not matter any more."""
-        self._stopped = self._state = ""
+        self._stopped, self._active = "", True
         self._presence = Presence(self._node, self._name)
 
     @property
@@ -53,7 +54,7 @@ class StageWatch:
             return self._stopped
         if self.gone:
             return f"the stage {self._name} is gone: start it again"
-        if self._state == "not active":
+        if not self._active:
             return "it was deactivated"
         return "somebody else called stop_tracking"
 
@@ -61,7 +62,7 @@ class StageWatch:
         for status in message.status:
             if status.name != f"{self._name}: stage":
                 continue
-            self._state = status.message
+            self._active = KeyValue(key=ACTIVE, value=str(False)) not in status.values
             if status.level == DiagnosticStatus.ERROR:
                 self._stopped = self._stopped or status.message
             self._news.set()

@@ -12,6 +12,7 @@ from piezo_stage_driver.engine.stage_commands import Replacement
 from piezo_stage_driver.safety.commands import Command
 from piezo_stage_driver.safety.guards import StopLatch
 from piezo_stage_driver.safety.supervisor import NOT_ACTIVE, StageSupervisor
+from piezo_stage_driver.safety.transitions import Event
 
 
 class CommandRouter:
@@ -83,8 +84,8 @@ class CommandRouter:
             self.supervisor.submit(command)
             if self._lockstep:
                 self.supervisor.attend()
-        elif command.name == "reset":
-            command.run_by(self._latch.reset)
+        elif command.event is Event.RESET:
+            command.reset(self._latch)
         else:
             command.finish(error=StageRefusal(NOT_ACTIVE))
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 
+from piezo_ros.stage_runs.stage_watch import ACTIVE
 from piezo_stage_driver.engine.answer_latency import AnswerLatency
 from piezo_stage_driver.engine.tick_times import TickTimes
 from piezo_stage_driver.node.stage_loop import StageLoop
@@ -52,8 +53,9 @@ class StageReports:
         if loop is not None and (loop.supervisor.hangs or not (
                 loop.supervisor.active or loop.supervisor.at_rest)):
             level, message = DiagnosticStatus.ERROR, f"{message}; {UNSAFE}"
-        self._outputs.publish_diagnostics(level, message, {} if loop is None else {
-            "phase": loop.engine.phase_name if loop.active else "not active",
+        active = loop is not None and loop.active
+        self._outputs.publish_diagnostics(level, message, {ACTIVE: active} if loop is None else {
+            ACTIVE: active, "phase": loop.engine.phase_name if active else "not active",
             "client": loop.engine.client, "seconds_left": f"{loop.engine.seconds_left:.3f}",
             "voltage_v": f"{loop.engine.voltage_v:.4f}", "next_sample": loop.engine.next_sample,
             "missed_feedback": loop.engine.missed_feedback, **loop.supervisor.described,

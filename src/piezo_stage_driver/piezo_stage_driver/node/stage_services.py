@@ -16,11 +16,13 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from piezo_ros.late_responses import LateResponse, create_late_service
+from piezo_stage_driver.engine.stage_commands import StageCommands
 from piezo_stage_driver.node.command_router import CommandRouter
 from piezo_stage_driver.node.law_message import law_of
 from piezo_stage_driver.safety.commands import Command
 from piezo_stage_driver.safety.request_memory import RequestMemory
 from piezo_stage_driver.safety.supervisor import UNSAFE
+from piezo_stage_driver.safety.transitions import Event
 
 
 class StageServices:
@@ -79,21 +81,20 @@ class StageServices:
                 self._node.get_logger().error(f"emergency stop: {late.response.message}")
             late.give()
 
-    def _ask(self, late: LateResponse, name: str, *arguments: Any,
-             fill: Callable[[Any, Any], None] | None = None, run: int | None = None) -> None:
+    def _ask(self, late: LateResponse, service: str, event: Event,
+             act: Callable[[StageCommands], Any], fill: Callable[[Any, Any], None] | None = None,
+             run: int | None = None) -> None:
         """Submit a command; answer when it has acted or is refused."""
-        public_name = "load_feedforward" if name == "append_feedforward" else name
-
         def done(value: Any, error: ValueError | None) -> None:
             if error is not None:
-                self._refuse(late, public_name, error)
+                self._refuse(late, service, error)
                 return
             late.response.success = True
             if fill:
                 fill(late.response, value)
             late.give()
 
-        self._router.submit(Command(name, *arguments, on_done=done, run=run))
+        self._router.submit(Command(event, act, on_done=done, run=run, asked_s=late.asked_s))
 
     def _refuse(self, late: LateResponse, name: str, error: ValueError) -> None:
         late.response.success = False
@@ -110,16 +111,18 @@ class StageServices:
         except ValueError as error:
             self._refuse(late, "load_feedback", error)
         else:
-            self._ask(late, "load_feedback", law, request.feedforward_id)
+            self._ask(late, "load_feedback", Event.LAW,
+                      lambda stage: stage.load_feedback(law, request.feedforward_id))
 
     def _on_load_feedforward(self, request: LoadFeedforward.Request, late: LateResponse) -> None:
         def fill(response: LoadFeedforward.Response, feedforward_id: int) -> None:
             response.feedforward_id = feedforward_id
 
         if not self._loads.repeats(request.request_id, late):
-            name = "append_feedforward" if request.append else "load_feedforward"
-            self._ask(late, name, request.once_voltage_v, request.period_voltage_v, request.append,
-                      request.feedforward_id, fill=fill)
+            self._ask(late, "load_feedforward", Event.APPEND if request.append else Event.LOAD,
+                      lambda stage: stage.load_feedforward(
+                          request.once_voltage_v, request.period_voltage_v, request.append,
+                          request.feedforward_id), fill)
 
     def _on_replace_feedforward(self, request: ReplaceFeedforward.Request,
                                 late: LateResponse) -> None:
@@ -135,21 +138,24 @@ class StageServices:
         except ValueError as error:
             self._refuse(late, "replace_feedforward", error)
         else:
-            self._ask(late, "replace_feedforward", replacement, fill=fill, run=request.run)
+            self._ask(late, "replace_feedforward", Event.REPLACE,
+                      lambda stage: stage.replace_feedforward(replacement), fill, request.run)
 
     def _on_start_tracking(self, request: StartTracking.Request, late: LateResponse) -> None:
         def fill(response: StartTracking.Response, value: tuple[int, int]) -> None:
             response.run, response.first_tick = value
 
         if not self._starts.repeats(request.request_id, late):
-            self._ask(late, "start_tracking", request.feedback, request.ticks, request.client,
-                      request.onboard, request.feedforward_id, fill=fill)
+            self._ask(late, "start_tracking", Event.TRACK, lambda stage: stage.start_tracking(
+                request.feedback, request.ticks, request.client, request.onboard,
+                request.feedforward_id), fill)
 
     def _on_stop_tracking(self, request: Trigger.Request, late: LateResponse) -> None:
-        self._ask(late, "stop_tracking", late.asked_s)
+        self._ask(late, "stop_tracking", Event.END_TRACKING,
+                  lambda stage: stage.stop_tracking(late.asked_s))
 
     def _on_reset(self, request: Trigger.Request, late: LateResponse) -> None:
-        self._ask(late, "reset", late.asked_s)
+        self._ask(late, "reset", Event.RESET, lambda stage: stage.reset(late.asked_s))
 
     def _on_emergency_stop(self, request: Trigger.Request, late: LateResponse) -> None:
         wait_s = self._stop_timeout_s + self._router.seconds_to_rest

@@ -16,6 +16,7 @@ from piezo_ros.quality import PROGRESS
 from piezo_stage_driver.engine.stage_engine import StageEngine
 from piezo_stage_driver.safety.commands import Command
 from piezo_stage_driver.safety.open_answers import OpenAnswers
+from piezo_stage_driver.safety.transitions import Event
 
 PROGRESS_PERIOD_S = 0.1
 
@@ -106,8 +107,10 @@ class WaveformGoals:
     def _accept(self, handle: ServerGoalHandle) -> None:
         wanted, goal = handle.request, WaveformGoal(handle, self._answer)
         self._submit(Command(
-            "play", wanted.voltage_v, wanted.sample_period_s, wanted.repeats,
-            wanted.hold_at_end, wanted.client, on_done=goal.begin, goal=goal))
+            Event.PLAY, lambda stage: stage.play(
+                wanted.voltage_v, wanted.sample_period_s, wanted.repeats, wanted.hold_at_end,
+                wanted.client),
+            on_done=goal.begin, goal=goal))
 
     def _answer(self, goal: WaveformGoal, result: PlayWaveform.Result) -> None:
         """Execute a goal now that it is over: the executor polls, busily, a goal that waits."""

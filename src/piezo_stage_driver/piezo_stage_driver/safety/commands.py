@@ -1,12 +1,18 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Commands on their way to the loop that drives the stage: each acts once, or never."""
 
+import math
 import threading
 from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from piezo_stage_driver.engine.program import StageRefusal
+from piezo_stage_driver.safety.guards import StopLatch
+from piezo_stage_driver.safety.transitions import Event
+
+if TYPE_CHECKING:
+    from piezo_stage_driver.engine.stage_commands import StageCommands
 
 
 class Command:
@@ -14,21 +20,26 @@ class Command:
 
     Parameters
     ----------
-    name : str
-        Of the method of the engine.
-    *arguments
+    event : Event
+        That it is; one of `transitions.COMMANDS`.
+    act : callable
+        Calls what it asks for, of the `StageCommands` that it is given.
     on_done : callable
-        ``on_done(value, error)``: what the method returned, or the ValueError that refuses the
-        command. Called once, in whichever thread decides.
+        ``on_done(value, error)``: what `act` returned, or the ValueError that refuses the command.
+        Called once, in whichever thread decides.
     goal : Goal, optional
         Of a waveform.
     run : int, optional
         Number of the run that alone it may act in.
+    asked_s : float
+        When a reset was asked for, by the monotonic clock (s); see `StopLatch.reset`.
     """
 
-    def __init__(self, name: str, *arguments: Any, on_done: Callable, goal: Any = None,
-                 run: int | None = None):
-        self.name, self.arguments, self.goal, self.run = name, arguments, goal, run
+    def __init__(self, event: Event, act: Callable[["StageCommands"], Any], *,
+                 on_done: Callable[[Any, ValueError | None], None], goal: Any = None,
+                 run: int | None = None, asked_s: float = math.inf):
+        self.event, self.act, self.goal, self.run = event, act, goal, run
+        self.asked_s = asked_s
         self.expires_s = 0.0
         self._on_done = on_done
         self._claim = threading.Lock()
@@ -41,14 +52,14 @@ class Command:
         """Tell the client; for who has claimed the command."""
         self._on_done(value, error)
 
-    def run_by(self, method: Callable[..., Any]) -> None:
-        """Call a method with the arguments, and tell the client; for who claimed the command."""
+    def reset(self, latch: StopLatch) -> None:
+        """Reset a latch of a stage that is not active; for who has claimed the command."""
         try:
-            value = method(*self.arguments)
+            latch.reset(self.asked_s)
         except ValueError as error:
             self.finish(error=error)
         else:
-            self.finish(value)
+            self.finish()
 
 
 class CommandQueue:

@@ -17,16 +17,6 @@ from piezo_stage_driver.safety.guards import StopLatch
 from piezo_stage_driver.safety.session import BackendSession, SessionOver
 from piezo_stage_driver.safety.transitions import MOVING, TRANSITIONS, Event, State
 
-EVENTS = {
-    "play": Event.PLAY,
-    "load_feedforward": Event.LOAD,
-    "append_feedforward": Event.APPEND,
-    "load_feedback": Event.LAW,
-    "replace_feedforward": Event.REPLACE,
-    "start_tracking": Event.TRACK,
-    "stop_tracking": Event.END_TRACKING,
-    "reset": Event.RESET,
-}
 NOT_ACTIVE = "the stage is not active: activate it first"
 UNSAFE = "the amplifier may still be under voltage: cut its supply"
 
@@ -194,8 +184,8 @@ class StageSupervisor:
                 self._commands.put(command)
         if takes or not command.claim():
             return
-        if command.name == "reset" and not self.active:
-            command.run_by(self._latch.reset)
+        if command.event is Event.RESET and not self.active:
+            command.reset(self._latch)
         else:
             command.finish(error=StageRefusal(NOT_ACTIVE))
 
@@ -294,17 +284,16 @@ class StageSupervisor:
             return self.active
 
     def _run(self, command: Command) -> None:
-        name = "load_feedforward" if command.name == "append_feedforward" else command.name
+        event = command.event
         try:
             with self._lock:
-                event = EVENTS[command.name]
                 if not self.active or self._leaving:
                     raise StageRefusal(NOT_ACTIVE)
                 self._follow()  # what the command before has left, with no tick between the two
                 if command.run not in (None, self._gate.run):
                     raise StageRefusal(f"run {command.run} does not go on: send the number that "
                                        "start_tracking returned for the present one")
-                value = getattr(self.engine.commands, name)(*command.arguments)
+                value = command.act(self.engine.commands)
                 if event is Event.TRACK:
                     value = self._gate.begin(), value
                 if event in (Event.PLAY, Event.TRACK):  # another program begins

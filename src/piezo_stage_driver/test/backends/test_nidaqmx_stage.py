@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import yaml
+from commands_by_name import command
 from nidaqmx_stand_in import Card, DaqError, Reader, Task, Writer
 
 from piezo_stage_driver.backends import nidaqmx_stage
@@ -19,7 +20,6 @@ from piezo_stage_driver.backends.registry import BackendSettings, create_backend
 from piezo_stage_driver.engine.blocks import FLAG_TRACKING
 from piezo_stage_driver.engine.stage_engine import StageEngine
 from piezo_stage_driver.engine.tick_times import TickTimes
-from piezo_stage_driver.safety.commands import Command
 from piezo_stage_driver.safety.limits import VoltageLimits
 from piezo_stage_driver.safety.supervisor import StageSupervisor
 from piezo_stage_driver.safety.transitions import State
@@ -161,7 +161,7 @@ def test_after_a_fault_the_card_ramps_to_rest_and_nothing_follows(
     supervisor.activate()
 
     def ask(name, *arguments, goal=None):
-        supervisor.submit(Command(
+        supervisor.submit(command(
             name, *arguments, on_done=lambda *answer: told.append(answer), goal=goal))
 
     if work == "play":

@@ -11,6 +11,7 @@ import numpy as np
 import nv200_stand_in
 import pytest
 import yaml
+from commands_by_name import command
 from stored_waveform_runs import CONFIG, LONGEST, RATE_HZ, WAVE_V, engine_of, played, settings
 
 from piezo_common.schema import load_document
@@ -21,7 +22,6 @@ from piezo_stage_driver.backends.pi_gcs_stage import PiController, PiSettings
 from piezo_stage_driver.backends.stored_waveforms import StoredWaveformStage
 from piezo_stage_driver.engine.program import StageRefusal
 from piezo_stage_driver.engine.stage_engine import StageEngine
-from piezo_stage_driver.safety.commands import Command
 from piezo_stage_driver.safety.limits import VoltageLimits
 from piezo_stage_driver.safety.supervisor import StageSupervisor
 from piezo_stage_driver.safety.transitions import State
@@ -154,7 +154,7 @@ def supervised(kind):
         closing_ticks=stage.lead_samples // 10 + 1)
     supervisor.activate()
     ends = []
-    supervisor.submit(Command(
+    supervisor.submit(command(
         "play", WAVE_V, 1.0 / RATE_HZ, on_done=lambda *answer: None,
         goal=SimpleNamespace(cancelled=False, attend=lambda engine: None,
                              end=lambda *end: ends.append(end))))

@@ -5,11 +5,11 @@ import time
 
 import numpy as np
 import pytest
+from commands_by_name import command
 
 from piezo_stage_driver.engine.blocks import FLAG_STOPPED
 from piezo_stage_driver.engine.feedback_hold import FeedbackError
 from piezo_stage_driver.engine.stage_engine import StageEngine
-from piezo_stage_driver.safety.commands import Command
 from piezo_stage_driver.safety.limits import VoltageLimits
 from piezo_stage_driver.safety.supervisor import StageSupervisor
 from piezo_stage_driver.safety.transitions import State
@@ -66,7 +66,7 @@ class Stage:
         self.supervisor.activate()
 
     def ask(self, name, *arguments, goal=None):
-        self.supervisor.submit(Command(
+        self.supervisor.submit(command(
             name, *arguments, goal=goal, on_done=lambda value, error: self.told.append(
                 value if error is None else str(error))))
 

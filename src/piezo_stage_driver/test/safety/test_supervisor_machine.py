@@ -9,6 +9,7 @@ import os
 import threading
 
 import numpy as np
+from commands_by_name import command
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
@@ -17,7 +18,6 @@ from piezo_models.feedback_law.feedback_law import DeclaredPlant, FeedbackLaw, L
 from piezo_stage_driver.backends.backend import BackendFault
 from piezo_stage_driver.engine.feedback_hold import FeedbackError
 from piezo_stage_driver.engine.stage_engine import StageEngine
-from piezo_stage_driver.safety.commands import Command
 from piezo_stage_driver.safety.limits import FeedbackLimits, VoltageLimits
 from piezo_stage_driver.safety.supervisor import StageSupervisor
 from piezo_stage_driver.safety.transitions import TRANSITIONS, State
@@ -208,7 +208,7 @@ class Stage(RuleBasedStateMachine):
                 self.must_return = False
             request.done(value, error)
 
-        self.supervisor.submit(Command(
+        self.supervisor.submit(command(
             method, *arguments, on_done=done, goal=request if request.is_goal else None))
 
     @rule()

@@ -55,7 +55,7 @@ class Armax:
 
     def poles(self) -> ComplexArray:
         """Discrete poles, shape (na,)."""
-        return np.roots(self.autoregressive)
+        return np.roots(self.autoregressive).astype(complex)
 
 
 def fit_armax(
@@ -110,7 +110,8 @@ def _minimise(record: "_PredictionErrors", reduced: FloatArray,
     for _ in range(MOST_ITERATIONS):
         jacobian = jacobian @ expansion
         scale = np.linalg.norm(jacobian, axis=0)
-        triangle = np.linalg.qr(np.column_stack([jacobian / scale, residual]), mode="r")
+        triangle = np.asarray(
+            np.linalg.qr(np.column_stack([jacobian / scale, residual]), mode="r"))
         left, values, right = np.linalg.svd(triangle[:-1, :-1])
         projected = left.T @ triangle[:-1, -1]
         # The whole way to the optimum would gain less than a thousandth of what chance gives.
@@ -186,8 +187,8 @@ class _PredictionErrors:
         both = both - self.drift @ (self.drift.T @ both)
         system = identify_subspace(both[:, 0], both[:, 1], max(na, nc, 1))
         feedback = np.outer(system.innovation_gain, system.output_gain)
-        a = np.poly(_inside(np.linalg.eigvals(system.transition), na))
-        c = np.poly(_inside(np.linalg.eigvals(system.transition - feedback), nc))
+        a = np.poly(_inside(np.linalg.eigvals(system.transition).astype(complex), na))
+        c = np.poly(_inside(np.linalg.eigvals(system.transition - feedback).astype(complex), nc))
         parameters = np.concatenate([a[1:], np.zeros(nb), c[1:],
                                      np.zeros(self.past + self.drift.shape[1])])
         error, jacobian = self.errors(parameters)
@@ -201,7 +202,7 @@ def _inside(roots: ComplexArray, count: int) -> ComplexArray:
     magnitude = np.abs(roots)
     roots = np.where(magnitude < 0.9999, roots, 0.9999 * roots / magnitude * np.minimum(
         1.0, 1.0 / magnitude))
-    order = np.lexsort([roots.imag, np.round(-np.abs(roots), 12)])
+    order = np.lexsort((roots.imag, np.round(-np.abs(roots), 12)))
     kept = roots[order][:count]
     # Half of a conjugate pair becomes a real root.
     lonely = [root.imag != 0.0 and not np.isclose(kept, root.conjugate()).any() for root in kept]

@@ -85,7 +85,7 @@ def dynamics_of_armax(
         return dynamics_vector(dynamics_of_poles(np.log(np.array(nearest)) / sample_period_s))
 
     order = denominator.size - 1
-    model = dynamics_of_poles(np.log(kept) / sample_period_s)
+    model = dynamics_of_poles(np.log(kept.astype(complex)) / sample_period_s)
     if np.isinf(armax.covariance[:order, :order]).any():
         # The poles depend on all coefficients, and the data do not tell all of those.
         return model, split_dynamics_vector(np.full(1 + 2 * mode_count, np.inf), mode_count)

@@ -134,8 +134,9 @@ def simulate_relays(voltage_v, alpha_v, beta_v, weight_um, offset_um=0.0):
     (N,) array
         Output in um.
     """
-    arrays = [np.ascontiguousarray(x, dtype=float) for x in (voltage_v, alpha_v, beta_v, weight_um)]
-    return _simulate_relays(*arrays, float(offset_um))
+    voltage, alpha, beta, weight = (
+        np.ascontiguousarray(x, dtype=float) for x in (voltage_v, alpha_v, beta_v, weight_um))
+    return _simulate_relays(voltage, alpha, beta, weight, float(offset_um))
 
 
 @njit(cache=True)

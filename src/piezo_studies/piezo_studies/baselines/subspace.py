@@ -64,8 +64,8 @@ def identify_subspace(
     predictors = np.zeros((future, 2, past))
     for i in range(future):
         predictors[i, :, : past - i] = markov[:, i:]
-    predictors = predictors.reshape(future, 2 * past)
-    states = np.linalg.svd(predictors @ triangle.T, full_matrices=False)[2][:order]
+    observed = predictors.reshape(future, 2 * past) @ triangle.T
+    states = np.linalg.svd(observed, full_matrices=False)[2][:order]
     states = states @ orthogonal.T * np.sqrt(rows)
     output_gain = np.linalg.lstsq(states.T, target, rcond=None)[0]
     innovation = target - output_gain @ states

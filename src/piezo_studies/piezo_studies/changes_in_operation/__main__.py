@@ -4,12 +4,12 @@
 import argparse
 from pathlib import Path
 
-from piezo_common.marked_sections import with_sections
 from piezo_sim.plant.plant_file import read_plant
 from piezo_studies.changes_in_operation.doubled import CHANGES, table, watch_doubling
 from piezo_studies.changes_in_operation.identified_beam import PLANT, identified_beam
 from piezo_studies.changes_in_operation.references import KINDS
 from piezo_studies.changes_in_operation.watched import WatchedStage, watch_unchanged
+from piezo_studies.marked_sections import with_sections
 
 SECTION = "changes in operation"
 """Mark of the table in the page."""
@@ -36,8 +36,11 @@ def main(arguments: list[str] | None = None) -> None:
     reports = watch_unchanged(watched, options.hours)
     for report in reports:
         print(f"{report.kind}: {report.suspicion.sentence()}")
-    rows = [(change, *([watch_doubling(stage, kind, change) for kind in KINDS]
-                       for stage in (watched, at_first))) for change in CHANGES]
+    rows = []
+    for change in CHANGES:
+        later, first = ([watch_doubling(stage, kind, change) for kind in KINDS]
+                        for stage in (watched, at_first))
+        rows.append((change, later, first))
     lines = (f"Suspicions in {options.hours:g} h in which nothing changed: {len(reports)}.\n\n"
              + table(rows))
     text = options.page.read_text(encoding="utf-8")

@@ -24,8 +24,9 @@ def identified_beam(folder: Path) -> IdentifiedModel:
     path = folder / "model.json"
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        save_model(path, identify(
-            **{name: _record(name, seed) for seed, name in enumerate(RECORDED, start=1)}))
+        creep, dynamics, hysteresis, validation = (
+            _record(name, seed) for seed, name in enumerate(RECORDED, start=1))
+        save_model(path, identify(creep, dynamics, hysteresis, validation))
     return load_model(path)
 
 

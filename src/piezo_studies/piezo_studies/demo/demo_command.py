@@ -12,11 +12,6 @@ USUAL = "undeclared"
 """The demo's own plant."""
 
 
-def main(arguments=None):
-    """Run the command; see `piezo_common.command_line.Command.main`."""
-    return COMMAND.main(arguments)
-
-
 def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--plant", default=USUAL, metavar="PLANT",
                         help=f"the stage: {', '.join(PLANTS)}, or a plant file "
@@ -33,6 +28,7 @@ COMMAND = Command(
     "demo", "Identify a simulated stage, track with the model, find what the model lacks, track "
     "again with the extended model, watch a change, decide a cause, and report.", _add_options,
     "piezo_studies.demo.demo_node:run_given")
+main = COMMAND.main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -81,7 +81,8 @@ class WatchfulClient(Client):
 
     def __init__(self, processes):
         super().__init__()
-        self._processes, self._names = processes, ()
+        self._processes = processes
+        self._names: tuple[str, ...] = ()
 
     def wait_for_nodes(self, names):
         """Spin until these nodes are there, and watch them from then on."""

@@ -4,6 +4,7 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rosbags.highlevel import AnyReader
@@ -111,8 +112,9 @@ def _loop_times(path, first_sample, last_sample):
         samples = [connection for connection in reader.connections
                    if connection.msgtype.endswith("/SampleBlock")
                    and not connection.topic.endswith("/" + GROUND_TRUTH)]
-        blocks = [(time_ns, reader.deserialize(data, connection.msgtype))
-                  for connection, time_ns, data in reader.messages(samples)]
+        blocks: list[tuple[int, Any]] = [
+            (time_ns, reader.deserialize(data, connection.msgtype))
+            for connection, time_ns, data in reader.messages(samples)]
     loop = [(time_ns, block) for time_ns, block in blocks
             if first_sample <= block.first_sample <= last_sample]
     (begin_ns, first), (end_ns, last) = loop[0], loop[-1]

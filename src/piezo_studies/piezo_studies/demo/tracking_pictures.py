@@ -85,7 +85,7 @@ def draw_tracking(runs):
         error, unit = _scaled(run.error_um[shown])
         axes.axhline(0.0, color=BLACK, linewidth=0.6)
         axes.plot(time_ms, error, color=style["color"], linewidth=0.9)
-        label(axes, y=f"error ({unit})", title=style["label"])
+        label(axes, y=f"error ({unit})", title=str(style["label"]))
     below[-1].set_xlabel("time (ms)")
     figure.legend(*above.get_legend_handles_labels(), loc="outside upper center", ncols=4,
                   frameon=False, handlelength=1.6, columnspacing=1.2)

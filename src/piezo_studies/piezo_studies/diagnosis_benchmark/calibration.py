@@ -13,7 +13,6 @@ from piezo_identification.diagnosis.joint.probabilities import NONE, SOMETHING_E
 from piezo_studies.diagnosis_benchmark.outcome import CLEAR, outcome, strongest
 
 BINS = 10
-LEAST_PROBABILITY = 1e-12
 
 
 @dataclass(frozen=True)
@@ -112,7 +111,9 @@ def reliability(probabilities, true, bins=BINS):
     """
     edges = np.linspace(0.0, 1.0, bins + 1)
     number = np.minimum((np.asarray(probabilities) * bins).astype(int), bins - 1)
-    stated, came_true, counts, error = [], [], [], 0.0
+    stated: list[float | None] = []
+    came_true: list[float | None] = []
+    counts, error = [], 0.0
     for each in range(bins):
         inside = number == each
         counts.append(int(np.count_nonzero(inside)))
@@ -120,24 +121,12 @@ def reliability(probabilities, true, bins=BINS):
             stated.append(None)
             came_true.append(None)
             continue
-        stated.append(float(np.mean(probabilities[inside])))
-        came_true.append(float(np.mean(true[inside])))
-        error += counts[-1] * abs(stated[-1] - came_true[-1])
+        mean, share = float(np.mean(probabilities[inside])), float(np.mean(true[inside]))
+        stated.append(mean)
+        came_true.append(share)
+        error += counts[-1] * abs(mean - share)
     return Reliability(tuple(edges.tolist()), tuple(stated), tuple(came_true), tuple(counts),
                        float(error / max(1, len(probabilities))))
-
-
-def tempered(probabilities, temperature):
-    """Return probabilities with their logarithms over a temperature, summing to one.
-
-    Parameters
-    ----------
-    probabilities : dict of str to float
-    """
-    powers = {label: max(share, LEAST_PROBABILITY) ** (1.0 / temperature)
-              for label, share in probabilities.items()}
-    whole = sum(powers.values())
-    return {label: power / whole for label, power in powers.items()}
 
 
 def draw_reliability(axes, found):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The section of docs/diagnosis.md that tells how far probabilities and intervals come true."""
 
-from piezo_common.marked_sections import with_sections
+from piezo_studies.marked_sections import with_sections
 
 SECTION = "calibration"
 """Mark of the section in the page."""

@@ -73,7 +73,7 @@ def draw_cases(count, seed):
     clean, outside, pairs = (
         round(count * share) for share in (CLEAN_SHARE, OUTSIDE_SHARE, PAIRS_SHARE)
     )
-    causes = [()] * clean
+    causes: list[tuple[str, ...]] = [()] * clean
     causes += [(name,) for name in _in_turn(list(CAUSES_OUTSIDE), outside, random)]
     causes += [
         (name, _another(name, random)) for name in _in_turn(list(CAUSES), pairs, random)

@@ -92,13 +92,15 @@ def summary(results):
     results : list of dict
         As `run_case` returns them.
     """
-    came_to = {group: Counter() for group in ("clear", "weak", "clean", "outside")}
-    confusion, ratios = {}, []
+    came_to: dict[str, Counter[str]] = {
+        group: Counter() for group in ("clear", "weak", "clean", "outside")}
+    confusion: dict[str, Counter[str]] = {}
+    of_perfect: list[float] = []
     for result in results:
         group, what = outcome(result)
         came_to[group][what] += 1
         if result["verdict"] == "explained" and group == "clear":
-            ratios.append(result["after_um"] / result["perfect_um"])
+            of_perfect.append(result["after_um"] / result["perfect_um"])
         if result["verdict"] == "refused":
             row, named = (*result["causes"], "clean")[0], "refused"
         elif group in ("clean", "outside"):
@@ -111,7 +113,7 @@ def summary(results):
             confusion.setdefault(row, Counter())[named] += 1
     clear = came_to["clear"]
     decidable = clear.total() - clear["not decidable"]
-    ratios = np.array(ratios)
+    ratios = np.array(of_perfect)
     return {
         "figures": {
             "named_first_percent": _percent(clear["right"], decidable),

@@ -24,7 +24,12 @@ from piezo_identification.identification.identify import identify
 from piezo_identification.simulation.nuisance import nuisance_regressors
 from piezo_studies.diagnosis_benchmark import records
 from piezo_studies.diagnosis_benchmark.coverage import estimates
-from piezo_studies.diagnosis_benchmark.effect_draws import DrawError, draw_effect, response_um
+from piezo_studies.diagnosis_benchmark.effect_draws import (
+    DrawError,
+    DrawnEffect,
+    draw_effect,
+    response_um,
+)
 from piezo_studies.diagnosis_benchmark.plants import draw_plant, noise_um
 
 STRUCTURE = ResponseOrder(creep_pairs=4, modes=2, antiresonances=0)
@@ -94,7 +99,7 @@ def run_case(case, clean, experiments=0):
     surroundings = records.surroundings(experiment, seed)
     voltage_v, _ = records.commanded(experiment)
     clock_samples = records.clock_samples(experiment)
-    drawn = []
+    drawn: list[DrawnEffect] = []
     for index, (cause, multiple) in enumerate(zip(case.causes, case.multiples, strict=True)):
         beside = drawn[-1].plant if drawn else plant
         drawn.append(_drawn(

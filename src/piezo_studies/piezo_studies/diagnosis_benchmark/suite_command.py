@@ -8,11 +8,6 @@ from pathlib import Path
 from piezo_common.command_line import Command
 
 
-def main(arguments=None):
-    """Run the command; see `piezo_common.command_line.Command.main`."""
-    return COMMAND.main(arguments)
-
-
 def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--cases", type=int, default=260, help="how many (%(default)s)")
     parser.add_argument("--seed", type=int, default=1, help="of everything random (%(default)s)")
@@ -36,6 +31,7 @@ COMMAND = Command(
     "diagnose_suite", "Run the cases through Dask, print the confusion table and write it.",
     _add_options, "piezo_studies.diagnosis_benchmark.run_suite:diagnose_cases",
     interrupted="what is done is kept; the same command goes on")
+main = COMMAND.main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -2,7 +2,6 @@
 """Diagnose drawn cases by the hundred, and write how often what is stated is true."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from piezo_common.progress_line import ProgressLine
@@ -42,4 +41,4 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -3,12 +3,12 @@
 
 from collections import Counter
 
-from piezo_common.marked_sections import with_sections
 from piezo_common.picture_style import new_figure, to_png
 from piezo_studies.diagnosis_benchmark.calibration import calibrate, draw_reliability
 from piezo_studies.diagnosis_benchmark.coverage import KNOWN, coverage
 from piezo_studies.diagnosis_benchmark.outcome import outcome
 from piezo_studies.diagnosis_calibration.study import figures
+from piezo_studies.marked_sections import with_sections
 
 SECTION = "small cases"
 """Mark of the section in the page."""

@@ -54,7 +54,8 @@ class JumpResponse:
     @property
     def time_s(self) -> FloatArray:
         """Time since the jump, shape (N,)."""
-        return (np.arange(self.voltage_v.size) - self.jump) * self.sample_period_s
+        return np.asarray(
+            (np.arange(self.voltage_v.size) - self.jump) * self.sample_period_s, dtype=float)
 
     def basis(self, dynamics: ElectricVibrationDynamics) -> FloatArray:
         """Columns whose combination is the response, shape (N, 4).
@@ -177,7 +178,8 @@ def _fit(
     )
 
 
-def _starting_dynamics(response: JumpResponse, mode_count: int) -> ElectricVibrationDynamics:
+def _starting_dynamics(response: JumpResponse, mode_count: int,
+                       ) -> ElectricVibrationDynamics | None:
     """Modes of the free decay; None where it shows fewer."""
     after = slice(response.jump + 1, None)
     voltage_v, displacement_um = response.voltage_v[after], response.displacement_um[after]

@@ -8,11 +8,6 @@ from pathlib import Path
 from piezo_common.command_line import Command
 
 
-def main(arguments=None):
-    """Run the command; see `piezo_common.command_line.Command.main`."""
-    return COMMAND.main(arguments)
-
-
 def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", metavar="DIR", type=Path, required=True,
                         help="directory of the measured sets")
@@ -25,6 +20,7 @@ COMMAND = Command(
     "fitted beside the figures in the data's note.", _add_options,
     "piezo_studies.measured_devices.measured_work:measure_devices", inputs=("data",),
     interrupted="table.json, if it is there, is of an earlier run")
+main = COMMAND.main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -40,8 +40,9 @@ class Plays:
 
     def __call__(self, voltage_v: FloatArray) -> FloatArray:
         """Return what drives the linear part (um), shape (N,)."""
-        rising, falling = (np.polynomial.polynomial.polyval(voltage_v, (0.0, *side))
-                           for side in (self.rising, self.falling))
+        rising, falling = (np.asarray(
+            np.polynomial.polynomial.polyval(voltage_v, (0.0, *side)), dtype=float)
+            for side in (self.rising, self.falling))
         return _plays(rising, falling, self.half_widths_v, self.weights_um_per_v)
 
 

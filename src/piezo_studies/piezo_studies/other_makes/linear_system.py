@@ -123,7 +123,7 @@ def spectrum(share_of: Callable[[FloatArray], FloatArray], fastest_s: float,
     count = round(RATES_PER_DECADE * np.log10(slowest_s / fastest_s)) + 1
     times_s = np.geomspace(fastest_s, slowest_s, count)
     shares = share_of(times_s) * np.log(slowest_s / fastest_s) / (count - 1)
-    return LinearSystem(-1.0 / times_s + 0j, shares / times_s + 0j, 1.0)
+    return LinearSystem((-1.0 / times_s).astype(complex), (shares / times_s).astype(complex), 1.0)
 
 
 def logarithmic_creep(per_decade: float, fastest_s: float = 1e-3,
@@ -234,14 +234,14 @@ def straight_response(system: LinearSystem, input_um: FloatArray, knots: FloatAr
     state : ndarray of complex, shape (P,)
     """
     steps = np.diff(knots)[:, None]
-    reached = steps * system.poles_per_s
+    reached: ComplexArray = steps * system.poles_per_s
     kept = np.exp(reached)
     small = np.abs(reached) < SMALL
     safe = np.where(small, 1.0, reached)
-    level = steps * np.where(small, 1.0 + reached / 2.0 + reached**2 / 6.0,
-                             (kept - 1.0) / safe)
-    slope = steps * np.where(small, 0.5 + reached / 6.0 + reached**2 / 24.0,
-                             (kept - 1.0 - safe) / safe**2)
+    level: ComplexArray = np.multiply(steps, np.where(
+        small, 1.0 + reached / 2.0 + reached**2 / 6.0, (kept - 1.0) / safe))
+    slope: ComplexArray = np.multiply(steps, np.where(
+        small, 0.5 + reached / 6.0 + reached**2 / 24.0, (kept - 1.0 - safe) / safe**2))
     return _straight(kept, level - slope, slope, system.weights(), system.direct, input_um, read,
                      state)
 

@@ -115,7 +115,7 @@ def recorded(make: Make, experiment: Experiment, seed: int,
     voltage = played(experiment)
     displacement_um = make.stage.displacement_um(past, voltage)
     random = np.random.default_rng(seed)
-    time_s = voltage.period_s * np.arange(displacement_um.size)
+    time_s = voltage.period_s * np.arange(displacement_um.size, dtype=float)
     disturbance_um = make.noise_um * random.normal(size=time_s.size) + drift_um(
         make, time_s, random)
     measured_um = displacement_um + disturbance_um
@@ -171,7 +171,7 @@ def in_motion_s(make: Make) -> float:
 def tones(make: Make, swing: float) -> list[tuple[float, float]]:
     """Return frequencies and amplitudes of tones up to the first mode, alike in displacement."""
     frequencies_hz = make.first_mode_hz * np.array(TONES)
-    gains = np.abs(make.stage.behind.at(2j * np.pi * frequencies_hz))
+    gains = np.abs(make.stage.behind.at((2j * np.pi * frequencies_hz).astype(complex)))
     return [(float(frequency_hz), swing / max(1.0, float(gain)))
             for frequency_hz, gain in zip(frequencies_hz, gains, strict=True)]
 

@@ -7,7 +7,7 @@ import resource
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from itertools import zip_longest
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 
@@ -200,8 +200,8 @@ def modes_of(identified: IdentifiedModel) -> list[tuple[Estimated, Estimated]]:
 
 def effects_of(identified: IdentifiedModel) -> Iterator[tuple[str, Any, Any]]:
     """Yield name, parameters and standard deviations of each effect of a model."""
-    spreads = identified.uncertainties.get("effects", [])
-    for effect, spread in zip_longest(identified.model.effects, spreads, fillvalue={}):
+    spreads = chain(identified.uncertainties.get("effects", []), repeat({}))
+    for effect, spread in zip(identified.model.effects, spreads, strict=False):
         yield effect.name, effect.parameters(), spread
 
 

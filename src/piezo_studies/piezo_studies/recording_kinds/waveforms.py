@@ -62,7 +62,7 @@ def _triangles(peaks_v: list[float], volts_per_s: float, period_s: float) -> Flo
 
 
 def _fast_time_s() -> FloatArray:
-    return FAST_S * np.arange(FAST_ROWS)
+    return FAST_S * np.arange(FAST_ROWS, dtype=float)
 
 
 def _free_square() -> Played:

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from piezo_common.marked_sections import with_sections
+from piezo_studies.marked_sections import with_sections
 from piezo_studies.recording_recipe.trials import TABLES, Trial
 
 SECTIONS = "trials of "
@@ -25,7 +25,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--page", type=Path, default=Path("docs/recipe.md"),
                         help="page whose tables are written anew; its text stays")
     options = parser.parse_args(arguments)
-    made = {}
+    made: dict[str, list[Trial]] = {}
     for name, (_, _, trials) in TABLES.items():
         made[name] = []
         for trial in trials():
@@ -34,7 +34,7 @@ def main(arguments: list[str] | None = None) -> None:
                   flush=True)
     options.page.write_text(page(options.page.read_text(encoding="utf-8"), made),
                             encoding="utf-8")
-    print(f"{sum(map(len, made.values()))} trials: {options.page}")
+    print(f"{sum(len(each) for each in made.values())} trials: {options.page}")
 
 
 def page(text: str, made: dict[str, list[Trial]]) -> str:

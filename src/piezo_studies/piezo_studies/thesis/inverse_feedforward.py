@@ -27,7 +27,8 @@ FALLING_BANDWIDTH_HZ = 1000.0
 
 def study():
     """Compute the errors and displacement with the inverse and without."""
-    rows, figure = [], new_figure(3.8)
+    rows: list[Row] = []
+    figure = new_figure(3.8)
     axes = figure.subplots(2, 2)
     for place, (frequency_hz, amplitude_um, clock_hz, *thesis) in zip(
             axes.flat, SINES, strict=True):

@@ -33,7 +33,8 @@ def study():
     """Compute the density errors by least squares and by the smoothed fit."""
     plant = known_plant()
     levels_v = np.linspace(0.0, HIGHEST_V, LEVELS + 1)
-    time_s = np.arange(round(LEVELS * HARMONIC_PERIOD_S / SAMPLE_PERIOD_S) + 1) * SAMPLE_PERIOD_S
+    duration = round(LEVELS * HARMONIC_PERIOD_S / SAMPLE_PERIOD_S) + 1
+    time_s = np.arange(duration, dtype=float) * SAMPLE_PERIOD_S
     voltage_v = stair_harmonics(time_s, stair_amplitudes(LEVELS, HIGHEST_V), HARMONIC_PERIOD_S)
     records = [
         record_model("harmonics", plant, voltage_v, SAMPLE_PERIOD_S, NOISE_UM, seed)

@@ -38,7 +38,7 @@ SECTION = "2.4.1"
 
 def full_swing_v():
     """Return one second of a sine between 0 and the highest voltage."""
-    return stair_harmonics(np.arange(round(CLOCK_HZ)) / CLOCK_HZ, [HIGHEST_V], 1.0)
+    return stair_harmonics(np.arange(round(CLOCK_HZ)) / CLOCK_HZ, np.array([HIGHEST_V]), 1.0)
 
 
 def preparation_v():

@@ -13,7 +13,6 @@ from piezo_controller.feedback.onboard_law import onboard_law
 from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_controller.feedback.synthesis.ziegler_nichols import UltimatePoint, pid
 from piezo_controller.references.reference import Reference
-from piezo_controller.tracking.offline_loop import PlayedRun, play_law, play_run
 from piezo_controller.tracking.tracking_modes import (
     FEEDBACK_METHODS,
     StageClock,
@@ -25,6 +24,7 @@ from piezo_models.feedback_law.running_law import RunningLaw
 from piezo_models.measures import e_rms_percent
 from piezo_sim.simulated_stage import SimulatedStage
 from piezo_studies.thesis.identified_stage import identified_stage
+from piezo_studies.thesis.offline_loop import PlayedRun, play_law, play_run
 
 CENTRE_UM = 52.0
 OFFSET_UM = 2.1
@@ -131,7 +131,7 @@ def track(mode, frequency_hz, amplitude_um, samples_per_tick=40, duration_s=DURA
 
     stage = SimulatedStage(seed=7)
     stage.open()
-    true_um = []
+    true_um: list[np.ndarray] = []
 
     def exchange(voltage_v):
         begin = len(true_um) * samples_per_tick

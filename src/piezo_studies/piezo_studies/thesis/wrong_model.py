@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Models of the simulated stage whose parameters are wrong, each by the same part."""
 
+from typing import Any
+
 import numpy as np
 
 from piezo_models.cascade import StageModel
@@ -26,8 +28,9 @@ def wrong_model(part, seed):
         return values * (1.0 + part * generator.choice([-1.0, 1.0], values.shape))
 
     plant = read_plant(None)
-    hysteresis, creep, lag, *modes = plant.stage
-    amplifier = plant.amplifier[0]
+    stage: tuple[Any, ...] = plant.stage
+    hysteresis, creep, lag, *modes = stage
+    amplifier: Any = plant.amplifier[0]
     return StageModel(
         _hysteresis(hysteresis, amplifier.voltage_min_v, amplifier.voltage_max_v, wrong),
         CreepDynamics(tuple(wrong(creep.poles_rad_per_s)), tuple(wrong(creep.zeros_rad_per_s))),

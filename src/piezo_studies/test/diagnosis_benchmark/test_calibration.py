@@ -10,7 +10,6 @@ from piezo_studies.diagnosis_benchmark.calibration import (
     draw_reliability,
     is_true,
     reliability,
-    tempered,
 )
 
 
@@ -23,6 +22,13 @@ def result(probabilities, *causes, over_noise=9.0, verdict="explained", in_model
         "effects": [], "not_decidable": [], "probabilities": probabilities,
         "in_model": list(in_model),
     }
+
+
+def tempered(probabilities, temperature):
+    """Return probabilities with their logarithms over a temperature, summing to one."""
+    powers = {label: share ** (1.0 / temperature) for label, share in probabilities.items()}
+    whole = sum(powers.values())
+    return {label: power / whole for label, power in powers.items()}
 
 
 def drawn(count, too_sure=1.0, seed=3):

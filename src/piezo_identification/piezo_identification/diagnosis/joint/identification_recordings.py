@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The recordings that a model was identified from: found by path, known by their hash."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -65,7 +65,7 @@ class IdentificationRecordings:
 
 def find_identification_recordings(
     identified: IdentifiedModel, model_path: AnyPath, read_file: ReadFile,
-    moved: Sequence[AnyPath] = (), others: Sequence[AnyPath] = (),
+    moved: Sequence[AnyPath | Recording] = (), others: Sequence[AnyPath | Recording] = (),
 ) -> IdentificationRecordings:
     """Find the recordings that a model was identified from, and read those that are unchanged.
 
@@ -77,10 +77,10 @@ def find_identification_recordings(
         Of its file.
     read_file : callable
         Returns the recordings of a file.
-    moved : sequence of path-like
-        Files that are recordings of the identification, wherever they are now.
-    others : sequence of path-like
-        Files that are diagnosed, or held out: they are left out here.
+    moved : sequence of path-like or Recording
+        Recordings of the identification, wherever they are now.
+    others : sequence of path-like or Recording
+        What is diagnosed, or held out: it is left out here.
 
     Raises
     ------
@@ -88,26 +88,25 @@ def find_identification_recordings(
         If a file that was named by hand is none of the identification, or cannot be read.
     """
     hashes = {entry["sha256"]: entry["path"] for entry in identified.recordings}
-    given = {sha256_of(path): path for path in moved}
-    for digest, path in given.items():
-        if hashes and digest not in hashes:
+    given = {digest_of(each) or f"no file {number}": each for number, each in enumerate(moved)}
+    for digest, each in given.items():
+        if hashes and digest not in hashes and not isinstance(each, Recording):
             raise ValueError(
-                f"{path} is none of the recordings that {model_path} was identified from: its "
+                f"{each} is none of the recordings that {model_path} was identified from: its "
                 "SHA-256 is not in the model file; leave it out, or give the unchanged file")
-    left_out = {sha256_of(path) for path in others}
+    left_out = set(map(digest_of, others))
     found: list[Recording] = []
     missing: list[str] = []
     names = _names(identified)
-    for digest, named in (hashes or {digest: str(path) for digest, path in given.items()}).items():
+    for digest, named in (hashes | dict.fromkeys(given.keys() - hashes.keys(), "")).items():
         if digest in left_out:
             continue
-        path, why_not = (Path(given[digest]), "") if digest in given else _unchanged(
+        source, why_not = (given[digest], "") if digest in given else _unchanged(
             named, digest, Path(model_path))
-        if not why_not and is_frequency_response(path):
-            why_not = f"{path} is a frequency response"
         if not why_not:
             try:
-                found += _usable(path, read_file, identified.rows.get(names.get(digest, ""), {}))
+                read, why_not = _read(source, read_file)
+                found += _usable(read, identified.rows.get(names.get(digest, ""), {}))
             except (ValueError, OSError) as error:
                 if digest in given:
                     raise
@@ -117,6 +116,15 @@ def find_identification_recordings(
         missing.append(NOT_NAMED)
     fitted = fitted_hashes(identified) if hashes else frozenset(given)
     return IdentificationRecordings(tuple(found), tuple(missing), fitted)
+
+
+def digest_of(source: AnyPath | Recording) -> str:
+    """Return the SHA-256 of a recording; empty where it came from no file."""
+    if isinstance(source, Recording):
+        if source.sha256 or not Path(source.path).exists():
+            return source.sha256
+        return sha256_of(source.path)
+    return sha256_of(source)
 
 
 def fitted_hashes(identified: IdentifiedModel) -> frozenset[str]:
@@ -166,10 +174,19 @@ def _unchanged(named: str, digest: str, model_path: Path) -> tuple[Path, str]:
     return path, "" if sha256_of(path) == digest else f"{named} has changed since"
 
 
-def _usable(path: AnyPath, read_file: ReadFile, rows: Mapping[str, float]) -> list[Recording]:
-    """Read a recording, cut at its gaps, with its rows aligned as the identification did."""
+def _read(source: AnyPath | Recording, read_file: ReadFile) -> tuple[list[Recording], str]:
+    """Return what is at hand of a source, and why there is nothing, if so."""
+    if isinstance(source, Recording):
+        return [source], ""
+    if is_frequency_response(Path(source)):
+        return [], f"{source} is a frequency response"
+    return read_file(source), ""
+
+
+def _usable(recordings: Iterable[Recording], rows: Mapping[str, float]) -> list[Recording]:
+    """Cut recordings at their gaps, with their rows aligned as the identification did."""
     read_at = rows.get("read_at_samples", 0.0)
     return [
         rows_read_at_start(part, read_as(part, read_at))
-        for recording in read_file(path)
+        for recording in recordings
         for part in (played_segments(recording) if recording.gaps else [recording])]

@@ -3,7 +3,7 @@
 
 import pytest
 
-from piezo_common.marked_sections import with_sections
+from piezo_studies.marked_sections import with_sections
 
 PAGE = "# Title\n<!-- rows of a -->\nold\n<!-- end -->\ntext\n<!-- rows of b -->\n<!-- end -->\n"
 
