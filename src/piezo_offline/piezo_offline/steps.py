@@ -187,7 +187,8 @@ def diagnose(model: AnyModel, data: Any, holdout: Any = None, *, identified_from
     stage_model = opened if isinstance(opened, StageModel) else opened.model
     response = response_in(data)
     if response is not None:
-        return diagnose_response(stage_model, response)
+        return diagnose_response(
+            stage_model, response, progress or (lambda what, fraction: None), Budget(budget_s))
     given, sentences = all_as_identified(opened, recordings_of(data, columns, "data"))
     for sentence in sentences:
         warnings.warn(sentence, DataWarning, stacklevel=2)
