@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
 
 from piezo_client.client import GoalFailed
 from piezo_client.stage import Stage
@@ -77,6 +79,21 @@ def test_a_script_finds_that_the_extended_model_lacks_nothing(suite, files, diag
     assert found.details["before"] == found.details["after"]
     assert found.report == tmp_path / "second" / "report.html"
     assert load_model(found.path).model.effects == load_model(own).model.effects
+
+
+def test_a_diagnosis_whose_time_is_over_says_what_it_has_not_tried(suite, files, tmp_path):
+    def in_s(seconds):
+        parameter = Parameter("budget_s", value=seconds).to_parameter_msg()
+        assert suite.call(SetParameters, "identification/set_parameters",
+                          parameters=[parameter]).results[0].successful
+    in_s(1e-3)
+    try:
+        result = suite.goal("diagnose", model=str(files["model"]), directory=str(tmp_path),
+                            recordings=[str(files["data"])])
+    finally:
+        in_s(0.0)
+    assert result.message.startswith("the time of 0.001 s is over; not tried: ")
+    assert json.loads(result.verdict_json)["not_tried"] == result.message
 
 
 @pytest.mark.parametrize(("change", "sentence"), [

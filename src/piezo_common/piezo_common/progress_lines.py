@@ -18,6 +18,8 @@ TELLING = 0.05
 class ProgressLines:
     """Print which step a command is at, and for a long one how long it has gone on.
 
+    The time that is left is estimated where a step begins, and runs down until the next one.
+
     Parameters
     ----------
     budget : Budget
@@ -30,12 +32,16 @@ class ProgressLines:
         self._budget, self._clock = budget, clock
         self._begun_s = self._printed_s = clock()
         self._stage, self._fraction = "", 0.0
+        self._whole_s: float | None = None
         self._one_at_a_time = threading.Lock()
 
     def report(self, stage: str, fraction: float) -> None:
         """Print that a step begins, and which part of the whole is done (0 to 1)."""
         with self._one_at_a_time:
             self._stage, self._fraction = stage, fraction
+            taken_s = self._clock() - self._begun_s
+            is_known = TELLING <= fraction < 1.0 and taken_s >= 1.0
+            self._whole_s = taken_s / fraction if is_known else None
             self._print()
 
     def beat(self) -> None:
@@ -46,13 +52,20 @@ class ProgressLines:
 
     def _print(self) -> None:
         self._printed_s = self._clock()
-        taken_s, fraction = self._printed_s - self._begun_s, self._fraction
-        words = [f"{100.0 * fraction:3.0f} %  {self._stage}"]
-        if TELLING <= fraction < 1.0 and taken_s >= 1.0:
-            left_s = min(taken_s * (1.0 - fraction) / fraction, self._budget.left_s)
-            words.append(f"{taken_s:.0f} s so far" + (
-                f", about {left_s:.0f} s left" if left_s else "; the time is over, this step ends"))
+        taken_s = self._printed_s - self._begun_s
+        words = [f"{100.0 * self._fraction:3.0f} %  {self._stage}"]
+        if self._fraction < 1.0 and taken_s >= 1.0:
+            words.append(f"{taken_s:.0f} s so far{self._left(taken_s)}")
         print(", ".join(words), flush=True)
+
+    def _left(self, taken_s: float) -> str:
+        """Return how long the command still takes, as far as that is known."""
+        if not self._budget.left_s:
+            return "; the time is over, this step ends"
+        if self._whole_s is None:
+            return ""
+        left_s = min(self._whole_s - taken_s, self._budget.left_s)
+        return f", about {left_s:.0f} s left" if left_s > 0.5 else ", longer than expected"
 
 
 @contextmanager

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Progress of a command: no line comes late, and what is left is no more than the budget."""
 
+import re
+
 import pytest
 
 from piezo_common.budget import Budget
@@ -33,7 +35,32 @@ def test_a_long_step_is_printed_again_with_what_is_left(clock, capsys):
     assert capsys.readouterr().out.splitlines() == [
         "  0 %  creep",
         " 25 %  dynamics, 10 s so far, about 30 s left",
-        " 25 %  dynamics, 14 s so far, about 42 s left"]
+        " 25 %  dynamics, 14 s so far, about 26 s left"]
+
+
+def test_a_step_that_takes_longer_than_all_that_was_left_says_so(clock, capsys):
+    lines = ProgressLines(Budget(None, clock), clock)
+    clock.seconds = 9.0
+    lines.report("dynamics", 0.9)
+    clock.seconds += SILENT_S
+    lines.beat()
+    assert capsys.readouterr().out.splitlines()[-1] == (
+        " 90 %  dynamics, 13 s so far, longer than expected")
+
+
+def test_steps_that_take_their_parts_of_the_time_leave_what_is_left(clock, capsys):
+    whole_s, parts = 200.0, (0.0, 0.02, 0.1, 0.12, 0.3, 0.85, 0.9, 1.0)
+    lines = ProgressLines(Budget(None, clock), clock)
+    for begin, end in zip(parts[:-1], parts[1:], strict=True):
+        lines.report("step", begin)
+        while clock.seconds < end * whole_s:
+            clock.seconds = min(clock.seconds + 1.0, end * whole_s)
+            lines.beat()
+    printed = [re.search(r"(\d+) s so far, about (\d+) s left", line)
+               for line in capsys.readouterr().out.splitlines()]
+    told = [tuple(map(float, found.groups())) for found in printed if found]
+    assert len(told) > 30
+    assert all(taken_s + left_s == pytest.approx(whole_s, abs=1.0) for taken_s, left_s in told)
 
 
 def test_no_more_is_left_than_the_budget_has(clock, capsys):

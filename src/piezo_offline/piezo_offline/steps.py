@@ -186,7 +186,8 @@ def diagnose(model: AnyModel, data: Any, holdout: Any = None, *, identified_from
     stage_model = opened if isinstance(opened, StageModel) else opened.model
     response = response_in(data)
     if response is not None:
-        return diagnose_response(stage_model, response)
+        return diagnose_response(
+            stage_model, response, progress or (lambda what, fraction: None), Budget(budget_s))
     judged = recordings_of(data, columns, "data")
     held = [] if holdout is None else [read(holdout, columns, "held-out data")]
     given, sentences = all_as_identified(opened, judged)

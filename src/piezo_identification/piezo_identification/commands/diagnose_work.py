@@ -18,12 +18,13 @@ from piezo_identification.diagnosis.response.response_results import (
     diagnose_response_file,
     response_sentence,
 )
+from piezo_identification.diagnosis.verdict import Verdict
 from piezo_identification.estimators.frequency_response.response_file import is_frequency_response
 from piezo_models.model_file import announced_model
 from piezo_recorder.reading.data_options import read_all_given
 
-PAGE_S = 5.0
-"""Time in which the results are drawn and written."""
+PAGE_S, RESPONSE_PAGE_S = 5.0, 1.0
+"""Time in which the results are drawn and written: of recordings, and of a response."""
 
 LEAST_PROBABILITY = 1e-3
 """Smaller ones are not printed."""
@@ -41,12 +42,16 @@ def diagnose_given(options: argparse.Namespace) -> int | None:
         if len(options.data) > 1 or options.holdout or options.identified_from:
             raise ValueError(f"{options.data[0]} is a frequency response: give it alone")
         announced_model(options.model)
-        diagnosis = diagnose_response_file(
-            options.model, options.data[0], options.output, hold_s_of(options))
+        budget = budget_of(options, RESPONSE_PAGE_S)
+        with progress_printed(budget) as progress:
+            diagnosis = diagnose_response_file(
+                options.model, options.data[0], options.output, hold_s_of(options), progress,
+                budget)
         _print_table(diagnosis, response_sentence(diagnosis))
         print(f"written to {options.output}")
         print(f"report: {options.output / 'report.html'}")
-        return None
+        _print_not_tried(diagnosis, options)
+        return INTERRUPTED if budget.is_interrupted else None
     for option in (name for name, given in useless_response_options(options).items() if given):
         raise ValueError(f"{option} has nothing to act on: leave it out, or give a frequency "
                          "response as --data")
@@ -66,15 +71,19 @@ def diagnose_given(options: argparse.Namespace) -> int | None:
         print(f"what would decide: {results.next_experiment.sentence()}")
     print(f"written to {options.output}")
     print(f"report: {results.report}")
-    if results.diagnosis.not_tried:
-        print(f"{options.prog}: {results.diagnosis.not_tried}; the results hold what was found "
-              "until then", file=sys.stderr)
+    _print_not_tried(results.diagnosis, options)
     if budget.is_interrupted:
         return INTERRUPTED
     print_next(options, "piezo_controller", "design", "--model",
                options.output / "extended_model.json", "--output",
                options.output / "controller.json")
     return None
+
+
+def _print_not_tried(diagnosis: Verdict, options: argparse.Namespace) -> None:
+    if diagnosis.not_tried:
+        print(f"{options.prog}: {diagnosis.not_tried}; the results hold what was found until then",
+              file=sys.stderr)
 
 
 def _print_table(diagnosis: Any, sentence: str) -> None:

@@ -110,19 +110,11 @@ class Diagnosis(Verdict):
         To which what remains was held.
     stated : float
         By how much the model is known to be wrong, as a part of the RMS motion.
-    not_tried : str
-        Why the comparison ended early, and what it has not tried; empty where it was done.
     """
 
     selection: Selection
     noise: KnownNoise = field(default=KnownNoise(), kw_only=True)
     stated: float = field(default=0.0, kw_only=True)
-    not_tried: str = field(default="", kw_only=True)
-
-    def document(self) -> dict[str, Any]:
-        """Return the content of `verdict.json`."""
-        return super().document() | {"interrupted": self.selection.interrupted,
-                                     "not_tried": self.not_tried}
 
 
 @dataclass(frozen=True)

@@ -69,6 +69,8 @@ class Verdict:
     next_experiment : dict or None
         The recording that would decide between the explanations that remain, and what each of them
         predicts; None where it was not designed. See `experiment_design.propose.Proposal`.
+    not_tried : str
+        Why the comparison ended early, and what it has not tried; empty where it was done.
     """
 
     verdict: str
@@ -89,6 +91,7 @@ class Verdict:
     identified_from: dict[str, object] = field(default_factory=dict, kw_only=True)
     recording_faults: list[dict[str, object]] = field(default_factory=list, kw_only=True)
     next_experiment: dict[str, Any] | None = field(default=None, kw_only=True)
+    not_tried: str = field(default="", kw_only=True)
 
     def __repr__(self) -> str:
         return text_of_verdict(self)
@@ -134,6 +137,8 @@ class Verdict:
             "identified_from": self.identified_from,
             "recording_faults": self.recording_faults,
             "next_experiment": self.next_experiment,
+            "interrupted": bool(self.not_tried),
+            "not_tried": self.not_tried,
         }
 
 

@@ -10,6 +10,7 @@ from piezo_interfaces.action import Diagnose, Identify, PlayWaveform, RunExperim
 from piezo_interfaces.msg import SampleBlock, StageDescription
 from rclpy.lifecycle import LifecycleNode
 
+from piezo_common.budget import Budget
 from piezo_identification.adequacy.component_adequacy import overall_verdict
 from piezo_identification.diagnosis.experiment_design.propose import LONGEST_S
 from piezo_identification.diagnosis.report.decide_files import (
@@ -51,6 +52,7 @@ EXPERIMENTS_FRACTION = 0.5
 Report = Callable[[str, float], None]
 # Of a diagnosis: the model, the recordings, the held-out recording, the directory of the results.
 DiagnosedFiles = tuple[str, list[str], str | None, Path]
+BUDGET, LONGEST_BUDGET_S = "budget_s", 86_400.0
 DIAGNOSIS_FILES = ("verdict.json", "extended_model.json", "report.html", "next_experiment.csv",
                    "next_experiment.json")
 
@@ -66,6 +68,9 @@ class IdentificationNode(LifecycleNode):
             self, "directory", "runs", "Where recordings and models go if a goal names no place.")
         self._refine = declare(
             self, "refine", False, "Of earlier versions: identify always does so now.")
+        declare(self, BUDGET, 0.0, "Time after which the searches of identify, and of each "
+                "diagnosis, end with the best that they have found (s); 0 for no end.", 0.0,
+                LONGEST_BUDGET_S, read_only=False)
         self._run_limits = declare_run_limits(self)
         self._player = ActionCaller(self, PlayWaveform, "play_waveform")
         self._tracker = StageTracker(self)
@@ -231,12 +236,13 @@ class IdentificationNode(LifecycleNode):
                 progress=lambda stage, fraction: progress.report(
                     EXPERIMENTS_FRACTION + (1.0 - EXPERIMENTS_FRACTION) * fraction,
                     stage=f"estimate: {stage}"),
-                cancelled=lambda: progress.cancelled, note=self.get_logger().info)
+                cancelled=lambda: progress.cancelled, note=self.get_logger().info,
+                budget=self._budget())
         except IdentificationCancelled:
             raise Cancelled from None
         model = directory / "model.json"
         save_model(model, identified)
-        result.model = str(model)
+        result.model, result.message = str(model), identified.unfinished
         result.adequacy = overall_verdict(identified.adequacy)
         result.adequacy_json = json.dumps(identified.adequacy)
         result.error_names = list(identified.errors)
@@ -279,8 +285,9 @@ class IdentificationNode(LifecycleNode):
         if goal.experiments:
             results, result.decision = self._decide(files, goal, result, progress, report)
         else:
-            results = diagnose_files(*files, report)
+            results = diagnose_files(*files, report, budget=self._budget())
         diagnosis = results.diagnosis
+        result.message = "; ".join(filter(None, (result.message, diagnosis.not_tried)))
         result.verdict = diagnosis.verdict
         result.sentence = verdict_sentence(diagnosis)
         result.effects = [entry["name"] for entry in diagnosis.effects]
@@ -306,8 +313,13 @@ class IdentificationNode(LifecycleNode):
             return str(result.recordings[-1])
 
         results, steps = decide_files(
-            *files, play, goal.experiments, _limits(stage), report, goal.longest_s or LONGEST_S)
+            *files, play, goal.experiments, _limits(stage), report, goal.longest_s or LONGEST_S,
+            self._budget)
         return results, decision_sentence(steps)
+
+    def _budget(self) -> Budget:
+        """Return the time of a goal, which begins now."""
+        return Budget(self.get_parameter(BUDGET).value or None)
 
     def _writable(self, goal: RunExperiment.Goal | Identify.Goal | Diagnose.Goal) -> Path:
         """Return the directory in which a goal's files are made."""

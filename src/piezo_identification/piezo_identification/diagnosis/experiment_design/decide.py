@@ -4,6 +4,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from piezo_common.budget import Budget
 from piezo_common.progress_part import Progress, part_of
 from piezo_identification.diagnosis.diagnose import Diagnosis, diagnose
 from piezo_identification.diagnosis.evidence.known_noise import KnownNoise
@@ -62,7 +63,8 @@ def decide(model: StageModel, recordings: Sequence[Recording], play: Play, budge
            limits: StageLimits = USUAL_LIMITS, longest_s: float = LONGEST_S,
            holdout: Recording | None = None, progress: Progress | None = None,
            identified_from: IdentificationRecordings | None = None,
-           stated: float | None = None, noise: KnownNoise | None = None) -> list[DecisionStep]:
+           stated: float | None = None, noise: KnownNoise | None = None,
+           begin_budget: Callable[[], Budget] = Budget) -> list[DecisionStep]:
     """Diagnose, play what tells the alternatives apart, and diagnose again.
 
     Parameters
@@ -78,6 +80,8 @@ def decide(model: StageModel, recordings: Sequence[Recording], play: Play, budge
         That each may last.
     holdout, progress, identified_from, stated, noise
         Of `diagnose`.
+    begin_budget : callable
+        Returns the time that a diagnosis may take, which begins then.
 
     Returns
     -------
@@ -91,7 +95,7 @@ def decide(model: StageModel, recordings: Sequence[Recording], play: Play, budge
         report = part_of(
             progress, len(steps) / (budget + 1), (len(steps) + 1) / (budget + 1))
         diagnosis = diagnose(model, known, holdout, part_of(report, 0.0, DIAGNOSED),
-                             identified_from, stated, noise)
+                             identified_from, stated, noise, begin_budget())
         before = [alternative.effects for step in steps[-1:]
                   for alternative in step.alternatives.alternatives]
         report("compare the alternatives", DIAGNOSED)

@@ -6,6 +6,7 @@ from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
+from piezo_common.budget import Budget
 from piezo_common.progress_part import Progress, part_of
 from piezo_identification.diagnosis.evidence.known_noise import noise_of_model
 from piezo_identification.diagnosis.experiment_design.decide import DecisionStep, decide
@@ -36,6 +37,7 @@ PlayToFile = Callable[[Experiment, Path, Progress], AnyPath]
 def decide_files(model: AnyPath, recordings: Sequence[AnyPath], holdout: AnyPath | None,
                  directory: AnyPath, play: PlayToFile, budget: int, limits: StageLimits,
                  progress: Progress, longest_s: float = LONGEST_S,
+                 begin_budget: Callable[[], Budget] = Budget,
                  ) -> tuple[DiagnosisResults, list[DecisionStep]]:
     """Decide by experiments, and write verdict, extended model, report and what was played.
 
@@ -51,6 +53,8 @@ def decide_files(model: AnyPath, recordings: Sequence[AnyPath], holdout: AnyPath
         Recordings that may be made.
     longest_s : float
         That each may last.
+    begin_budget : callable
+        Returns the time that a diagnosis may take, which begins then.
 
     Raises
     ------
@@ -75,7 +79,7 @@ def decide_files(model: AnyPath, recordings: Sequence[AnyPath], holdout: AnyPath
     steps = decide(given.identified.model, given.recordings, play_proposed, budget, limits,
                    longest_s, given.holdout, part_of(progress, READ_FRACTION, REPORT_FRACTION),
                    given.identified_from, stated_error(given.identified),
-                   noise_of_model(given.identified))
+                   noise_of_model(given.identified), begin_budget)
     progress("write the report", REPORT_FRACTION)
     last = steps[-1]
     proposal = None if last.is_decided else propose(last.alternatives, limits, longest_s)

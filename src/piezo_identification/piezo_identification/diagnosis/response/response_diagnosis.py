@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from piezo_common.arrays import ComplexArray
+from piezo_common.budget import Budget, spending, while_time_lasts
+from piezo_common.progress_part import Progress
 from piezo_identification.diagnosis.comparison.reasons import Reason, Undecided
 from piezo_identification.diagnosis.evidence.recording_faults import wrong_sign
 from piezo_identification.diagnosis.evidence.stand_ins import with_stand_ins
@@ -87,7 +89,10 @@ class ResponseSelection:
     is_explained: bool
 
 
-def diagnose_response(model: StageModel, measured: FrequencyResponse) -> ResponseDiagnosis:
+def diagnose_response(
+    model: StageModel, measured: FrequencyResponse,
+    progress: Progress = lambda what, fraction: None, budget: Budget | None = None,
+) -> ResponseDiagnosis:
     """Find which linear effect a model lacks to explain a frequency response.
 
     Creep, a further mode of vibration, a delay and a lag of the sensor are compared. Each is fitted
@@ -99,6 +104,11 @@ def diagnose_response(model: StageModel, measured: FrequencyResponse) -> Respons
     ----------
     measured : FrequencyResponse
         A hold in it is removed.
+    progress : callable
+        Called with (what is done, fraction).
+    budget : Budget, optional
+        Time that the work may take: the comparison then ends with the effects that it has found, as
+        it does with Ctrl-C.
 
     Raises
     ------
@@ -115,8 +125,10 @@ def diagnose_response(model: StageModel, measured: FrequencyResponse) -> Respons
     if is_reversed:
         measured = replace(measured, gain=-measured.gain)
     problem = ResponseProblem(model, measured)
-    selection = select_linear_effects(problem)
-    return _told(problem, selection, is_reversed)
+    budget = budget or Budget()
+    with spending(budget):
+        selection = select_linear_effects(problem, progress)
+    return replace(_told(problem, selection, is_reversed), not_tried=budget.sentence())
 
 
 def moves_against(model: StageModel, measured: FrequencyResponse) -> bool:
@@ -128,28 +140,34 @@ def moves_against(model: StageModel, measured: FrequencyResponse) -> bool:
     return bool(np.sum((gain * response.conj()).real / np.maximum(weight, 1e-300)) < 0.0)
 
 
-def select_linear_effects(problem: ResponseProblem) -> ResponseSelection:
+def select_linear_effects(
+    problem: ResponseProblem, progress: Progress = lambda what, fraction: None,
+) -> ResponseSelection:
     """Add one linear effect after another while the gain on held-out frequencies is convincing."""
+    progress("the model's dynamics", 0.0)
     start = current = problem.fit_dynamics(problem.as_given())
     found = [start]
     effects: list[dict[str, Any]] = []
     tried: list[list[tuple[str, float]]] = []
     not_told_from: dict[str, str] = {}
-    while len(effects) < CRITERIA.most_effects and not is_explained(problem, current):
-        fits = fit_each_candidate(problem, current)
-        tried.append([(fit.effects[-1].name, reduction_percent(problem, current, fit))
-                      for fit in fits])
-        if not fits or not is_convincing(problem, current, fits[0]):
-            break
-        best = fits[0]
-        for other in fits[1:]:
-            if reduction_percent(problem, best, other) > -CRITERIA.told_apart_percent:
-                not_told_from[other.effects[-1].name] = best.effects[-1].name
-        effects.append({
-            "name": best.effects[-1].name,
-            "error_reduction_percent": reduction_percent(problem, current, best)})
-        current = best
-        found.append(current)
+    with while_time_lasts("further linear effects"):
+        while len(effects) < CRITERIA.most_effects and not is_explained(problem, current):
+            # Nobody knows how many follow, as likely one more as none.
+            progress(f"effect {len(effects) + 1}", 1.0 - 0.5 ** len(effects))
+            fits = fit_each_candidate(problem, current)
+            tried.append([(fit.effects[-1].name, reduction_percent(problem, current, fit))
+                          for fit in fits])
+            if not fits or not is_convincing(problem, current, fits[0]):
+                break
+            best = fits[0]
+            for other in fits[1:]:
+                if reduction_percent(problem, best, other) > -CRITERIA.told_apart_percent:
+                    not_told_from[other.effects[-1].name] = best.effects[-1].name
+            effects.append({
+                "name": best.effects[-1].name,
+                "error_reduction_percent": reduction_percent(problem, current, best)})
+            current = best
+            found.append(current)
     kept, refused = _accepted(problem, found)
     current, effects = found[kept], effects[:kept]
     for entry, effect in zip(effects, current.effects, strict=True):

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from piezo_common.budget import Budget
 from piezo_common.picture_style import (
     AFTER,
     BEFORE,
@@ -15,6 +16,7 @@ from piezo_common.picture_style import (
     new_figure,
     to_png,
 )
+from piezo_common.progress_part import Progress
 from piezo_common.report_page import Section, pictured, render_page
 from piezo_identification.diagnosis.evidence.stand_ins import name_of
 from piezo_identification.diagnosis.response.response_diagnosis import (
@@ -32,7 +34,8 @@ DOTS_PER_INCH = 120
 
 def diagnose_response_file(
     model: str | PathLike[str], response: str | PathLike[str], directory: str | PathLike[str],
-    hold_s: float = 0.0,
+    hold_s: float = 0.0, progress: Progress = lambda what, fraction: None,
+    budget: Budget | None = None,
 ) -> ResponseDiagnosis:
     """Diagnose a frequency response and write verdict, extended model, picture and report.
 
@@ -42,6 +45,8 @@ def diagnose_response_file(
         Made if it is missing.
     hold_s : float
         Sample period of a hold in the response, in s; see `FrequencyResponse`.
+    progress, budget
+        See `diagnose_response`.
 
     Raises
     ------
@@ -51,7 +56,7 @@ def diagnose_response_file(
     identified, directory = load_model(model), Path(directory)
     measured = read_frequency_response(Path(response)).held(hold_s)
     directory.mkdir(parents=True, exist_ok=True)
-    diagnosis = diagnose_response(identified.model, measured)
+    diagnosis = diagnose_response(identified.model, measured, progress, budget)
     write_verdict(directory / "verdict.json", diagnosis)
     save_extended_model(directory / "extended_model.json", identified, diagnosis, [response])
     (directory / PICTURE).write_bytes(to_png(response_figure(diagnosis), DOTS_PER_INCH))
@@ -100,5 +105,6 @@ def _report(diagnosis: ResponseDiagnosis) -> str:
     sections.append(Section("What was tried", [
         f"Round {number}, and by how much each reduced the held-out error: "
         + ", ".join(f"{name} {reduction:.1f} %" for name, reduction in attempts)
-        for number, attempts in enumerate(diagnosis.tried, 1)]))
+        for number, attempts in enumerate(diagnosis.tried, 1)]
+        + [f"It ended early: {each}." for each in filter(None, [diagnosis.not_tried])]))
     return render_page(f"{diagnosis.verdict}: {response_sentence(diagnosis)}", (), sections)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
+from piezo_common.budget import while_time_lasts
 from piezo_identification.estimators.estimate import (
     Estimate,
     OrderTrial,
@@ -99,14 +100,21 @@ def estimate_from_response(
             "ask for fewer modes or antiresonances"
         )
     search = ResponseSearch(without_hold(measured))
-    fits: dict[ResponseOrder, ResponseFit] = {}
-    for fit in _fits(search, order, min(most_states, frequencies // 4)):
+    granted: dict[ResponseOrder, ResponseFit] = {}
+    fits = _fits(search, order, min(most_states, frequencies // 4))
+
+    def take(fit: ResponseFit) -> None:
         found = _order(fit)
-        if not _is_model(search, fit):
-            continue
-        if found not in fits or search.information(fit) < search.information(fits[found]):
-            fits[found] = fit
-    granted = {found: fit for found, fit in fits.items() if order.grants(found)}
+        if not order.grants(found) or not _is_model(search, fit):
+            return
+        if found not in granted or search.information(fit) < search.information(granted[found]):
+            granted[found] = fit
+
+    while not granted and (first := next(fits, None)) is not None:
+        take(first)
+    with while_time_lasts("further orders of the response"):
+        for fit in fits:
+            take(fit)
     if not granted:
         raise ValueError(f"{measured.path} cannot be described by order {order}: ask for another")
     chosen = min(granted, key=lambda found: (
@@ -129,11 +137,14 @@ def _fits(
     search: ResponseSearch, order: ResponseOrder, most_states: int,
 ) -> Iterator[ResponseFit]:
     """Yield fits of modes side by side and in series, and what remains of the best of them."""
-    grown = list(search.grown(order, most_states))
+    grown = list[ResponseFit]()
+    for fit in search.grown(order, most_states):
+        grown.append(fit)
+        yield fit
     enough = [fit for fit in grown if fit.form.modes >= (order.modes or 0)]
     best = search.with_another_lag(min(enough, key=search.information))
     grown = [best if fit.form == best.form else fit for fit in grown]
-    yield from grown
+    yield best
     least = np.inf
     if order.antiresonances is None:
         beside = [best, *search.reduced(best, order)]

@@ -3,10 +3,12 @@
 
 import json
 from dataclasses import replace
+from itertools import count
 
 import numpy as np
 import pytest
 
+from piezo_common.budget import Budget
 from piezo_identification.commands.diagnose_command import main
 from piezo_identification.diagnosis.response import response_diagnosis
 from piezo_identification.diagnosis.response.response_diagnosis import diagnose_response
@@ -49,6 +51,17 @@ def test_where_only_other_dynamics_leave_noise_the_model_has_them():
     assert diagnosis.model.dynamics.mode_frequencies_rad_per_s == pytest.approx((2323.0,), rel=1e-4)
     assert diagnosis.after["rms_um"] < 3.0 * diagnosis.noise_floor_um < diagnosis.before["rms_um"]
     assert "slightly other dynamics" in response_sentence(diagnosis)
+
+
+def test_a_diagnosis_whose_time_is_over_says_what_it_has_not_tried():
+    steps = []
+    diagnosis = diagnose_response(
+        MODEL, measured(np.exp(-2j * np.pi * FREQUENCY_HZ * 1e-5), noise=2e-6),
+        lambda step, fraction: steps.append(step), Budget(1.0, count().__next__))
+    assert steps == ["the model's dynamics", "effect 1"]
+    assert (diagnosis.verdict, diagnosis.effects) == ("unexplained", [])
+    assert diagnosis.not_tried == "the time of 1 s is over; not tried: further linear effects"
+    assert diagnosis.document()["interrupted"]
 
 
 def test_less_than_a_percent_of_the_gain_is_named_where_it_is_more_than_noise():

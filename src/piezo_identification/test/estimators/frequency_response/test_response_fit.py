@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: BSD-3-Clause
 from dataclasses import replace
+from itertools import count
 
 import numpy as np
 import pytest
 
+from piezo_common.budget import Budget, spending
 from piezo_identification.estimators.frequency_response.rational_form import RationalForm
 from piezo_identification.estimators.frequency_response.response_file import (
     FrequencyResponse,
     read_frequency_response,
 )
 from piezo_identification.estimators.frequency_response.response_fit import (
+    ANY_ORDER,
     STRONG_EVIDENCE,
     ResponseModel,
     ResponseOrder,
@@ -62,6 +65,15 @@ def test_modes_antiresonances_creep_and_delay_are_found_with_their_number():
     assert estimate.model.error(measured(2)) < 0.01
     chosen = next(line for line in estimate.order_table().splitlines() if "<-" in line)
     assert chosen.split()[0] == "1+3-2"
+
+
+@pytest.mark.parametrize("order", [ANY_ORDER, ResponseOrder(None, 2, None)])
+def test_a_search_whose_time_is_over_takes_the_first_order_that_was_asked_for(order):
+    budget = Budget(1.0, count().__next__)
+    with spending(budget):
+        estimate = estimate_from_response(measured(1), order)
+    assert budget.not_tried == ["further orders of the response"]
+    assert order.grants(estimate.order) and len(estimate.trials) == 1
 
 
 @pytest.mark.long
