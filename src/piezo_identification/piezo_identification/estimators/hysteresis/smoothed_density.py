@@ -44,8 +44,9 @@ which they are compared are too few for a density that is as good on more."""
 PARTS_OF_CELLS = (1, 2, 4)
 """Parts of a cell along each threshold in which plays may be written: their density is narrow."""
 
-ROUNDED = 0.5
-"""Part of the noise by which the cells may err in small loops at most."""
+ROUNDED = 0.1
+"""Part of the noise by which the cells may err in small loops at most: their error returns at each
+reversal, and a mode makes it larger."""
 
 SMALL_LOOP = 0.1
 """Part of the range of the voltage that small loops have."""

@@ -7,6 +7,7 @@ import pytest
 from piezo_identification.estimators.hysteresis.equations import HysteresisSegment
 from piezo_identification.estimators.hysteresis.everett_regression import everett_regression
 from piezo_identification.estimators.hysteresis.play_fit import fit_plays
+from piezo_identification.estimators.hysteresis.smoothed_density import density_of_segments
 
 LEVELS_V = np.linspace(0.0, 100.0, 201)
 HALF_WIDTHS_V, WEIGHTS = np.array([0.0, 2.0, 5.0, 9.0]), np.array([0.08, 0.03, 0.02, 0.01])
@@ -59,3 +60,16 @@ def test_the_unknowns_of_all_grids_are_those_of_one_hysteresis():
     plays = fit_plays([segment(voltage_v, followed_um(voltage_v, 0.05))], LEVELS_V)
     whole_um = [plays.unknowns(size)[size * (size - 1) // 2] for size in (20, 50, 200)]
     assert whole_um == pytest.approx([whole_um[0]] * 3, rel=1e-12)
+
+
+@pytest.mark.long
+def test_small_loops_are_followed_where_most_of_the_gain_turns_within_a_volt():
+    """The cells are then so narrow that they err by a part of the noise."""
+    fitted_v = loops_v([0.0, 100.0, *np.ravel([(5.0 * k, 100.0) for k in range(1, 19)]), 0.0], 6000)
+    noise_um = 1e-2 * np.random.default_rng(0).standard_normal(fitted_v.size)
+    density = density_of_segments(
+        [segment(fitted_v, followed_um(fitted_v, 0.02) + noise_um)], np.linspace(0.0, 100.0, 141))
+    turns_v = 50.0 + np.random.default_rng(3).uniform(-8.0, 8.0, 60)
+    unseen_v = loops_v([100.0, 0.0, 100.0, 20.0, *turns_v], 8000)
+    error_um = density.model().simulate(unseen_v) - followed_um(unseen_v, 0.02)
+    assert np.std(error_um[4000:]) < 0.2 * np.std(noise_um)
