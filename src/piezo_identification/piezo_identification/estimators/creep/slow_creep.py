@@ -218,7 +218,8 @@ class _Problem:
         self.width = kept.shape[1]
         # Rows less what the hysteresis takes of them, which the penalties make a fraction.
         self.rows = count - round(float(np.sum(kept[:count] ** 2)))
-        directions, made, mixed = svd(kept[:count], full_matrices=False)
+        # Hundreds of the values are zero: under some kernels divide and conquer does not converge.
+        directions, made, mixed = svd(kept[:count], full_matrices=False, lapack_driver="gesvd")
         # Sines and cosines of the same angles: the penalties tell how little is left.
         left = np.linalg.norm(kept[count:] @ mixed.T, axis=0)
         return directions[:, made > HELD], left[made > HELD]
