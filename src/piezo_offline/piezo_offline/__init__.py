@@ -17,21 +17,7 @@ if TYPE_CHECKING:
         simulate,
     )
 
-_HOMES = {
-    "load_controller": "files",
-    "load_model": "files",
-    "save_controller": "files",
-    "save_model": "files",
-    "DataWarning": "given_data",
-    "read": "given_data",
-    "design": "steps",
-    "diagnose": "steps",
-    "extend": "steps",
-    "identify": "steps",
-    "plot_residuals": "steps",
-    "simulate": "steps",
-}
-__getattr__, __dir__ = lazy_exports(__name__, _HOMES)
+__getattr__, __dir__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "DataWarning", "design", "diagnose", "extend", "identify", "load_controller", "load_model",
