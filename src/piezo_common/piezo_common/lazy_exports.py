@@ -18,8 +18,8 @@ def lazy_exports(package: str, source: str,
     Parameters
     ----------
     package, source : str
-        ``__name__`` and ``__file__``. The source imports each name from its module below the
-        package for type checkers only, under ``if TYPE_CHECKING``.
+        ``__name__`` and ``__file__``. The source imports each name from its module for type
+        checkers only, under its one ``if``.
 
     Returns
     -------
@@ -27,9 +27,8 @@ def lazy_exports(package: str, source: str,
         To be named ``__getattr__`` and ``__dir__`` in the package.
     """
     tree = ast.parse(Path(source).read_text(encoding="utf-8"))
-    homes = {alias.name: node.module for node in ast.walk(tree)
-             if isinstance(node, ast.ImportFrom) and node.module
-             and node.module.startswith(f"{package}.") for alias in node.names}
+    homes = {alias.name: str(node.module) for block in tree.body if isinstance(block, ast.If)
+             for node in block.body if isinstance(node, ast.ImportFrom) for alias in node.names}
 
     def getter(name: str) -> Any:
         if name not in homes:
