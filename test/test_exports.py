@@ -9,18 +9,28 @@ from pathlib import Path
 
 import pytest
 
-PACKAGES = ("piezo_offline", "piezo_recorder", "piezo_sim", "piezo_stage_driver")
+PACKAGES = ("piezo_identification", "piezo_models", "piezo_offline", "piezo_recorder", "piezo_sim",
+            "piezo_stage_driver")
+ROOMS = ("piezo_identification.prediction", "piezo_models.hysteresis", "piezo_models.linear")
 
 
-@pytest.mark.parametrize("name", PACKAGES)
+@pytest.mark.parametrize("name", PACKAGES + ROOMS)
 def test_every_exported_name_is_there_and_the_lists_agree(name):
     package = importlib.import_module(name)
     tree = ast.parse(Path(package.__file__).read_text(encoding="utf-8"))
-    typed = {alias.name: node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)
-             for alias in node.names if node.module.startswith(name)}
+    (for_types,) = (node for node in tree.body if isinstance(node, ast.If))
+    typed = {alias.name: node.module for node in for_types.body for alias in node.names}
     assert set(package.__all__) == typed.keys() <= set(dir(package))
     for exported, module in typed.items():
         assert getattr(package, exported) is getattr(importlib.import_module(module), exported)
+
+
+@pytest.mark.parametrize("name", PACKAGES + ROOMS)
+def test_exported_names_are_not_those_of_modules(name):
+    # Importing the module first would put it in the place of the exported function.
+    package = importlib.import_module(name)
+    assert not {path.stem for path in Path(package.__file__).parent.iterdir()} & set(
+        package.__all__)
 
 
 @pytest.mark.parametrize("name", PACKAGES)

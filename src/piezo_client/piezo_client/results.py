@@ -12,12 +12,25 @@ if TYPE_CHECKING:
     from piezo_models.identified_model import IdentifiedModel
 
 
-@dataclass(frozen=True)
-class _Run:
+class _AtPath:
     path: Path
 
     def __fspath__(self) -> str:
         return str(self.path)
+
+
+class _ModelFile(_AtPath):
+    def model(self) -> "IdentifiedModel":
+        """Read the model file: a `piezo_models.identified_model.IdentifiedModel`."""
+        # Its imports take seconds, which a client that only drives the stage need not wait for.
+        from piezo_models.model_file import load_model
+
+        return load_model(self.path)
+
+
+@dataclass(frozen=True)
+class _Run(_AtPath):
+    path: Path
 
     def recording(self) -> Recording:
         """Read the samples: a `piezo_recorder.reading.recording.Recording`."""
@@ -74,7 +87,7 @@ class Tracking(_Run):
 
 
 @dataclass(frozen=True)
-class Identification:
+class Identification(_ModelFile):
     """A stage that was identified; may be given wherever a model file is asked for.
 
     Attributes
@@ -98,16 +111,9 @@ class Identification:
     adequacy: str = ""
     components: dict[str, dict[str, Any]] = field(default_factory=dict)
 
-    def __fspath__(self) -> str:
-        return str(self.path)
-
-    def model(self) -> "IdentifiedModel":
-        """Read the model file: a `piezo_models.identified_model.IdentifiedModel`."""
-        return _load_model(self.path)
-
 
 @dataclass(frozen=True)
-class Diagnosis:
+class Diagnosis(_ModelFile):
     """What a model lacks; may be given wherever a model file is asked for: the extended one.
 
     Attributes
@@ -139,16 +145,9 @@ class Diagnosis:
     decision: str = ""
     experiments: tuple[Path, ...] = ()
 
-    def __fspath__(self) -> str:
-        return str(self.path)
-
-    def model(self) -> "IdentifiedModel":
-        """Read the extended model's file: a `piezo_models.identified_model.IdentifiedModel`."""
-        return _load_model(self.path)
-
 
 @dataclass(frozen=True)
-class OfferedModel:
+class OfferedModel(_AtPath):
     """A model that the monitor offers; may be given wherever a model file is asked for.
 
     Attributes
@@ -171,13 +170,3 @@ class OfferedModel:
     since_s: float
     before_rms_um: float
     after_rms_um: float
-
-    def __fspath__(self) -> str:
-        return str(self.path)
-
-
-def _load_model(path: Path) -> "IdentifiedModel":
-    # Its imports take seconds, which a client that only drives the stage need not wait for.
-    from piezo_models.model_file import load_model
-
-    return load_model(path)

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Export names of a package that are imported when they are first used (PEP 562)."""
 
+import ast
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 
-def lazy_exports(package: str, homes: Mapping[str, str],
+def lazy_exports(package: str, source: str,
                  ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """Return the functions ``__getattr__`` and ``__dir__`` of a package.
 
@@ -15,20 +17,23 @@ def lazy_exports(package: str, homes: Mapping[str, str],
 
     Parameters
     ----------
-    package : str
-        Name of the package, ``__name__``.
-    homes : mapping of str to str
-        Module of each name, below the package.
+    package, source : str
+        ``__name__`` and ``__file__``. The source imports each name from its module for type
+        checkers only, under its one ``if``.
 
     Returns
     -------
     getter, lister : callable
         To be named ``__getattr__`` and ``__dir__`` in the package.
     """
+    tree = ast.parse(Path(source).read_text(encoding="utf-8"))
+    homes = {alias.name: str(node.module) for block in tree.body if isinstance(block, ast.If)
+             for node in block.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+
     def getter(name: str) -> Any:
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        value = getattr(import_module(f"{package}.{homes[name]}"), name)
+        value = getattr(import_module(homes[name]), name)
         setattr(sys.modules[package], name, value)
         return value
 

@@ -37,32 +37,7 @@ if TYPE_CHECKING:
     from piezo_identification.prediction.prediction import Prediction, predict
     from piezo_identification.prediction.prediction_errors import unseen_errors
 
-_HOMES = {
-    "diagnose": "diagnosis.diagnose",
-    "alternatives_of_files": "diagnosis.experiment_design.propose",
-    "decide": "diagnosis.experiment_design.decide",
-    "propose": "diagnosis.experiment_design.propose",
-    "ModelMonitor": "monitoring.model_monitor",
-    "estimate_creep": "estimators.creep.square_wave_creep",
-    "estimate_dynamics": "estimators.dynamics.square_wave",
-    "estimate_dynamics_multisine": "estimators.dynamics.multisine",
-    "Estimate": "estimators.estimate",
-    "FrequencyResponse": "estimators.frequency_response.response_file",
-    "read_frequency_response": "estimators.frequency_response.response_file",
-    "ResponseOrder": "estimators.frequency_response.response_fit",
-    "estimate_from_response": "estimators.frequency_response.response_fit",
-    "DensityEstimate": "estimators.hysteresis.density_estimate",
-    "estimate_density": "estimators.hysteresis.density_fit",
-    "Experiment": "experiments.catalogue",
-    "StageLimits": "experiments.catalogue",
-    "named_experiment": "experiments.catalogue",
-    "identify": "identification.identify",
-    "IdentificationCancelled": "identification.progress",
-    "Prediction": "prediction.prediction",
-    "predict": "prediction.prediction",
-    "unseen_errors": "prediction.prediction_errors",
-}
-__getattr__, __dir__ = lazy_exports(__name__, _HOMES)
+__getattr__, __dir__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "DensityEstimate", "Estimate", "Experiment", "FrequencyResponse", "IdentificationCancelled",

@@ -24,32 +24,7 @@ if TYPE_CHECKING:
     from piezo_models.model_document import ModelFileError
     from piezo_models.model_file import load_model, save_model
 
-_HOMES = {
-    "StageMemory": "cascade",
-    "StageModel": "cascade",
-    "from_control": "control_objects",
-    "to_control": "control_objects",
-    "EFFECTS": "effects",
-    "Effect": "effects",
-    "known_effects": "effects",
-    "FirstRise": "hysteresis.first_rise",
-    "HystereticCreep": "hysteresis.hysteretic_creep",
-    "PreisachMemory": "hysteresis.preisach",
-    "PreisachModel": "hysteresis.preisach",
-    "IdentifiedModel": "identified_model",
-    "CreepDynamics": "linear.dynamics",
-    "ElectricVibrationDynamics": "linear.dynamics",
-    "simulate_linear": "linear.dynamics",
-    "zoh": "linear.dynamics",
-    "invert_linear_periodic": "linear.periodic_inversion",
-    "e_r_percent": "measures",
-    "e_rms_percent": "measures",
-    "e_y_percent": "measures",
-    "ModelFileError": "model_document",
-    "load_model": "model_file",
-    "save_model": "model_file",
-}
-__getattr__, __dir__ = lazy_exports(__name__, _HOMES)
+__getattr__, __dir__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "CreepDynamics", "EFFECTS", "Effect", "ElectricVibrationDynamics", "FirstRise",

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 from piezo_common.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
-    from piezo_offline.files import load_controller, load_model, save_controller, save_model
+    from piezo_controller.feedback.controller_file import load_controller, save_controller
+    from piezo_models.model_file import load_model, save_model
     from piezo_offline.given_data import DataWarning, read
     from piezo_offline.steps import (
         design,
@@ -17,21 +18,7 @@ if TYPE_CHECKING:
         simulate,
     )
 
-_HOMES = {
-    "load_controller": "files",
-    "load_model": "files",
-    "save_controller": "files",
-    "save_model": "files",
-    "DataWarning": "given_data",
-    "read": "given_data",
-    "design": "steps",
-    "diagnose": "steps",
-    "extend": "steps",
-    "identify": "steps",
-    "plot_residuals": "steps",
-    "simulate": "steps",
-}
-__getattr__, __dir__ = lazy_exports(__name__, _HOMES)
+__getattr__, __dir__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "DataWarning", "design", "diagnose", "extend", "identify", "load_controller", "load_model",

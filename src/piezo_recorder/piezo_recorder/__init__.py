@@ -16,25 +16,7 @@ if TYPE_CHECKING:
     from piezo_recorder.writing.repair import repair
     from piezo_recorder.writing.writer import RecordingWriter
 
-_HOMES = {
-    "ColumnsDocument": "reading.columns",
-    "parse_columns": "reading.columns",
-    "read_frame": "reading.frames",
-    "to_frame": "reading.frames",
-    "to_xarray": "reading.frames",
-    "recording_of": "reading.memory",
-    "recordings_in": "reading.memory",
-    "read_recording": "reading.reader",
-    "read_recordings": "reading.reader",
-    "sha256_of": "reading.reader",
-    "Recording": "reading.recording",
-    "RecordingError": "reading.recording",
-    "Flag": "sample_block",
-    "MessageDefinition": "writing.message_definition",
-    "repair": "writing.repair",
-    "RecordingWriter": "writing.writer",
-}
-__getattr__, __dir__ = lazy_exports(__name__, _HOMES)
+__getattr__, __dir__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "ColumnsDocument", "Flag", "MessageDefinition", "Recording", "RecordingError",

@@ -11,14 +11,7 @@ if TYPE_CHECKING:
     from piezo_sim.plant.plant_file import read_plant
     from piezo_sim.simulated_stage import SimulatedStage
 
-_HOMES = {
-    "Plant": "plant.plant",
-    "PlantConfigError": "plant.plant_effect",
-    "Surroundings": "plant.plant_effect",
-    "read_plant": "plant.plant_file",
-    "SimulatedStage": "simulated_stage",
-}
-__getattr__, __dir__ = lazy_exports(__name__, _HOMES)
+__getattr__, __dir__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "Plant", "PlantConfigError", "SimulatedStage", "Surroundings", "read_plant",

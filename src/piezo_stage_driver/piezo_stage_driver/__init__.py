@@ -16,22 +16,7 @@ if TYPE_CHECKING:
     from piezo_stage_driver.safety.limits import FeedbackLimits, LimitError, VoltageLimits
     from piezo_stage_driver.safety.supervisor import StageSupervisor
 
-_HOMES = {
-    "BackendFault": "backends.backend",
-    "StageBackend": "backends.backend",
-    "BackendSettings": "backends.registry",
-    "create_backend": "backends.registry",
-    "Block": "engine.blocks",
-    "StageRefusal": "engine.program",
-    "StageEngine": "engine.stage_engine",
-    "Command": "safety.commands",
-    "StopLatch": "safety.guards",
-    "FeedbackLimits": "safety.limits",
-    "LimitError": "safety.limits",
-    "VoltageLimits": "safety.limits",
-    "StageSupervisor": "safety.supervisor",
-}
-__getattr__, __dir__ = lazy_exports(__name__, _HOMES)
+__getattr__, __dir__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "BackendFault", "BackendSettings", "Block", "Command", "FeedbackLimits", "LimitError",

@@ -18,6 +18,7 @@ from piezo_controller.feedback.synthesis.generalised_plant import (
     design_plant,
     generalised_plant,
     hysteresis_gain_range,
+    lift,
 )
 from piezo_controller.feedback.synthesis.h_infinity import (
     NoController,
@@ -25,7 +26,6 @@ from piezo_controller.feedback.synthesis.h_infinity import (
     is_stable,
     synthesise,
 )
-from piezo_controller.feedback.synthesis.lifted_plant import lift
 from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_models.linear.dynamics import simulate_linear, zoh
 

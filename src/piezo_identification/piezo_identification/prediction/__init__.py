@@ -9,13 +9,7 @@ if TYPE_CHECKING:
     from piezo_identification.prediction.prediction import Prediction, predict
     from piezo_identification.prediction.prediction_errors import errors_of, unseen_errors
 
-_HOMES = {
-    "Prediction": "prediction",
-    "predict": "prediction",
-    "errors_of": "prediction_errors",
-    "unseen_errors": "prediction_errors",
-}
-__getattr__, __dir__ = lazy_exports(__name__, _HOMES)
+__getattr__, __dir__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "Prediction", "errors_of", "predict", "unseen_errors",

@@ -317,8 +317,8 @@ def _growth(heights: FloatArray) -> str:
 
 def _first_over_last(values: FloatArray) -> float:
     """Return the ratio of the usual first value to the usual last, or its inverse, from 1 up."""
-    first, last = np.median(values[:3]), np.median(values[-3:])
-    return float(max(first, last) / min(first, last))
+    least, most = sorted((float(np.median(values[:3])), float(np.median(values[-3:]))))
+    return most / least if least else np.inf
 
 
 def _spectrum(voltage_v: FloatArray, period_s: float) -> tuple[float, float, float, float]:

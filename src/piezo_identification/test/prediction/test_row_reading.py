@@ -79,6 +79,14 @@ def test_commands_and_python_read_rows_as_identified_unless_it_was_said_how():
     assert sentences == [] and kept is recording
 
 
+def test_a_sign_that_a_simulation_changed_is_said():
+    upright = recorded(0.0)
+    prediction, sentences = predict_as_identified(
+        identified(0.0), replace(upright, displacement_um=-upright.displacement_um))
+    assert prediction.reversed and prediction.e_y_percent() < 1.0
+    assert len(sentences) == 1 and "its sign is changed" in sentences[0]
+
+
 def test_what_was_aligned_is_said():
     assert "read 0.5 sample periods after" in rows_sentence("b.csv", 0.5)
     assert rows_sentence("b.csv", 0.0) == ""

@@ -79,6 +79,7 @@ def test_jumps_period_and_time_between_reversals_are_measured():
 
 @pytest.mark.parametrize("amplitude, words", [
     (TIME_S, "amplitude grows"), (np.floor(TIME_S / 2.0) + 1.0, "amplitude grows"),
+    (np.maximum(TIME_S - 4.0, 0.0), "amplitude grows"),
     (np.exp(-0.1 * TIME_S), "amplitude shrinks")])
 def test_a_sine_whose_amplitude_changes_says_so_and_has_neither_period_nor_jumps(amplitude, words):
     found = waveform_of(amplitude * np.sin(2.0 * np.pi * TIME_S), PERIOD_S)

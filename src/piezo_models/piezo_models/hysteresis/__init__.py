@@ -10,14 +10,7 @@ if TYPE_CHECKING:
     from piezo_models.hysteresis.hysteretic_creep import HystereticCreep, HystereticCreepMemory
     from piezo_models.hysteresis.preisach import PreisachMemory, PreisachModel
 
-_HOMES = {
-    "FirstRise": "first_rise",
-    "HystereticCreep": "hysteretic_creep",
-    "HystereticCreepMemory": "hysteretic_creep",
-    "PreisachMemory": "preisach",
-    "PreisachModel": "preisach",
-}
-__getattr__, __dir__ = lazy_exports(__name__, _HOMES)
+__getattr__, __dir__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "FirstRise", "HystereticCreep", "HystereticCreepMemory", "PreisachMemory", "PreisachModel",

@@ -17,17 +17,7 @@ if TYPE_CHECKING:
     )
     from piezo_models.linear.periodic_inversion import invert_linear_periodic
 
-_HOMES = {
-    "CreepDynamics": "dynamics",
-    "ElectricVibrationDynamics": "dynamics",
-    "continue_linear": "dynamics",
-    "equilibrium_state": "dynamics",
-    "simulate_linear": "dynamics",
-    "zoh": "dynamics",
-    "zoh_response": "dynamics",
-    "invert_linear_periodic": "periodic_inversion",
-}
-__getattr__, __dir__ = lazy_exports(__name__, _HOMES)
+__getattr__, __dir__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "CreepDynamics", "ElectricVibrationDynamics", "continue_linear", "equilibrium_state",

@@ -11,12 +11,11 @@ import importlib
 import threading
 from collections.abc import Coroutine
 from types import SimpleNamespace
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 import numpy as np
-from pydantic import model_validator
 
-from piezo_common.schema import Document, Number, entry, violation
+from piezo_common.schema import Document, Positive, entry
 from piezo_stage_driver.backends.registry import BackendSettings
 from piezo_stage_driver.backends.stored_waveforms import (
     StoredWaveformStage,
@@ -26,7 +25,6 @@ from piezo_stage_driver.backends.stored_waveforms import (
 
 CLOCK_HZ = 20000.0
 GENERATOR_SAMPLES = 1024
-INTERFACES = ("serial", "telnet")
 POSITION_CHANNEL, VOLTAGE_CHANNEL = 0, 1
 
 Answer = TypeVar("Answer")
@@ -45,21 +43,13 @@ class Nv200Settings(Document):
     SYNTAX: ClassVar[str] = "yaml"
     RENEW: ClassVar[str] = "add it"
 
-    interface: str = entry(f"One of {', '.join(INTERFACES)}.")
+    interface: Literal["serial", "telnet"] = entry("How the device is connected.")
     address: str = entry("Serial port, such as /dev/ttyUSB0; with telnet the IP address.")
     longest_program_samples: int = entry(
         "Longest waveform with its ramps; the stage is ahead by so much.",
         at_least=1, at_most=GENERATOR_SAMPLES)
-    transfer_s: Number = entry("What storing a waveform and reading its record may take.",
-                               unit="s")
-
-    @model_validator(mode="after")
-    def _check_together(self) -> "Nv200Settings":
-        if self.interface not in INTERFACES:
-            raise violation(f"is none of {', '.join(INTERFACES)}", "give one of them", "interface")
-        if self.transfer_s <= 0.0:
-            raise violation("is not above 0", "give the time in s", "transfer_s")
-        return self
+    transfer_s: Positive = entry("What storing a waveform and reading its record may take.",
+                                 unit="s")
 
 
 def load_library() -> SimpleNamespace:

@@ -10,12 +10,12 @@ values of the open loop.
 import importlib
 import time
 from types import SimpleNamespace
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 from pydantic import model_validator
 
-from piezo_common.schema import Document, Number, entry, violation
+from piezo_common.schema import Document, Number, Positive, entry, violation
 from piezo_stage_driver.backends.registry import BackendSettings
 from piezo_stage_driver.backends.stored_waveforms import (
     StoredWaveformStage,
@@ -23,7 +23,6 @@ from piezo_stage_driver.backends.stored_waveforms import (
     whole_divider,
 )
 
-INTERFACES = ("tcpip", "usb")
 # Parameters and codes of GCS 2.0.
 SERVO_UPDATE_TIME_S = 0x0E000200
 RECORD_POINTS = 0x16000200
@@ -57,7 +56,7 @@ class PiSettings(Document):
     RENEW: ClassVar[str] = "add it"
 
     controller: str = entry("Name by which pipython knows the controller, such as E-727.")
-    interface: str = entry(f"One of {', '.join(INTERFACES)}.")
+    interface: Literal["tcpip", "usb"] = entry("How the controller is connected.")
     address: str = entry("Host name or IP address; with usb the serial number.")
     axis: str = entry("Axis of the controller.")
     output_channel: int = entry("Piezo channel whose voltage is recorded.", at_least=1)
@@ -73,18 +72,14 @@ class PiSettings(Document):
     points_per_command: int = entry("Wave points in one command.", at_least=1)
     longest_program_samples: int = entry(
         "Longest waveform with its ramps; the stage is ahead by so much.", at_least=1)
-    transfer_s: Number = entry("What storing a waveform and reading its record may take.",
-                               unit="s")
+    transfer_s: Positive = entry("What storing a waveform and reading its record may take.",
+                                 unit="s")
 
     @model_validator(mode="after")
     def _check_together(self) -> "PiSettings":
-        if self.interface not in INTERFACES:
-            raise violation(f"is none of {', '.join(INTERFACES)}", "give one of them", "interface")
         for name in ("control_per_v", "displacement_um_per_unit"):
             if getattr(self, name) == 0.0:
                 raise violation("is 0", "measure it", name)
-        if self.transfer_s <= 0.0:
-            raise violation("is not above 0", "give the time in s", "transfer_s")
         return self
 
 

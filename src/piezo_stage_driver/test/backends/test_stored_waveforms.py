@@ -247,11 +247,11 @@ def test_missing_library_and_missing_file_get_one_line(name, monkeypatch, make):
 
 
 @pytest.mark.parametrize(("name", "change", "sentence"), [
-    ("pi_gcs", {"interface": "gpib"}, "interface is none of tcpip, usb"),
+    ("pi_gcs", {"interface": "gpib"}, "interface is not 'tcpip' or 'usb'"),
     ("pi_gcs", {"control_per_v": 0.0}, "control_per_v is 0"),
-    ("pi_gcs", {"transfer_s": 0.0}, "transfer_s is not above 0"),
+    ("pi_gcs", {"transfer_s": 0.0}, "transfer_s is out of range"),
     ("pi_gcs", {"axis": None}, "axis"),
-    ("nv200", {"interface": "tcp"}, "interface is none of serial, telnet"),
+    ("nv200", {"interface": "tcp"}, "interface is not 'serial' or 'telnet'"),
     ("nv200", {"longest_program_samples": 2000}, "longest_program_samples is out of range"),
     ("nv200", {"rate": 1}, "rate is unknown"),
 ])

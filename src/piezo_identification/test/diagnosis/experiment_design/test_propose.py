@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from piezo_identification.commands import propose_work
 from piezo_identification.commands.propose_command import main
+from piezo_identification.conditioning.row_alignment import rows_read_at_start
 from piezo_identification.diagnosis.comparison.reasons import Reason
 from piezo_identification.diagnosis.experiment_design import expected_outcome as expected
 from piezo_identification.diagnosis.experiment_design.alternatives import effects_of
@@ -191,6 +193,29 @@ def test_command_writes_waveform_and_outcome(plant, play, csv_of, tmp_path, monk
     assert "has no effects: give the verdict.json" in capsys.readouterr().err
     assert main([*arguments, "--longest-s", "0"]) == 2
     assert "--longest-s is 0: give a number above 0" in capsys.readouterr().err
+
+
+def test_command_reads_rows_as_the_diagnosis_read_them(
+        plant, play, csv_of, tmp_path, monkeypatch, capsys):
+    """The logger reads the displacement of a row at the end of its hold, as the model file says."""
+    row = {"read_at_samples": 1.0, "delay_s": 0.0, "standard_deviation_s": 0.0}
+    save_model(tmp_path / "model.json",
+               IdentifiedModel(plant, (-20.0, 120.0), rows={"dynamics": row}))
+    (tmp_path / "verdict.json").write_text(json.dumps(VERDICT))
+    late = rows_read_at_start(play(chirp(2000.0), 1, 10_000.0), -1.0)
+    csv_of(late, tmp_path / "late.csv")
+    given = []
+
+    def stop(model, recordings, *_):
+        given.extend(recordings)
+        raise ValueError("seen")
+
+    monkeypatch.setattr(propose_work, "alternatives_of_files", stop)
+    assert main(["--model", str(tmp_path / "model.json"), "--verdict",
+                 str(tmp_path / "verdict.json"), "--data", str(tmp_path / "late.csv"),
+                 "--output", str(tmp_path / "next")]) == 2
+    assert "read 1 sample periods after their voltage" in capsys.readouterr().out
+    assert given[0].sample_index[0] == 1
 
 
 def test_effects_that_nobody_knows_are_refused():
