@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piezo_common.arrays import FloatArray
-from piezo_common.budget import SEARCH, while_time_lasts
+from piezo_common.budget import SEARCH, has_time_for, while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.estimators.hysteresis.density_estimate import (
     LINE,
@@ -150,10 +150,8 @@ def density_of_segments(
     elif smoothing_weight is None:
         choice, plays, segments, parts = _choice_for(
             segments, levels_v, translation_weight, near)
-        with while_time_lasts("a density of more cells", WEIGHTS) as cells:
-            check_cancelled()
-        if (plays is not None or cells.was_cut) and (
-                size % 2 == 0 and size >= 2 * CELLS_FOR_THE_WEIGHT):
+        if size % 2 == 0 and size >= 2 * CELLS_FOR_THE_WEIGHT and (
+                plays is not None or not has_time_for("a density of more cells", WEIGHTS)):
             # What is smooth needs fewer cells.
             levels_v, size = levels_v[::2], size // 2
             parts = parts if plays is None else 2 * parts

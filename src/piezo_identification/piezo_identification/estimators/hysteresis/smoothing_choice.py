@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
-from piezo_common.budget import while_time_lasts
-from piezo_common.cancellation import check_cancelled
+from piezo_common.budget import has_time_for, while_time_lasts
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.conditioning.waveforms import turning_points
 from piezo_identification.estimators.hysteresis.equations import (
@@ -122,10 +121,8 @@ def choose_penalties(
         Chosen from nearly the same segments: the smoothing is sought from there.
     """
     trials = _Trials(equations_of_folds(segments, levels_v, branch_folds(segments), about))
-    with while_time_lasts(FURTHER_WEIGHTS, WEIGHTS) as choice:
-        check_cancelled()
-    if choice.was_cut:
-        near = near or Penalties(USUAL, translation or 0.0)
+    if near is None and not has_time_for(FURTHER_WEIGHTS, WEIGHTS):
+        near = Penalties(USUAL, translation or 0.0)
     if near is not None:
         penalties = trials.best_near(near)
         # About plays nothing asks for another.
