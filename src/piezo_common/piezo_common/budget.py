@@ -130,6 +130,13 @@ def while_time_lasts(what: str, share: float = SEARCH) -> Iterator[Part]:
         part.was_cut = True
 
 
+def has_time_for(what: str, share: float = SEARCH) -> bool:
+    """Tell whether there is time for a part of the work, which is noted as not tried otherwise."""
+    with while_time_lasts(what, share) as part:
+        check_cancelled()
+    return not part.was_cut
+
+
 def is_time_up() -> bool:
     """Tell whether the block of `while_time_lasts` around has to end."""
     try:

@@ -3,7 +3,7 @@
 
 import pytest
 
-from piezo_common.budget import Budget, is_time_up, spending, while_time_lasts
+from piezo_common.budget import Budget, has_time_for, is_time_up, spending, while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_common.side_by_side import side_by_side
 
@@ -56,6 +56,14 @@ def test_without_a_budget_all_is_done(clock):
     assert steps_until_the_end(clock) == 20
     with spending(Budget(clock=clock)) as nothing:
         assert nothing is None and steps_until_the_end(clock) == 20
+
+
+def test_work_for_which_there_is_no_time_is_noted(clock):
+    budget = Budget(10.0, clock)
+    with spending(budget):
+        clock.seconds = 6.0
+        assert has_time_for("most", 0.7) and not has_time_for("half", 0.5)
+    assert budget.not_tried == ["half"]
 
 
 def test_ctrl_c_ends_its_block_and_all_that_follow(clock):

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from hashlib import blake2b
 
 import numpy as np
-from scipy.signal import correlate, detrend
+from scipy.signal import correlate
 from scipy.signal.windows import hann
 
 from piezo_common.arrays import FloatArray
@@ -135,9 +135,16 @@ def noise_from_rest_um(displacement_um: FloatArray, voltage_v: FloatArray,
     # The first half may still move.
     starts, ends = edges[:-1] + np.diff(edges) // 2, edges[1:]
     long = ends - starts >= fewest
-    spreads = [np.std(detrend(displacement_um[start:end]))
+    spreads = [_spread_about_line(displacement_um[start:end])
                for start, end in zip(starts[long], ends[long], strict=True)]
     return float(np.median(spreads)) if spreads else None
+
+
+def _spread_about_line(values: FloatArray) -> float:
+    """Return the standard deviation about a straight line; there may be thousands of rests."""
+    at = np.arange(values.size) - 0.5 * (values.size - 1)
+    about = values - values.mean()
+    return float(np.std(about - at * ((at @ about) / (at @ at))))
 
 
 def noise_from_repeats_um(displacement_um: FloatArray, period: int) -> float | None:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.estimators.hysteresis.play_fit import PlaySum
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.model_summary import visited_fraction
 
@@ -37,8 +38,8 @@ class DensityEstimate:
         For the smoothed method.
     translation_weight : float
         For the smoothed method.
-    is_about_plays : bool
-        The density is smoothed about a sum of plays.
+    plays : PlaySum, optional
+        About which the density is smoothed.
     """
 
     method: str
@@ -49,7 +50,7 @@ class DensityEstimate:
     reversible_um_per_v: FloatArray
     smoothing_weight: float | None = None
     translation_weight: float = 0.0
-    is_about_plays: bool = False
+    plays: PlaySum | None = None
 
     @property
     def is_line(self) -> bool:
@@ -72,7 +73,7 @@ class DensityEstimate:
         """One line for people: method, grid, and what was not visited."""
         if self.is_line:
             return f"{self.method}: {self.reversible_um_per_v[0]:.6g} um/V"
-        method = f"{self.method}, about a sum of plays" if self.is_about_plays else self.method
+        method = f"{self.method}, about a sum of plays" if self.plays is not None else self.method
         words = [f"{method}, {len(self.visited)} x {len(self.visited)} cells"]
         if self.smoothing_weight is not None:
             words.append(f"smoothing weight {self.smoothing_weight:.0e}")

@@ -2,7 +2,6 @@
 """Sparse quadratic minimum under linear bounds, for a density that is nowhere negative."""
 
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 from scipy.sparse import csc_array, csr_array
@@ -75,14 +74,16 @@ def nonnegative_minimum(
         )[0]
         return solved[:, 0] - solved[:, 1:] @ beside, beside
 
-    def slope(point: FloatArray, beside: FloatArray, step: FloatArray, step_beside: FloatArray,
-              length: float) -> float:
-        """Return the slope of the function along a step."""
-        there, there_beside = point + length * step, beside + length * step_beside
-        force = np.maximum(forces - penalty * (bounded @ there), 0.0)
-        gradient = quadratic @ there + border @ there_beside - linear - bounded.T @ force
-        gradient_beside = border.T @ there + corner @ there_beside - border_linear
-        return float(gradient @ step + gradient_beside @ step_beside)
+    def slope_along(step: FloatArray,
+                    step_beside: FloatArray) -> Callable[[float], float]:
+        """Return the slope of the function along a step from the point, by the length."""
+        moved = bounded @ step
+        start = (quadratic @ point + border @ beside - linear) @ step + (
+            border.T @ point + corner @ beside - border_linear) @ step_beside
+        bend = (quadratic @ step + border @ step_beside) @ step + (
+            border.T @ step + corner @ step_beside) @ step_beside
+        return lambda length: float(start + length * bend - np.maximum(
+            forces - penalty * (values + length * moved), 0.0) @ moved)
 
     active = forces > 0.0
     point, beside = newton_point(active)
@@ -98,7 +99,7 @@ def nonnegative_minimum(
         active = violated
         target, target_beside = newton_point(active)
         step, step_beside = target - point, target_beside - beside
-        length = _length(partial(slope, point, beside, step, step_beside))
+        length = _length(slope_along(step, step_beside))
         point, beside = point + length * step, beside + length * step_beside
     return point, beside, np.maximum(forces - penalty * (bounded @ point), 0.0)
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares, nnls
 
 from piezo_common.arrays import FloatArray
+from piezo_common.cancellation import check_cancelled
 from piezo_identification.estimators.hysteresis.equations import HysteresisSegment
 from piezo_identification.estimators.hysteresis.everett_regression import remembered_pairs
 
@@ -38,6 +39,9 @@ MOST_BENT = 2.0
 
 STEP, MOST_EVALUATIONS = 1e-3, 15
 """Step of the derivatives by the curves' coefficients, and steps of the search."""
+
+WORTHWHILE = 1e-5
+"""Part of the squares that a step has to gain for another: less of `MOST_ROWS` rows is chance."""
 
 LARGEST_GAIN = 1.01
 """Factor by which the squares may rise where the reversible part, or the bend of the curves, is
@@ -101,7 +105,8 @@ class PlaySum:
         return np.concatenate([everett_um, np.diff(reversible_um) + narrow_um])
 
 
-def fit_plays(segments: Sequence[HysteresisSegment], levels_v: FloatArray) -> PlaySum | None:
+def fit_plays(segments: Sequence[HysteresisSegment], levels_v: FloatArray,
+              near: PlaySum | None = None) -> PlaySum | None:
     """Fit a sum of plays to loops.
 
     For any two curves the weights of least error are those of a linear regression without negative
@@ -113,6 +118,8 @@ def fit_plays(segments: Sequence[HysteresisSegment], levels_v: FloatArray) -> Pl
         Each has offsets of its own.
     levels_v : (n + 1,) array
         Uniform and increasing; their ends are those of the range.
+    near : PlaySum, optional
+        Of nearly the same loops: the search begins with its curves.
 
     Returns
     -------
@@ -124,8 +131,9 @@ def fit_plays(segments: Sequence[HysteresisSegment], levels_v: FloatArray) -> Pl
         return None
     straight = np.zeros(5)
     bent = least_squares(
-        regression.left_um, straight, bounds=(-MOST_BENT, MOST_BENT), diff_step=STEP,
-        x_scale=0.1, max_nfev=MOST_EVALUATIONS)
+        regression.left_um, straight if near is None else np.append(near.rising, near.falling),
+        bounds=(-MOST_BENT, MOST_BENT), diff_step=STEP, x_scale=0.1, ftol=WORTHWHILE,
+        max_nfev=MOST_EVALUATIONS)
     curves = bent.x
     if np.sum(regression.left_um(straight) ** 2) < LARGEST_GAIN * 2.0 * bent.cost:
         # A few loops may be those of many curves.
@@ -195,6 +203,7 @@ class _PlayRegression:
 
     def left_um(self, curves: FloatArray) -> FloatArray:
         """Return what the plays of least error leave for two curves, in um."""
+        check_cancelled()
         return self.weights(curves)[1]
 
 

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piezo_common.arrays import FloatArray
-from piezo_common.budget import while_time_lasts
+from piezo_common.budget import SEARCH, has_time_for, while_time_lasts
+from piezo_common.cancellation import check_cancelled
 from piezo_identification.estimators.hysteresis.density_estimate import (
     LINE,
     DensityEstimate,
@@ -26,6 +27,7 @@ from piezo_identification.estimators.hysteresis.everett_regression import (
 from piezo_identification.estimators.hysteresis.penalties import bounded_operator
 from piezo_identification.estimators.hysteresis.play_fit import PlaySum, fit_plays
 from piezo_identification.estimators.hysteresis.smoothing_choice import (
+    WEIGHTS,
     PenaltyChoice,
     choose_penalties,
     refine_smoothing,
@@ -149,9 +151,11 @@ def density_of_segments(
     elif smoothing_weight is None:
         choice, plays, segments, parts = _choice_for(
             segments, levels_v, translation_weight, near)
-        if plays is not None and size % 2 == 0 and size >= 2 * CELLS_FOR_THE_WEIGHT:
+        if size % 2 == 0 and size >= 2 * CELLS_FOR_THE_WEIGHT and (
+                plays is not None or not has_time_for("a density of more cells", WEIGHTS)):
             # What is smooth needs fewer cells.
-            levels_v, size, parts = levels_v[::2], size // 2, 2 * parts
+            levels_v, size = levels_v[::2], size // 2
+            parts = parts if plays is None else 2 * parts
         choice = _on_finer_grids(segments, levels_v, choice, whole_plane, plays)
         penalties, multiplier, is_enough = choice.penalties, choice.forces, choice.is_enough
     else:
@@ -165,7 +169,7 @@ def density_of_segments(
         unknowns = 0.0 * equations.linear
         beside = equations.beside(unknowns)
     else:
-        unknowns, beside, _ = equations.solve(penalties, multiplier)
+        unknowns, beside, multiplier = equations.solve(penalties, multiplier)
         with while_time_lasts("a density of fewer parts"):
             if translation_weight is None and penalties.translation and plays is None:
                 # Loops that were alike on the coarse grid need not be on the fine one.
@@ -203,7 +207,7 @@ def density_of_segments(
         "smoothed non-negative least squares",
         levels_v, np.maximum(density, 0.0), offset_um, np.tril(seen[np.ix_(cell, cell)]),
         smoothing_weight=penalties.smoothing, reversible_um_per_v=np.maximum(reversible, 0.0),
-        translation_weight=penalties.translation, is_about_plays=plays is not None,
+        translation_weight=penalties.translation, plays=plays,
     )
 
 
@@ -232,15 +236,17 @@ def _choice_for(
     """
     size = levels_v.size - 1
     coarse_v = np.linspace(levels_v[0], levels_v[-1], min(size, CELLS_FOR_THE_WEIGHT) + 1)
-    first = None
+    first = known = choice = None
     if near is not None and near.smoothing_weight:
-        first = Penalties(near.smoothing_weight, near.translation_weight)
-    choice = None
-    if near is None or first is None or not near.is_about_plays:
+        first, known = Penalties(near.smoothing_weight, near.translation_weight), near.plays
+    if known is None:
         choice = choose_penalties(segments, coarse_v, translation, near=first)
         if first is not None or choice.is_enough:
             return choice, None, segments, 1
-    plays = fit_plays(segments, levels_v)
+    plays = None
+    with while_time_lasts("a density about a sum of plays", WEIGHTS if choice else SEARCH):
+        check_cancelled()
+        plays = fit_plays(segments, levels_v, known)
     if plays is None:
         return choice or choose_penalties(segments, coarse_v, translation), None, segments, 1
     parts = _parts_for(size, plays)
@@ -300,17 +306,19 @@ def _on_finer_grids(
     """
     size = levels_v.size - 1
     cells = min(size, CELLS_FOR_THE_WEIGHT)
-    while 2 * cells < size and not choice.is_enough:
-        finer_v = np.linspace(levels_v[0], levels_v[-1], 2 * cells + 1)
-        about = None if plays is None else plays.unknowns(2 * cells)
-        forces = _on_finer_grid(choice.forces, cells, 2 * cells)
-        if (whole_plane or _many(segments, 2 * cells)) and cells == CELLS_FOR_THE_WEIGHT:
-            choice = refine_smoothing(segments, finer_v, choice, forces, about)
-        else:
-            [equations] = equations_of_folds(segments, finer_v, about=about)
-            *_, forces = equations.solve(choice.penalties, forces)
-            choice = replace(choice, forces=forces)
-        cells *= 2
+    with while_time_lasts("the smoothing on finer cells", WEIGHTS):
+        while 2 * cells < size and not choice.is_enough:
+            check_cancelled()
+            finer_v = np.linspace(levels_v[0], levels_v[-1], 2 * cells + 1)
+            about = None if plays is None else plays.unknowns(2 * cells)
+            forces = _on_finer_grid(choice.forces, cells, 2 * cells)
+            if (whole_plane or _many(segments, 2 * cells)) and cells == CELLS_FOR_THE_WEIGHT:
+                choice = refine_smoothing(segments, finer_v, choice, forces, about)
+            else:
+                [equations] = equations_of_folds(segments, finer_v, about=about)
+                *_, forces = equations.solve(choice.penalties, forces)
+                choice = replace(choice, forces=forces)
+            cells *= 2
     return replace(choice, forces=_on_finer_grid(choice.forces, cells, size))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
-from piezo_common.budget import while_time_lasts
+from piezo_common.budget import has_time_for, while_time_lasts
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.conditioning.waveforms import turning_points
 from piezo_identification.estimators.hysteresis.equations import (
@@ -40,6 +40,9 @@ that would follow take most time, as the bounds then hold here and there."""
 
 FURTHER_WEIGHTS, WEIGHTS = "further weights of the density", 0.5
 """What is left out, and from which share of the time of an identification."""
+
+USUAL = 1e-10
+"""Weight of the curvature where there is no time to choose: most choose 1e-9 to 1e-11."""
 
 FEWEST_ROWS = 4
 """Samples to fit in a piece of a branch."""
@@ -118,9 +121,13 @@ def choose_penalties(
         Chosen from nearly the same segments: the smoothing is sought from there.
     """
     trials = _Trials(equations_of_folds(segments, levels_v, branch_folds(segments), about))
+    if near is None and not has_time_for(FURTHER_WEIGHTS, WEIGHTS):
+        near = Penalties(USUAL, translation or 0.0)
     if near is not None:
         penalties = trials.best_near(near)
-        free = trials.best_near(replace(near, translation=translation or 0.0))
+        # About plays nothing asks for another.
+        free = penalties if about is not None else trials.best_near(
+            replace(near, translation=translation or 0.0))
     else:
         penalties = free = trials.best(
             Penalties(weight, translation or 0.0) for weight in SMOOTHING_WEIGHTS)
@@ -173,18 +180,32 @@ class _Trials:
                         for fold in self._unseen]
         self._counts = np.array([fold.count for fold in self._unseen])
         self._misfits: dict[Penalties, FloatArray] = {}
-        self._forces: list[FloatArray | None] = [forces] * len(self._unseen)
+        self._first_forces = forces
+        self._forces: dict[Penalties, list[FloatArray]] = {}
 
     def misfits(self, penalties: Penalties) -> FloatArray:
         """Sum of the squared errors of each fold."""
         if penalties not in self._misfits:
-            def misfit(index: int) -> float:
-                unknowns, _, self._forces[index] = self._fitted[index].solve(
-                    penalties, self._forces[index])
-                return self._unseen_misfit(self._unseen[index], unknowns)
+            def fitted(index: int, forces: FloatArray | None) -> tuple[float, FloatArray]:
+                unknowns, _, forces = self._fitted[index].solve(penalties, forces)
+                return self._unseen_misfit(self._unseen[index], unknowns), forces
 
-            self._misfits[penalties] = np.array(side_by_side(misfit, range(len(self._fitted))))
+            # The bounds that hold are nearly those of weights nearby, and the same in all folds.
+            known = self._forces_near(penalties)
+            first = fitted(0, known[0] if known else self._first_forces)
+            misfits, self._forces[penalties] = (list(each) for each in zip(first, *side_by_side(
+                lambda index: fitted(index, known[index] if known else first[1]),
+                range(1, len(self._fitted))), strict=True))
+            self._misfits[penalties] = np.array(misfits)
         return self._misfits[penalties]
+
+    def _forces_near(self, penalties: Penalties) -> list[FloatArray]:
+        """Return the forces of the weights nearest to some, by the folds; none before any."""
+        def decades(known: Penalties) -> float:
+            return abs(np.log10(known.smoothing / penalties.smoothing)) + (
+                known.translation != penalties.translation)
+
+        return self._forces[min(self._forces, key=decades)] if self._forces else []
 
     def best(self, candidates: Iterable[Penalties]) -> Penalties:
         """Return the first candidate that predicts as well as any, until they get ever worse."""
@@ -222,7 +243,8 @@ class _Trials:
 
     def forces(self, penalties: Penalties) -> FloatArray:
         """Return the forces of the bounds with all samples."""
-        return self._whole.solve(penalties, self._forces[0])[2]
+        self.misfits(penalties)
+        return self._whole.solve(penalties, self._forces[penalties][0])[2]
 
     def nothing_more_predicts(self, penalties: Penalties) -> bool:
         """Tell whether a line, or nothing beside what is given, predicts as well as a density."""

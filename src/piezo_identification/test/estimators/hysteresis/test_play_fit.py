@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 
+from piezo_common.cancellation import checking
 from piezo_identification.estimators.hysteresis.equations import HysteresisSegment
 from piezo_identification.estimators.hysteresis.everett_regression import everett_regression
 from piezo_identification.estimators.hysteresis.play_fit import fit_plays
@@ -47,6 +48,24 @@ def test_plays_are_found_and_predict_loops_that_they_were_not_fitted_to(bent):
     error_um = (predicted_um - truth_um)[unseen_v.size // 4 :]
     # Plays turn within a cell of 0.5 V.
     assert np.std(error_um) < 4e-3 * np.std(truth_um)
+
+
+def test_from_the_curves_of_nearly_the_same_loops_a_search_takes_fewer_steps_to_the_same():
+    voltage_v = loops_v([0.0, 100.0, *np.ravel([(5.0 * k, 100.0) for k in range(1, 19)]), 0.0])
+    noise_um = 1e-3 * np.random.default_rng(0).standard_normal(voltage_v.size)
+    output_um, steps = followed_um(voltage_v, 0.05), list[int]()
+
+    def found(measured_um, near=None):
+        steps.append(0)
+
+        def count():
+            steps[-1] += 1
+        with checking(count):
+            return fit_plays([segment(voltage_v, measured_um)], LEVELS_V, near)
+    near, afresh = found(output_um), found(output_um + noise_um)
+    from_there = found(output_um + noise_um, near)
+    assert steps[2] < 0.8 * steps[1]
+    assert from_there.unknowns(40) == pytest.approx(afresh.unknowns(40), abs=1e-3)
 
 
 def test_too_few_samples_are_not_fitted():

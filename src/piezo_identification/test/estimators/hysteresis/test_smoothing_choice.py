@@ -2,14 +2,20 @@
 """The smoothing that is chosen, beside the best there is, on a hysteresis of plays."""
 
 import threading
+from itertools import count
 
 import numpy as np
 import pytest
 
 from piezo_common import side_by_side
+from piezo_common.budget import Budget, spending
 from piezo_identification.estimators.hysteresis.equations import Equations, HysteresisSegment
 from piezo_identification.estimators.hysteresis.smoothed_density import smoothed_density
-from piezo_identification.estimators.hysteresis.smoothing_choice import choose_penalties
+from piezo_identification.estimators.hysteresis.smoothing_choice import (
+    FURTHER_WEIGHTS,
+    USUAL,
+    choose_penalties,
+)
 
 RADII_V = np.linspace(0.0, 90.0, 181)
 WEIGHTS_UM_PER_V = np.append(0.3, 0.4 * np.diff(1.0 - np.exp(-((RADII_V / 30.0) ** 1.3))))
@@ -64,6 +70,15 @@ def test_the_chosen_smoothing_predicts_about_as_well_as_the_best(measured_um, er
     assert error_of(chosen) < 1.2 * min(errors)
     # The choice matters.
     assert max(errors) > 1.3 * min(errors)
+
+
+def test_without_time_to_choose_the_smoothing_is_the_usual_one(measured_um, error_of):
+    budget = Budget(1.0, count().__next__)
+    with spending(budget):
+        found = estimate_of(measured_um)
+    assert (found.smoothing_weight, 2 * len(found.density_um_per_v2)) == (USUAL, LEVELS_V.size - 1)
+    assert {FURTHER_WEIGHTS, "a density about a sum of plays"} <= set(budget.not_tried)
+    assert error_of(found) < NOISE_UM
 
 
 def test_a_transient_that_lies_in_one_part_does_not_decide_the_smoothing(measured_um, error_of):
