@@ -24,18 +24,16 @@ class SplitSettings:
     Attributes
     ----------
     most_rows : int
-        Samples that are used, in chunks spread evenly over longer recordings, at least one of each:
-        so that a fit of a million samples takes seconds.
-    chunk : int
-        Neighbouring samples that stay together: slow and fast errors both show.
+        Samples that are used, so that a fit of a million samples takes seconds.
     stretches : int
-        Of a recording. Each is fitted or held out as a whole, as neighbouring errors are alike.
+        Of a recording. Each is fitted or held out as a whole, as neighbouring errors are alike. Of
+        longer recordings one chunk of each is used: slow and fast errors both show, and a mode that
+        a chirp passes within a few stretches does.
     held_out : int
         One stretch in so many is held out.
     """
 
     most_rows: int = 30_000
-    chunk: int = 250
     stretches: int = 120
     held_out: int = 3
 
@@ -181,17 +179,18 @@ def _split(simulated: Sequence[SimulatedRecording], undivided: int,
     """Return the rows of each recording, the stretch of each row, and whether it may be fitted."""
     rows, numbers = [], []
     for index, part in enumerate(simulated):
-        budget = SPLIT.most_rows // (1 if index < undivided else len(simulated))
+        budget = max(SPLIT.most_rows // (1 if index < undivided else len(simulated)),
+                     SPLIT.stretches)
         settled = np.arange(part.begin, part.time_s.size)
         if settled.size > budget:
             # Chunks that do not keep step with a periodic waveform.
-            chunks = max(1, budget // SPLIT.chunk)
-            room = settled.size // chunks
-            shift = np.random.default_rng(0).integers(0, room - SPLIT.chunk + 1, chunks)
+            chunk, room = budget // SPLIT.stretches, settled.size // SPLIT.stretches
+            shift = np.random.default_rng(0).integers(0, room - chunk + 1, SPLIT.stretches)
             # The beginning alone shows how far the creep had come.
             shift[0] = 0
-            starts = part.begin + np.arange(chunks) * room + shift
-            chosen = (starts[:, None] + np.arange(SPLIT.chunk)).ravel()
+            first = -(-np.arange(SPLIT.stretches) * settled.size // SPLIT.stretches)
+            starts = part.begin + first + shift
+            chosen = (starts[:, None] + np.arange(chunk)).ravel()
         else:
             chosen = settled
         rows.append(chosen)

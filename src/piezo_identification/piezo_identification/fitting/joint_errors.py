@@ -25,6 +25,7 @@ from piezo_common.side_by_side import side_by_side
 from piezo_identification.estimators.estimate import scaled_inverse
 from piezo_identification.fitting.clustered_covariance import clustered_covariance
 from piezo_identification.fitting.dataset import Dataset
+from piezo_identification.fitting.evidence import INDEPENDENT
 from piezo_identification.fitting.free_parameters import (
     changed_model,
     decay_sensitivities,
@@ -45,15 +46,12 @@ class ErrorSettings:
 
     Attributes
     ----------
-    independent : float
-        Errors of each recording that count, as many in all fits.
     longest : float
         Widths by which one step may change a parameter of the model.
     derivative_step : float
         Of a fitted number of an effect, over the number where it is larger than one.
     """
 
-    independent: float = 1000.0
     longest: float = 5.0
     derivative_step: float = 1e-7
 
@@ -239,7 +237,7 @@ class JointErrors:
         squares = self.squares_um2(vector) + self.accuracy_um**2
         changes = self._prior * vector[: self.count]
         against = float(
-            0.5 * SETTINGS.independent * np.log(squares).sum() + 0.5 * changes @ changes)
+            0.5 * INDEPENDENT * np.log(squares).sum() + 0.5 * changes @ changes)
         return against if np.isfinite(against) else np.inf
 
     def linearised(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -292,7 +290,7 @@ class JointErrors:
         squares = self.squares_um2(vector) + self.accuracy_um**2
         residuals, jacobians = [], []
         for index, (fitted, square) in enumerate(zip(self._fitted, squares, strict=True)):
-            weight = np.sqrt(SETTINGS.independent / (np.count_nonzero(fitted) * square))
+            weight = np.sqrt(INDEPENDENT / (np.count_nonzero(fitted) * square))
             left = self._left_beside(index, point.nuisance[index], columns[index])[0]
             moved = self._moved_with_rates(point, index)
             left[:, : moved.shape[1]] += moved

@@ -2,7 +2,7 @@
 """Search for the structure of a model: one part more, less or elsewhere, all else fitted anew."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -59,6 +59,9 @@ class SearchSettings:
         Frequency of a mode at least, over the highest: of a slower one, creep has been taken.
     most_damped : float
         Damping ratio of a mode that is kept in the plainest start.
+    least_in_phase : float
+        Sum of the participations of modes, over that of their sizes, below which they are no modes
+        of one structure in phase.
     most_uncoupled : float
         Largest damping ratio of a mode of a structure.
     first_lag : float
@@ -84,6 +87,7 @@ class SearchSettings:
     highest: float = 0.3
     slowest: float = 1e-3
     most_damped: float = 0.5
+    least_in_phase: float = 0.3
     most_uncoupled: float = 0.3
     first_lag: float = 0.5
     faster_creep: float = 8.0
@@ -379,10 +383,13 @@ def _creep_as_far_as(creep: CreepDynamics, rate_rad_per_s: float,
 
 
 def _in_phase(modes: Sequence[VibrationMode]) -> tuple[VibrationMode, ...]:
-    """Return coupled modes as those of a structure, which together make up the displacement."""
-    coupled = [mode for mode in modes if type(mode) is CoupledMode]
-    whole = sum(mode.participation for mode in coupled)
-    if not coupled or whole == 0.0:
+    """Return coupled modes as those of a structure, which together make up the displacement.
+
+    Those that nearly cancel at rest stay as they are.
+    """
+    coupled = [mode.participation for mode in modes if type(mode) is CoupledMode]
+    whole = sum(coupled)
+    if abs(whole) <= SETTINGS.least_in_phase * sum(map(abs, coupled)):
         return tuple(modes)
     return tuple(
         replace(mode, participation=mode.participation / whole, velocity_participation=0.0)
@@ -391,9 +398,13 @@ def _in_phase(modes: Sequence[VibrationMode]) -> tuple[VibrationMode, ...]:
 
 def _uncoupled(modes: Sequence[VibrationMode]) -> tuple[VibrationMode, ...]:
     """Return modes that ring as those of a structure, none of which follows the velocity."""
+    limits = {each.name: (each.metadata["low"], each.metadata["high"])
+              for each in fields(VibrationMode)}
+    limits["damping_ratio"] = limits["damping_ratio"][0], SETTINGS.most_uncoupled
     return tuple(
-        VibrationMode(mode.frequency_rad_per_s, min(mode.damping_ratio, SETTINGS.most_uncoupled),
-                      mode.participation) for mode in _in_phase(modes))
+        VibrationMode(**{name: float(np.clip(getattr(mode, name), *ends))
+                         for name, ends in limits.items()})
+        for mode in _in_phase(modes))
 
 
 def _apart(modes: Sequence[VibrationMode]) -> list[VibrationMode]:

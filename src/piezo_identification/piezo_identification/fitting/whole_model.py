@@ -12,6 +12,7 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.fitting.dataset import dataset_of
+from piezo_identification.fitting.evidence import log_evidence
 from piezo_identification.fitting.free_parameters import (
     changed_model,
     changes_between,
@@ -20,7 +21,6 @@ from piezo_identification.fitting.free_parameters import (
     physical_deviations,
     piece_outputs_um,
 )
-from piezo_identification.fitting.joint_errors import SETTINGS as ERRORS
 from piezo_identification.fitting.joint_errors import JointErrors, simulated_by
 from piezo_identification.fitting.joint_fit import SETTINGS as JOINT
 from piezo_identification.fitting.levenberg_marquardt import descend
@@ -90,21 +90,19 @@ class WholeFit:
     def evidence_over(self, other: "WholeFit") -> float:
         """Return by how much the evidence for this model is more than for another.
 
-        That is the logarithm of the ratio of their likelihoods, less half the logarithm of the
-        number of errors for each number more (Schwarz 1978). As many errors of each recording count
-        in all fits, so that three models are in one order whichever two are compared.
+        As many errors of each recording count in all fits, so that three models are in one order
+        whichever two are compared.
         """
-        price = 0.5 * np.log(ERRORS.independent * len(self.left_um))
-        return self._likelihood_over(other, 0) - price * (self.numbers - other.numbers)
+        mine, others = (log_evidence(fit._squares_um2(0), fit.numbers) for fit in (self, other))
+        return mine - others
 
     def held_out_over(self, other: "WholeFit") -> float:
         """Return the logarithm of the ratio of likelihoods on the rows that are held out."""
-        return self._likelihood_over(other, 1)
+        return log_evidence(self._squares_um2(1), 0) - log_evidence(other._squares_um2(1), 0)
 
-    def _likelihood_over(self, other: "WholeFit", rows: int) -> float:
-        mine, others = (np.array([np.mean(left[rows] ** 2) for left in fit.left_um])
-                        + self.accuracy_um**2 for fit in (self, other))
-        return float(0.5 * ERRORS.independent * np.log(others / mine).sum())
+    def _squares_um2(self, rows: int) -> FloatArray:
+        """Return the mean square of what is left of each recording, and of the accuracy, (R,)."""
+        return np.array([np.mean(left[rows] ** 2) for left in self.left_um]) + self.accuracy_um**2
 
     def deviations(self) -> tuple[dict[str, dict[str, Any]], list[dict[str, float]], float]:
         """Return standard deviations: of creep and dynamics, of the effects, and of the delay."""

@@ -13,16 +13,19 @@ def test_the_beginning_of_a_long_recording_is_fitted(plant, recorded):
     voltage_v = 50.0 + 40.0 * np.sin(2.0 * np.pi * np.arange(count) / 5000.0)
     recording = recorded("long", voltage_v, plant.hysteresis.simulate(voltage_v), 1e-3)
     dataset = simulate_recordings(plant, [recording, recording])
+    chunk = SPLIT.most_rows // 2 // SPLIT.stretches
     for part, rows, mask in zip(dataset.simulated, dataset.rows, dataset.masks(), strict=True):
-        beginning = rows < part.begin + SPLIT.chunk
-        assert np.count_nonzero(beginning) == SPLIT.chunk
+        beginning = rows < part.begin + chunk
+        assert np.count_nonzero(beginning) == chunk
         assert dataset.for_estimation[mask][beginning].all()
 
 
-def test_every_recording_keeps_a_chunk_however_many_there_are(plant, recorded, monkeypatch):
-    """Of the usual number of rows, more than 120 recordings would have less than a chunk each."""
-    monkeypatch.setattr(module, "SPLIT", replace(SPLIT, most_rows=SPLIT.chunk))
+def test_every_stretch_of_every_recording_is_seen_however_many_there_are(
+        plant, recorded, monkeypatch):
+    """A mode that a chirp passes within a few stretches would be missed otherwise."""
+    monkeypatch.setattr(module, "SPLIT", replace(SPLIT, most_rows=1))
     voltage_v = 50.0 + 40.0 * np.sin(2.0 * np.pi * np.arange(2000) / 500.0)
     recording = recorded("short", voltage_v, plant.hysteresis.simulate(voltage_v), 1e-3)
     dataset = simulate_recordings(plant, [recording, recording])
-    assert [rows.size for rows in dataset.rows] == [SPLIT.chunk, SPLIT.chunk]
+    for mask in dataset.masks():
+        assert np.unique(dataset.stretch[mask]).size == SPLIT.stretches

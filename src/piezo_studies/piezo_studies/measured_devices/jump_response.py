@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from piezo_common.arrays import FloatArray
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.conditioning.waveforms import played
-from piezo_identification.estimators.dynamics.square_wave import free_decay_poles
 from piezo_identification.estimators.estimate import (
     Estimate,
     OrderTrial,
@@ -201,3 +200,36 @@ def _starting_dynamics(response: JumpResponse, mode_count: int,
         0.5 * response.sample_period_s, tuple(frequencies), tuple(dampings),
         tuple(between), tuple(np.full(between.size, 0.05)),
     )
+
+
+def free_decay_poles(decay: FloatArray, sample_period_s: float, order: int) -> ComplexArray:
+    """Poles (rad/s, complex) of a free decay around an unknown end value.
+
+    The Hankel matrix of the decay has the rank of the system; the shift of its signal subspace has
+    the discrete poles as eigenvalues, among them the 1 of the end value, which is dropped.
+
+    Parameters
+    ----------
+    decay : ndarray, shape (N,)
+    order : int
+        Number of poles.
+
+    Raises
+    ------
+    ValueError
+        If the decay is too short.
+    """
+    if decay.size < 4 * (order + 1):
+        raise ValueError(
+            f"a decay of {decay.size} samples is too short for {order} poles: "
+            "use a longer period of the square wave"
+        )
+    hankel = np.lib.stride_tricks.sliding_window_view(decay, decay.size // 2).T
+    subspace = np.linalg.svd(hankel, full_matrices=False)[0][:, : order + 1]
+    shift = np.linalg.lstsq(subspace[:-1], subspace[1:], rcond=None)[0]
+    discrete = np.linalg.eigvals(shift).astype(complex)
+    # Reals come in an even number here, so that the end value's is one of them, or there is none.
+    discrete = np.delete(discrete, np.argmin(np.abs(discrete - 1.0) + 2.0 * (discrete.imag != 0.0)))
+    # A negative eigenvalue has no continuous pole: a fast one is the nearest there is.
+    discrete[discrete.imag == 0.0] = np.abs(discrete[discrete.imag == 0.0])
+    return np.log(discrete) / sample_period_s

@@ -11,6 +11,7 @@ from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 from piezo_studies.measured_devices.jump_response import (
     estimate_jump_dynamics,
+    free_decay_poles,
     jump_response,
 )
 
@@ -82,3 +83,11 @@ def test_a_voltage_without_a_jump_is_refused():
 def test_a_record_that_ends_in_the_ringing_is_refused():
     with pytest.raises(ValueError, match="jump.csv .* record longer"):
         jump_response(recorded(ONE_MODE), duration_s=1.0)
+
+
+def test_the_subspace_start_is_exact_without_noise():
+    rates = np.array([-400.0 + 4900.0j, -400.0 - 4900.0j, -2000.0])
+    time_s = np.arange(1, 400) * 25e-6
+    decay = 3.0 + np.real(np.exp(np.outer(time_s, rates)) @ [1.0 - 1.0j, 1.0 + 1.0j, 2.0])
+    poles = free_decay_poles(decay, 25e-6, 3)
+    np.testing.assert_allclose(np.sort_complex(poles), np.sort_complex(rates), rtol=1e-6)

@@ -15,7 +15,11 @@ from scipy.optimize import nnls
 from piezo_common.arrays import FloatArray
 from piezo_identification.estimators.dynamics.fast_record import FastRecord, FreeFit, independent
 from piezo_identification.estimators.dynamics.output_error import ROWS_OF_SEARCH, fit_output_error
-from piezo_identification.estimators.dynamics.pole_search import free_fits
+from piezo_identification.estimators.dynamics.pole_search import (
+    MOST_MODES,
+    free_fits,
+    nested_fits,
+)
 from piezo_identification.estimators.estimate import (
     ROWS_OF_DECAY,
     SIGNIFICANT,
@@ -36,15 +40,12 @@ SLOWER_THAN_MODES = 0.2
 RINGING = 0.5
 """Damping ratio below which a mode rings."""
 
-MOST_MODES = 4
-"""Modes with free residues up to which those are sought that are right beside the creep."""
-
 MOST_TURNS = 4
 """Times that creep is sought beside the dynamics that are right beside the creep found before."""
 
-AS_GOOD = 10.0
-"""Information by which free poles may be better: creep is what a stage has, a mode without
-oscillation is not."""
+AS_GOOD = 5.0
+"""Evidence by which free poles may be better: creep is what a stage has, a mode without oscillation
+is not."""
 
 
 @dataclass(frozen=True)
@@ -104,25 +105,25 @@ def fast_creep(
     creep : CreepDynamics
         See `fit_beside_fast_creep`.
     """
-    first = best_free_fit(record_without(creep))
+    free = best_free_fit(record_without(creep))
     record = record_without(creep).thinned(ROWS_OF_SEARCH)
-    rates = sought_rates(record, first, creep)
-    if not (np.abs(first.poles) < rates.max(initial=0.0)).any():
+    rates = sought_rates(record, free, creep)
+    if not (np.abs(free.poles) < rates.max(initial=0.0)).any():
         return None
     # The creep stands in the place of slow poles, which no stage has: it need not pay for itself.
-    best, least = None, _information(record, first) + AS_GOOD
-    free = first
+    best, most = None, record.log_evidence(free, free.numbers) - AS_GOOD
     for _ in range(MOST_TURNS):
         is_slow = np.abs(free.poles) < rates.max()
-        found = _positive_parts(record, replace(
-            free, poles=free.poles[~is_slow], residues=free.residues[~is_slow]), rates)
+        free = replace(free, poles=free.poles[~is_slow], residues=free.residues[~is_slow])
+        found = _positive_parts(record, free, rates)
         if found is None:
             break
-        free = best_free_fit(record_without(joined_creep(creep, found.model)))
-        information = _information(record, free)
-        if information >= least:
+        without = record_without(joined_creep(creep, found.model))
+        free = best_free_fit(without, free)
+        evidence = record.log_evidence(free, free.numbers)
+        if evidence <= most:
             break
-        best, least = found, information
+        best, most = found, evidence
     return best
 
 
@@ -154,13 +155,15 @@ def sought_rates(record: FastRecord, free: FreeFit, creep: CreepDynamics) -> Flo
         slowest, fastest, 1 + int(np.ceil(RATES_PER_DECADE * np.log10(fastest / slowest))))
 
 
-def best_free_fit(record: FastRecord) -> FreeFit:
-    """Return free poles of the least information, of as many modes as bring it down.
+def best_free_fit(record: FastRecord, near: FreeFit | None = None) -> FreeFit:
+    """Return free poles of the most evidence.
 
     Parameters
     ----------
     record : FastRecord
         Its rows are thinned, as the search takes its time.
+    near : FreeFit, optional
+        Its poles are those to begin from; by default those of a vector fit.
 
     Returns
     -------
@@ -168,13 +171,9 @@ def best_free_fit(record: FastRecord) -> FreeFit:
         Of the thinned rows.
     """
     thin = record.thinned(ROWS_OF_SEARCH)
-    best: FreeFit | None = None
-    for free in free_fits(thin, MOST_MODES):
-        if best is not None and _information(thin, free) > _information(thin, best):
-            break
-        best = free
-    assert best is not None
-    return best
+    fits = free_fits(thin, MOST_MODES) if near is None else nested_fits(
+        thin, near.poles, near.delay)
+    return max(fits, key=lambda fit: thin.log_evidence(fit, fit.numbers))
 
 
 def joined_creep(first: CreepDynamics, second: CreepDynamics) -> CreepDynamics:
@@ -205,12 +204,6 @@ def _responses(
     at_rates = np.sum(residues / (-rates[:, None] - poles), axis=1)
     weighted = residues[:, None] * rates / (rates + poles[:, None])
     return (of_poles @ residues).real, (of_poles @ weighted + of_rates * (at_rates * rates)).real
-
-
-def _information(record: FastRecord, free: FreeFit) -> float:
-    """Bayesian information criterion of free poles and residues."""
-    rows = record.kept.size
-    return float(rows * np.log(free.cost / rows) + 2 * free.poles.size * np.log(rows))
 
 
 def _positive_parts(record: FastRecord, free: FreeFit, rates: FloatArray) -> FastCreep | None:

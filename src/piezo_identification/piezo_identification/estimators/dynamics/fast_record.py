@@ -23,6 +23,8 @@ from piezo_identification.estimators.poles.spectral_input import (
     SpectralLines,
     real_rows,
 )
+from piezo_identification.fitting.evidence import INDEPENDENT, log_evidence
+from piezo_identification.fitting.regression import SETTINGS as FIT
 
 EARLIEST, LATEST = -1.5, 100.0
 """Delays in sample periods between which one is sought: the earliest is that of a logger that reads
@@ -51,6 +53,9 @@ ANTIRESONANCE_SPAN = 3.0
 
 LONG = 20_000
 """Rows from which a search looks at lines of the spectrum in place of some of the rows."""
+
+SHORT = 0.1
+"""Part of the longest stretch without a gap, below which one is left out of the spectrum."""
 
 COLLINEAR = 1e-9
 """Singular value, of the largest one, below which columns that are fitted linearly count as one:
@@ -111,6 +116,11 @@ class FreeFit:
         return self.vector.size // 2
 
     @property
+    def numbers(self) -> int:
+        """Return how many numbers were fitted: poles, residues, and the delay."""
+        return 2 * self.poles.size + 1
+
+    @property
     def cost(self) -> float:
         """Sum of the squared residual."""
         return float(self.residual @ self.residual)
@@ -145,8 +155,6 @@ class FastRecord:
         Of the kept samples, with the creep removed.
     fixed : ndarray, shape (N, K)
         What else these may hold, such as an offset; fitted linearly, as is the gain.
-    starts : callable
-        Poles (rad/s) from which fits with a number of modes may begin: a list of arrays.
     every_row : FastRecord, optional
         That of which this one has rows far between; by default itself.
     phase_room : float
@@ -157,12 +165,12 @@ class FastRecord:
     kept: NDArray[np.intp]
     measured_um: FloatArray
     fixed: FloatArray
-    starts: Callable[[int], list[ComplexArray]]
     every_row: "FastRecord | None" = None
     phase_room: float = 0.0
     _span: FloatArray = field(init=False, repr=False)
     _target: FloatArray = field(init=False, repr=False)
     _thinned: "dict[int, FastRecord]" = field(init=False, repr=False, default_factory=dict)
+    _lines: "dict[int, FastRecord]" = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_span", independent(self.fixed))
@@ -172,6 +180,13 @@ class FastRecord:
     def linear_parameters(self) -> int:
         """Number of parameters that are fitted linearly: the gain and the fixed columns."""
         return 1 + self._span.shape[1]
+
+    def log_evidence(self, fit: FastFit | FreeFit, numbers: int) -> float:
+        """Return the evidence of a fit with so many numbers beside those of the fixed columns."""
+        rows = fit.residual.size
+        accuracy_um = FIT.model_tolerance * np.ptp((self.every_row or self).measured_um)
+        return log_evidence(fit.cost / rows + accuracy_um**2,
+                            numbers + self._span.shape[1], min(rows, INDEPENDENT))
 
     def thinned(self, most_rows: int) -> "FastRecord":
         """Return the record with no more rows than given, spread over all of it; made once.
@@ -183,24 +198,37 @@ class FastRecord:
             return self
         if step not in self._thinned:
             self._thinned[step] = (
-                self._at_lines(most_rows // 2) if self._is_long() else FastRecord(
+                self.at_lines(most_rows // 2) if self._is_long() else FastRecord(
                     self.input, self.kept[::step], self.measured_um[::step], self.fixed[::step],
-                    self.starts, self.every_row or self, self.phase_room))
+                    self.every_row or self, self.phase_room))
         return self._thinned[step]
+
+    @property
+    def is_on_the_clock(self) -> bool:
+        """Return whether the input changes at its samples only."""
+        return not isinstance(self.input, HeldInput) or self.input.early is None
 
     def _is_long(self) -> bool:
         return (isinstance(self.input, HeldInput) and not self.input.is_periodic
-                and self.input.early is None and self.kept.size > LONG)
+                and self.is_on_the_clock and self.kept.size > LONG)
+
+    def at_lines(self, count: int) -> "FastRecord":
+        """Return the record at about so many lines of its spectrum; made once."""
+        if self.every_row is not None:
+            return self.every_row.at_lines(count)
+        if count not in self._lines:
+            self._lines[count] = self._at_lines(count)
+        return self._lines[count]
 
     def _at_lines(self, count: int) -> "FastRecord":
-        """Return the record at lines of its spectrum."""
         size, given = self.input.samples.size, self.input
         ends = np.flatnonzero(np.diff(self.kept) != 1)
+        every = [slice(int(first), int(last) + 1) for first, last in zip(
+            self.kept[np.concatenate([[0], ends + 1])],
+            self.kept[np.concatenate([ends, [-1]])], strict=True)]
+        longest = max(each.stop - each.start for each in every)
         stretches = tuple(
-            slice(int(first), int(last) + 1) for first, last in zip(
-                self.kept[np.concatenate([[0], ends + 1])],
-                self.kept[np.concatenate([ends, [-1]])], strict=True)
-            if last - first > LONG // 10)
+            each for each in every if each.stop - each.start > SHORT * longest)
         lines = SpectralLines.excited_by(given.samples, stretches, count)
 
         def rows(values: FloatArray) -> FloatArray:
@@ -211,10 +239,10 @@ class FastRecord:
         measured_um = rows(self.measured_um)
         return FastRecord(
             SpectralInput(given.samples, given.sample_period_s, lines.phases(),
-                          lines.of(given.samples), tuple(each.size for each in lines.lines)),
+                          lines.of(given.samples), tuple(each.size for each in lines.lines),
+                          given.is_periodic),
             np.arange(measured_um.size), measured_um,
-            np.column_stack([rows(column) for column in self._span.T]), self.starts, self,
-            self.phase_room)
+            np.column_stack([rows(column) for column in self._span.T]), self, self.phase_room)
 
     def fit(self, order: ModeOrder, vector: FloatArray, delay: float,
             evaluations: int = 100, is_delay_free: bool = True,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.waveforms import played, samples_per_mean
 from piezo_identification.estimators.dynamics.fast_record import FastRecord
@@ -18,14 +18,8 @@ from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
 
-LINE_THRESHOLD = 0.02
-"""Spectral lines weaker than this part of the strongest do not count as excited."""
-
-LOWEST_LINE = 8
-"""First line of a windowed spectrum that the slow parts do not reach."""
-
-FEWEST_SAMPLES = 20 * LOWEST_LINE
-"""Samples of a fast input from which a spectrum is taken."""
+FEWEST_SAMPLES = 160
+"""Samples of a fast input below which its spectrum shows too few lines for a mode."""
 
 LATE_ROWS = 2
 """Rows at the end that are left out: a row may be read up to so much later, under a voltage that is
@@ -44,12 +38,8 @@ class FastSignals:
         Offset and what may be left of earlier creep, for each recording its own.
     kept : ndarray of int
         Samples in which the input is fast and the start has settled.
-    longest : slice
-        The longest stretch of them.
     begins : tuple of int
         First sample of each recording.
-    path : str
-        Of the first recording.
     early : ndarray, shape (N,), optional
         Part of a sample period by which each input came before its sample; by default none did.
     phase_room : float
@@ -60,26 +50,17 @@ class FastSignals:
     displacement_um: FloatArray
     drift: FloatArray
     kept: NDArray[np.intp]
-    longest: slice
     begins: tuple[int, ...]
     sample_period_s: float
-    path: str
     early: FloatArray | None = None
     phase_room: float = 0.0
 
     def record(self) -> FastRecord:
-        """Return the record that is fitted, begun from poles of the spectral lines."""
+        """Return the record that is fitted."""
         return FastRecord(
             HeldInput(self.entering_um, self.sample_period_s, False, self.begins, self.early),
-            self.kept, self.displacement_um[self.kept], self.drift[self.kept], self._starts,
+            self.kept, self.displacement_um[self.kept], self.drift[self.kept],
             phase_room=self.phase_room)
-
-    def _starts(self, mode_count: int) -> list[ComplexArray]:
-        try:
-            return [poles_of_lines(self, 2 * mode_count + 1)]
-        except ValueError:
-            # The lines are too few for as many poles.
-            return []
 
 
 def joined_signals(
@@ -124,8 +105,7 @@ def joined_signals(
         np.concatenate([
             remove_creep(part.displacement_um, creep, part.sample_period_s) for part in parts]),
         drift, np.concatenate([np.arange(each.start, each.stop) for each in stretches]),
-        max(stretches, key=lambda each: each.stop - each.start),
-        tuple(begins[:-1].tolist()), parts[0].sample_period_s, str(parts[0].path))
+        tuple(begins[:-1].tolist()), parts[0].sample_period_s)
 
 
 def fit_signals(
@@ -198,48 +178,3 @@ def drift_basis(time_s: FloatArray, creep: CreepDynamics) -> FloatArray:
     return np.column_stack(
         [np.ones_like(time_s), *(np.exp(-zero * time_s) for zero in creep.zeros_rad_per_s)]
     )
-
-
-def poles_of_lines(signals: FastSignals, order: int) -> ComplexArray:
-    """Poles (rad/s) of a response without zeros through the excited spectral lines.
-
-    Parameters
-    ----------
-    order : int
-        Number of poles.
-
-    Returns
-    -------
-    ndarray of complex, shape (order,)
-
-    Raises
-    ------
-    ValueError
-        If the lines are too few.
-    """
-    fast = signals.longest
-    window = np.hanning(fast.stop - fast.start)
-    inputs, outputs = (
-        np.fft.rfft(window * (signal[fast] - signal[fast].mean()))[LOWEST_LINE:]
-        for signal in (signals.entering_um, signals.displacement_um)
-    )
-    lines = np.flatnonzero(np.abs(inputs) > LINE_THRESHOLD * np.abs(inputs).max())
-    if 2 * lines.size <= order:
-        raise ValueError(
-            f"{signals.path} has {lines.size} spectral lines, too few for {order} poles: use more "
-            "tones")
-    inputs, outputs = inputs[lines], outputs[lines]
-    rates = 2.0 * np.pi * (lines + LOWEST_LINE) / (window.size * signals.sample_period_s)
-    # Held input: half a sample of delay.
-    outputs = outputs * np.exp(0.5j * rates * signals.sample_period_s)
-    powers = (1j * rates[:, None] / rates[-1]) ** np.arange(order + 1)
-    weights = np.ones(lines.size)
-    for _ in range(4):
-        # The output's noise comes in multiplied by the polynomial, which the weights undo.
-        columns, target = (weights * outputs)[:, None] * powers, weights * inputs
-        polynomial = np.linalg.lstsq(
-            np.vstack([columns.real, columns.imag]),
-            np.concatenate([target.real, target.imag]), rcond=None,
-        )[0]
-        weights = 1.0 / np.abs(powers @ polynomial)
-    return np.roots(polynomial[::-1]) * rates[-1]

@@ -3,7 +3,7 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from itertools import combinations, product
+from itertools import combinations
 
 import numpy as np
 
@@ -29,31 +29,26 @@ from piezo_identification.estimators.dynamics.fit_deviations import (
     fit_covariance,
     is_significant,
 )
-from piezo_identification.estimators.dynamics.pole_search import QUICK_EVALUATIONS, free_fits
+from piezo_identification.estimators.dynamics.pole_search import (
+    LAST_EVALUATIONS,
+    MOST_MODES,
+    free_fits,
+)
 from piezo_identification.estimators.estimate import (
     DelayEstimate,
     Estimate,
     OrderTrial,
-    finest_power,
-    independent_rows,
-    order_trial,
 )
 
-MOST_MODES = 8
-"""Vibration modes beyond which the search for their number ends."""
-
-ROWS_OF_SEARCH, ROWS_OF_TRIALS, ROWS_OF_FIT = 3000, 10_000, 60_000
+ROWS_OF_SEARCH, ROWS_OF_TRIALS, ROWS_OF_FIT = 3000, 10_000, 20_000
 """Rows of a longer record in which starts are sought, in which orders are compared, and in which
 the order that is taken is fitted."""
 
-LAST_EVALUATIONS = 4
-"""Steps in the rows of the trials of poles that were found in fewer."""
+QUICK_EVALUATIONS = 12
+"""Steps that part a good start from a bad one."""
 
 POLISHING, ROUNDING = 200, 1e-12
 """Steps, and relative change of the cost, of the fit of the order that is taken."""
-
-PATIENCE = 2
-"""Numbers of modes in succession that may bring no gain before the search ends."""
 
 MODES_LEFT_OUT = 2
 """Dynamics richer by up to so many modes are fitted, and the modes taken that explain most: those
@@ -135,28 +130,15 @@ class _Search:
         self._fits: dict[ModeOrder, FastFit] = {}
 
     def try_all_orders(self) -> None:
-        """Fit free residues until more modes bring no gain, and the forms of the best of them."""
-        frees: list[FreeFit] = []
-        best = 0
-        for free in self._free_fits(MOST_MODES):
-            frees.append(free)
-            if len(frees) > 1 and self._gain(frees[best], free) > 0.0:
-                best = len(frees) - 1
-            if len(frees) - 1 - best == PATIENCE:
-                break
+        """Fit the forms of as many modes as the free residues have evidence for."""
+        frees = list(self._free_fits(MOST_MODES))
+        best = int(np.argmax([self._record.log_evidence(free, free.numbers) for free in frees]))
         # A form with a lag of its own may have a mode less.
         with while_time_lasts("further orders of the dynamics", ORDERS):
             for free in frees[max(0, best - 1) : best + 1]:
                 self._try_forms(free)
         if not self._fits:
             self._try_forms(frees[best])
-
-    def _gain(self, fewer: FreeFit, more: FreeFit) -> float:
-        """Return the information that further modes gain; errors that are alike count for fewer."""
-        rows = independent_rows(more.residual)
-        rounding = more.residual.size * finest_power(self._record.measured_um)
-        fits = np.log((fewer.cost + rounding) / (more.cost + rounding))
-        return float(rows * fits - 4.0 * (more.modes - fewer.modes) * np.log(rows))
 
     def try_modes_in_series(self, count: int) -> None:
         """Fit a number of modes in series, begun from those that explain most of richer ones."""
@@ -210,12 +192,9 @@ class _Search:
             fit.order, fit.vector, fit.delay, POLISHING, self._known_delay is None, ROUNDING)
 
     def _trials(self) -> tuple[OrderTrial, ...]:
-        """Rate all fits alike: by as many rows as are independent in the best of them."""
-        least = min(self._fits.values(), key=lambda fit: fit.cost)
-        rows = independent_rows(least.residual)
-        return tuple(order_trial(
-            order, fit.residual, self._parameters(order), signal=self._record.measured_um,
-            independent=rows) for order, fit in self._fits.items())
+        return tuple(OrderTrial(
+            order, self._numbers(order), float(np.sqrt(fit.cost / fit.residual.size)),
+            self._information(fit)) for order, fit in self._fits.items())
 
     def _try_forms(self, free: FreeFit) -> None:
         """Fit the free poles as a model, the forms with as many modes, and the best with a lag."""
@@ -230,8 +209,7 @@ class _Search:
             self._try_sensor_lag(fit)
 
     def _information(self, fit: FastFit) -> float:
-        rows = fit.residual.size
-        return float(rows * np.log(fit.cost) + self._parameters(fit.order) * np.log(rows))
+        return -2.0 * self._record.log_evidence(fit, self._numbers(fit.order))
 
     def _try_sensor_lag(self, fit: FastFit) -> None:
         order = replace(fit.order, sensor_lags=1)
@@ -242,27 +220,44 @@ class _Search:
             for lag in SENSOR_LAGS])
 
     def _with_antiresonances(self, free: FreeFit) -> Iterator[tuple[ModeOrder, list[_Start]]]:
-        """Modes in series, with none and more and more of the zeros of the free fit."""
-        zeros = free.antiresonances()
-        # Between modes there is one antiresonance fewer than there are modes.
-        for count in range(min(zeros.shape[1], max(free.modes - 1, 0)) + 1):
-            order = ModeOrder(free.modes, count)
-            choices = [np.concatenate([free.vector, *np.log(zeros[:, list(chosen)])])
-                       for chosen in combinations(range(zeros.shape[1]), count)]
-            yield order, self._best_starts([
-                (self._coarse.parts([(order, choice)], delay)[1], choice, delay)
-                for choice in choices for delay in self._delays_near(free.delay)])
+        """Modes in series with the zeros of the free fit, then one zero less each time."""
+        zeros = np.log(free.antiresonances())
+        chosen = list(range(zeros.shape[1]))
+
+        def cost(kept: list[int], delay: float = free.delay) -> float:
+            return self._coarse.parts([(ModeOrder(free.modes, len(kept)), vector(kept))], delay)[1]
+
+        def vector(kept: list[int]) -> FloatArray:
+            return np.concatenate([free.vector, *zeros[:, kept]])
+
+        while True:
+            # Between modes there is one antiresonance fewer than there are modes.
+            if len(chosen) <= max(free.modes - 1, 0):
+                yield ModeOrder(free.modes, len(chosen)), self._best_starts([
+                    (cost(chosen, delay), vector(chosen), delay)
+                    for delay in self._delays_near(free.delay)])
+            if not chosen:
+                return
+            chosen = min(([each for each in chosen if each != left_out] for left_out in chosen),
+                         key=cost)
 
     def _with_modes_beside(self, free: FreeFit) -> Iterator[tuple[ModeOrder, list[_Start]]]:
-        """Few modes in series, and the others beside them."""
-        for count in range(min(MOST_IN_SERIES, free.modes - 1) + 1):
-            rated = []
-            for chosen, delay in product(
-                    _subsets(free.modes, count), self._delays_near(free.delay)):
-                others = [_chosen(free.vector, (i,)) for i in range(free.modes) if i not in chosen]
-                rated.append(self._side_by_side(_chosen(free.vector, chosen), others, delay))
+        """All modes beside each other, then one more of them in series each time."""
+        series: tuple[int, ...] = ()
+
+        def start(chosen: tuple[int, ...], delay: float) -> tuple[float, FloatArray, float]:
+            others = [_chosen(free.vector, (i,)) for i in range(free.modes) if i not in chosen]
+            return self._side_by_side(_chosen(free.vector, chosen), others, delay)
+
+        def rank(chosen: tuple[int, ...]) -> tuple[bool, float]:
             # A mode that is damped beyond what one beside others may be belongs in series.
-            rated = [start for start in rated if _may_stand_beside(start[1], count)] or rated
+            cost, vector, _ = start(chosen, free.delay)
+            return not _may_stand_beside(vector, len(chosen)), cost
+
+        for count in range(min(MOST_IN_SERIES, free.modes - 1) + 1):
+            if count:
+                series = min(((*series, i) for i in range(free.modes) if i not in series), key=rank)
+            rated = [start(series, delay) for delay in self._delays_near(free.delay)]
             rated += self._with_one_more_beside(free, count)
             yield ModeOrder(count, 0, free.modes - count), self._best_starts(rated)
 
@@ -324,8 +319,9 @@ class _Search:
             self._fits[order] = best
         return self._fits[order]
 
-    def _parameters(self, order: ModeOrder) -> int:
-        return order.parameters + self._record.linear_parameters + (self._known_delay is None)
+    def _numbers(self, order: ModeOrder) -> int:
+        """Return how many numbers an order has, with its gain and its delay."""
+        return order.parameters + 1 + (self._known_delay is None)
 
 
 def _subsets(count: int, size: int) -> Iterator[tuple[int, ...]]:

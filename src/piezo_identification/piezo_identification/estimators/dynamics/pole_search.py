@@ -1,89 +1,149 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Poles of a fast record for a growing number of modes, each number begun from the one before."""
+"""Poles of a fast record: more than it needs by a vector fit, then one pair less after another."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from itertools import combinations
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_common.cancellation import check_cancelled
 from piezo_identification.estimators.dynamics.fast_record import FastRecord, FreeFit
+from piezo_identification.estimators.poles.spectral_input import SpectralInput
+from piezo_identification.estimators.poles.vector_fitting import Lines, left_by_poles, vector_fit
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
+
+MOST_MODES = 8
+"""Vibration modes of the first fit, which are more than records of one axis have shown."""
 
 SCANNED_DELAYS = (-1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
 """In sample periods, from which the best is taken to begin with."""
 
-PEAKS = 3
-"""Peaks in the spectrum of what is left, at which a further mode is tried."""
-
-TRIED_DAMPINGS = (0.01, 0.1, 0.8)
-"""Damping ratios of a further mode to begin with."""
-
-QUICK_EVALUATIONS = 12
-"""Steps that part a good start from a bad one."""
+NEAR_DELAYS = (-2.0, -1.0, -0.5, 0.5, 1.0, 2.0)
+"""Sample periods by which fewer poles may be better delayed."""
 
 FOLLOWED = 3
-"""Starts that are followed by quick fits, and the best of those to its end."""
+"""Pairs of poles that are left out with other delays, those without which least is left."""
 
-RANDOM_STARTS = 2
-"""Starts with drawn poles, beside those that are derived from the record."""
+LINES = 600
+"""Lines of the spectrum in which poles are sought."""
 
+LAST_EVALUATIONS = 4
+"""Steps in the rows of the record of poles that were found at those lines."""
 
-@dataclass(frozen=True)
-class _Found:
-    """What was found of a record, and what draws the starts of what is yet to be found."""
+RELOCATIONS = 8
+"""Regressions of a vector fit, after which its poles hardly move."""
 
-    fits: list[FreeFit] = field(default_factory=list)
-    generator: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+LINES_A_POLE = 2
+"""Lines that the first fit needs for each of its poles."""
 
+AT_ONCE = 10.0
+"""Rate of a pole, over that of the samples, that no sample shows."""
 
-_FOUND: WeakKeyDictionary[FastRecord, _Found] = WeakKeyDictionary()
+HIGHEST = 0.95
+"""Part of half the sample rate up to which lines are looked at: beyond it the bilinear rate, and
+with it the weight of a few lines, grows without limit."""
+
+_FOUND: WeakKeyDictionary[FastRecord, list[FreeFit]] = WeakKeyDictionary()
 
 
 def free_fits(record: FastRecord, most_modes: int) -> Iterator[FreeFit]:
-    """Yield the fit with free residues for 0, 1, 2, ... modes.
+    """Yield the fit with free residues for 0, 1, 2, ... modes, as far as the record shows them.
 
-    None leaves more than the one before: it begins from it with a further mode, from the poles
-    that the record suggests, and from drawn ones. A record is searched once, however often this is
-    asked.
+    None leaves more than the one before. A record is searched once, however often this is asked.
     """
-    found = _FOUND.setdefault(record, _Found())
-    for count in range(most_modes + 1):
-        if count == len(found.fits):
-            found.fits.append(_with_one_more(record, found))
-        yield found.fits[count]
+    if record not in _FOUND:
+        _FOUND[record] = nested_fits(record, *generous_poles(record))
+    yield from _FOUND[record][: most_modes + 1]
 
 
-def _with_one_more(record: FastRecord, known: _Found) -> FreeFit:
-    """Fit one mode more than those that are known; none where none is known."""
-    count, best = len(known.fits), known.fits[-1] if known.fits else None
-    starts = [vector_of_poles(poles, count) for poles in record.starts(count)]
-    suggested = len(starts)
-    if best is None:
-        starts.append(np.log([10.0 * record.input.sample_period_s]))
-        begun = [_best_delay(record, start) for start in starts]
-    else:
-        starts += [_further_mode(best.vector, frequency, damping)
-                   for frequency in residual_peaks(record, best)
-                   for damping in TRIED_DAMPINGS]
-        starts += [_further_mode(best.vector, *_drawn(record, known.generator))
-                   for _ in range(RANDOM_STARTS)]
-        begun = [record.free(start, best.delay) for start in starts]
-        begun += [_best_delay(record, start) for start in starts[:suggested]]
-    begun.sort(key=lambda fit: fit.cost)
-    quick = [record.fit_free(fit.vector, fit.delay, QUICK_EVALUATIONS)
-             for fit in begun[:FOLLOWED]]
-    found = min(quick, key=lambda fit: fit.cost)
-    found = record.fit_free(found.vector, found.delay)
-    if best is None or found.cost <= best.cost:
-        return found
-    # A mode that no sample shows leaves what was left.
-    return record.fit_free(
-        _further_mode(best.vector, 10.0 / record.input.sample_period_s, 0.8), best.delay)
+def nested_fits(record: FastRecord, poles: ComplexArray, delay: float) -> list[FreeFit]:
+    """Fit poles with free residues; take one pair after the other away, and fit the rest anew.
+
+    The pair that goes is that without which least is left.
+
+    Parameters
+    ----------
+    poles : ndarray of complex, shape (n,)
+        In rad/s, closed under conjugation; of an even number, a fast one is added.
+    delay : float
+        In sample periods.
+
+    Returns
+    -------
+    list of FreeFit
+        Of 0, 1, 2, ... modes up to those of the given poles.
+    """
+    # A spectrum knows nothing of edges between the samples.
+    seen = record.at_lines(LINES) if record.is_on_the_clock else record
+    fits = [_begun_from(seen, poles, delay)]
+    while fits[-1].modes:
+        check_cancelled()
+        fits.append(_with_a_pair_less(seen, fits[-1]))
+    fits = [record.fit_free(fit.vector, fit.delay, LAST_EVALUATIONS) for fit in reversed(fits)]
+    for count in range(1, len(fits)):
+        if fits[count].cost > fits[count - 1].cost:
+            # A mode that no sample shows leaves what was left.
+            fewer, fast_per_s = fits[count - 1], -AT_ONCE / record.input.sample_period_s
+            fits[count] = _begun_from(
+                record, np.append(fewer.poles, [fast_per_s, 2.0 * fast_per_s]), fewer.delay)
+    return fits
 
 
-def vector_of_poles(poles: ComplexArray, mode_count: int) -> FloatArray:
+def _begun_from(record: FastRecord, poles: ComplexArray, delay: float) -> FreeFit:
+    if poles.size % 2 == 0:
+        # What follows at once is behind a pole that no sample shows.
+        poles = np.append(poles, -AT_ONCE / record.input.sample_period_s)
+    return record.fit_free(vector_of_poles(poles), delay)
+
+
+def _with_a_pair_less(record: FastRecord, fit: FreeFit) -> FreeFit:
+    """Fit the poles without one conjugate pair, or without two of the real ones."""
+    pairs = [(place, place + 1) for place in np.flatnonzero(fit.poles.imag > 0.0)]
+    pairs += combinations(np.flatnonzero(fit.poles.imag == 0.0), 2)
+    rated = sorted((record.free(vector_of_poles(np.delete(fit.poles, pair)), fit.delay)
+                    for pair in pairs), key=lambda each: each.cost)
+    # Poles to spare stand for any delay, which those that remain do not.
+    rated += [record.free(start.vector, start.delay + by)
+              for start in rated[:FOLLOWED] for by in NEAR_DELAYS]
+    start = min(rated, key=lambda each: each.cost)
+    return record.fit_free(start.vector, start.delay)
+
+
+def generous_poles(record: FastRecord) -> tuple[ComplexArray, float]:
+    """Return poles of as many modes as a record may have, and a delay, by vector fits."""
+    seen = record.at_lines(LINES)
+    assert isinstance(seen.input, SpectralInput)
+    held, rows = seen.input, (seen.measured_um, seen.fixed)
+    shown = held.phases < HIGHEST * np.pi
+    output, beside = (_complex(each)[shown] for each in rows)
+    stretch = np.repeat(np.arange(len(held.counts)), held.counts)[shown]
+    # What rings at the ends of a stretch is behind the same poles.
+    begun = stretch[:, None] == np.arange(0 if held.is_periodic else len(held.counts))
+    # Rational in z is rational in the bilinear rate, and stable poles remain stable ones.
+    rate = np.tan(0.5 * held.phases[shown])
+    modes = int(np.clip(rate.size // (2 * LINES_A_POLE), 1, MOST_MODES))
+    rated = []
+    for delay in SCANNED_DELAYS:
+        check_cancelled()
+        late = held.lines[shown] * np.exp(-1j * delay * held.phases[shown])
+        lines = Lines(rate, output, np.column_stack([late, begun]), beside)
+        poles = vector_fit(lines, 2 * modes, RELOCATIONS)
+        rated.append((float(np.linalg.norm(left_by_poles(lines, poles))), delay, poles))
+    _, delay, poles = min(rated, key=lambda each: each[0])
+    discrete: ComplexArray = (1.0 + poles) / (1.0 - poles)
+    # A negative one has no continuous pole: a fast one is the nearest there is.
+    discrete[poles.imag == 0.0] = np.abs(discrete[poles.imag == 0.0])
+    return np.asarray(np.log(discrete) / held.sample_period_s, dtype=complex), delay
+
+
+def _complex(rows: FloatArray) -> ComplexArray:
+    real, imaginary = np.split(rows, 2)
+    return real + 1j * imaginary
+
+
+def vector_of_poles(poles: ComplexArray) -> FloatArray:
     """Logarithms of lag, frequencies and dampings with given poles.
 
     Parameters
@@ -95,7 +155,7 @@ def vector_of_poles(poles: ComplexArray, mode_count: int) -> FloatArray:
     -------
     ndarray, shape (1 + 2 modes,)
     """
-    dynamics = dynamics_of_poles(poles[: 1 + 2 * mode_count])
+    dynamics = dynamics_of_poles(poles)
     return np.log([dynamics.time_constant_s, *dynamics.mode_frequencies_rad_per_s,
                    *dynamics.damping_ratios])
 
@@ -107,7 +167,7 @@ def dynamics_of_poles(poles: ComplexArray) -> ElectricVibrationDynamics:
     ----------
     poles : ndarray of complex, shape (1 + 2 modes,)
         In rad/s, closed under conjugation. Unstable ones are taken for their stable mirror image;
-        real ones beyond the electric lag pair up to overdamped modes.
+        real ones but the fastest, which is the electric lag, pair up to overdamped modes.
     """
     mode_count = (poles.size - 1) // 2
     # What noise made unstable starts as its stable mirror image.
@@ -115,50 +175,13 @@ def dynamics_of_poles(poles: ComplexArray) -> ElectricVibrationDynamics:
     pairs = poles[poles.imag > 0.0][:mode_count]
     real = np.sort(-poles[poles.imag == 0.0].real)
     # Where all poles oscillate, the electric lag starts from the slowest of them.
-    time_constant_s = 1.0 / (real[0] if real.size else np.abs(poles).min())
-    products = np.concatenate([np.abs(pairs) ** 2, real[1::2] * real[2::2]])
-    sums = np.concatenate([-2.0 * pairs.real, real[1::2] + real[2::2]])
+    time_constant_s = 1.0 / (real[-1] if real.size else np.abs(poles).min())
+    one, other = real[:-1:2], real[1::2]
+    products = np.concatenate([np.abs(pairs) ** 2, one * other])
+    sums = np.concatenate([-2.0 * pairs.real, one + other])
     frequencies = np.sqrt(products)
     order = np.argsort(frequencies)
     dampings = sums / (2.0 * frequencies)
     return ElectricVibrationDynamics(
         float(time_constant_s), tuple(frequencies[order]), tuple(dampings[order])
     )
-
-
-def _best_delay(record: FastRecord, vector: FloatArray) -> FreeFit:
-    latest = 0.25 * record.input.samples.size
-    return min((record.free(vector, delay) for delay in SCANNED_DELAYS if delay < latest),
-               key=lambda fit: fit.cost)
-
-
-def _further_mode(vector: FloatArray, frequency: float, damping: float) -> FloatArray:
-    lag, frequencies, dampings = np.split(vector, [1, 1 + vector.size // 2])
-    return np.concatenate([
-        lag, frequencies, [np.log(frequency)], dampings, [np.log(damping)]])
-
-
-def residual_peaks(record: FastRecord, free: FreeFit) -> list[float]:
-    """Return the frequencies (rad/s) at which a fit leaves most.
-
-    Parameters
-    ----------
-    free : FreeFit
-        Its residual is taken in every row: rows far between show a frequency as another one.
-    """
-    whole = record.every_row
-    residual = free.residual if whole is None else whole.free(free.vector, free.delay).residual
-    strength = np.abs(np.fft.rfft(residual * np.hanning(residual.size)))
-    unit = 2.0 * np.pi / (residual.size * record.input.sample_period_s)
-    inner = strength[1:-1]
-    tops = 1 + np.flatnonzero((inner >= strength[:-2]) & (inner > strength[2:]))
-    strongest = tops[np.argsort(-strength[tops])][:PEAKS]
-    return (unit * strongest).tolist()
-
-
-def _drawn(record: FastRecord, generator: np.random.Generator) -> tuple[float, float]:
-    """Frequency and damping ratio of a mode that the samples could show."""
-    nyquist = np.pi / record.input.sample_period_s
-    lowest = 4.0 * np.pi / (record.input.samples.size * record.input.sample_period_s)
-    frequency = np.exp(generator.uniform(np.log(lowest), np.log(nyquist)))
-    return float(frequency), float(np.exp(generator.uniform(np.log(0.01), 0.0)))

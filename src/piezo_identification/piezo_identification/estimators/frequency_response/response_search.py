@@ -17,7 +17,8 @@ from piezo_identification.estimators.frequency_response.rational_form import (
 )
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_model import ResponseOrder
-from piezo_identification.estimators.frequency_response.vector_fitting import (
+from piezo_identification.estimators.poles.vector_fitting import (
+    Lines,
     left_by_poles,
     vector_fit,
 )
@@ -114,7 +115,7 @@ class ResponseSearch:
 
     def _left(self, poles: ComplexArray) -> ComplexArray:
         turned = self.gain * np.exp(1j * self.rate * self._delays_s[0])
-        return left_by_poles(self.rate, turned, poles, self.weight)
+        return left_by_poles(Lines(self.rate, turned, weight=self.weight), poles)
 
     def _delays_and_poles(self) -> tuple[list[float], ComplexArray]:
         """Delays beside which poles to spare leave little, the best first, and its poles."""
@@ -129,9 +130,9 @@ class ResponseSearch:
         tried = []
         for delay_s in np.linspace(0.0, longest_s, count + 1):
             check_cancelled()
-            turned = gain * np.exp(1j * rate * delay_s)
-            poles = vector_fit(rate, turned, min(SPARE_POLES, rate.size // 5), 8)
-            tried.append((np.linalg.norm(left_by_poles(rate, turned, poles)), delay_s, poles))
+            turned = Lines(rate, gain * np.exp(1j * rate * delay_s))
+            poles = vector_fit(turned, min(SPARE_POLES, rate.size // 5), 8)
+            tried.append((np.linalg.norm(left_by_poles(turned, poles)), delay_s, poles))
         tried.sort(key=lambda entry: entry[0])
         near = [delay_s for left, delay_s, _ in tried if left < NEARLY_AS_LITTLE * tried[0][0]]
         return near[:1] + near[1::-(-len(near) // FEW_DELAYS)], tried[0][2]
@@ -289,9 +290,9 @@ class ResponseSearch:
         weight, tried = self.weight[self._coarse], []
         for delay_s in (*self._delays_s, *more_delays_s):
             check_cancelled()
-            turned = gain * np.exp(1j * rate * delay_s)
-            found = vector_fit(rate, turned, 2 * modes + creep_pairs + 1, 8, weight)
-            left = np.linalg.norm(weight * left_by_poles(rate, turned, found, weight))
+            turned = Lines(rate, gain * np.exp(1j * rate * delay_s), weight=weight)
+            found = vector_fit(turned, 2 * modes + creep_pairs + 1, 8)
+            left = np.linalg.norm(weight * left_by_poles(turned, found))
             tried.append((left, delay_s, found))
         _, delay_s, poles = min(tried, key=lambda entry: entry[0])
         relaxations = np.sort(-poles[poles.imag == 0.0].real)

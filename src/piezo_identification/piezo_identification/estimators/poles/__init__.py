@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Poles of linear dynamics: what responds with them, and how a subspace method finds them."""
+"""Poles of linear dynamics: what responds with them, and how vector fitting finds them."""

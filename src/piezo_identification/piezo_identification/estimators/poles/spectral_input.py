@@ -100,6 +100,8 @@ class SpectralInput:
         The input at them.
     counts : tuple of int
         Lines of each stretch.
+    is_periodic : bool
+        The one stretch is a period of what has gone on for ever: it has no ends.
     """
 
     samples: FloatArray
@@ -120,7 +122,10 @@ class SpectralInput:
         Returns
         -------
         ndarray, shape (2 K, S (n + 1 + DELAYED))
+            Of a period (2 K, 0).
         """
+        if self.is_periodic:
+            return np.empty((2 * self.phases.size, 0))
         own = poles[poles.imag >= 0.0]
         turn = np.exp(1j * self.phases)[:, None]
         decay = np.append(np.exp(own * self.sample_period_s), 1.0)

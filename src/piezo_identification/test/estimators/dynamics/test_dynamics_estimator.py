@@ -5,10 +5,7 @@ import numpy as np
 import pytest
 
 from piezo_identification.conditioning.creep_removal import remove_creep
-from piezo_identification.estimators.dynamics.square_wave import (
-    estimate_dynamics,
-    free_decay_poles,
-)
+from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics
 from piezo_identification.experiments import catalogue as experiments
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.linear.dynamics import (
@@ -80,14 +77,6 @@ def test_with_fewer_modes_than_the_stage_has_those_that_move_it_most_are_found(
     estimate = estimate_dynamics(recording, plant.creep, 2).model
     assert estimate.mode_frequencies_rad_per_s[0] == pytest.approx(2846.0, rel=0.2)
     assert estimate.mode_frequencies_rad_per_s[1] == pytest.approx(4909.0, rel=0.02)
-
-
-def test_the_subspace_start_is_exact_without_noise():
-    rates = np.array([-400.0 + 4900.0j, -400.0 - 4900.0j, -2000.0])
-    time_s = np.arange(1, 400) * 25e-6
-    decay = 3.0 + np.real(np.exp(np.outer(time_s, rates)) @ [1.0 - 1.0j, 1.0 + 1.0j, 2.0])
-    poles = free_decay_poles(decay, 25e-6, 3)
-    np.testing.assert_allclose(np.sort_complex(poles), np.sort_complex(rates), rtol=1e-6)
 
 
 def test_the_inverse_takes_creep_off(plant):

@@ -102,7 +102,7 @@ def test_creep_is_sought_above_the_known_one_and_below_what_rings_and_what_rows_
         rings_at, known_rate, first, last):
     """Rows of 0.02 s over 2 s; half the sample rate is 157 rad/s."""
     record = FastRecord(HeldInput(np.zeros(100), 0.02, False), np.arange(90), np.arange(90.0),
-                        np.ones((90, 1)), lambda count: [])
+                        np.ones((90, 1)))
     poles = np.array([-1.0, rings_at * (-0.28 + 0.96j), rings_at * (-0.28 - 0.96j)])
     free = FreeFit(np.zeros(3), 0.0, np.zeros(90), poles, np.ones(3, dtype=complex))
     creep = CreepDynamics(known_rate, tuple(1.1 * rate for rate in known_rate))

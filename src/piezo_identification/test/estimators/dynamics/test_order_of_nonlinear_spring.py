@@ -49,8 +49,7 @@ def test_a_spring_that_stiffens_is_one_mode_whatever_it_leaves():
     noise = 1e-5 * np.random.default_rng(1).normal(size=rows.size)
     measured = cubic_spring(inputs)[rows] + noise
     estimate = fit_output_error(FastRecord(
-        HeldInput(inputs, PERIOD_S, False), rows, measured, np.ones((rows.size, 1)),
-        lambda modes: []))
+        HeldInput(inputs, PERIOD_S, False), rows, measured, np.ones((rows.size, 1))))
     assert estimate.residual_rms > 1000.0 * 1e-5
     assert estimate.order.modes + estimate.order.beside == 1
     assert estimate.order.antiresonances == 0

@@ -25,7 +25,7 @@ def record():
     rows = np.arange(500, given.size - 10)
     measured = (held.responses(POLES, DELAY, rows).value @ RESIDUES).real + 3.0
     measured += draw.normal(0.0, 1e-4, rows.size)
-    return FastRecord(held, rows, measured, np.ones((rows.size, 1)), lambda modes: [])
+    return FastRecord(held, rows, measured, np.ones((rows.size, 1)))
 
 
 @pytest.mark.parametrize("delay", [0.0, DELAY, -0.4])
@@ -34,7 +34,7 @@ def test_the_spectrum_of_responses_is_the_response_of_the_spectrum(record, delay
     assert record.kept.size > LONG and lines.kept.size <= 2000
     in_time = record.input.responses(POLES, delay, record.kept)
     again = FastRecord(record.input, record.kept, (in_time.value @ RESIDUES).real,
-                       record.fixed, record.starts).thinned(2000)
+                       record.fixed).thinned(2000)
     direct = (lines.input.responses(POLES, delay).value @ RESIDUES).real
     beside = lines.input.transients(POLES)
     left = again.measured_um - direct

@@ -19,7 +19,7 @@ from piezo_identification.estimators.frequency_response.response_fit import (
     estimate_from_response,
 )
 from piezo_identification.estimators.frequency_response.response_search import weight_of_noise
-from piezo_identification.estimators.frequency_response.vector_fitting import vector_fit
+from piezo_identification.estimators.poles.vector_fitting import Lines, vector_fit
 from piezo_identification.identification.linear_dynamics import LinearDynamics
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
@@ -214,7 +214,7 @@ def test_eight_modes_of_a_mirror_are_found():
 def test_vector_fitting_is_exact_for_a_rational_response():
     rational = ResponseModel(0.6, 0.0, TRUTH.creep, TRUTH.dynamics)
     rate = 2.0 * np.pi * FREQUENCY_HZ
-    poles = vector_fit(rate, rational.response(FREQUENCY_HZ), 8)
+    poles = vector_fit(Lines(rate, rational.response(FREQUENCY_HZ)), 8)
     truth = np.concatenate([TRUTH.dynamics.state_space().poles(), [-20.0]])
     np.testing.assert_allclose(np.sort_complex(poles), np.sort_complex(truth), rtol=1e-5)
 
