@@ -45,7 +45,8 @@ def estimate_dynamics_armax(
         the orders are too low for the modes.
     """
     signals = hysteresis_and_displacement(recording, hysteresis, creep)
-    part = signals.longest
+    stretches = np.split(signals.kept, np.flatnonzero(np.diff(signals.kept) > 1) + 1)
+    part = max(stretches, key=len)
     input_um = signals.entering_um[part]
     armax = fit_armax(input_um, signals.displacement_um[part], *orders, signals.drift[part])
     return dynamics_of_armax(armax, input_um, signals.sample_period_s, mode_count)
