@@ -34,9 +34,9 @@ def main(arguments: list[str] | None = None) -> None:
                         lambda done: line.show("cases", done / options.cases))
     line.clear()
     reliability, intervals = figures(results)
-    print(f"{len(results)} cases of seed {options.seed}: expected calibration error "
-          f"{reliability.expected_calibration_error:.3f}; {intervals['right']} of "
-          f"{intervals['intervals']} intervals of 90 % contain the parameter")
+    print(f"{len(results)} cases of seed {options.seed}: {reliability.sentence()}; "
+          f"{intervals['right']} of {intervals['intervals']} intervals of 90 % contain the "
+          "parameter")
     if options.page is not None:
         write_page(options.page, options.seed, results)
 
