@@ -27,7 +27,7 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
     find_identification_recordings,
     fitted_hashes,
 )
-from piezo_identification.diagnosis.report.results import stated_error
+from piezo_identification.diagnosis.report.results import stated_error_um
 from piezo_identification.diagnosis.response.response_diagnosis import diagnose_response
 from piezo_identification.diagnosis.verdict import Verdict, extended_model
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
@@ -194,9 +194,9 @@ def diagnose(model: AnyModel, data: Any, holdout: Any = None, *, identified_from
     held_out = None if holdout is None else all_as_identified(
         opened, [read(holdout, columns, "held-out data")])[0][0]
     judged = [*(data if isinstance(data, list | tuple) else [data]), holdout]
-    known, stated, noise = _known_of(model, identified_from, judged, columns)
+    known, stated_um, noise = _known_of(model, identified_from, judged, columns)
     return diagnose_recordings(
-        stage_model, given, held_out, progress, known, stated, noise, Budget(budget_s))
+        stage_model, given, held_out, progress, known, stated_um, noise, Budget(budget_s))
 
 
 def plot_residuals(verdict: Diagnosis, recording: int = 0) -> "Figure":
@@ -304,7 +304,7 @@ def _known_of(
         identified, path, lambda name: recordings_of(name, columns, str(name)),
         others=[each for each in others if isinstance(each, str | PathLike)])
     fitted = replace(known, hashes=fitted_hashes(identified))
-    return fitted, stated_error(identified), noise_of_model(identified)
+    return fitted, stated_error_um(identified), noise_of_model(identified)
 
 
 def _read_at(rows_read: str) -> float:
