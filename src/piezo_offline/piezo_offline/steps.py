@@ -23,7 +23,7 @@ from piezo_identification.diagnosis.evidence.known_noise import noise_of_model
 from piezo_identification.diagnosis.joint.identification_recordings import (
     find_identification_recordings,
 )
-from piezo_identification.diagnosis.report.results import stated_error
+from piezo_identification.diagnosis.report.results import stated_error_um
 from piezo_identification.diagnosis.response.response_diagnosis import diagnose_response
 from piezo_identification.diagnosis.verdict import Verdict, extended_model
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
@@ -203,7 +203,7 @@ def diagnose(model: AnyModel, data: Any, holdout: Any = None, *, identified_from
         identified, model if isinstance(model, str | PathLike) else ".",
         lambda path: recordings_of(path, columns, str(path)), moved, [*judged, *held])
     return diagnose_recordings(
-        stage_model, given, held_out, progress, known, stated_error(identified),
+        stage_model, given, held_out, progress, known, stated_error_um(identified),
         noise_of_model(identified), Budget(budget_s))
 
 

@@ -15,7 +15,7 @@ from piezo_identification.diagnosis.experiment_design.propose import (
 from piezo_identification.diagnosis.joint.identification_recordings import (
     find_identification_recordings,
 )
-from piezo_identification.diagnosis.report.results import stated_error
+from piezo_identification.diagnosis.report.results import stated_error_um
 from piezo_identification.experiments.stage_limits import StageLimits
 from piezo_identification.prediction.row_reading import all_as_identified
 from piezo_models.model_file import announced_model
@@ -37,7 +37,7 @@ def propose_given(options: argparse.Namespace) -> None:
                          options.sample_rate_hz, options.rest_v)
     print_progress("fit the alternatives", 0.0)
     alternatives = alternatives_of_files(
-        identified.model, recordings, verdict, known, stated_error(identified) or 0.0)
+        identified.model, recordings, verdict, known, stated_error_um(identified) or 0.0)
     proposal = propose(alternatives, limits, options.longest_s, print_progress)
     for alternative in alternatives.alternatives:
         print(f"{alternative.name:40}{100.0 * alternative.probability:6.1f} %")

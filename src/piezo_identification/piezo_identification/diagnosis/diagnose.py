@@ -108,13 +108,13 @@ class Diagnosis(Verdict):
         The comparison that led to it, for the report.
     noise : KnownNoise
         To which what remains was held.
-    stated : float
-        By how much the model is known to be wrong, as a part of the RMS motion.
+    stated_um : float
+        RMS of what the model is known to be wrong by.
     """
 
     selection: Selection
     noise: KnownNoise = field(default=KnownNoise(), kw_only=True)
-    stated: float = field(default=0.0, kw_only=True)
+    stated_um: float = field(default=0.0, kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ class Decision:
 def diagnose(model: StageModel, recordings: Sequence[Recording],
              holdout: Recording | None = None, progress: Progress | None = None,
              identified_from: IdentificationRecordings | None = None,
-             stated: float | None = None, noise: KnownNoise | None = None,
+             stated_um: float | None = None, noise: KnownNoise | None = None,
              budget: Budget | None = None) -> Diagnosis:
     """Find what a model lacks to explain recordings.
 
@@ -187,9 +187,9 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
         Called with (what is done, fraction).
     identified_from : IdentificationRecordings, optional
         What is at hand of the recordings that the model was identified from; by default nothing.
-    stated : float, optional
-        By how much the model is known to be wrong, as a part of the RMS motion; by default what
-        the recordings of the identification tell.
+    stated_um : float, optional
+        RMS of what the model is known to be wrong by; by default what the recordings of the
+        identification tell.
     noise : KnownNoise, optional
         What the model file tells of the noise; the recordings at hand tell the rest.
     budget : Budget, optional
@@ -205,12 +205,13 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
     budget = budget or Budget()
     with spending(budget):
         diagnosis = _diagnosed(model, recordings, holdout, progress,
-                               identified_from or IdentificationRecordings(), stated, noise, budget)
+                               identified_from or IdentificationRecordings(), stated_um, noise,
+                               budget)
     return replace(diagnosis, not_tried=budget.sentence())
 
 
 def _diagnosed(model: StageModel, recordings: Sequence[Recording], holdout: Recording | None,
-               progress: Progress | None, known: IdentificationRecordings, stated: float | None,
+               progress: Progress | None, known: IdentificationRecordings, stated_um: float | None,
                noise: KnownNoise | None, budget: Budget) -> Diagnosis:
     given = condition(model, recordings, holdout)
     # The end of the time ends the comparison alone: what was found until then becomes a verdict.
@@ -223,9 +224,9 @@ def _diagnosed(model: StageModel, recordings: Sequence[Recording], holdout: Reco
         check_cancelled()
         old = old_recordings(model, known)
         competition = compare_models(
-            model, given.recordings, old, selection, stated, report)
+            model, given.recordings, old, selection, stated_um, report)
     if competition is None:
-        competition = compare_models(model, given.recordings, [], selection, stated, report)
+        competition = compare_models(model, given.recordings, [], selection, stated_um, report)
     selection = replace(selection, interrupted=bool(budget.not_tried))
     selection = led_by_the_most_probable(selection, competition)
     competition = with_free_model(competition, model, given.recordings, selection)
@@ -235,7 +236,7 @@ def _diagnosed(model: StageModel, recordings: Sequence[Recording], holdout: Reco
     predictable = ceiling_of(found, decision)
     told = tell(model, given, found, believed, decision, predictable)
     return replace(told, selection=replace(selection, end=found.end), noise=noise,
-                   stated=competition.stated, identified_from=known.document(),
+                   stated_um=competition.stated_um, identified_from=known.document(),
                    probabilities=decision.probabilities)
 
 
@@ -356,7 +357,7 @@ def decide(selection: Selection, validation: Validation,
     def held(fit: Fit, found: Selection, believed: Validation) -> HeldToNoise:
         return held_to_noise(
             shares, believed.remainders(fit), noise.beside(noise_of_residuals(found.regression)),
-            competition.stated, finds_nothing=not fit.effects and outliers is None)
+            competition.stated_um, finds_nothing=not fit.effects and outliers is None)
 
     shares = held(fit, found, believed).probabilities
     is_explained = shares[SOMETHING_ELSE] < PROBABILITIES.believed

@@ -16,6 +16,7 @@ def section(document):
         Content of `table.json`.
     """
     calibration, intervals = document["calibration"], document["coverage"]
+    calibrated = calibration["of_a_calibrated_program"]
     kind = "that were there all along" if document["all_along"] else "of all kinds"
     lines = [
         f"{len(document['results'])} cases of seed {document['seed']}, with effects {kind}:", "",
@@ -28,6 +29,8 @@ def section(document):
               for group, counts in document["outcomes"].items() for what, count in counts.items()]
     lines += [
         f"| expected calibration error | {calibration['expected_calibration_error']:.3f} |",
+        f"| the same of a calibrated program, mean | {calibrated['mean']:.3f} |",
+        f"| in 95 of 100 of its runs at most | {calibrated['most']:.3f} |",
         f"| {100 * intervals['level']:.0f} % intervals that contain the parameter | "
         f"{intervals['right']} of {intervals['intervals']} |", ""]
     return "\n".join(lines)

@@ -64,7 +64,8 @@ def outcome(result):
     Returns
     -------
     group, came_to : str
-        The group is "clean", "outside", "clear" or "weak", by the contribution.
+        The group is "clean", "outside", "clear" or "weak", by the contribution. What comes first is
+        right only if nothing is named beside it that is not there.
     """
     if result["verdict"] == "refused":
         return _group_of_refused(result), "refused"
@@ -77,6 +78,9 @@ def outcome(result):
             first is not None and ALSO_RIGHT.get(cause) == first for cause in causes)
         return "outside", "right" if is_right else result["verdict"]
     group = "clear" if most > CLEAR else "weak"
+    if first in causes and not set(result["effects"]) <= {
+            entry["cause"] for entry in result["contributions"]}:
+        return group, "wrong beside"
     if first in causes or result["verdict"] == "none" and set(causes) <= set(result["in_model"]):
         return group, "right"
     if set(causes) & set(result["not_decidable"]):

@@ -14,7 +14,7 @@ from piezo_identification.diagnosis.experiment_design.decide import decide
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
 )
-from piezo_identification.diagnosis.report.results import stated_error
+from piezo_identification.diagnosis.report.results import stated_error_um
 from piezo_identification.estimators.creep.square_wave_creep import CreepNotShown
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
 from piezo_identification.fitting.dataset import simulate_recordings
@@ -147,13 +147,13 @@ def run_case(case, clean, experiments=0):
 
 def _diagnoses(known, identified_from, recording, hidden, seed, experiments):
     """Return the diagnosis of a recording, and one with each recording that was then proposed."""
-    old, stated = IdentificationRecordings(identified_from, ()), stated_error(known)
+    old, stated_um = IdentificationRecordings(identified_from, ()), stated_error_um(known)
     if not experiments:
-        return [diagnose(known.model, [recording], identified_from=old, stated=stated,
+        return [diagnose(known.model, [recording], identified_from=old, stated_um=stated_um,
                          noise=noise_of_model(known))]
     steps = decide(
         known.model, [recording], records.player_of_proposals(hidden, seed), experiments,
-        records.STAGE_LIMITS, identified_from=old, stated=stated, noise=noise_of_model(known))
+        records.STAGE_LIMITS, identified_from=old, stated_um=stated_um, noise=noise_of_model(known))
     return [step.diagnosis for step in steps]
 
 

@@ -103,8 +103,7 @@ def diagnose_cases(options):
     path = options.output / "table.json"
     path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     print(as_text(document))
-    print("expected calibration error "
-          f"{document['calibration']['expected_calibration_error']:.3f}")
+    print(calibrate(document["results"]).sentence())
     intervals = document["coverage"]
     print(f"{100 * intervals['level']:.0f} % intervals that contain the parameter: "
           f"{intervals['right']} of {intervals['intervals']}")

@@ -4,9 +4,13 @@
 import argparse
 from pathlib import Path
 
+import numpy as np
+
 from piezo_common.progress_line import ProgressLine
+from piezo_studies.diagnosis_calibration.model_errors import errors_over_stated, sentence
 from piezo_studies.diagnosis_calibration.page import write_page
-from piezo_studies.diagnosis_calibration.study import figures, run_study
+from piezo_studies.diagnosis_calibration.small_cases import PLANTS
+from piezo_studies.diagnosis_calibration.study import figures, model_of, run_study
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -27,15 +31,22 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--page", type=Path,
                         help="page whose section is written anew, such as docs/diagnosis.md; its "
                              "picture goes to pictures beside it")
+    parser.add_argument("--model-errors", action="store_true",
+                        help="say how wrong the models are in clean recordings, and nothing else")
     options = parser.parse_args(arguments)
+    if options.model_errors:
+        print(sentence(np.concatenate([
+            errors_over_stated(options.seed, plant, model_of(options.output, options.seed, plant))
+            for plant in range(PLANTS)])))
+        return
     line = ProgressLine()
     results = run_study(options.seed, options.cases, options.output, options.seconds,
                         lambda done: line.show("cases", done / options.cases))
     line.clear()
     reliability, intervals = figures(results)
-    print(f"{len(results)} cases of seed {options.seed}: expected calibration error "
-          f"{reliability.expected_calibration_error:.3f}; {intervals['right']} of "
-          f"{intervals['intervals']} intervals of 90 % contain the parameter")
+    print(f"{len(results)} cases of seed {options.seed}: {reliability.sentence()}; "
+          f"{intervals['right']} of {intervals['intervals']} intervals of 90 % contain the "
+          "parameter")
     if options.page is not None:
         write_page(options.page, options.seed, results)
 

@@ -40,7 +40,9 @@ def section(seed, results):
     level = f"{100 * intervals['level']:.0f} % intervals"
     lines += [
         f"| expected calibration error | {reliability.expected_calibration_error:.3f} |",
-        f"| the same, strict | {strict:.3f} |",
+        f"| the same of a calibrated program, mean | {reliability.calibrated_mean:.3f} |",
+        f"| in 95 of 100 of its runs at most | {reliability.calibrated_most:.3f} |",
+        f"| expected calibration error, strict | {strict:.3f} |",
         f"| {level} that contain the parameter | "
         f"{_told(intervals)} |",
         f"| the same, where it is explained | {_told(explained)} |",

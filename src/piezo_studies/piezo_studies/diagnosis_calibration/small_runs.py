@@ -5,7 +5,7 @@ import numpy as np
 
 from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_identification.diagnosis.evidence.known_noise import noise_of_model
-from piezo_identification.diagnosis.report.results import stated_error
+from piezo_identification.diagnosis.report.results import stated_error_um
 from piezo_identification.fitting.dataset import simulate_recordings
 from piezo_identification.fitting.regression import first_regression
 from piezo_studies.diagnosis_benchmark import records
@@ -42,7 +42,7 @@ def run_small_case(case, identified):
         if drawn is None:
             return None
     recording = records.record(plant if drawn is None else drawn.plant, experiment, seed)
-    diagnosis = diagnose(identified.model, [recording], stated=stated_error(identified),
+    diagnosis = diagnose(identified.model, [recording], stated_um=stated_error_um(identified),
                          noise=noise_of_model(identified))
     size, told = 0.0, []
     if drawn is not None:

@@ -55,7 +55,7 @@ def run_study(seed, count, directory, seconds, report):
             break
         plant = number % PLANTS
         if plant not in models:
-            models[plant] = _model(directory, seed, plant)
+            models[plant] = model_of(directory, seed, plant)
         kept[number] = run_small_case(draw_case(number, seed), models[plant])
         with path.open("a", encoding="utf-8") as file:
             file.write(json.dumps({"number": number, "result": kept[number]}) + "\n")
@@ -79,8 +79,9 @@ def figures(results):
     return calibrate(results), coverage(results)
 
 
-def _model(directory, seed, plant):
+def model_of(directory, seed, plant):
     """Return the model of a plant without effects, identified once."""
+    directory.mkdir(parents=True, exist_ok=True)
     path = directory / f"model_{seed}_{plant}.json"
     if not path.exists():
         identified, _ = clean_model(seed, plant)

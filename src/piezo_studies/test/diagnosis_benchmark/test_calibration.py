@@ -56,6 +56,17 @@ def test_the_error_is_the_mean_distance_by_the_counts():
         0.25 * 0.3 + 0.75 * abs(0.9 - 2.0 / 3.0))
 
 
+def test_few_cases_have_an_error_though_their_probabilities_are_right():
+    probabilities = np.full(10, 0.7)
+    found = reliability(probabilities, np.arange(10) < 7)
+    # Of 10 cases the mean distance of the share that comes true from 0.7 is 0.112 (binomial).
+    assert found.expected_calibration_error == pytest.approx(0.0, abs=1e-12)
+    assert found.calibrated_mean == pytest.approx(0.112, abs=0.005)
+    assert found.calibrated_most == pytest.approx(0.3, abs=0.01)
+    assert reliability(np.full(1000, 0.7), np.arange(1000) < 700).calibrated_mean < 0.015
+    assert "of a calibrated program 0.11" in found.sentence()
+
+
 @pytest.mark.parametrize(("label", "case", "expected"), [
     ("none", result({}), True),
     ("none", result({}, "delay"), False),

@@ -35,7 +35,8 @@ def document():
         "seed": 7, "all_along": True, "results": [{}, {}, {}],
         "outcomes": {"clear": {"right": 2, "wrong": 1}},
         "coverage": {"level": 0.9, "intervals": 4, "right": 3},
-        "calibration": {"expected_calibration_error": 0.125, "bins": [
+        "calibration": {"expected_calibration_error": 0.125,
+                        "of_a_calibrated_program": {"mean": 0.061, "most": 0.142}, "bins": [
             {"from": 0.8, "to": 0.9, "stated": None, "true": None, "cases": 0},
             {"from": 0.9, "to": 1.0, "stated": 0.95, "true": 2 / 3, "cases": 3}]}}
 
@@ -48,6 +49,7 @@ def test_the_section_is_written_anew_and_the_page_stays(tmp_path):
     assert text.startswith("above\n") and text.endswith("<!-- end -->\nbelow\n")
     assert "old" not in text
     assert "| 0.9 to 1.0 | 3 | 0.95 | 0.67 |" in text and "3 of 4" in text
+    assert "| 0.061 |" in text and "| 0.142 |" in text
 
 
 def test_a_page_without_the_section_is_refused(tmp_path):

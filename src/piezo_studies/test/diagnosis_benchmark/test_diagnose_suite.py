@@ -57,6 +57,7 @@ def test_the_suite_has_the_cases_it_must_have_and_the_same_for_the_same_seed():
     (result([("delay", 9.0, 5.0)], verdict="none", later=False, in_model=["sensor_lag"]),
      ("clear", "no name")),
     (result([("delay", 9.0, 2.0)], ["creep"]), ("clear", "wrong")),
+    (result([("delay", 9.0, 2.0)], ["delay", "creep"]), ("clear", "wrong beside")),
     (result([("delay", 9.0, 2.0)], ["sensor_lag"], not_decidable=["delay"]),
      ("clear", "not decidable")),
     (result([("delay", 9.0, 2.0)], verdict="none"), ("clear", "no name")),

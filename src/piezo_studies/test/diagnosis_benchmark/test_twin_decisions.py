@@ -38,7 +38,7 @@ def test_a_diagnosis_without_alternatives_asks_for_nothing(monkeypatch):
 
     class Found:
         selection = type("Selection", (), {"regression": None})
-        stated = 0.0
+        stated_um = 0.0
 
         def document(self):
             return {}

@@ -13,6 +13,7 @@ from piezo_models.identified_model import IdentifiedModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_studies.diagnosis_benchmark.effect_draws import CAUSES_OUTSIDE
 from piezo_studies.diagnosis_calibration import study
+from piezo_studies.diagnosis_calibration.model_errors import sentence
 from piezo_studies.diagnosis_calibration.page import SECTION, write_page
 from piezo_studies.diagnosis_calibration.small_cases import KINDS, LEVELS, draw_case, waveform
 
@@ -86,3 +87,9 @@ def test_the_page_tells_what_came_true(tmp_path):
     assert "| the same, of the parameter that was drawn | 0 of 2 |" in text
     assert text.startswith("before\n") and text.endswith("behind\n")
     assert (tmp_path / "pictures" / "diagnosis_calibration.png").stat().st_size > 1000
+
+
+def test_errors_of_models_are_told_over_what_their_files_state():
+    assert sentence(np.array([0.5, 1.0, 3.0])) == (
+        "in 3 recordings the models are wrong by 1.00 times what their files state (median; "
+        "10 % below 0.60, 10 % above 2.60, at most 3.00)")

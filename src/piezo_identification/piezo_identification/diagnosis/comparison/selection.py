@@ -3,6 +3,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 from piezo_common.budget import SEARCH, while_time_lasts
 from piezo_common.progress_part import Progress
@@ -31,7 +32,7 @@ from piezo_identification.fitting.regression import (
     fit_without_effects,
     reweighted,
 )
-from piezo_models.effects import Effect, known_effects
+from piezo_models.effects import known_effects
 from piezo_models.effects.outliers import Outliers
 
 
@@ -73,6 +74,8 @@ class Selection:
     alternatives : tuple of Fit
         Other sets of the last round that leave not much more than the best, and those with an
         effect in place of one of the best that the data cannot tell from it.
+    parts : tuple of Fit
+        The best set without some of its effects.
     interrupted : bool
         The comparison was ended by Ctrl-C, or as its time was over: more effects may be missing,
         and those found may not be needed beside each other.
@@ -85,6 +88,7 @@ class Selection:
     indistinguishable: dict[str, str]
     not_shown: dict[str, Undecided]
     alternatives: tuple[Fit, ...] = ()
+    parts: tuple[Fit, ...] = ()
     interrupted: bool = False
 
 
@@ -94,7 +98,7 @@ def select_effects(regression: Regression, progress: Progress | None = None,
 
     Every round adds one more effect to each of the few best sets of the round before, in every way,
     and fits the best of the larger sets as a whole. The larger set must be convincingly better
-    than the best smaller one. In the end each effect must be needed beside the others.
+    than the best smaller one.
 
     Parameters
     ----------
@@ -138,13 +142,13 @@ def select_effects(regression: Regression, progress: Progress | None = None,
             if stuck or mean_square(regression, best) < 1.0 + CRITERIA.noticeable**2:
                 break
             sets = alternatives(regression, larger)
-        best = _needed(regression, start, best)
         # Larger sets than the best did not convince.
         others = [fit for fit in alternatives(regression, [best, *others])[1:]
                   if len(fit.effects) <= len(best.effects)]
         if best.effects:
             # With these weights: only at its optimum is one set likelier than another.
             best, *others = _once_more(regression, [best, *others])
+        parts = _parts(regression, best)
         alike = in_place_of_the_found(regression, kinds, best)
         indistinguishable |= {name: found for name, (found, _) in alike.items()}
         others = _without_repeats([*others, *(fit for _, fit in alike.values())])
@@ -154,7 +158,7 @@ def select_effects(regression: Regression, progress: Progress | None = None,
         return Selection(
             regression, start, best, rounds, indistinguishable, not_shown, interrupted=True)
     return Selection(
-        regression, start, best, rounds, indistinguishable, not_shown, tuple(others))
+        regression, start, best, rounds, indistinguishable, not_shown, tuple(others), parts)
 
 
 def left_rms_um(selection: Selection) -> float:
@@ -200,12 +204,8 @@ def _without_repeats(fits: Sequence[Fit]) -> list[Fit]:
                  for fit in reversed(fits)}.values())[::-1]
 
 
-def _needed(regression: Regression, start: Fit, best: Fit) -> Fit:
-    """Return the set without those effects beside which nothing is worse."""
-    for number in range(len(best.effects) - 1, -1, -1):
-        others: tuple[Effect, ...] = best.without(number)
-        if others:
-            without = fit_effects(regression, others)
-            if not is_convincing(regression, start, without, best):
-                return _needed(regression, start, without)
-    return best
+def _parts(regression: Regression, best: Fit) -> tuple[Fit, ...]:
+    """Fit every smaller set of the effects of a fit, but none."""
+    smaller = [effects for size in range(len(best.effects) - 1, 0, -1)
+               for effects in combinations(best.effects, size)]
+    return tuple(side_by_side(lambda effects: fit_effects(regression, effects), smaller))

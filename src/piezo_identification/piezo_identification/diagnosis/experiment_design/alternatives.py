@@ -11,18 +11,14 @@ from piezo_common.arrays import FloatArray
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.diagnosis.comparison.reasons import Reason
 from piezo_identification.diagnosis.joint.alternatives import Came, evidence_of
-from piezo_identification.diagnosis.joint.competition import wrong_um
+from piezo_identification.diagnosis.joint.expected_errors import expected_errors
 from piezo_identification.diagnosis.joint.far_starts import may_lead
 from piezo_identification.diagnosis.joint.probabilities import NONE, listed_probabilities
 from piezo_identification.fitting.effect_fit import fit_one_more
 from piezo_identification.fitting.joint_fit import JointFit, JointProblem
 from piezo_identification.fitting.model_weights import HeldOut
 from piezo_identification.fitting.recording_evidence import recording_evidence
-from piezo_identification.fitting.regression import (
-    Regression,
-    accuracies_um,
-    with_fixed_parameters,
-)
+from piezo_identification.fitting.regression import Regression, with_fixed_parameters
 from piezo_models.effects import Effect, fitted_values, known_effects, with_fitted_values
 from piezo_models.effects.outliers import Outliers
 from piezo_recorder.reading.recording import Recording
@@ -122,7 +118,7 @@ def effects_of(verdict: Mapping[str, Any]) -> tuple[Effect, ...]:
 
 def find_alternatives(regression: Regression, verdict: Mapping[str, Any],
                       old: Sequence[Recording] = (), others: Iterable[Effects] = (),
-                      stated: float = 0.0) -> Alternatives:
+                      stated_um: float = 0.0) -> Alternatives:
     """Fit the explanations that a verdict leaves, and say how probable each is.
 
     Each is estimated together with the model's parameters, which a prior leaves as free as the
@@ -138,8 +134,8 @@ def find_alternatives(regression: Regression, verdict: Mapping[str, Any],
         Those of the identification, conditioned as for a diagnosis.
     others : iterable of tuples of Effect
         Sets that were alternatives before.
-    stated : float
-        By how much the model is known to be wrong, as a part of the RMS motion.
+    stated_um : float
+        RMS of what the model is known to be wrong by.
     """
     dataset, found = regression.dataset, effects_of(verdict)
     sets: dict[str, Effects] = {_name(found): found}
@@ -150,7 +146,7 @@ def find_alternatives(regression: Regression, verdict: Mapping[str, Any],
                            simulated=dataset.simulated)
     was_there = any(entry.get("came") == Came.BEFORE
                     for entry in verdict.get("effects", []))
-    return _weighed(problem, _fit(problem, sets, was_there), stated)
+    return _weighed(problem, _fit(problem, sets, was_there), stated_um)
 
 
 def _fit(problem: JointProblem, sets: Mapping[str, Effects], was_there: bool,
@@ -223,14 +219,15 @@ def _gone_on(problem: JointProblem, fit: JointFit, best: JointFit | None = None)
 
 
 def _weighed(problem: JointProblem, fitted: Mapping[str, JointFit],
-             stated: float) -> Alternatives:
+             stated_um: float) -> Alternatives:
     """Give the fits their probabilities."""
     own = len(problem.own)
     roots = {name: _information(fit) for name, fit in fitted.items()}
     evidence = {name: evidence_of(name, fit) for name, fit in fitted.items()}
     chances = dict(zip(fitted, listed_probabilities(
-        list(evidence.values()), accuracies_um(problem.dataset),
-        wrong_um(problem.dataset, stated)[: problem.new_count]).tolist(), strict=True))
+        list(evidence.values()), expected_errors(
+            problem.dataset, problem.noise.noise_um, stated_um)).tolist(),
+        strict=True))
     alternatives = sorted(
         (Alternative(name, fit.effects[own:], fit, chances[name], roots[name])
          for name, fit in fitted.items() if chances[name] >= LEAST_PROBABLE),

@@ -63,7 +63,7 @@ def decide(model: StageModel, recordings: Sequence[Recording], play: Play, budge
            limits: StageLimits = USUAL_LIMITS, longest_s: float = LONGEST_S,
            holdout: Recording | None = None, progress: Progress | None = None,
            identified_from: IdentificationRecordings | None = None,
-           stated: float | None = None, noise: KnownNoise | None = None,
+           stated_um: float | None = None, noise: KnownNoise | None = None,
            begin_budget: Callable[[], Budget] = Budget) -> list[DecisionStep]:
     """Diagnose, play what tells the alternatives apart, and diagnose again.
 
@@ -78,7 +78,7 @@ def decide(model: StageModel, recordings: Sequence[Recording], play: Play, budge
         Recordings that may be made.
     longest_s : float
         That each may last.
-    holdout, progress, identified_from, stated, noise
+    holdout, progress, identified_from, stated_um, noise
         Of `diagnose`.
     begin_budget : callable
         Returns the time that a diagnosis may take, which begins then.
@@ -95,12 +95,12 @@ def decide(model: StageModel, recordings: Sequence[Recording], play: Play, budge
         report = part_of(
             progress, len(steps) / (budget + 1), (len(steps) + 1) / (budget + 1))
         diagnosis = diagnose(model, known, holdout, part_of(report, 0.0, DIAGNOSED),
-                             identified_from, stated, noise, begin_budget())
+                             identified_from, stated_um, noise, begin_budget())
         before = [alternative.effects for step in steps[-1:]
                   for alternative in step.alternatives.alternatives]
         report("compare the alternatives", DIAGNOSED)
         alternatives = find_alternatives(
-            diagnosis.selection.regression, diagnosis.document(), old, before, diagnosis.stated)
+            diagnosis.selection.regression, diagnosis.document(), old, before, diagnosis.stated_um)
         decided = decided_verdict(model, known, holdout, diagnosis, alternatives)
         proposal = None
         if not _is_decided(alternatives) and len(steps) < budget:

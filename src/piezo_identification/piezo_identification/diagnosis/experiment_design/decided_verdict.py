@@ -77,7 +77,7 @@ def decided_verdict(model: StageModel, recordings: Sequence[Recording], holdout:
     held = held_to_noise(
         chances, validation.remainders(selection.end),
         diagnosis.noise.beside(noise_of_residuals(selection.regression)),
-        diagnosis.stated, finds_nothing=not names and outliers is None)
+        diagnosis.stated_um, finds_nothing=not names and outliers is None)
     chances = held.probabilities
     verdict = "unexplained"
     if chances[SOMETHING_ELSE] < PROBABILITIES.believed:
@@ -88,7 +88,7 @@ def decided_verdict(model: StageModel, recordings: Sequence[Recording], holdout:
         model, given, selection, validation, decision, ceiling_of(selection, decision))
     return replace(
         told, identified_from=diagnosis.identified_from, probabilities=decision.probabilities,
-        noise=diagnosis.noise, stated=diagnosis.stated)
+        noise=diagnosis.noise, stated_um=diagnosis.stated_um)
 
 
 def _came(alternatives: Alternatives) -> Came:

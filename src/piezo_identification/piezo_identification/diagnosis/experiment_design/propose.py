@@ -96,7 +96,7 @@ class Proposal:
 def alternatives_of_files(model: StageModel, recordings: Sequence[Recording],
                           verdict: Mapping[str, Any],
                           identified_from: IdentificationRecordings | None = None,
-                          stated: float = 0.0) -> Alternatives:
+                          stated_um: float = 0.0) -> Alternatives:
     """Fit the explanations that a verdict leaves to the recordings that it came from.
 
     Parameters
@@ -109,14 +109,14 @@ def alternatives_of_files(model: StageModel, recordings: Sequence[Recording],
         Content of `verdict.json`.
     identified_from : IdentificationRecordings, optional
         What is at hand of the recordings that the model was identified from; by default nothing.
-    stated : float
-        By how much the model is known to be wrong, as a part of the RMS motion.
+    stated_um : float
+        RMS of what the model is known to be wrong by.
     """
     given = condition(model, recordings, None)
     first = first_regression(simulate_recordings(model, given.recordings))
     old = old_recordings(model, identified_from or IdentificationRecordings())
     return find_alternatives(
-        reweighted(first, effects_of(verdict)), verdict, old, stated=stated)
+        reweighted(first, effects_of(verdict)), verdict, old, stated_um=stated_um)
 
 
 def propose(alternatives: Alternatives, limits: StageLimits, longest_s: float = LONGEST_S,

@@ -71,7 +71,7 @@ def what_would_decide(diagnosis: Diagnosis, identified_from: IdentificationRecor
     progress("compare the alternatives", 0.0)
     alternatives = find_alternatives(
         regression, verdict, old_recordings(regression.dataset.model, identified_from),
-        stated=diagnosis.stated)
+        stated_um=diagnosis.stated_um)
     return propose(alternatives, recorded_limits(regression.dataset),
                    progress=part_of(progress, COMPARED, 1.0))
 

@@ -16,6 +16,7 @@ from piezo_common.arrays import FloatArray
 from piezo_common.budget import while_time_lasts
 from piezo_common.progress_part import Progress, part_of
 from piezo_common.side_by_side import side_by_side
+from piezo_identification.diagnosis.joint.expected_errors import ExpectedErrors
 from piezo_identification.diagnosis.joint.far_starts import SETTINGS as FITS
 from piezo_identification.diagnosis.joint.far_starts import from_afar
 from piezo_identification.diagnosis.joint.probabilities import (
@@ -122,7 +123,7 @@ def settled(problem: JointProblem, progress: Progress) -> JointFit:
 
 
 def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effect]],
-            progress: Progress) -> list[Alternative]:
+            expected: ExpectedErrors, progress: Progress) -> list[Alternative]:
     """Fit the alternatives.
 
     Parameters
@@ -131,6 +132,8 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
         Without more effects; see `settled`.
     since : sequence of sequences of Effect
         Sets that may explain the new recordings alone, the best first.
+    expected : ExpectedErrors
+        Of the recordings of the problem.
     progress : callable
         Called with (what is done, fraction).
 
@@ -159,15 +162,17 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
             if turn == 0 and not is_long and not any(
                     _leaves_noise(problem, each, problem.new_count) for each in fitted):
                 fitted = _from_afar(problem, best, guesses, fitted)
-            alternatives = converged(problem, _possible(problem, [*alternatives, *fitted]))
-            now = most_probable(problem, alternatives)
+            alternatives = converged(
+                problem, _possible(problem, [*alternatives, *fitted]), expected)
+            now = most_probable(alternatives, expected)
             if now is best or now.since or _leaves_noise(problem, now, problem.new_count):
                 break
             best = now
     return alternatives
 
 
-def converged(problem: JointProblem, alternatives: Sequence[Alternative]) -> list[Alternative]:
+def converged(problem: JointProblem, alternatives: Sequence[Alternative],
+              expected: ExpectedErrors) -> list[Alternative]:
     """Fit on every alternative that may still become the most probable.
 
     Returns
@@ -177,7 +182,7 @@ def converged(problem: JointProblem, alternatives: Sequence[Alternative]) -> lis
     """
     alternatives = list(alternatives)
     for _ in range(FITS.turns):
-        logarithms = _logarithms(problem, alternatives)
+        logarithms = _logarithms(alternatives, expected)
         behind = np.max(logarithms) - logarithms
         numbers = [number for number, each in enumerate(alternatives)
                    if not each.fit.has_converged and not _leaves_noise(
@@ -194,25 +199,29 @@ def converged(problem: JointProblem, alternatives: Sequence[Alternative]) -> lis
     return _possible(problem, alternatives)
 
 
-def asked_when(problem: JointProblem, alternatives: Sequence[Alternative]) -> list[Alternative]:
+def asked_when(problem: JointProblem, alternatives: Sequence[Alternative],
+               expected: ExpectedErrors) -> list[Alternative]:
     """Add the alternative that is believed as it would be all along, where it came since.
 
     Only beside each other do the two tell when the effects came.
     """
-    best = most_probable(problem, alternatives)
+    best = most_probable(alternatives, expected)
     is_known = any(each.names == best.names and not each.since for each in alternatives)
     if not best.since or is_known or not all(
             effect.of_the_stage or effect.recurs for effect in best.fit.effects):
         return list(alternatives)
     along = _alternative(best.names, problem.fit(best.fit.effects, begun=best.fit))
-    return converged(problem, [*alternatives, along])
+    return converged(problem, [*alternatives, along], expected)
 
 
-def beside_free_model(problem: JointProblem, effects: Sequence[Effect]) -> Alternative:
-    """Fit effects that explain new recordings together with all parameters of the model."""
-    names = [effect.name for effect in effects]
-    first = _alternative(names, problem.fit((*problem.own, *effects)))
-    return converged(problem, [first])[0]
+def beside_free_model(problem: JointProblem, sets: Sequence[Sequence[Effect]],
+                      expected: ExpectedErrors) -> list[Alternative]:
+    """Fit each of some sets of effects together with all parameters of the model."""
+    def fitted(effects: Sequence[Effect]) -> Alternative:
+        return _alternative([effect.name for effect in effects],
+                            problem.fit((*problem.own, *effects)))
+
+    return converged(problem, side_by_side(fitted, sets), expected)
 
 
 def _each_beside(problem: JointProblem, best: Alternative, guesses: Sequence[Sequence[Effect]],
@@ -243,19 +252,18 @@ def _turn_of(progress: Progress, turn: int) -> Progress:
         progress, (turn + 0.2) / SETTINGS.most_effects, (turn + 1) / SETTINGS.most_effects)
 
 
-def _logarithms(problem: JointProblem, alternatives: Sequence[Alternative]) -> FloatArray:
+def _logarithms(alternatives: Sequence[Alternative], expected: ExpectedErrors) -> FloatArray:
     """Return the logarithm of the evidence of each alternative, among these."""
-    return logarithms_of_evidence(
-        [each.evidence for each in alternatives], accuracies_um(problem.dataset))
+    return logarithms_of_evidence([each.evidence for each in alternatives], expected)
 
 
-def most_probable(problem: JointProblem, alternatives: Sequence[Alternative]) -> Alternative:
+def most_probable(alternatives: Sequence[Alternative], expected: ExpectedErrors) -> Alternative:
     """Return the alternative with the largest evidence."""
-    return alternatives[int(np.argmax(_logarithms(problem, alternatives)))]
+    return alternatives[int(np.argmax(_logarithms(alternatives, expected)))]
 
 
-def times_of_coming(problem: JointProblem,
-                    alternatives: Sequence[Alternative]) -> dict[tuple[str, ...], Came]:
+def times_of_coming(alternatives: Sequence[Alternative],
+                    expected: ExpectedErrors) -> dict[tuple[str, ...], Came]:
     """Return for each set of effects when it came, as far as the recordings show.
 
     Returns
@@ -264,7 +272,7 @@ def times_of_coming(problem: JointProblem,
         Of each set that was tried in one of the two ways; a set of which any effect depends on when
         a recording begins can only have come later.
     """
-    logarithms = _logarithms(problem, alternatives)
+    logarithms = _logarithms(alternatives, expected)
     best: dict[tuple[str, ...], dict[bool, float]] = {}
     for each, logarithm in zip(alternatives, logarithms, strict=True):
         ways = best.setdefault(each.names, {})

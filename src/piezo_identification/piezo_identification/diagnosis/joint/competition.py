@@ -6,10 +6,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from piezo_common.arrays import FloatArray
 from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
-from piezo_identification.diagnosis.comparison.criteria import CRITERIA, is_noise
+from piezo_identification.diagnosis.comparison.criteria import is_noise
 from piezo_identification.diagnosis.comparison.selection import Selection
 from piezo_identification.diagnosis.comparison.undecided import in_place_of_the_found
 from piezo_identification.diagnosis.joint.alternatives import (
@@ -22,6 +21,7 @@ from piezo_identification.diagnosis.joint.alternatives import (
     settled,
     times_of_coming,
 )
+from piezo_identification.diagnosis.joint.expected_errors import ExpectedErrors, expected_errors
 from piezo_identification.diagnosis.joint.probabilities import (
     NONE,
     SOMETHING_ELSE,
@@ -31,14 +31,9 @@ from piezo_identification.diagnosis.joint.probabilities import (
 )
 from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
 from piezo_identification.fitting.dataset import Dataset
-from piezo_identification.fitting.joint_fit import JointProblem
-from piezo_identification.fitting.model_weights import HeldOut, expected_widths
-from piezo_identification.fitting.regression import (
-    Fit,
-    Regression,
-    accuracies_um,
-    reweighted,
-)
+from piezo_identification.fitting.joint_fit import JointFit, JointProblem
+from piezo_identification.fitting.model_weights import HeldOut, expected_widths, held_out_of
+from piezo_identification.fitting.regression import Fit, Regression, reweighted
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, known_effects
 from piezo_models.effects.outliers import Outliers
@@ -65,14 +60,14 @@ class Competition:
         as it was given.
     times : dict of tuple of str to Came
         When each set of effects that competed came.
-    stated : float
-        By how much the model that is believed is known to be wrong, as a part of the RMS motion.
+    stated_um : float
+        RMS of what the model that is believed is known to be wrong by.
     """
 
     probabilities: dict[str, float]
     best: Alternative | None = None
     times: dict[tuple[str, ...], Came] = field(default_factory=dict)
-    stated: float = 0.0
+    stated_um: float = 0.0
 
     def came(self, names: Iterable[str]) -> Came:
         """Report when a set of effects came."""
@@ -95,7 +90,7 @@ class Competition:
 
 
 def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Recording],
-                   selection: Selection, stated: float | None,
+                   selection: Selection, stated_um: float | None,
                    progress: Callable[[str, float], None]) -> Competition:
     """Let models compete on all recordings, or the sets of effects on the new ones alone.
 
@@ -108,37 +103,47 @@ def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Re
         marked.
     selection : Selection
         Of effects that explain the new recordings alone.
-    stated : float or None
-        By how much the model is known to be wrong, as a part of the RMS motion; None where only
-        the recordings of the identification tell.
+    stated_um : float or None
+        RMS of what the model is known to be wrong by; None where only the recordings of the
+        identification tell.
     progress : callable
         Called with (what is done, fraction).
     """
     if not old or is_noise(selection.regression, selection.start):
-        return Competition(_of_new_recordings(selection, stated or 0.0), stated=stated or 0.0)
+        stated_um = stated_um or 0.0
+        return Competition(_of_new_recordings(selection, stated_um), stated_um=stated_um)
     problem = JointProblem(
         model, new, old, simulated=selection.regression.dataset.simulated)
     none = settled(problem, progress)
+    # So wrong is it known to be, but for what an alternative explains of the recordings of the
+    # identification.
+    left_um = left_of_old_um(problem, none)
+    expected = _expected(problem, left_um if stated_um is None else min(stated_um, left_um))
     alternatives = asked_when(
-        problem, compete(problem, none, _sets(selection), progress))
-    best = most_probable(problem, alternatives)
-    # So wrong is it known to be, but for what the best alternative explains of the recordings of
-    # the identification.
-    beyond = np.maximum(0.0, np.array(best.mean_square_um2) - np.square(problem.noise.noise_um))
-    left = float(np.sqrt(np.max((beyond / _motion_um(problem.dataset)**2)[len(new):])))
-    stated = left if stated is None else min(stated, left)
-    return Competition(_probabilities(problem, alternatives, stated), best,
-                       times_of_coming(problem, alternatives), stated)
+        problem, compete(problem, none, _sets(selection), expected, progress), expected)
+    best = most_probable(alternatives, expected)
+    left_um = left_of_old_um(problem, best.fit)
+    stated_um = left_um if stated_um is None else min(stated_um, left_um)
+    return Competition(_probabilities(problem, alternatives, stated_um), best,
+                       times_of_coming(alternatives, _expected(problem, stated_um)), stated_um)
+
+
+def left_of_old_um(problem: JointProblem, fit: JointFit) -> float:
+    """Return the most that a fit leaves of a recording of the identification beyond the noise."""
+    left = np.array([held_out.mean_square_um2 for held_out in held_out_of(fit)])
+    beyond = np.maximum(0.0, left - np.square(problem.noise.noise_um))
+    return float(np.sqrt(np.max(beyond[problem.new_count :])))
+
+
+def _expected(problem: JointProblem, stated_um: float) -> ExpectedErrors:
+    return expected_errors(problem.dataset, problem.noise.noise_um, stated_um)
 
 
 def _probabilities(problem: JointProblem, alternatives: Sequence[Alternative],
-                   stated: float) -> dict[str, float]:
+                   stated_um: float) -> dict[str, float]:
     """Return the probabilities of models that were fitted to all recordings."""
-    count, least_um = problem.new_count, accuracies_um(problem.dataset)
-    return probabilities(
-        [each.evidence for each in alternatives], least_um,
-        _passing_um(np.array(problem.noise.noise_um)[:count], least_um[:count]),
-        wrong_um(problem.dataset, stated)[:count])
+    return probabilities([each.evidence for each in alternatives], _expected(problem, stated_um),
+                         problem.new_count)
 
 
 def with_free_model(competition: Competition, model: StageModel, new: Sequence[Recording],
@@ -147,7 +152,7 @@ def with_free_model(competition: Competition, model: StageModel, new: Sequence[R
 
     Without the recordings of the identification an effect is fitted beside the model as it was
     given, and small changes of it. A model that was identified while the effect was there is wrong
-    by more.
+    by more. Some of the effects alone may then be enough.
 
     Parameters
     ----------
@@ -163,9 +168,12 @@ def with_free_model(competition: Competition, model: StageModel, new: Sequence[R
     if explains or not effects or selection.interrupted or competition.times:
         return competition
     problem = JointProblem(model, new, [], simulated=selection.regression.dataset.simulated)
-    best = beside_free_model(problem, effects)
-    return replace(
-        competition, probabilities=_probabilities(problem, [best], competition.stated), best=best)
+    stated_um = competition.stated_um
+    expected = _expected(problem, stated_um)
+    smaller = [fit.effects for fit in selection.parts if _names(fit) < _names(selection.end)]
+    fitted = beside_free_model(problem, [effects, *smaller], expected)
+    return replace(competition, probabilities=_probabilities(problem, fitted, stated_um),
+                   best=most_probable(fitted, expected))
 
 
 def _sets(selection: Selection) -> list[tuple[Effect, ...]]:
@@ -173,15 +181,16 @@ def _sets(selection: Selection) -> list[tuple[Effect, ...]]:
 
     The best without the others would be as probable as its fit is good, whatever else is as good.
     """
-    return [selection.end.effects, *(fit.effects for fit in selection.alternatives[:MOST_OTHERS])]
+    smaller = [fit for fit in selection.parts
+               if len(fit.effects) == len(selection.end.effects) - 1]
+    return [fit.effects for fit in (
+        selection.end, *selection.alternatives[:MOST_OTHERS], *smaller)]
 
 
 def led_by_the_most_probable(selection: Selection, competition: Competition) -> Selection:
-    """Return a selection that begins with the most probable of the sets that are like its best.
+    """Return a selection that begins with the most probable of its sets.
 
-    The comparison of sets charges every fitted number alike; the probabilities know how far the
-    recordings determine it. Nothing changes where the effects that are believed were there all
-    along.
+    Nothing changes where the effects that are believed were there all along.
 
     Parameters
     ----------
@@ -191,19 +200,18 @@ def led_by_the_most_probable(selection: Selection, competition: Competition) -> 
     if competition.best is not None and not competition.best.since:
         return selection
     first = _names(selection.end)
-    fits = [selection.end, *(
-        fit for fit in selection.alternatives
-        if first - _names(fit) and _names(fit) - first)]
+    fits = [selection.end, selection.start, *selection.parts, *selection.alternatives]
     best = max(fits, key=lambda fit: competition.probabilities.get(_label(fit), 0.0))
-    if not first or best is selection.end:
+    if best is selection.end:
         return selection
-    instead = min(_names(best) - first)
-    alike = {name: found if found in _names(best) else instead
-             for name, found in selection.indistinguishable.items()}
-    alike |= dict.fromkeys(first - _names(best), instead)
+    alike = selection.indistinguishable
+    if new := _names(best) - first:
+        alike = {name: found if found in _names(best) else min(new)
+                 for name, found in alike.items()} | dict.fromkeys(first - _names(best), min(new))
     others = tuple(fit for fit in (selection.end, *selection.alternatives) if fit is not best)
     return replace(selection, end=best, alternatives=others, indistinguishable={
-        name: found for name, found in alike.items() if name not in _names(best)})
+        name: found for name, found in alike.items()
+        if found in _names(best) and name not in _names(best)})
 
 
 def probabilities_of_named(competition: Competition, regression: Regression, fit: Fit,
@@ -231,7 +239,7 @@ def probabilities_of_named(competition: Competition, regression: Regression, fit
         The largest first; they sum to one.
     """
     label, without = _label(fit), set(refused)
-    other = _of_fits(regression, [fit], competition.stated)[SOMETHING_ELSE]
+    other = _of_fits(regression, [fit], competition.stated_um)[SOMETHING_ELSE]
     kept = {each: share for each, share in competition.probabilities.items()
             if each != SOMETHING_ELSE and share > 0.0 and not without & set(each.split("+"))}
     if max(kept, key=kept.__getitem__, default="") != label:
@@ -250,29 +258,14 @@ def _names(fit: Fit) -> set[str]:
     return {effect.name for effect in fit.effects}
 
 
-def _passing_um(noise_um: FloatArray, least_um: FloatArray) -> FloatArray:
-    """Return what passes for noise, RMS."""
-    return np.hypot(noise_um, least_um) * np.hypot(1.0, CRITERIA.noise)
-
-
-def _motion_um(dataset: Dataset) -> FloatArray:
-    """Return the RMS motion of each recording."""
-    return np.array([np.std(part.measured_um[part.begin :]) for part in dataset.simulated])
-
-
-def wrong_um(dataset: Dataset, stated: float) -> FloatArray:
-    """Return by how much a model may be wrong in each recording."""
-    return min(stated, PROBABILITIES.most_wrong) * _motion_um(dataset)
-
-
-def _of_new_recordings(selection: Selection, stated: float) -> dict[str, float]:
+def _of_new_recordings(selection: Selection, stated_um: float) -> dict[str, float]:
     """Return the probabilities of the sets that the new recordings alone do not exclude."""
-    fits = [selection.start, selection.end, *selection.alternatives]
+    fits = [selection.start, selection.end, *selection.parts, *selection.alternatives]
     return _of_fits(
-        selection.regression, fits if selection.end.effects else fits[:1], stated)
+        selection.regression, fits if selection.end.effects else fits[:1], stated_um)
 
 
-def _of_fits(regression: Regression, fits: Sequence[Fit], stated: float) -> dict[str, float]:
+def _of_fits(regression: Regression, fits: Sequence[Fit], stated_um: float) -> dict[str, float]:
     """Return the probabilities of fits to the new recordings alone."""
     evidence = []
     for fit in fits:
@@ -282,10 +275,8 @@ def _of_fits(regression: Regression, fits: Sequence[Fit], stated: float) -> dict
             regression.dataset.extent)
         evidence.append(Evidence(
             _label(fit), held_out, penalty_of(held_out, fit.covariance, widths)))
-    least_um = accuracies_um(regression.dataset)
-    return probabilities(
-        evidence, least_um, _passing_um(np.array(regression.noise.noise_um), least_um),
-        wrong_um(regression.dataset, stated))
+    expected = expected_errors(regression.dataset, regression.noise.noise_um, stated_um)
+    return probabilities(evidence, expected, len(regression.dataset.recordings))
 
 
 def _held_out(regression: Regression, fit: Fit) -> tuple[HeldOut, ...]:

@@ -1,36 +1,27 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Probabilities of what a model lacks, from what each alternative leaves on held-out data.
 
-The evidence of an alternative is that of Gaussian errors of unknown variance in each recording r,
-with what its fitted numbers cost (`model_weights.occam_penalty`):
+The evidence of an alternative is that of the noise and of what the model may be wrong by
+(`expected_errors`), with what its fitted numbers cost (`model_weights.occam_penalty`). Every
+further cause has the same prior odds, on the list or not. So an effect that explains what a model
+may be wrong by anyway is not named, alone or beside another.
 
-    ln p = - sum_r n_r / 2 ln(m_r + l_r^2 + w_r^2) - penalty
-
-Here m_r is the mean square left on held-out stretches, n_r how many of its samples err
-independently, l_r the accuracy that a good model has, and w_r what this model is known to be wrong
-by: an error of the model may look like any effect. The errors of a good model are alike within a
-stretch, so that l_r^2 counts as often as a stretch has independent samples: what an effect explains
-of them counts once for each stretch, however many rows show it.
-
-How far errors of a model speak for an alternative shows in how much the ratio of likelihoods
+How far errors of a model speak for an alternative also shows in how much the ratio of likelihoods
 depends on which stretches are held out: the probabilities are means over a Bayesian bootstrap of
 the stretches (pseudo-BMA+: Yao, Vehtari, Simpson and Gelman, Using stacking to average Bayesian
 predictive distributions, Bayesian Analysis 13, 2018). What is not on the list, `something_else`,
 leaves what passes for noise in the new recordings.
-
-An alternative may also leave what the model is known to be wrong by. That is known from other
-recordings, and so only up to a factor of logarithmic normal distribution, over which the evidence
-against the alternative is averaged: a rest that is a little larger is no sign of another cause.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy.special import logsumexp, softmax
+from scipy.special import softmax
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.diagnosis.joint.expected_errors import SETTINGS as ERRORS
+from piezo_identification.diagnosis.joint.expected_errors import ExpectedErrors
 from piezo_identification.fitting.model_weights import HeldOut, occam_penalty
 
 NONE, SOMETHING_ELSE = "none", "something_else"
@@ -42,14 +33,8 @@ class ProbabilitySettings:
 
     Attributes
     ----------
-    something_else : float
-        Prior probability of what is not on the list, over that of one of the alternatives.
-    carried_over : float
-        Standard deviation of the logarithm of what a model is wrong by in one recording, over what
-        it is wrong by in another.
-    most_wrong : float
-        Part of the RMS motion that a model may be known to be wrong by at most: where it is wrong
-        by more, it lacks something, and that it is known is no explanation.
+    one_cause : float
+        Prior odds of one more cause, whether it is on the list or not: there are twenty kinds.
     believed : float
         Probability of something else from which a recording is unexplained.
     most_effective : float
@@ -57,9 +42,7 @@ class ProbabilitySettings:
         stationary than that.
     """
 
-    something_else: float = 0.05
-    carried_over: float = 0.3
-    most_wrong: float = 1e-3
+    one_cause: float = 0.05
     believed: float = 0.5
     most_effective: float = 1000.0
 
@@ -69,8 +52,6 @@ SETTINGS = ProbabilitySettings()
 DRAWS = 4000
 """So many draws of the bootstrap determine a probability near 0.95 to 0.003."""
 SEED = 0
-NODES = 60
-"""The quadrature over a normal distribution has so many."""
 MOST_GAIN = 500.0
 """A logarithm of odds that leaves nothing to doubt, and whose exponential is finite."""
 
@@ -98,6 +79,12 @@ class Evidence:
         """Return the mean square that is left of each recording."""
         return tuple(part.mean_square_um2 for part in self.held_out)
 
+    @property
+    def cost(self) -> float:
+        """Return what its numbers and the prior odds of its effects take from the evidence."""
+        causes = 0 if self.label == NONE else self.label.count("+") + 1
+        return self.penalty - causes * float(np.log(SETTINGS.one_cause))
+
 
 def penalty_of(held_out: Sequence[HeldOut], covariance: FloatArray | None, widths: FloatArray,
                recurrence_count: int = 0) -> float:
@@ -112,58 +99,36 @@ def penalty_of(held_out: Sequence[HeldOut], covariance: FloatArray | None, width
         Further numbers, which each recording of the identification has of its own; the recordings
         determine them, and each costs the most.
     """
-    counted = sum(min(part.independent, SETTINGS.most_effective) for part in held_out)
+    counted = sum(min(part.independent, ERRORS.independent) for part in held_out)
     rows = float(sum(part.left_um.size for part in held_out))
     return (occam_penalty(covariance, widths, rows, counted)
             + occam_penalty(None, np.zeros(recurrence_count), rows, counted))
 
 
-def logarithms_of_evidence(alternatives: Sequence[Evidence], least_um: ArrayLike) -> FloatArray:
-    """Return the logarithm of the evidence of each alternative.
-
-    Parameters
-    ----------
-    least_um : (R,) array
-        Accuracy of a good model in each recording.
-
-    Returns
-    -------
-    (n,) array
-    """
+def logarithms_of_evidence(alternatives: Sequence[Evidence],
+                           expected: ExpectedErrors) -> FloatArray:
+    """Return the logarithm of the evidence of each alternative, (n,)."""
     left = np.array([alternative.mean_square_um2 for alternative in alternatives])
-    squares = left + _accuracy_um2(alternatives, least_um)
-    penalties = np.array([alternative.penalty for alternative in alternatives])
-    return -0.5 * np.log(squares) @ _samples(alternatives) - penalties
+    return (expected.logarithms(left, _samples(alternatives))
+            - [alternative.cost for alternative in alternatives])
 
 
-def listed_probabilities(alternatives: Sequence[Evidence], least_um: ArrayLike,
-                         wrong_um: ArrayLike = 0.0) -> FloatArray:
-    """Return the probability of each alternative, as if there were no others, (n,).
-
-    Parameters
-    ----------
-    least_um : (R,) array
-        Accuracy of a good model in each recording.
-    wrong_um : (R',) array
-        By how much the model is known to be wrong in each of the new recordings, which come first,
-        RMS.
-    """
+def listed_probabilities(alternatives: Sequence[Evidence], expected: ExpectedErrors) -> FloatArray:
+    """Return the probability of each alternative, as if there were no others, (n,)."""
     random = np.random.default_rng(SEED)
-    squares_um2 = _accuracy_um2(alternatives, least_um)
-    squares_um2[: np.size(wrong_um)] += np.square(np.asarray(wrong_um))
-    logarithms = np.zeros((DRAWS, len(alternatives)))
-    logarithms -= [each.penalty for each in alternatives]
-    for number, (square_um2, samples) in enumerate(
-            zip(squares_um2, _samples(alternatives), strict=True)):
+    left = np.empty((DRAWS, len(alternatives), expected.noise_um.size))
+    for number in range(expected.noise_um.size):
         of_recording = [each.held_out[number] for each in alternatives]
         numbers = np.unique(np.concatenate([part.stretch for part in of_recording]))
         weights = random.dirichlet(np.ones(numbers.size), DRAWS)
         for index, part in enumerate(of_recording):
             places = np.searchsorted(numbers, part.stretch)
             squares = weights @ np.bincount(places, part.left_um**2, numbers.size)
-            counts = weights @ np.bincount(places, minlength=numbers.size)
-            logarithms[:, index] -= 0.5 * samples * np.log(squares / counts + square_um2)
-    return np.asarray(softmax(logarithms, axis=1).mean(axis=0))
+            left[:, index, number] = squares / (
+                weights @ np.bincount(places, minlength=numbers.size))
+    logarithms = expected.logarithms(left, _samples(alternatives))
+    return np.asarray(softmax(
+        logarithms - [each.cost for each in alternatives], axis=1).mean(axis=0))
 
 
 def _samples(alternatives: Sequence[Evidence]) -> FloatArray:
@@ -172,41 +137,27 @@ def _samples(alternatives: Sequence[Evidence]) -> FloatArray:
     return np.minimum(np.max(independent, axis=0), SETTINGS.most_effective)
 
 
-def _accuracy_um2(alternatives: Sequence[Evidence], least_um: ArrayLike) -> FloatArray:
-    """Return the square of the accuracy of a good model, whose errors are alike in a stretch."""
-    stretches = [np.unique(part.stretch).size for part in alternatives[0].held_out]
-    return np.square(np.asarray(least_um)) * np.maximum(1.0, _samples(alternatives) / stretches)
-
-
-def probabilities(alternatives: Sequence[Evidence], least_um: ArrayLike, passing_um: ArrayLike,
-                  wrong_um: ArrayLike = 0.0) -> dict[str, float]:
+def probabilities(alternatives: Sequence[Evidence], expected: ExpectedErrors,
+                  new_count: int) -> dict[str, float]:
     """Return the probability of each set of effects, of none, and of something else.
 
     Parameters
     ----------
     alternatives : sequence of Evidence
         Alternatives of the same label share their probability.
-    least_um : (R,) array
-        See `listed_probabilities`.
-    passing_um : (R',) array
-        What passes for noise in each of the new recordings, which come first.
-    wrong_um : (R',) array
-        By how much the model is known to be wrong in each of them, RMS.
+    new_count : int
+        So many recordings, the first ones, are diagnosed.
 
     Returns
     -------
     dict of str to float
         The largest first; they sum to one.
     """
-    passing, least = np.square(np.asarray(passing_um)), np.square(np.asarray(least_um))
-    new = passing.size
-    wrong_um = np.broadcast_to(np.asarray(wrong_um), new)
-    listed = listed_probabilities(alternatives, least_um, wrong_um)
+    listed = listed_probabilities(alternatives, expected)
     best = int(np.argmax(listed))
-    squares = np.array(alternatives[best].mean_square_um2[:new]) + least[:new]
-    gain = gain_of_noise(squares, _samples(alternatives)[:new], passing, np.square(wrong_um))
-    # Its odds to the best alternative are those of the prior and of the evidence.
-    other = np.exp(min(gain, MOST_GAIN)) * SETTINGS.something_else * listed[best]
+    other = odds_of_something_else(
+        np.array(alternatives[best].mean_square_um2[:new_count]),
+        _samples(alternatives)[:new_count], expected.of_first(new_count)) * listed[best]
     shares = np.append(listed, other) / (1.0 + other)
     summed: dict[str, float] = {}
     labels = [*(each.label for each in alternatives), SOMETHING_ELSE]
@@ -215,22 +166,18 @@ def probabilities(alternatives: Sequence[Evidence], least_um: ArrayLike, passing
     return dict(sorted(summed.items(), key=lambda entry: -entry[1]))
 
 
-def gain_of_noise(squares: FloatArray, samples: FloatArray, passing: FloatArray,
-                  wrong: FloatArray) -> float:
-    """Return the evidence for something that would leave no more than passes for noise.
+def odds_of_something_else(left_um2: FloatArray, samples: FloatArray,
+                           expected: ExpectedErrors) -> float:
+    """Return the odds of something that would leave no more than passes for noise.
 
-    It is that against the best alternative, averaged over how much the model may be wrong by.
+    They are those to an alternative.
 
     Parameters
     ----------
-    squares : (R,) array
-        Mean squares that the best alternative leaves, in um^2.
+    left_um2 : (R,) array
+        Mean squares that the alternative leaves.
     samples : (R,) array
         Independent samples of each recording.
-    passing, wrong : (R,) array
-        Mean squares that pass for noise, and that the model is known to be wrong by, in um^2.
     """
-    sizes, weights = np.polynomial.hermite_e.hermegauss(NODES)
-    may_be = passing + wrong * np.exp(2.0 * SETTINGS.carried_over * sizes)[:, None]
-    against = -0.5 * np.maximum(0.0, np.log(squares / may_be)) @ samples
-    return float(logsumexp(np.log(weights)) - logsumexp(against, b=weights))
+    return SETTINGS.one_cause * float(
+        np.exp(min(-expected.logarithm_of_chance(left_um2, samples), MOST_GAIN)))

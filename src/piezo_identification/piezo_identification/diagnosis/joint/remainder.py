@@ -7,13 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezo_identification.adequacy.lack_of_fit import SETTINGS as ADEQUACY
-from piezo_identification.diagnosis.comparison.criteria import CRITERIA
 from piezo_identification.diagnosis.evidence.known_noise import KnownNoise
+from piezo_identification.diagnosis.joint.expected_errors import errors_of_model
 from piezo_identification.diagnosis.joint.probabilities import (
-    MOST_GAIN,
     SETTINGS,
     SOMETHING_ELSE,
-    gain_of_noise,
+    odds_of_something_else,
 )
 from piezo_identification.fitting.model_weights import Remainder
 from piezo_identification.fitting.regression import SETTINGS as FIT
@@ -36,7 +35,7 @@ class HeldToNoise:
 
 
 def held_to_noise(shares: Mapping[str, float], remainders: Sequence[Remainder], known: KnownNoise,
-                  stated: float, finds_nothing: bool) -> HeldToNoise:
+                  stated_um: float, finds_nothing: bool) -> HeldToNoise:
     """Return how probable something else is, where remainders are held to the least known noise.
 
     Parameters
@@ -47,35 +46,33 @@ def held_to_noise(shares: Mapping[str, float], remainders: Sequence[Remainder], 
         Of the recordings that are diagnosed, and of the one that is held out.
     known : KnownNoise
         With one source at least.
-    stated : float
-        By how much the model is known to be wrong, as a part of the RMS motion.
+    stated_um : float
+        RMS of what the model is known to be wrong by.
     finds_nothing : bool
-        No effect is named. Components that the identification called inadequate then excuse
-        nothing: what remains must pass the identification's own tolerance.
+        No effect is named. Components that the identification called inadequate then excuse no more
+        than the noise: what remains beyond it must pass the identification's own tolerance.
     """
     contradicts = finds_nothing and bool(known.inadequate)
     tolerance = ADEQUACY.tolerance if contradicts else FIT.model_tolerance
-    wrong = 0.0 if contradicts else min(stated, SETTINGS.most_wrong)
     sources = [known.least(each.period_s) for each in remainders]
-    noise = np.array([source.rms_um**2 for source in sources])
-    least = np.array([(tolerance * each.travel_um) ** 2 for each in remainders])
+    noise_um = np.array([source.rms_um for source in sources])
+    accuracy_um = np.array([tolerance * each.travel_um for each in remainders])
     left = np.array([each.held_out.mean_square_um2 for each in remainders])
-    passing = (noise + least) * (1.0 + CRITERIA.noise**2)
     samples = np.array([min(each.held_out.independent, SETTINGS.most_effective)
                         for each in remainders])
-    gain = gain_of_noise(left + least, samples, passing, np.array(
-        [(wrong * each.motion_um) ** 2 for each in remainders]))
     before = shares.get(SOMETHING_ELSE, 0.0)
     listed = {name: share for name, share in shares.items() if name != SOMETHING_ELSE}
     whole = sum(listed.values())
-    odds = float(np.exp(min(gain, MOST_GAIN))) * SETTINGS.something_else * (
-        max(listed.values(), default=0.0) / whole if whole > 0.0 else 1.0)
+    odds = odds_of_something_else(left, samples, errors_of_model(
+        noise_um, accuracy_um, np.array([each.motion_um for each in remainders]),
+        np.minimum(stated_um, noise_um) if contradicts else stated_um))
+    odds *= max(listed.values(), default=0.0) / whole if whole > 0.0 else 1.0
     other = max(before, odds / (1.0 + odds))
     kept = {name: share * (1.0 - other) / whole if whole > 0.0 else 0.0
             for name, share in listed.items()} | {SOMETHING_ELSE: other}
-    worst = int(np.argmax(left / noise))
+    worst = int(np.argmax(left / noise_um**2))
     sentence = (
-        f"What remains of {remainders[worst].name} is {np.sqrt(left[worst] / noise[worst]):.3g} "
+        f"What remains of {remainders[worst].name} is {np.sqrt(left[worst]) / noise_um[worst]:.3g} "
         f"times the noise of {1e3 * sources[worst].rms_um:.3g} nm RMS that "
         f"{sources[worst].name} shows.")
     if contradicts:

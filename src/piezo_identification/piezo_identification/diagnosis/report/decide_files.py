@@ -22,7 +22,7 @@ from piezo_identification.diagnosis.report.results import (
     REPORT_FRACTION,
     DiagnosisResults,
     read_given,
-    stated_error,
+    stated_error_um,
     write_results,
 )
 from piezo_identification.experiments.catalogue import Experiment
@@ -78,7 +78,7 @@ def decide_files(model: AnyPath, recordings: Sequence[AnyPath], holdout: AnyPath
 
     steps = decide(given.identified.model, given.recordings, play_proposed, budget, limits,
                    longest_s, given.holdout, part_of(progress, READ_FRACTION, REPORT_FRACTION),
-                   given.identified_from, stated_error(given.identified),
+                   given.identified_from, stated_error_um(given.identified),
                    noise_of_model(given.identified), begin_budget)
     progress("write the report", REPORT_FRACTION)
     last = steps[-1]

@@ -138,7 +138,7 @@ def diagnose_files(
     diagnosis = diagnose(given.identified.model, given.recordings, given.holdout,
                          part_of(progress, READ_FRACTION, DESIGN_FRACTION),
                          identified_from=given.identified_from,
-                         stated=stated_error(given.identified),
+                         stated_um=stated_error_um(given.identified),
                          noise=noise_of_model(given.identified), budget=budget)
     proposal = None
     # The verdict is worth having without the experiment that would decide more.
@@ -224,18 +224,16 @@ def write_results(given: GivenFiles, diagnosis: Diagnosis,
     return results
 
 
-def stated_error(identified: IdentifiedModel) -> float | None:
+def stated_error_um(identified: IdentifiedModel) -> float | None:
     """Return by how much a model is known to be wrong: what its worst component leaves of its data.
 
     Returns
     -------
     float or None
-        RMS beyond the noise, as a part of the RMS motion; None where the model file tells none.
+        RMS beyond the noise; None where the model file tells none, as that of responses does.
     """
-    parts = [0.01 * part["error_percent"] * max(
-        0.0, 1.0 - (part["noise_rms_um"] / part["residual_rms_um"]) ** 2) ** 0.5
-        for part in identified.adequacy.values()
-        if part["residual_rms_um"] > 0.0 and part.get("error_percent") is not None]
+    parts = [max(0.0, part["residual_rms_um"] ** 2 - part["noise_rms_um"] ** 2) ** 0.5
+             for name, part in identified.adequacy.items() if name in identified.sample_periods_s]
     return max(parts, default=None)
 
 

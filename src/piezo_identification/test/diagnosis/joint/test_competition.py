@@ -180,18 +180,24 @@ def fit_of(*effects):
     return SimpleNamespace(effects=effects)
 
 
-def test_the_most_probable_of_sets_that_are_alike_is_named():
+def test_the_most_probable_set_is_named():
     delay, lag = fit_of(Delay(1e-4)), fit_of(SensorLag(1e-4, 0.25))
-    both = fit_of(Delay(1e-4), SensorLag(1e-4, 0.25))
     compared = Selection(None, fit_of(), delay, [], {"sensor_lag": "delay", "creep": "delay"}, {},
-                         (lag, both))
-    # A larger set has not convinced, however probable it is.
-    told = led_by_the_most_probable(
-        compared, Competition({"delay+sensor_lag": 0.5, "sensor_lag": 0.3, "delay": 0.2}))
-    assert told.end is lag and told.alternatives == (delay, both)
+                         (lag,))
+    told = led_by_the_most_probable(compared, Competition({"sensor_lag": 0.7, "delay": 0.3}))
+    assert told.end is lag and told.alternatives == (delay,)
     assert told.indistinguishable == {"delay": "sensor_lag", "creep": "sensor_lag"}
     assert led_by_the_most_probable(
         compared, Competition({"delay": 0.6, "sensor_lag": 0.4})) is compared
     along = SimpleNamespace(since=False, names=("delay",))
     assert led_by_the_most_probable(
         compared, Competition({"sensor_lag": 0.6, "delay": 0.4}, along)) is compared
+
+
+def test_an_effect_beside_which_another_is_not_needed_is_named_alone():
+    delay, both = fit_of(Delay(1e-4)), fit_of(Delay(1e-4), SensorLag(1e-4, 0.25))
+    compared = Selection(None, fit_of(), both, [], {"creep": "sensor_lag"}, {}, (), (delay,))
+    told = led_by_the_most_probable(compared, Competition({"delay": 0.6, "delay+sensor_lag": 0.4}))
+    assert told.end is delay and told.indistinguishable == {}
+    nothing = led_by_the_most_probable(compared, Competition({"none": 0.6, "delay": 0.4}))
+    assert nothing.end is compared.start

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What remains passes only the least noise that any recording of the sensor shows."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -53,3 +55,12 @@ def test_an_inadequate_component_excuses_nothing(inadequate, finds_nothing, is_c
     found = held(remainder(7e-4), known=known, finds_nothing=finds_nothing)
     assert (found.probabilities["something_else"] > 0.99) is is_contradicted
     assert ("hysteresis" in found.sentence) is is_contradicted
+
+
+@pytest.mark.parametrize(("times", "passes"), [(1.4, True), (10.0, False)])
+def test_an_inadequate_component_excuses_what_is_less_than_the_noise(times, passes):
+    """The identification has called inadequate what it left: as much as remains here."""
+    known = KnownNoise((QUIET,), ("hysteresis",))
+    left = replace(remainder(times * QUIET.rms_um), motion_um=300.0)
+    found = held_to_noise(SURE, [left], known, times * QUIET.rms_um, finds_nothing=True)
+    assert (found.probabilities["something_else"] < 0.5) is passes

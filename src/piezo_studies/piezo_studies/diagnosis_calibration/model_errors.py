@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How wrong models that lack nothing are in recordings that they were not fitted to.
+
+`ErrorSettings.carried_spread` of the diagnosis is set on this.
+"""
+
+import numpy as np
+
+from piezo_identification.diagnosis.report.results import stated_error_um
+from piezo_identification.fitting.dataset import simulate_recordings
+from piezo_identification.fitting.regression import first_regression
+from piezo_studies.diagnosis_benchmark import records
+from piezo_studies.diagnosis_benchmark.plants import draw_plant, noise_um
+from piezo_studies.diagnosis_calibration.small_cases import KINDS, RATES_HZ, SmallCase, waveform
+
+
+def errors_over_stated(seed, plant, identified):
+    """Return what a model is wrong by in clean recordings, over what its file states.
+
+    Parameters
+    ----------
+    seed, plant : int
+        Of the plant.
+    identified : IdentifiedModel
+        Of that plant.
+
+    Returns
+    -------
+    (n,) array
+        RMS beyond the noise on held-out stretches, of each kind of waveform at each rate.
+    """
+    stage, ratios = draw_plant((seed, plant)), []
+    for logger in RATES_HZ:
+        for number, kind in enumerate(KINDS):
+            case = SmallCase(number, seed, plant, None, 0.0, kind, logger)
+            recording = records.record(stage, waveform(case), number)
+            regression = first_regression(simulate_recordings(identified.model, [recording]))
+            left_um = regression.left_um(regression.fit(()))
+            ratios.append(np.sqrt(max(0.0, left_um**2 - noise_um(stage)**2)))
+    return np.array(ratios) / stated_error_um(identified)
+
+
+def sentence(ratios):
+    """Return a sentence on ratios of several models."""
+    low, middle, high = np.quantile(ratios, (0.1, 0.5, 0.9))
+    return (f"in {ratios.size} recordings the models are wrong by {middle:.2f} times what their "
+            f"files state (median; 10 % below {low:.2f}, 10 % above {high:.2f}, at most "
+            f"{ratios.max():.2f})")
