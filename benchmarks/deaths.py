@@ -17,11 +17,11 @@ from rclpy.serialization import deserialize_message
 from stage_model import write_model
 from std_srvs.srv import Trigger
 
-from piezo_bringup.forked_processes import ForkedProcesses
 from piezo_client.client import Client, GoalFailed
 from piezo_recorder.reading.reader import read_recording
 from piezo_recorder.reading.recording import RecordingError
 from piezo_ros.quality import SAMPLES
+from piezo_studies.forked_processes import ForkedProcesses
 
 # Asks for one goal after the other, as any client of ours does; each outcome goes into a file.
 OPERATOR = """

@@ -17,7 +17,6 @@ from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
 from piezo_interfaces.srv import LoadFeedforward, StartRecording, StartTracking, StopRecording
 from std_srvs.srv import Trigger
 
-from piezo_bringup.forked_processes import ForkedProcesses
 from piezo_bringup.processes import USUAL_NODES, Processes
 from piezo_client import client as client_module
 from piezo_client import overview, rejections
@@ -29,6 +28,7 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 from piezo_recorder.reading.reader import read_recording
 from piezo_recorder.reading.recording import RecordingError
 from piezo_ros.quality import FEEDBACK, SAMPLES
+from piezo_studies.forked_processes import ForkedProcesses
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 from endless_probe import write_endless_probe

@@ -16,12 +16,12 @@ from ament_index_python.packages import get_package_prefix
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, ListParameters
 
-from piezo_bringup.forked_processes import ForkedProcesses
 from piezo_bringup.processes import EXECUTABLES
 from piezo_controller.tracking.feedbacks import FeedbackSettings
 from piezo_identification.experiments.catalogue import EXPERIMENTS, named_experiment
 from piezo_identification.experiments.stage_limits import StageLimits
 from piezo_stage_driver.node.stage_settings import StageSettings
+from piezo_studies.forked_processes import ForkedProcesses
 
 CALIBRATION = (Path(__file__).parents[1]
                / "src/piezo_stage_driver/config/nidaqmx_calibration.yaml")

@@ -2,9 +2,15 @@
 """Removal of the drift by a polynomial (3.21), for recordings without a model of the creep."""
 
 import numpy as np
+from numpy.typing import NDArray
+
+from piezo_common.arrays import FloatArray
 
 
-def remove_polynomial_drift(time_s, displacement_um, rest_samples, degree=2):
+def remove_polynomial_drift(
+    time_s: FloatArray, displacement_um: FloatArray, rest_samples: NDArray[np.intp],
+    degree: int = 2,
+) -> tuple[FloatArray, np.polynomial.Polynomial]:
     """Remove a polynomial through the samples at rest, eq. (3.21).
 
     Parameters

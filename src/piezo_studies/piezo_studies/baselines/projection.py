@@ -3,8 +3,11 @@
 
 import numpy as np
 
+from piezo_common.arrays import FloatArray
 
-def projection(rows, output, gain=0.5, floor=1.0, start=None):
+
+def projection(rows: FloatArray, output: FloatArray, gain: float = 0.5, floor: float = 1.0,
+               start: FloatArray | None = None) -> FloatArray:
     """Follow the samples one by one, each with a step along its own row, eq. (2.27).
 
     Parameters

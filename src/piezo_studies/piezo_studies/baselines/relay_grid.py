@@ -6,11 +6,15 @@ Cells are counted row by row, i-major with j <= i, the order of `numpy.tril_indi
 
 import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike, NDArray
 
+from piezo_common.arrays import FloatArray
+from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.hysteresis.preisach_kernels import branch_start, with_room
 
 
-def activation_matrix(voltage_v, levels_v, samples=None):
+def activation_matrix(voltage_v: ArrayLike, levels_v: ArrayLike,
+                      samples: ArrayLike | None = None) -> FloatArray:
     """Return active area of every cell of the Preisach plane, starting from negative saturation.
 
     With `mu = density[numpy.tril_indices(L)]` the output of the hysteresis is
@@ -55,7 +59,8 @@ def activation_matrix(voltage_v, levels_v, samples=None):
 
 
 @njit(cache=True)
-def _activation_matrix(voltage, levels, samples):
+def _activation_matrix(voltage: FloatArray, levels: FloatArray,
+                       samples: NDArray[np.int64]) -> FloatArray:
     size = levels.size - 1
     areas = np.zeros((samples.size, size * (size + 1) // 2))
     extremes = np.empty(16)
@@ -79,7 +84,8 @@ def _activation_matrix(voltage, levels, samples):
 
 
 @njit(cache=True)
-def _add_strip(areas, levels, beta_low, beta_high, alpha_high):
+def _add_strip(areas: FloatArray, levels: FloatArray, beta_low: float, beta_high: float,
+               alpha_high: float) -> None:
     """Add the area with beta_low < beta < beta_high and beta < alpha < alpha_high, cell by cell."""
     size = levels.size - 1
     for j in range(size):
@@ -96,12 +102,8 @@ def _add_strip(areas, levels, beta_low, beta_high, alpha_high):
             areas[i * (i + 1) // 2 + j] += (high - low) * height
 
 
-def cell_centre_relays(model):
+def cell_centre_relays(model: PreisachModel) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return relays at the cell centres of a model, each with the weight of its cell, eq. (2.2).
-
-    Parameters
-    ----------
-    model : PreisachModel
 
     Returns
     -------
@@ -116,7 +118,8 @@ def cell_centre_relays(model):
     return centres[i], centres[j], weights
 
 
-def simulate_relays(voltage_v, alpha_v, beta_v, weight_um, offset_um=0.0):
+def simulate_relays(voltage_v: ArrayLike, alpha_v: ArrayLike, beta_v: ArrayLike,
+                    weight_um: ArrayLike, offset_um: float = 0.0) -> FloatArray:
     """Sum of weighted relays, every relay visited at every sample, all off at the start.
 
     A relay switches on when the voltage reaches its alpha and off when it falls below its beta.
@@ -140,7 +143,8 @@ def simulate_relays(voltage_v, alpha_v, beta_v, weight_um, offset_um=0.0):
 
 
 @njit(cache=True)
-def _simulate_relays(voltage, alpha, beta, weight, offset):
+def _simulate_relays(voltage: FloatArray, alpha: FloatArray, beta: FloatArray, weight: FloatArray,
+                     offset: float) -> FloatArray:
     output = np.empty(voltage.size)
     on = np.zeros(alpha.size, dtype=np.bool_)
     for n in range(voltage.size):

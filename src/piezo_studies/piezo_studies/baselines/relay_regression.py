@@ -2,12 +2,16 @@
 """The regression on relays at the cell centres (2.3), in blocks, and its normal equations (2.7)."""
 
 import numpy as np
+from numpy.typing import NDArray
+
+from piezo_common.arrays import BoolArray, FloatArray
 
 ROWS_AT_ONCE = 2000
 """Rows of the regression that are held in memory together."""
 
 
-def relay_rows(voltage_v, levels_v, on=None):
+def relay_rows(voltage_v: FloatArray, levels_v: FloatArray,
+               on: BoolArray | None = None) -> FloatArray:
     """Return the states of the relays at the cell centres, eq. (2.3), one row per voltage.
 
     Parameters
@@ -49,12 +53,12 @@ class NormalEquations:
         Number of samples.
     """
 
-    def __init__(self, unknowns):
+    def __init__(self, unknowns: int) -> None:
         self.matrix = np.zeros((unknowns, unknowns))
         self.right_side = np.zeros(unknowns)
         self.count = 0
 
-    def add(self, rows, output):
+    def add(self, rows: FloatArray, output: FloatArray) -> None:
         """Add samples to the normal equations.
 
         Parameters
@@ -67,7 +71,8 @@ class NormalEquations:
         self.count += len(output)
 
 
-def accumulate(voltage_v, output_um, levels_v, samples=None):
+def accumulate(voltage_v: FloatArray, output_um: FloatArray, levels_v: FloatArray,
+               samples: NDArray[np.intp] | None = None) -> NormalEquations:
     """Sum the normal equations of a whole recording on the relay grid, block by block.
 
     Parameters
@@ -93,7 +98,7 @@ def accumulate(voltage_v, output_um, levels_v, samples=None):
     return equations
 
 
-def excitation_rank(voltage_v, levels_v):
+def excitation_rank(voltage_v: FloatArray, levels_v: FloatArray) -> int:
     """Rank of the regression on the relay grid: how many densities an input tells apart.
 
     Persistent excitation, appendix A.2, asks for L (L + 1) / 2.

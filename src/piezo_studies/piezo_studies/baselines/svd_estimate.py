@@ -5,11 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from piezo_common.arrays import FloatArray
 from piezo_identification.estimators.hysteresis.density_estimate import (
     DensityEstimate,
     lower_triangle,
 )
 from piezo_identification.estimators.hysteresis.everett_regression import visited_cells
+from piezo_studies.baselines.relay_regression import NormalEquations
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,15 +38,15 @@ class TruncatedSvd:
     all_singular_values: np.ndarray
 
     @property
-    def rank(self):
+    def rank(self) -> int:
         """Return the number r of singular values kept."""
         return self.singular_values.size
 
-    def solution(self):
+    def solution(self) -> FloatArray:
         """Return the least squares estimate of least norm, (2.12) and (2.25)."""
         return self.vectors @ ((self.vectors.T @ self.right_side) / self.singular_values)
 
-    def updated(self, row, output, fixed_rank=True):
+    def updated(self, row: FloatArray, output: float, fixed_rank: bool = True) -> "TruncatedSvd":
         """Return the SVD after one more sample, (2.13)-(2.24).
 
         Parameters
@@ -75,7 +77,8 @@ class TruncatedSvd:
         )
 
 
-def truncated_svd(equations, ratio=1e-3, rank=None):
+def truncated_svd(equations: NormalEquations, ratio: float = 1e-3,
+                  rank: int | None = None) -> TruncatedSvd:
     """Truncate the normal equations at a ratio of singular values, (2.8)-(2.11).
 
     Parameters
@@ -117,7 +120,8 @@ class SvdEstimate(DensityEstimate):
     rank: int
 
 
-def density_by_svd(decomposition, voltage_v, levels_v, offset_um=0.0):
+def density_by_svd(decomposition: TruncatedSvd, voltage_v: FloatArray, levels_v: FloatArray,
+                   offset_um: float = 0.0) -> SvdEstimate:
     """Return the density of the decomposition, in the form that all estimators share.
 
     Parameters
@@ -141,7 +145,8 @@ def density_by_svd(decomposition, voltage_v, levels_v, offset_um=0.0):
         singular_values=decomposition.all_singular_values, rank=decomposition.rank)
 
 
-def density_of_weights(method, weights_um, voltage_v, levels_v, offset_um=0.0):
+def density_of_weights(method: str, weights_um: FloatArray, voltage_v: FloatArray,
+                       levels_v: FloatArray, offset_um: float = 0.0) -> DensityEstimate:
     """Turn an estimate X of the relays' weights mu * s, (2.3), into a density.
 
     Parameters
