@@ -22,6 +22,7 @@ from piezo_identification.estimators.poles.vector_fitting import (
     left_by_poles,
     vector_fit,
 )
+from piezo_identification.fitting.evidence import log_evidence
 
 SPARE_POLES = 40
 """Poles of the rational fit that shows noise and delay: more than a stage has."""
@@ -139,9 +140,8 @@ class ResponseSearch:
 
     def information(self, fit: ResponseFit) -> float:
         """Bayesian information criterion; the least is best."""
-        rows = self.independent
         mean_square = fit.cost / (2.0 * fit.frequencies) + self._rounding
-        return float(rows * np.log(mean_square) + fit.parameters * np.log(rows))
+        return -2.0 * log_evidence(mean_square, fit.parameters, self.independent)
 
     def residual(
         self, form: RationalForm, vector: FloatArray, rows: slice = slice(None),
