@@ -97,6 +97,10 @@ class WholeFit:
         price = 0.5 * np.log(ERRORS.independent * len(self.left_um))
         return self._likelihood_over(other, 0) - price * (self.numbers - other.numbers)
 
+    def is_closer_than(self, other: "WholeFit") -> bool:
+        """Tell whether less is left of the fitted rows, however many numbers that takes."""
+        return self._likelihood_over(other, 0) > 0.0
+
     def held_out_over(self, other: "WholeFit") -> float:
         """Return the logarithm of the ratio of likelihoods on the rows that are held out."""
         return self._likelihood_over(other, 1)
