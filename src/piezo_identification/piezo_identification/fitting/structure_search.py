@@ -166,13 +166,14 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
             found.append((problem, together))
             best = together if is_better(together, best) else best
         between = list(between_rows(problem, given, delay_s))
-        for structure in [*starts(problem, given, delay_s), *between]:
+        listed = [*starts(problem, given, delay_s), *between]
+        for number, structure in enumerate(listed, 1):
             check_cancelled()
             if not is_asked_for(structure.model) or is_at_noise(problem, best):
                 continue
             if structure in between and problem.fastest_over_noise(best) <= SETTINGS.wrong:
                 continue
-            report(structure.change, 0.5)
+            report(structure.change, number / (len(listed) + 1))
             if structure not in between and beside is problem and with_loops_beside is not None:
                 beside = with_loops_beside(structure)
             where = problem if structure in between else beside

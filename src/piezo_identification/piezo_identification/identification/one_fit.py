@@ -45,11 +45,12 @@ COMPONENTS_OF = {"creep": ("creep",), "dynamics": ("dynamics", "effects"),
 """What errors of a component move, as the model file names it: every recording has passed the
 hysteresis."""
 
-BEGUN, ANEW = 0.2, 0.2
+BEGUN, ANEW = 0.3, 0.2
 """Parts of the time that the starts take, and the loops anew from each, as it is reported."""
 
 LOOPS = 2
-"""Times at most that the loops are estimated anew beside what is fitted, in the end."""
+"""Times at most that the loops are estimated anew beside what is fitted, in the end: once more
+only where that leaves less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,10 +107,9 @@ class _Search:
         self.tried.extend(changed)
         state = replace(state, best=best)
         for _ in range(LOOPS):
-            renewed = self._with_loops_anew(state, end, BESIDE_FITTED)
-            if renewed is state:
+            before, state = state, self._with_loops_anew(state, end, BESIDE_FITTED)
+            if not state.best.is_closer_than(before.best):
                 break
-            state = renewed
         return state
 
     def _with_loops_anew(self, before: _State, fraction: float,
