@@ -2,7 +2,6 @@
 """The work of `design`: design the controller, write, print and draw it."""
 
 import argparse
-import shlex
 from collections.abc import Mapping
 from hashlib import sha256
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 import control
 from matplotlib.figure import Figure
 
-from piezo_common.command_line import write_report
+from piezo_common.command_line import print_next, write_report
 from piezo_common.picture_style import to_png
 from piezo_controller.feedback.controller_file import save_controller
 from piezo_controller.feedback.controller_view import REPORT_ROWS
@@ -71,9 +70,8 @@ def design_controller(options: argparse.Namespace) -> None:
                   f"{controller.model_sha256[:16]}"]
         write_report(options.output.with_name(f"{options.output.stem}_report.html"), design_page(
             controller.report, rows, robustness, figures, origin))
-    print("next:", shlex.join([
-        "./run", "piezo_client", "stage", "track", "--model", str(options.model), "--controller",
-        str(options.output), "--output", "runs"]))
+    print_next(options, "piezo_client", "stage", "track", "--model", options.model, "--controller",
+               options.output, "--output", "runs")
 
 
 def _rows(report: dict[str, Any], rules: LoopRules, samples_per_tick: int,
