@@ -33,7 +33,7 @@ from piezo_identification.identification.identify import Implausible
 from piezo_identification.identification.identify import identify as identify_recordings
 from piezo_identification.prediction.prediction import Prediction
 from piezo_identification.prediction.row_reading import all_as_identified, predict_as_identified
-from piezo_identification.recording_check.suitability import unfit_sentences
+from piezo_identification.recording_check.suitability import misfits
 from piezo_models.cascade import StageModel
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import load_model
@@ -104,8 +104,8 @@ def identify(
             given[name] = response
             continue
         listed = recordings_of(data, columns, name)
-        for sentence in unfit_sentences(listed, name):
-            warnings.warn(sentence, DataWarning, stacklevel=2)
+        for misfit in misfits(listed, name):
+            warnings.warn(misfit.sentence, DataWarning, stacklevel=2)
         given[name] = listed[0] if len(listed) == 1 else listed
 
     def tell(text: str) -> None:
