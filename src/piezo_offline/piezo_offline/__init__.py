@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 from piezo_common.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
+    from piezo_offline.comparison import Comparison, compare
     from piezo_offline.files import load_controller, load_model, save_controller, save_model
     from piezo_offline.given_data import DataWarning, read
     from piezo_offline.steps import (
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     )
 
 _HOMES = {
+    "Comparison": "comparison",
+    "compare": "comparison",
     "load_controller": "files",
     "load_model": "files",
     "save_controller": "files",
@@ -34,6 +37,7 @@ _HOMES = {
 __getattr__, __dir__ = lazy_exports(__name__, _HOMES)
 
 __all__ = [
-    "DataWarning", "design", "diagnose", "extend", "identify", "load_controller", "load_model",
-    "plot_residuals", "read", "save_controller", "save_model", "simulate",
+    "Comparison", "DataWarning", "compare", "design", "diagnose", "extend", "identify",
+    "load_controller", "load_model", "plot_residuals", "read", "save_controller", "save_model",
+    "simulate",
 ]
