@@ -5,11 +5,14 @@ import argparse
 import signal
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
 
 from piezo_bringup.processes import EXECUTABLES, USUAL_NODES, Processes
+from piezo_common.command_line import next_line
 
 POLL_S = 0.2
 FAILED, BAD_INPUT = 1, 2
@@ -39,19 +42,48 @@ def main(arguments: list[str] | None = None) -> int:
     ending: list[bool] = []
     for number in signal.SIGINT, signal.SIGTERM:
         signal.signal(number, lambda *_: ending.append(True))
-    with Processes(options.logs, data_root=options.data_root) as processes:
+    with (Processes(options.logs, data_root=options.data_root) as processes,
+          closing(_watch(options)) as watch):
         for name in options.nodes:
             processes.start(name, namespace=options.namespace, parameter_file=options.parameters)
         print(f"{', '.join(options.nodes)} started; logs in {options.logs}; end them with Ctrl-C",
               flush=True)
         while not ending:
+            next(watch)
             for name in options.nodes:
                 if processes.process(name).poll() is not None:
                     print(f"suite: {name} ended by itself; see {processes.log(name)}",
                           file=sys.stderr)
                     return FAILED
-            time.sleep(POLL_S)
+        for name in reversed(options.nodes):
+            print(f"ending {name}", flush=True)
+            processes.stop([name])
+        print("all nodes have ended", flush=True)
     return 0
+
+
+def _watch(options: argparse.Namespace) -> Iterator[None]:
+    """Wait for a moment at each step; say once when all nodes answer, and what may follow."""
+    # Its libraries take a second, in which the nodes import theirs.
+    from piezo_bringup.readiness import Readiness
+
+    begun_s = time.monotonic()
+    try:
+        with Readiness(options.nodes, options.namespace) as nodes:
+            while nodes.look(POLL_S):
+                yield
+    except RuntimeError as error:
+        print(f"suite: whether the nodes are ready cannot be seen: {error}", file=sys.stderr)
+    else:
+        print(f"ready: every node answers, after {time.monotonic() - begun_s:.1f} s. In another "
+              "terminal,", flush=True)
+        of_stage = ["--namespace", options.namespace] if options.namespace else []
+        following = (["identify", "--output", "runs/first"] if "identification" in options.nodes
+                     else ["status"])
+        print(next_line("suite", "piezo_client", "stage", *of_stage, *following), flush=True)
+    while True:
+        time.sleep(POLL_S)
+        yield
 
 
 def _parser() -> argparse.ArgumentParser:

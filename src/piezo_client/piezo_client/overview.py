@@ -16,8 +16,8 @@ NODES = ("stage", "recorder", "identification", "controller")
 SERVE_GOALS = {"identification", "controller"}
 
 
-def stages_seen(client: Client, wait_s: float) -> list[str]:
-    """Return a line for each stage that any namespace has, with the nodes beside it.
+def stages_seen(client: Client, wait_s: float) -> dict[str, set[str]]:
+    """Return the nodes of each namespace that has a stage, the stage included.
 
     Parameters
     ----------
@@ -33,8 +33,7 @@ def stages_seen(client: Client, wait_s: float) -> list[str]:
     found = _namespaces(client)
     if not found:
         raise nobody_serves("")
-    return [f"{namespace.rstrip('/')}/stage: {', '.join(sorted(found[namespace]))}"
-            for namespace in sorted(found)]
+    return found
 
 
 def _namespaces(client: Client) -> dict[str, set[str]]:

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
-from typing import TypeAlias
+from typing import NoReturn, TypeAlias
 
 from piezo_common.command_line import BAD_INPUT, INTERRUPTED
 from piezo_ros.starting import without_ros_arguments
@@ -17,6 +17,7 @@ Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 INPUTS = ("model", "file", "waveform", "controller", "data", "holdout", "recordings",
           "extended_model")
 SHAPES = "harmonic", "triangle"
+IDENTIFY = "`./run piezo_client stage identify --output DIR`"
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -52,8 +53,18 @@ def _inputs(options: argparse.Namespace) -> Iterator[Path]:
         yield from given if isinstance(given, list) else [given]
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser that says where a model comes from to whoever gives none."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print usage and message, and leave."""
+        lacking = "required" in message and "--model" in message
+        super().error(message + (
+            f"; identify makes a model: {IDENTIFY}" if lacking else ""))
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="stage", description="Drive a stage whose nodes run; a line on stderr shows progress.")
     parser.add_argument("--namespace", default="", help="of the stage's nodes")
     parser.add_argument("--wait-s", type=float, default=WAIT_S, metavar="NUMBER",

@@ -3,7 +3,6 @@
 
 import argparse
 import json
-import shlex
 import signal
 import sys
 from collections.abc import Callable
@@ -13,7 +12,7 @@ from piezo_client.client import GoalFailed
 from piezo_client.overview import stages_seen, status_lines
 from piezo_client.references import harmonic, triangle
 from piezo_client.stage import Stage
-from piezo_common.command_line import BAD_INPUT, INTERRUPTED
+from piezo_common.command_line import BAD_INPUT, INTERRUPTED, next_line
 from piezo_common.progress_line import ProgressLine
 from piezo_common.text_file import read_bounded_text
 from piezo_models.model_file import LARGEST_FILE_BYTES
@@ -58,16 +57,22 @@ def _what_stays(options: argparse.Namespace) -> str:
 
 def _next(options: argparse.Namespace, *arguments: object) -> str:
     """Return the line that says which command may follow."""
-    namespace = ["--namespace", options.namespace] if options.namespace else []
-    return "next: " + " ".join(
-        word if word.startswith("<") else shlex.quote(word) for word in map(
-            str, ["./run", "piezo_client", "stage", *namespace, *arguments]))
+    return _next_of(options.namespace, *arguments)
+
+
+def _next_of(namespace: str, *arguments: object) -> str:
+    of_stage = ["--namespace", namespace] if namespace else []
+    return next_line("stage", "piezo_client", "stage", *of_stage, *arguments)
+
+
+def _check_of(recording: Path) -> str:
+    return next_line("stage", "piezo_identification", "check", "--data", recording)
 
 
 def _experiment(stage: Stage, options: argparse.Namespace) -> list[str]:
     experiment = stage.run_experiment(options.experiment, options.output)
     return [experiment.summary, f"recorded {experiment.path}",
-            f"next: ./run piezo_identification check --data {shlex.quote(str(experiment.path))}"]
+            _check_of(experiment.path)]
 
 
 def _probe(stage: Stage, options: argparse.Namespace) -> list[str]:
@@ -116,8 +121,7 @@ def _play(stage: Stage, options: argparse.Namespace) -> list[str]:
     voltage_v, sample_period_s = read_waveform(options.waveform)
     played = stage.play(voltage_v, sample_period_s, options.repeats, options.output,
                         options.waveform.stem)
-    return [f"recorded {played.path}",
-            f"next: ./run piezo_identification check --data {shlex.quote(str(played.path))}"]
+    return [f"recorded {played.path}", _check_of(played.path)]
 
 
 def _diagnose(stage: Stage, options: argparse.Namespace) -> list[str]:
@@ -140,27 +144,31 @@ def _accept(stage: Stage, options: argparse.Namespace) -> list[str]:
             _next(options, "track", "--model", model, "--output", "<DIR>")]
 
 
-def _settle(stage: Stage, _: argparse.Namespace) -> list[str]:
+def _settle(stage: Stage, options: argparse.Namespace) -> list[str]:
     stage.settle()
-    return ["the stage has settled"]
+    return ["the stage has settled",
+            _next(options, "track", "--model", "<MODEL>", "--output", "<DIR>")]
 
 
-def _stop(stage: Stage, _: argparse.Namespace) -> list[str]:
+def _stop(stage: Stage, options: argparse.Namespace) -> list[str]:
     stage.emergency_stop()
-    return ["the stage ramps to rest and stays there until reset"]
+    return ["the stage ramps to rest and stays there until reset", _next(options, "reset")]
 
 
-def _reset(stage: Stage, _: argparse.Namespace) -> list[str]:
+def _reset(stage: Stage, options: argparse.Namespace) -> list[str]:
     stage.reset()
-    return ["the stage is released"]
+    return ["the stage is released", _next(options, "status")]
 
 
 def _list(stage: Stage, options: argparse.Namespace) -> list[str]:
-    return stages_seen(stage.client, options.wait_s)
+    seen = stages_seen(stage.client, options.wait_s)
+    return [*(f"{namespace.rstrip('/')}/stage: {', '.join(sorted(seen[namespace]))}"
+              for namespace in sorted(seen)),
+            _next_of(min(seen).strip("/"), "status")]
 
 
 def _status(stage: Stage, options: argparse.Namespace) -> list[str]:
-    return status_lines(stage.client)
+    return [*status_lines(stage.client), _next(options, "identify", "--output", "<DIR>")]
 
 
 WORK: dict[str, Callable[[Stage, argparse.Namespace], list[str]]] = {

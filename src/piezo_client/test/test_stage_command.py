@@ -3,6 +3,7 @@ import json
 from argparse import Namespace
 from contextlib import nullcontext
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import pytest
 
@@ -32,3 +33,25 @@ def test_what_a_model_lacks_is_said_first(monkeypatch, tmp_path, capsys, command
     options = Namespace(command=command, model=tmp_path / model, namespace="", wait_s=1.0)
     assert stage_work.drive(options) == 0
     assert capsys.readouterr().out == f"{said}done\n"
+
+
+@pytest.mark.parametrize("command, following", [
+    ("list", "--namespace left status"), ("status", "identify --output <DIR>"),
+    ("settle", "track --model <MODEL> --output <DIR>"), ("stop", "reset"), ("reset", "status")])
+def test_command_without_results_names_the_one_that_follows(
+        monkeypatch, capsys, command, following):
+    monkeypatch.setattr(stage_work.signal, "signal", lambda *_: None)
+    monkeypatch.setattr(stage_work, "Stage", lambda *_: nullcontext(MagicMock()))
+    monkeypatch.setattr(stage_work, "stages_seen", lambda *_: {"/left": {"stage", "recorder"}})
+    monkeypatch.setattr(stage_work, "status_lines", lambda *_: ["/stage is active"])
+    options = Namespace(command=command, namespace="", wait_s=1.0)
+    assert stage_work.drive(options) == 0
+    *_, last = capsys.readouterr().out.splitlines()
+    assert last == f"next: ./run piezo_client stage {following}"
+
+
+def test_who_tracks_without_a_model_is_told_how_to_make_one(capsys):
+    with pytest.raises(SystemExit):
+        stage_command.main(["track", "--output", "runs"])
+    told = capsys.readouterr().err
+    assert "required: --model; identify makes a model: `./run piezo_client stage identify" in told

@@ -17,6 +17,8 @@ from piezo_common.budget import Budget
 BAD_INPUT, INTERRUPTED, NO_READER = 2, 130, 141
 UMBRELLA = "piezo"
 """The command that has all offline commands as its subcommands."""
+OF_THE_STAGE = "piezo_client"
+"""The package whose command drives a stage, which `UMBRELLA` cannot."""
 
 
 @dataclass(frozen=True)
@@ -152,21 +154,44 @@ def write_report(path: Path, page: str) -> None:
 
 
 def print_next(options: argparse.Namespace, package: str, name: str, *arguments: object) -> None:
-    """Print the command that a user may type next, as this one was typed.
+    """Print the command that a user may type next; see `next_line`.
 
     Parameters
     ----------
     options : argparse.Namespace
         Of a parser of `Command.fill`.
+    """
+    print(next_line(options.prog, package, name, *arguments))
+
+
+def next_line(prog: str, package: str, name: str, *arguments: object) -> str:
+    """Return the line with the command that a user may type next, as the present one was typed.
+
+    Parameters
+    ----------
+    prog : str
+        The present command.
     package, name : str
         Of the next command.
     *arguments
         Those that begin with ``<`` are for the user to fill in.
+
+    Examples
+    --------
+    >>> next_line("check", "piezo_identification", "identify", "--creep", "my creep.csv")
+    "next: ./run piezo_identification identify --creep 'my creep.csv'"
+    >>> next_line("piezo check", "piezo_identification", "identify", "--creep", "<FILE>")
+    'next: piezo identify --creep <FILE>'
+    >>> next_line("piezo design", "piezo_client", "stage", "reset")
+    'next, where ROS 2 runs the stage: ros2 run piezo_client stage reset'
     """
-    umbrella = options.prog.startswith(f"{UMBRELLA} ")
-    words = [UMBRELLA, name] if umbrella else ["./run", package, name]
+    said, words = "next:", ["./run", package, name]
+    if prog.startswith(f"{UMBRELLA} "):
+        words = [UMBRELLA, name]
+        if package == OF_THE_STAGE:
+            said, words = "next, where ROS 2 runs the stage:", ["ros2", "run", package, name]
     typed = [word if word.startswith("<") else shlex.quote(word) for word in map(str, arguments)]
-    print("next:", *words, *typed)
+    return " ".join([said, *words, *typed])
 
 
 def print_progress(stage: str, fraction: float) -> None:

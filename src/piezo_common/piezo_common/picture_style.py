@@ -24,6 +24,9 @@ SHOWN_DOTS_PER_INCH = 100
 MOST_POINTS = 2400
 """Points of a line; of more, the lowest and highest of each stretch are drawn."""
 
+BAND = 2.0
+"""Standard deviations to either side of a band; of normal errors it holds 95 %."""
+
 # From dark to light, with the lightness L* of CIELAB; grey is of no palette.
 BLACK, BLUE, VERMILION, GREEN = "#000000", "#0072b2", "#d55e00", "#009e73"  # 0, 46, 55, 58
 PURPLE, ORANGE, GREY = "#cc79a7", "#e69f00", "#b3b3b3"  # 61, 71, 73

@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The frame of the offline commands, as a shell sees it."""
 
+import doctest
 import subprocess
 import sys
+
+from piezo_common import command_line
 
 CHATTY = """
 import sys
@@ -24,3 +27,7 @@ def test_output_that_nobody_reads_any_more_ends_a_command_without_a_word():
         process.stdout.close()
         said = process.stderr.read()
     assert (process.returncode, said) == (141, "")
+
+
+def test_next_command_is_typed_as_the_present_one_was():
+    assert doctest.testmod(command_line).failed == 0

@@ -5,6 +5,7 @@ What these three do not explain is added as effects, each at its place in the ca
 """
 
 from dataclasses import dataclass, field
+from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import control
@@ -94,6 +95,19 @@ class StageModel:
         from piezo_models.model_pictures import draw_model
 
         return draw_model(self)
+
+    def to_control(self, sample_period_s: float | None = None, lags: bool = True,
+                   ) -> control.StateSpace:
+        """Return all that is linear; see `piezo_models.control_objects.to_control`."""
+        from piezo_models.control_objects import to_control
+
+        return to_control(self, sample_period_s, lags)
+
+    def to_matlab(self, path: str | PathLike[str]) -> None:
+        """Write the model for MATLAB; see `piezo_models.matlab_file.write_matlab`."""
+        from piezo_models.matlab_file import write_matlab
+
+        write_matlab(path, self)
 
     def effects_at(self, place: str) -> tuple[Any, ...]:
         """Return the effects at one of `piezo_models.effects.effect.PLACES`."""

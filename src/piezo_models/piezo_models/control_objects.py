@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The linear part of a model as an object of python-control, and back."""
 
+import warnings
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import control
 import numpy as np
@@ -31,22 +32,69 @@ class ConversionSettings:
 
 SETTINGS = ConversionSettings()
 
+IN_LINEAR = ("modes", "linear")
+"""Places of the effects that `StageModel.linear` holds."""
 
-def to_control(model: StageModel, sample_period_s: float | None = None) -> control.StateSpace:
-    """Return the linear part of a model, behind its hysteresis, as a system of python-control.
+
+class LeftOut(UserWarning):
+    """Parts of a model are not linear, and so not in the system that was made of it."""
+
+
+def to_control(model: StageModel, sample_period_s: float | None = None, lags: bool = True,
+               ) -> control.StateSpace:
+    """Return all that is linear in a model, but for its hysteresis, as a system of python-control.
+
+    What is not linear is named by a `LeftOut`.
 
     Parameters
     ----------
     sample_period_s : float, optional
         Sample it exactly for an input held so long; continuous by default.
+    lags : bool
+        With the lags in front of the hysteresis and behind the stage, as a feedback loop meets
+        them: those of the amplifier and the sensor, a delay by its Pade approximation.
 
     Returns
     -------
     control.StateSpace
         From ``hysteresis_um`` to ``displacement_um``.
     """
-    system = model.linear() if sample_period_s is None else zoh(model.linear(), sample_period_s)
-    return control.ss(system, inputs=["hysteresis_um"], outputs=["displacement_um"])
+    system = model.linear()
+    beside = [effect for effect in model.effects if effect.place not in IN_LINEAR]
+    found = {index: effect.lag() for index, effect in enumerate(beside)} if lags else {}
+    for lag in found.values():
+        system = system if lag is None else lag * system
+    left_out = [effect.name for index, effect in enumerate(beside) if found.get(index) is None]
+    left_out += [name for name, part in (("hysteretic_creep", model.hysteretic_creep),
+                                         ("first_rise", model.first_rise)) if part is not None]
+    if left_out:
+        warnings.warn(f"left out of the linear system: {', '.join(left_out)}", LeftOut,
+                      stacklevel=2)
+    sampled = system if sample_period_s is None else zoh(system, sample_period_s)
+    return control.ss(sampled, inputs=["hysteresis_um"], outputs=["displacement_um"])
+
+
+def with_linear_part(model: StageModel, system: control.StateSpace | control.TransferFunction,
+                     ) -> StageModel:
+    """Return a model with another linear part: the way back from ``to_control(lags=False)``.
+
+    Parameters
+    ----------
+    system : control.StateSpace or control.TransferFunction
+        See `from_control`. The hysteresis takes its gain; effects at other places stay.
+
+    Raises
+    ------
+    ValueError
+        See `from_control`.
+    """
+    creep, dynamics, gain = from_control(system)
+    hysteresis = model.hysteresis
+    scaled = replace(hysteresis, offset_um=gain * hysteresis.offset_um,
+                     density_um_per_v2=gain * hysteresis.density_um_per_v2,
+                     reversible_um_per_v=gain * hysteresis.reversible_um_per_v)
+    return replace(model, hysteresis=scaled, creep=creep, dynamics=dynamics, effects=tuple(
+        effect for effect in model.effects if effect.place not in IN_LINEAR))
 
 
 def from_control(system: control.StateSpace | control.TransferFunction,

@@ -3,8 +3,10 @@
 
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from os import PathLike
 from typing import TYPE_CHECKING, Any
 
+import control
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -101,6 +103,25 @@ class IdentifiedModel:
             raise ValueError("voltage_v is empty: give at least one voltage")
         return self.model.simulate(
             voltages_v, sample_period_s, self.model.memory(float(voltages_v[0])))
+
+    def to_control(self, sample_period_s: float | None = None, lags: bool = True,
+                   ) -> control.StateSpace:
+        """Return all that is linear; see `piezo_models.control_objects.to_control`."""
+        return self.model.to_control(sample_period_s, lags)
+
+    def to_matlab(self, path: str | PathLike[str]) -> None:
+        """Write the model for MATLAB; see `piezo_models.matlab_file.write_matlab`."""
+        self.model.to_matlab(path)
+
+    def bode(self) -> "Figure":
+        """Draw gain and phase of what follows the hysteresis, with the band of 95 %.
+
+        The band is that of the parameters' standard deviations, taken for independent; it does
+        not hold what the form of the model lacks.
+        """
+        from piezo_models.response_band import bode_of
+
+        return bode_of(self)
 
     def plot(self) -> "Figure":
         """Draw Preisach plane, loops and frequency response; see `model_pictures.draw_model`."""

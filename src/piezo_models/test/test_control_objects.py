@@ -1,14 +1,20 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Linear parts go to python-control and come back as they were."""
 
+import warnings
+from dataclasses import replace
+
 import control
 import numpy as np
 import pytest
+import scipy.io
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from piezo_models.cascade import StageModel
-from piezo_models.control_objects import from_control, to_control
+from piezo_models.control_objects import LeftOut, from_control, to_control, with_linear_part
+from piezo_models.effects.amplifier_lag import AmplifierLag
+from piezo_models.effects.voltage_clipping import VoltageClipping
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
@@ -73,3 +79,34 @@ def test_sampled_system_answers_as_the_model_at_the_sample_instants():
 def test_system_that_no_model_holds_is_refused(system, reason):
     with pytest.raises(ValueError, match=reason):
         from_control(system)
+
+
+def test_lag_of_the_amplifier_is_in_the_system_and_what_is_not_linear_is_named():
+    lagging = replace(model(), effects=(AmplifierLag(1e-4),))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        system = lagging.to_control()
+    frequency_hz = np.array([1.0, 300.0, 2000.0])
+    s = 2j * np.pi * frequency_hz
+    np.testing.assert_allclose(
+        system(s), lagging.response(frequency_hz) / (1.0 + 1e-4 * s), rtol=1e-9)
+    with pytest.warns(LeftOut, match="left out of the linear system: voltage_clipping"):
+        replace(lagging, effects=(*lagging.effects, VoltageClipping(0.0, 100.0))).to_control()
+
+
+def test_model_takes_a_linear_part_back():
+    lagging = replace(model(), effects=(AmplifierLag(1e-4),))
+    with pytest.warns(LeftOut, match="amplifier_lag"):
+        system = to_control(lagging, lags=False)
+    back = with_linear_part(lagging, 2.0 * system)
+    assert back.effects == lagging.effects
+    assert back.dynamics.time_constant_s == pytest.approx(DYNAMICS.time_constant_s, rel=1e-6)
+    assert back.hysteresis.density_um_per_v2 == pytest.approx(np.array([[0.02]]), rel=1e-6)
+
+
+def test_matlab_gets_the_system_and_the_hysteresis(tmp_path):
+    model().to_matlab(tmp_path / "model.mat")
+    read = scipy.io.loadmat(tmp_path / "model.mat")
+    system = control.ss(*(read[name] for name in "ABCD"))
+    assert system.dcgain() == pytest.approx(to_control(model()).dcgain())
+    assert read["hysteresis"]["voltage_max_v"].item().item() == 120.0

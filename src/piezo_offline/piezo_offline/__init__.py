@@ -8,6 +8,7 @@ from piezo_common.lazy_exports import lazy_exports
 if TYPE_CHECKING:
     from piezo_controller.feedback.controller_file import load_controller, save_controller
     from piezo_models.model_file import load_model, save_model
+    from piezo_offline.comparison import Comparison, compare
     from piezo_offline.given_data import DataWarning, read
     from piezo_offline.steps import (
         design,
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 __getattr__, __dir__ = lazy_exports(__name__, __file__)
 
 __all__ = [
-    "DataWarning", "design", "diagnose", "extend", "identify", "load_controller", "load_model",
-    "plot_residuals", "read", "save_controller", "save_model", "simulate",
+    "Comparison", "DataWarning", "compare", "design", "diagnose", "extend", "identify",
+    "load_controller", "load_model", "plot_residuals", "read", "save_controller", "save_model",
+    "simulate",
 ]

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What people hand over in Python: paths, arrays by name, frames, recordings, responses."""
 
+import re
 import warnings
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 from numpy.typing import ArrayLike
 
@@ -17,23 +18,37 @@ from piezo_identification.estimators.frequency_response.response_file import (
 from piezo_recorder.reading.columns import parse_columns
 from piezo_recorder.reading.memory import IN_MEMORY, recording_of
 from piezo_recorder.reading.reader import read_recording
-from piezo_recorder.reading.recording import Recording
+from piezo_recorder.reading.recording import Recording, RecordingError
 
 if TYPE_CHECKING:
     import pandas
     import xarray
 
 
+SIGNALS = ("time_s", "voltage_v", "displacement_um")
+"""Labels of three arrays that have none."""
+
+
 class DataWarning(UserWarning):
     """Something of the data was assumed, mended, or is implausible."""
 
 
+@overload
 def read(
     data: "str | PathLike[str] | Mapping[str, ArrayLike] | pandas.DataFrame | xarray.Dataset "
           "| Recording",
     columns: Sequence[str] = (), name: str = "",
-) -> Recording:
+) -> Recording: ...
+
+
+@overload
+def read(data: ArrayLike, columns: ArrayLike, name: ArrayLike) -> Recording: ...
+
+
+def read(data: Any, columns: Any = (), name: Any = "") -> Recording:
     """Make a recording of a file, of arrays, of a pandas frame or of an xarray dataset.
+
+    ``read(time_s, voltage_v, displacement_um)`` takes three arrays of one length.
 
     What had to be assumed or mended, and what is implausible, is said as a `DataWarning`.
 
@@ -57,14 +72,28 @@ def read(
     """
     if isinstance(data, Recording):
         return data
-    said = parse_columns(list(columns))
-    if isinstance(data, str | PathLike):
-        recording = read_recording(data, columns=said)
-    else:
-        recording = recording_of(data, said, name or IN_MEMORY)
+    if not isinstance(name, str):
+        data, columns, name = dict(zip(SIGNALS, (data, columns, name), strict=True)), (), ""
+    try:
+        said = parse_columns(list(columns))
+        if isinstance(data, str | PathLike):
+            recording = read_recording(data, columns=said)
+        else:
+            recording = recording_of(data, said, name or IN_MEMORY)
+    except RecordingError as error:
+        raise RecordingError(_in_python(str(error))) from None
     for note in dict.fromkeys(recording.notes):
         warnings.warn(note, DataWarning, stacklevel=2)
     return recording
+
+
+def _in_python(text: str) -> str:
+    """Return a message with its option ``--columns`` as the argument that it is in Python."""
+    def as_argument(found: re.Match[str]) -> str:
+        return "columns=[" + ", ".join(f'"{word}"' for word in found[1].split()) + "]"
+
+    return re.sub(r"--columns (\w+=[^\s),;:]+(?: \w+=[^\s),;:]+)*)", as_argument, text).replace(
+        "--columns", "columns")
 
 
 def in_list(given: Any) -> list[Any]:

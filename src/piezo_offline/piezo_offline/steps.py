@@ -13,6 +13,7 @@ from piezo_controller.feedback.design_choices import (
     DEFAULT_WEIGHTS,
     DISTURBANCE_HZ,
     METHODS,
+    SAMPLE_RATE_HZ,
 )
 from piezo_controller.feedback.feedback_design import FeedbackController
 from piezo_controller.feedback.stage_design import design_for_stage
@@ -32,7 +33,7 @@ from piezo_identification.identification.identify import Implausible
 from piezo_identification.identification.identify import identify as identify_recordings
 from piezo_identification.prediction.prediction import Prediction
 from piezo_identification.prediction.row_reading import all_as_identified, predict_as_identified
-from piezo_identification.recording_check.suitability import unfit_sentences
+from piezo_identification.recording_check.suitability import misfits
 from piezo_models.cascade import StageModel
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import load_model
@@ -103,8 +104,8 @@ def identify(
             given[name] = response
             continue
         listed = recordings_of(data, columns, name)
-        for sentence in unfit_sentences(listed, name):
-            warnings.warn(sentence, DataWarning, stacklevel=2)
+        for misfit in misfits(listed, name):
+            warnings.warn(misfit.sentence, DataWarning, stacklevel=2)
         given[name] = listed[0] if len(listed) == 1 else listed
 
     def tell(text: str) -> None:
@@ -247,7 +248,7 @@ def extend(model: IdentifiedModel | str | PathLike[str], verdict: Verdict, data:
 def design(
     model: AnyModel, *, method: str = METHODS[0], weights: str | Path = DEFAULT_WEIGHTS,
     disturbance_hz: float = DISTURBANCE_HZ, samples_per_tick: int | None = None,
-    delay_ticks: int = 1,
+    delay_ticks: int = 1, sample_rate_hz: float = SAMPLE_RATE_HZ,
 ) -> FeedbackController:
     """Design the feedback for a model.
 
@@ -261,9 +262,11 @@ def design(
     disturbance_hz : float
         Bandwidth of the disturbances.
     samples_per_tick : int, optional
-        Feedback period in samples of 25 us; by the rules (5.10) by default.
+        Feedback period in samples of the stage's clock; by the rules (5.10) by default.
     delay_ticks : int
         1 where the controller answers the stage, 0 where the stage evaluates the law itself.
+    sample_rate_hz : float
+        Of the stage's sample clock.
 
     Returns
     -------
@@ -279,7 +282,7 @@ def design(
     return design_for_stage(
         stage_model, weights, method, disturbance_hz=disturbance_hz,
         samples_per_tick=samples_per_tick, delay_ticks=delay_ticks,
-        model_sha256=digest).controller
+        model_sha256=digest, sample_rate_hz=sample_rate_hz).controller
 
 
 def _opened(model: AnyModel) -> IdentifiedModel | StageModel:

@@ -9,7 +9,16 @@ import pytest
 from piezo_identification.identification.identify import Implausible
 from piezo_models import CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel
 from piezo_models.identified_model import IdentifiedModel
-from piezo_offline import DataWarning, design, diagnose, identify, read, simulate, steps
+from piezo_offline import (
+    DataWarning,
+    compare,
+    design,
+    diagnose,
+    identify,
+    read,
+    simulate,
+    steps,
+)
 from piezo_recorder.reading.reader import origin_of
 from piezo_recorder.reading.recording import Recording
 
@@ -37,6 +46,29 @@ def test_prediction_of_arrays_a_frame_and_a_file_is_the_same(measured_um, tmp_pa
     errors = [simulate(MODEL, each).e_y_percent()
               for each in (data, frame, tmp_path / "mine.csv", read(data))]
     assert errors == pytest.approx([100.0 * 0.02 / 1.02] * 4, rel=1e-6)
+
+
+def test_three_arrays_are_time_voltage_and_displacement(measured_um):
+    recording = read(TIME_S, VOLTAGE_V, measured_um)
+    np.testing.assert_array_equal(recording.voltage_v, VOLTAGE_V)
+    np.testing.assert_array_equal(recording.displacement_um, measured_um)
+    with pytest.raises(ValueError, match="columns have different numbers of values"):
+        read(TIME_S, VOLTAGE_V, measured_um[:-1])
+
+
+def test_columns_are_asked_for_as_an_argument(measured_um):
+    with pytest.raises(ValueError, match=r'columns=\["time=NAME\[s\]", "voltage=') as refused:
+        read({"first": TIME_S, "second": VOLTAGE_V, "third": measured_um})
+    assert "--columns" not in str(refused.value)
+
+
+def test_two_models_are_compared_on_one_recording(measured_um):
+    worse = StageModel(MODEL.hysteresis, CreepDynamics((0.5,), (0.6,)), MODEL.dynamics)
+    compared = compare(MODEL, worse, arrays(measured_um))
+    (_, error_a, *_), (_, error_b, *_) = compared.summary().rows
+    assert error_a < 0.01 < error_b
+    assert error_b == compared.b.e_y_percent()
+    assert [line.get_label() for line in compared.plot().axes[0].lines] == ["model a", "model b"]
 
 
 def test_simulate_and_diagnose_read_rows_as_those_of_the_identification(monkeypatch):

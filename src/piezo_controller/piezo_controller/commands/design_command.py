@@ -10,6 +10,7 @@ from piezo_controller.feedback.design_choices import (
     DEFAULT_WEIGHTS,
     DISTURBANCE_HZ,
     METHODS,
+    SAMPLE_RATE_HZ,
     SCALINGS,
 )
 
@@ -30,6 +31,8 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
                         "the stage evaluates the feedback by itself (default: %(default)s)")
     parser.add_argument("--disturbance-hz", type=float, default=DISTURBANCE_HZ,
                         help="bandwidth of the disturbances")
+    parser.add_argument("--rate", metavar="HZ", type=float, default=SAMPLE_RATE_HZ,
+                        help="sample clock of the stage (default: %(default)g)")
     parser.add_argument("--samples-per-tick", type=int,
                         help="feedback period in samples; by the rules (5.10) by default")
     parser.add_argument("--output", type=Path, required=True,
@@ -40,6 +43,8 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 def _check(options: argparse.Namespace) -> None:
     if not options.disturbance_hz > 0:
         raise ValueError(f"--disturbance-hz is {options.disturbance_hz:g}: give a positive number")
+    if not 0.0 < options.rate < float("inf"):
+        raise ValueError(f"--rate is {options.rate:g}: give a positive number")
 
 
 COMMAND = Command(

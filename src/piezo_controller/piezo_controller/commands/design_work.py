@@ -2,7 +2,6 @@
 """The work of `design`: design the controller, write, print and draw it."""
 
 import argparse
-import shlex
 from collections.abc import Mapping
 from hashlib import sha256
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 import control
 from matplotlib.figure import Figure
 
-from piezo_common.command_line import write_report
+from piezo_common.command_line import print_next, write_report
 from piezo_common.picture_style import to_png
 from piezo_controller.feedback.controller_file import save_controller
 from piezo_controller.feedback.controller_view import REPORT_ROWS
@@ -28,9 +27,8 @@ from piezo_controller.feedback.loop_pictures import (
     step_figure,
     weights_figure,
 )
-from piezo_controller.feedback.loop_rules import LoopRules
 from piezo_controller.feedback.robustness import Robustness, check_robustness, drawn_plants
-from piezo_controller.feedback.stage_design import CLOCK_PERIOD_S, design_for_stage
+from piezo_controller.feedback.stage_design import StageDesign, design_for_stage
 from piezo_controller.feedback.synthesis.generalised_plant import design_plant, generalised_plant
 from piezo_controller.feedback.synthesis.h_infinity import is_stable
 from piezo_controller.feedback.synthesis.weights import DesignWeights
@@ -53,17 +51,17 @@ def design_controller(options: argparse.Namespace) -> None:
     design = design_for_stage(
         model, options.weights, options.method, options.scaling, options.disturbance_hz,
         options.samples_per_tick, options.at_once, not options.full_order, options.delay_ticks,
-        sha256(options.model.read_bytes()).hexdigest())
-    controller, weights = design.controller, design.weights
+        sha256(options.model.read_bytes()).hexdigest(), options.rate)
+    controller, weights, clock_s = design.controller, design.weights, design.clock_period_s
     save_controller(options.output, controller)
     gain_spread = max(GAIN_SPREAD, controller.report["hysteresis_gain_spread"])
     robustness = check_robustness(
-        model, controller.state_space(), CLOCK_PERIOD_S, gain_spread, at_once=options.at_once,
+        model, controller.state_space(), clock_s, gain_spread, at_once=options.at_once,
         delay_ticks=options.delay_ticks)
-    rows = _rows(controller.report, design.rules, design.samples_per_tick, robustness)
+    rows = _rows(controller.report, design, robustness)
     for name, text in rows:
         print(f"{name:42s}{text}")
-    figures = _figures(options, model, weights, controller, gain_spread)
+    figures = _figures(options, model, weights, clock_s, controller, gain_spread)
     pictures = _save(options.output, figures)
     print(f"written: {', '.join(str(path) for path in (options.output, *pictures))}")
     if options.report:
@@ -71,17 +69,18 @@ def design_controller(options: argparse.Namespace) -> None:
                   f"{controller.model_sha256[:16]}"]
         write_report(options.output.with_name(f"{options.output.stem}_report.html"), design_page(
             controller.report, rows, robustness, figures, origin))
-    print("next:", shlex.join([
-        "./run", "piezo_client", "stage", "track", "--model", str(options.model), "--controller",
-        str(options.output), "--output", "runs"]))
+    print_next(options, "piezo_client", "stage", "track", "--model", options.model, "--controller",
+               options.output, "--output", "runs")
 
 
-def _rows(report: dict[str, Any], rules: LoopRules, samples_per_tick: int,
+def _rows(report: dict[str, Any], design: StageDesign,
           robustness: Robustness) -> list[tuple[str, str]]:
     """Return what the design is worth, in the order in which it is told."""
-    rate_hz = 1 / CLOCK_PERIOD_S / samples_per_tick
+    rules, samples = design.rules, design.samples_per_tick
+    clock_hz = 1.0 / design.clock_period_s
     return [
-        ("feedback rate", f"{rate_hz:.4g} Hz, {samples_per_tick} samples a tick; by (5.10) "
+        ("sample clock of the stage", f"{clock_hz:.6g} Hz; --rate takes another one"),
+        ("feedback rate", f"{clock_hz / samples:.4g} Hz, {samples} samples a tick; by (5.10) "
                           f"{rules.lowest_rate_hz:.4g} to {rules.highest_rate_hz:.4g} Hz"),
         ("bandwidth by (5.9)", f"{rules.lowest_bandwidth_hz:.4g} to "
                                f"{rules.highest_bandwidth_hz:.4g} Hz"),
@@ -96,8 +95,9 @@ def _rows(report: dict[str, Any], rules: LoopRules, samples_per_tick: int,
 
 
 def _figures(options: argparse.Namespace, model: StageModel, weights: DesignWeights,
-             controller: FeedbackController, gain_spread: float) -> dict[str, Figure]:
-    plant, gain_um_per_v = design_plant(model, weights.sample_period_s, CLOCK_PERIOD_S,
+             clock_s: float, controller: FeedbackController, gain_spread: float,
+             ) -> dict[str, Figure]:
+    plant, gain_um_per_v = design_plant(model, weights.sample_period_s, clock_s,
                                         options.at_once, options.delay_ticks)
     loop = gain_um_per_v * plant, controller.state_space()
     with_weights = weights if options.method == "h_infinity" else None
@@ -106,7 +106,7 @@ def _figures(options: argparse.Namespace, model: StageModel, weights: DesignWeig
         "nyquist": nyquist_figure(*loop, controller.report["hysteresis_gain_spread"])}
     if options.report:
         drawn = [each for each in drawn_plants(
-            model, weights.sample_period_s, CLOCK_PERIOD_S, gain_spread, DRAWN,
+            model, weights.sample_period_s, clock_s, gain_spread, DRAWN,
             at_once=options.at_once, delay_ticks=options.delay_ticks)
             if is_stable(control.feedback(each * loop[1], 1))]
         figures["steps"] = step_figure(

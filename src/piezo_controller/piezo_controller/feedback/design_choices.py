@@ -8,3 +8,6 @@ DEFAULT_WEIGHTS = "default"
 
 DISTURBANCE_HZ = 20.0
 """Bandwidth of the disturbances that the weights are made for, section 5.3.1."""
+
+SAMPLE_RATE_HZ = 40_000.0
+"""Sample clock of the stage, that of the thesis."""

@@ -9,6 +9,7 @@ from piezo_controller.feedback.design_choices import (
     DEFAULT_WEIGHTS,
     DISTURBANCE_HZ,
     METHODS,
+    SAMPLE_RATE_HZ,
     SCALINGS,
 )
 from piezo_controller.feedback.feedback_design import FeedbackController, design_feedback
@@ -16,9 +17,6 @@ from piezo_controller.feedback.loop_rules import LoopRules, choose_rates
 from piezo_controller.feedback.synthesis.weights import DesignWeights, load_weights
 from piezo_controller.feedback.synthesis.ziegler_nichols import ultimate_point_by_relay
 from piezo_models.cascade import StageModel
-
-CLOCK_PERIOD_S = 25e-6
-"""This is the period of the stage's sample clock."""
 
 
 @dataclass(frozen=True)
@@ -29,19 +27,22 @@ class StageDesign:
     ----------
     weights : DesignWeights
         At the controller's tick, for the disturbances that were named.
+    clock_period_s : float
+        Of the stage's sample clock.
     """
 
     controller: FeedbackController
     weights: DesignWeights
     rules: LoopRules
     samples_per_tick: int
+    clock_period_s: float
 
 
 def design_for_stage(
     model: StageModel, weights: str | Path = DEFAULT_WEIGHTS, method: str = METHODS[0],
     scaling: str = SCALINGS[0], disturbance_hz: float = DISTURBANCE_HZ,
     samples_per_tick: int | None = None, at_once: bool = False, reduce: bool = True,
-    delay_ticks: int = 1, model_sha256: str = "",
+    delay_ticks: int = 1, model_sha256: str = "", sample_rate_hz: float = SAMPLE_RATE_HZ,
 ) -> StageDesign:
     """Choose the rate of the feedback by the rules, then design it.
 
@@ -55,19 +56,22 @@ def design_for_stage(
         Bandwidth of the disturbances.
     samples_per_tick : int, optional
         Feedback period; by the rules (5.10) by default.
+    sample_rate_hz : float
+        Of the stage's sample clock.
 
     Raises
     ------
     ValueError
         See `design_feedback`; or the weights cannot be read.
     """
+    clock_s = 1.0 / sample_rate_hz
     chosen = load_weights(weights)
     rules = choose_rates(
-        1 / ultimate_point_by_relay(model, 1, CLOCK_PERIOD_S).period_s, 1 / CLOCK_PERIOD_S,
+        1 / ultimate_point_by_relay(model, 1, clock_s).period_s, sample_rate_hz,
         computing_time_s(),
-        samples_per_tick or round(chosen.sample_period_s / CLOCK_PERIOD_S), disturbance_hz)
+        samples_per_tick or max(1, round(chosen.sample_period_s / clock_s)), disturbance_hz)
     samples = samples_per_tick or rules.samples_per_tick
-    chosen = chosen.for_disturbances(disturbance_hz).at_tick(samples * CLOCK_PERIOD_S)
-    controller = design_feedback(model, chosen, CLOCK_PERIOD_S, model_sha256, method, scaling,
+    chosen = chosen.for_disturbances(disturbance_hz).at_tick(samples * clock_s)
+    controller = design_feedback(model, chosen, clock_s, model_sha256, method, scaling,
                                  at_once, reduce, delay_ticks)
-    return StageDesign(controller, chosen, rules, samples)
+    return StageDesign(controller, chosen, rules, samples, clock_s)

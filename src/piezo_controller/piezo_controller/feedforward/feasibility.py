@@ -8,11 +8,11 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_controller.references.kind import Watch
+from piezo_models.hysteresis.preisach import PreisachModel
 
 BISECTIONS = 14
 VOLTAGE = "voltages", "V"
 DISPLACEMENT = "displacements", "um"
-STATIC_DISPLACEMENT = "voltages that at rest would displace", "um"
 
 
 class UnreachableReference(ValueError):
@@ -51,6 +51,27 @@ def check_range(values: FloatArray, lowest: float, highest: float,
         name, unit = quantity
         raise Infeasible(f"it takes {name} from {values.min():.4g} to {values.max():.4g} "
                          f"{unit}, available are {lowest:.4g} to {highest:.4g} {unit}")
+
+
+def check_hysteresis_range(hysteresis_um: FloatArray, hysteresis: PreisachModel) -> None:
+    """Refuse what a hysteresis cannot put out; say about which voltages that would take.
+
+    Parameters
+    ----------
+    hysteresis_um : ndarray
+        Output of the hysteresis.
+
+    Raises
+    ------
+    Infeasible
+    """
+    low_um, high_um = hysteresis.output_range_um
+    needed_um = np.array([hysteresis_um.min(), hysteresis_um.max()])
+    if needed_um[0] < low_um or needed_um[1] > high_um:
+        low_v, high_v = hysteresis.voltage_min_v, hysteresis.voltage_max_v
+        from_v, to_v = low_v + (needed_um - low_um) * (high_v - low_v) / (high_um - low_um)
+        raise Infeasible(f"it takes voltages from about {from_v:.3g} to {to_v:.3g} V, available "
+                         f"are {low_v:.4g} to {high_v:.4g} V")
 
 
 def check_slew(voltage_v: FloatArray, sample_period_s: float, slew_limit_v_per_s: float) -> None:

@@ -7,7 +7,7 @@ import control
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_controller.feedforward.feasibility import STATIC_DISPLACEMENT, Infeasible, check_range
+from piezo_controller.feedforward.feasibility import Infeasible, check_hysteresis_range
 from piezo_controller.feedforward.preview_inverse import PreviewInverse
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
@@ -68,7 +68,7 @@ class OnlineInverse:
         """
         hysteresis_um = self.before_linear(displacement_um)
         hysteresis = self.model.hysteresis
-        check_range(hysteresis_um, *hysteresis.output_range_um, STATIC_DISPLACEMENT)
+        check_hysteresis_range(hysteresis_um, hysteresis)
         return hysteresis.invert(hysteresis_um, self.hysteresis)
 
     def before_linear(self, displacement_um: FloatArray) -> FloatArray:

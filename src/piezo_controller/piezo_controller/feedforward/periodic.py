@@ -14,9 +14,9 @@ from piezo_controller.feedforward.approach import (
     check_amplifier_range,
 )
 from piezo_controller.feedforward.feasibility import (
-    STATIC_DISPLACEMENT,
     VOLTAGE,
     Infeasible,
+    check_hysteresis_range,
     check_range,
     check_slew,
     unreachable,
@@ -265,7 +265,7 @@ class FeedforwardPlanner:
             check_range(target, lowest_v, self.highest_v, VOLTAGE)
             centre_v = level
         else:
-            check_range(target, *self.hysteresis.output_range_um, STATIC_DISPLACEMENT)
+            check_hysteresis_range(target, self.hysteresis)
             centre_v = self.hysteresis.invert([level])[0]
         voltage_v = np.r_[self.start_voltage_v + (lowest_v - self.start_voltage_v) * self.ramp,
                           lowest_v + (centre_v - lowest_v) * self.ramp]

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
+import re
 from contextlib import redirect_stdout
 from hashlib import sha256
 from importlib.resources import files
@@ -46,6 +47,8 @@ def test_command_writes_the_controller_and_pictures_and_prints_the_report(
     assert f"{controller.report['bandwidth_hz']:.1f} Hz" in printed
     assert f"{controller.report['gamma']:.3f}" in printed
     assert f"{controller.report['mu']:.3f}" in printed
+    assert re.search(r"^sample clock of the stage +40000 Hz; --rate takes another one$", printed,
+                     re.M)
     assert "1000 Hz, 40 samples a tick; by (5.10) " in printed
     assert "200 of 200 drawn" in printed
     assert printed.splitlines()[-1] == (
@@ -107,6 +110,18 @@ def test_options_reach_the_design(model_path, tmp_path):
     assert controller.weights == weights
     assert controller.report["delay_ticks"] == 0
     assert controller.report["bandwidth_hz"] < 45
+
+
+def test_clock_of_another_stage_gives_the_same_feedback_rate(model_path, tmp_path, capsys):
+    output = tmp_path / "controller.json"
+    arguments = ["--model", str(model_path), "--output", str(output), "--no-report"]
+    assert main([*arguments, "--method", "pi", "--rate", "20000"]) == 0
+    printed = capsys.readouterr().out
+    assert "20000 Hz; --rate takes another one" in printed
+    assert "1000 Hz, 20 samples a tick; by (5.10) " in printed
+    assert load_controller(output).sample_period_s == pytest.approx(1e-3)
+    assert main([*arguments, "--rate", "0"]) == 2
+    assert "--rate is 0: give a positive number" in capsys.readouterr().err
 
 
 def test_bad_input_ends_with_status_2_and_one_line(model_path, tmp_path, capsys):

@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
+import re
+
 import numpy as np
 import pytest
 
@@ -106,6 +108,7 @@ def test_refused_reference_names_an_amplitude_that_is_accepted(stage_model, refe
         plan_feedforward(period_um, stage_model)
     reachable_um = refusal.value.reachable_um
     assert f"{reachable_um:g} um peak to peak is within reach" in str(refusal.value)
+    assert re.search(r"it takes .* V, available are -20 to 120 V", str(refusal.value))
 
     def scaled_to(amplitude_um):
         return period_um.mean() + (period_um - period_um.mean()) * amplitude_um / np.ptp(period_um)

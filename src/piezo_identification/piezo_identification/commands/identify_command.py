@@ -17,12 +17,24 @@ EXPERIMENTS = {
     "hysteresis": "harmonics of rising amplitude from the lowest voltage, or any other loops",
     "validation": "any other input: the errors are measured on it",
 }
+PURPOSES = {"sweep": "hysteresis", "multisine": "dynamics", "diagnostic": "dynamics",
+            "distortion": "dynamics"}
+"""The further waveforms of `waveforms`, by name, and the experiment that each can stand for."""
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
     for name, help_text in EXPERIMENTS.items():
-        parser.add_argument(f"--{name}", metavar="FILE", type=Path, help=help_text,
-                            nargs=None if name == "validation" else "+")
+        if name == "validation":
+            parser.add_argument(f"--{name}", metavar="FILE", type=Path, help=help_text)
+            continue
+        parser.add_argument(f"--{name}", metavar="FILE", type=Path, help=help_text, nargs="+",
+                            action="extend")
+    for name, purpose in PURPOSES.items():
+        parser.add_argument(f"--{name}", metavar="FILE", type=Path, nargs="+", action="extend",
+                            dest=purpose, help=f"the same as --{purpose}: a recording of the "
+                            f"waveform {name}")
+    parser.add_argument("--anyway", action="store_true",
+                        help="go on with a recording that looks like one of another experiment")
     parser.add_argument("--output", metavar="MODEL", type=Path, required=True,
                         help="model file to write")
     parser.add_argument("--refine", action="store_true",

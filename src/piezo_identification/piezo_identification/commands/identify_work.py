@@ -27,7 +27,7 @@ from piezo_identification.estimators.frequency_response.response_fit import Resp
 from piezo_identification.identification.given_data import given_data
 from piezo_identification.identification.given_hysteresis import DensityOptions
 from piezo_identification.identification.identify import identify
-from piezo_identification.recording_check.suitability import unfit_sentences
+from piezo_identification.recording_check.suitability import misfits
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import save_model
 from piezo_recorder.reading.data_options import read_given
@@ -48,8 +48,11 @@ def identify_files(options: argparse.Namespace) -> int | None:
     data = {name: _read(name, listed, options)
             for name, listed in paths.items() if listed is not None}
     for name, given in data.items():
-        for sentence in unfit_sentences(given, name):
-            print(sentence)
+        for misfit in misfits(given, name):
+            if misfit.made_for and not options.anyway:
+                raise ValueError(f"{misfit.sentence}; give it as --{misfit.made_for[0]}, which it "
+                                 "can stand for, or go on with --anyway")
+            print(misfit.sentence)
     _check_options(data.get("dynamics"), options)
     if options.band is not None:
         data["dynamics"] = data["dynamics"].between(*options.band)

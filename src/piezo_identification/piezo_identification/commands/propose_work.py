@@ -48,6 +48,8 @@ def propose_given(options: argparse.Namespace) -> None:
     print(proposal.sentence())
     print(f"written {waveform} and {outcome}")
     print_next(options, "piezo_client", "stage", "play", waveform, "--output", options.output)
+    print_next(options, "piezo_identification", "diagnose", "--model", options.model, "--data",
+               *options.data, "<the recording of it>", "--output", options.output / "diagnosis")
 
 
 def _read_verdict(path: Path) -> dict[str, Any]:

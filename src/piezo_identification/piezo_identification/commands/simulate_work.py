@@ -32,6 +32,8 @@ def simulate_file(options: argparse.Namespace) -> None:
     identified = announced_model(model_path)
     if options.voltage:
         _predict(identified, options.voltage, directory)
+        print_next(options, "piezo_identification", "simulate", "--model", model_path, "--data",
+                   f"<a recording of {options.voltage}>", "--output", directory)
         return
     prediction, sentences = predict_as_identified(
         identified, read_given(data_path, options), READINGS[options.rows_read])

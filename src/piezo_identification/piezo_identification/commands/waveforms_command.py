@@ -30,6 +30,8 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--experiments", metavar="NAME", nargs="+", choices=NAMES,
                         default=list(USUAL),
                         help=f"of {', '.join(NAMES)}; by default {', '.join(USUAL)}")
+    parser.add_argument("--force", action="store_true",
+                        help="write over files that are there already")
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -44,6 +46,15 @@ def _check(options: argparse.Namespace) -> None:
         raise ValueError(f"--levels {options.levels} is not within 2 to 300: give one that is")
     if options.rest is not None and not lowest_v <= options.rest <= highest_v:
         raise ValueError(f"--rest {options.rest:g} is outside the range: give one within")
+    there = [path for path in waveform_paths(options).values() if path.exists()]
+    if there and not options.force:
+        raise ValueError(f"{', '.join(map(str, there))} exists already and is not overwritten: "
+                         "choose another --directory, or give --force")
+
+
+def waveform_paths(options: argparse.Namespace) -> dict[str, Path]:
+    """Return the file of each experiment of the options, by its name."""
+    return {name: options.directory / f"{name}.csv" for name in options.experiments}
 
 
 COMMAND = Command(

@@ -9,6 +9,7 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_common.command_line import print_next
+from piezo_identification.commands.waveforms_command import waveform_paths
 from piezo_identification.experiments.catalogue import Experiment, named_experiment
 from piezo_identification.experiments.input_designs import arc
 from piezo_identification.experiments.stage_limits import StageLimits
@@ -36,8 +37,7 @@ def write_waveforms(options: argparse.Namespace) -> None:
     limits = StageLimits(lowest_v, highest_v, options.slew_limit, options.rate, rest_v)
     experiments = [_experiment(name, limits, options.levels) for name in options.experiments]
     options.directory.mkdir(parents=True, exist_ok=True)
-    for experiment in experiments:
-        path = options.directory / f"{experiment.name}.csv"
+    for experiment, path in zip(experiments, waveform_paths(options).values(), strict=True):
         rest = np.full(REST_ROWS, rest_v)
         voltage_v = np.concatenate([rest, with_ramps(experiment, rest_v, options.ramp_rate), rest])
         _write(path, voltage_v, experiment.sample_period_s)

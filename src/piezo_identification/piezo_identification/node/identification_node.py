@@ -34,7 +34,7 @@ from piezo_identification.experiments.relay_feedback import (
     relay_oscillation,
 )
 from piezo_identification.identification.identify import IdentificationCancelled, identify
-from piezo_identification.recording_check.suitability import unfit_sentences
+from piezo_identification.recording_check.suitability import misfits
 from piezo_models.model_file import save_model
 from piezo_recorder.reading.reader import read_recording
 from piezo_ros.parameters import declare, declare_data_root
@@ -225,8 +225,8 @@ class IdentificationNode(LifecycleNode):
         progress.check()
         recordings = dict(zip(EXPERIMENTS, map(read_recording, result.recordings), strict=True))
         for name, recording in recordings.items():
-            for sentence in unfit_sentences(recording, name):
-                self.get_logger().warning(sentence)
+            for misfit in misfits(recording, name):
+                self.get_logger().warning(misfit.sentence)
         try:
             identified = identify(
                 creep=recordings["creep"], dynamics=recordings["dynamics"],

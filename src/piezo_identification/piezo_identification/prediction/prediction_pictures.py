@@ -5,6 +5,7 @@ from matplotlib.figure import Figure
 
 from piezo_common.arrays import FloatArray
 from piezo_common.picture_style import (
+    BAND,
     BLUE,
     DIFFERENCE,
     MEASURED,
@@ -14,9 +15,6 @@ from piezo_common.picture_style import (
     new_figure,
 )
 from piezo_identification.prediction.prediction import Prediction
-
-BAND = 2.0
-"""Standard deviations to both sides, between which 95 % of normal errors lie."""
 
 
 def displacement_figure(prediction: Prediction,

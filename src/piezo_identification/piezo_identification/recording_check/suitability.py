@@ -134,8 +134,25 @@ def suitability_for(check: RecordingCheck, experiment: str) -> Suitability:
                        f"{found.reason}")
 
 
-def unfit_sentences(given: Recordings | FrequencyResponse, experiment: str) -> Iterator[str]:
-    """Yield which recordings can hardly stand for the experiment that they were given as, and why.
+@dataclass(frozen=True)
+class Misfit:
+    """A recording that can hardly stand for the experiment that it was given as.
+
+    Attributes
+    ----------
+    sentence : str
+        Which it is, and why.
+    made_for : tuple of str
+        Experiments other than the validation that it can stand for: it was given under a wrong
+        name.
+    """
+
+    sentence: str
+    made_for: tuple[str, ...]
+
+
+def misfits(given: Recordings | FrequencyResponse, experiment: str) -> Iterator[Misfit]:
+    """Yield the recordings that can hardly stand for the experiment that they were given as.
 
     Parameters
     ----------
@@ -145,9 +162,13 @@ def unfit_sentences(given: Recordings | FrequencyResponse, experiment: str) -> I
         One of `EXPERIMENTS`.
     """
     for recording in () if isinstance(given, FrequencyResponse) else listed(given):
-        fit = suitability_for(check_recording(recording), experiment)
+        check = check_recording(recording)
+        fit = suitability_for(check, experiment)
         if fit.verdict == "no":
-            yield f"{recording.path} can hardly stand for the {experiment}: {fit.reason}"
+            yield Misfit(
+                f"{recording.path} can hardly stand for the {experiment}: {fit.reason}",
+                tuple(other for other in EXPERIMENTS[:-1] if other != experiment
+                      and suitability_for(check, other).verdict == "yes"))
 
 
 def given_as(fit_for: Mapping[str, Mapping[str, Suitability]]) -> dict[str, list[str]]:

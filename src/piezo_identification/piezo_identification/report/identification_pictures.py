@@ -19,14 +19,11 @@ from piezo_common.picture_style import (
 from piezo_common.report_page import Picture, pictured
 from piezo_identification.report import signal_pictures as signals
 from piezo_identification.report.component_evidence import ComponentEvidence
-from piezo_identification.report.response_band import (
-    draw_bode,
-    measured_response,
-    shown_frequencies,
-)
+from piezo_identification.report.response_band import measured_response, shown_frequencies
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_summary import visited_fraction
+from piezo_models.response_band import draw_bode
 
 FIT_HEIGHT_IN = 6.4
 """As high as the two pictures beside it."""

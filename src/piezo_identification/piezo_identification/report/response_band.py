@@ -1,72 +1,22 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The linear response of a model with its band, and the points that a recording shows of it."""
-
-from dataclasses import replace
-from typing import Any
+"""The linear response that a recording shows, and the frequencies at which it is drawn."""
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from piezo_common.arrays import ComplexArray, FloatArray, IntArray
-from piezo_common.picture_style import BLUE, MEASURED, MODELLED, label, plain_numbers
 from piezo_identification.adequacy.component_residual import ComponentResidual
 from piezo_identification.adequacy.lack_of_fit import LackOfFit
 from piezo_identification.analysis.gain_over_frequency import gain_of
-from piezo_identification.report.signal_pictures import BAND
 from piezo_models.cascade import StageModel
 from piezo_models.identified_model import IdentifiedModel
 
 POINTS = 500
-STEP = 0.01
-"""Part of a standard deviation by which a parameter is moved to see what depends on it."""
 
 CLEARANCE = 10.0
 """A line that does not stand out of the noise by this factor tells nothing."""
 
 COHERENT = 0.9
 MOST_MEASURED = 300
-
-
-def response_deviations(
-    identified: IdentifiedModel, frequency_hz: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Return the standard deviations of a model's linear response.
-
-    Each parameter of creep and dynamics is moved; their errors are taken for independent, as the
-    model file keeps no covariances. What the recordings do not tell at all is left out.
-
-    Parameters
-    ----------
-    frequency_hz : ndarray, shape (F,)
-
-    Returns
-    -------
-    magnitude, phase_rad : ndarray, shape (F,)
-        Of the logarithm of the magnitude, and of the phase.
-    """
-    model = identified.model
-    nominal = model.response(frequency_hz)
-    variance = np.zeros((2, frequency_hz.size))
-    for part in "creep", "dynamics":
-        for name, deviations in identified.uncertainties.get(part, {}).items():
-            of_field = np.atleast_1d(np.asarray(deviations, float))
-            for index in np.flatnonzero(np.isfinite(of_field) & (of_field > 0.0)):
-                moved = _moved(model, part, name, int(index), STEP * of_field[index])
-                change = np.log(moved.response(frequency_hz) / nominal) / STEP
-                variance += np.stack([change.real**2, change.imag**2])
-    magnitude, phase_rad = np.sqrt(variance)
-    return magnitude, phase_rad
-
-
-def _moved(model: StageModel, part: str, name: str, index: int, change: float) -> StageModel:
-    component = getattr(model, part)
-    value = getattr(component, name)
-    if np.ndim(value) == 0:
-        moved = value + change
-    else:
-        moved = tuple(one + (change if place == index else 0.0)
-                      for place, one in enumerate(value))
-    return replace(model, **{part: replace(component, **{name: moved})})
 
 
 def measured_response(
@@ -120,40 +70,6 @@ def _thinned(frequency_hz: FloatArray) -> IntArray:
     cells = np.floor(np.log(frequency_hz / frequency_hz[0])
                      / np.log(frequency_hz[-1] / frequency_hz[0]) * MOST_MEASURED)
     return np.asarray(np.unique(cells, return_index=True)[1], dtype=np.int_)
-
-
-def draw_bode(gain: Axes, phase: Axes, identified: IdentifiedModel, frequency_hz: FloatArray,
-              measured: tuple[FloatArray, ComplexArray] | None = None) -> None:
-    """Draw gain and phase of a model's linear part with their bands, and what was measured.
-
-    Parameters
-    ----------
-    frequency_hz : ndarray, shape (F,)
-    measured : tuple of ndarray, optional
-        Of `measured_response`.
-    """
-    response = identified.model.response(frequency_hz)
-    magnitude, phase_rad = response_deviations(identified, frequency_hz)
-    size, angle = np.abs(response), np.degrees(np.unwrap(np.angle(response)))
-    band: dict[str, Any] = {"color": BLUE, "alpha": 0.25, "linewidth": 0.0, "label": "band of 95 %"}
-    if measured is not None and measured[0].size:
-        points = {**MEASURED, "linestyle": "none", "marker": "o", "markersize": 4}
-        gain.loglog(measured[0], np.abs(measured[1]), **points)
-        # On the model's branch of the angle, wherever the first point lies.
-        near = np.interp(measured[0], frequency_hz, angle)
-        off = np.degrees(np.angle(measured[1] * np.exp(-1j * np.radians(near))))
-        phase.semilogx(measured[0], near + off, **points)
-    gain.fill_between(frequency_hz, size * np.exp(-BAND * magnitude),
-                      size * np.exp(BAND * magnitude), **band)
-    gain.loglog(frequency_hz, size, **MODELLED)
-    width = BAND * np.degrees(phase_rad)
-    phase.fill_between(frequency_hz, angle - width, angle + width, **band)
-    phase.semilogx(frequency_hz, angle, **MODELLED)
-    gain.legend(loc="lower left")
-    label(gain, y="gain (um/um)")
-    label(phase, "frequency (Hz)", "phase (degrees)")
-    plain_numbers(gain.yaxis)
-    plain_numbers(phase.xaxis)
 
 
 def shown_frequencies(identified: IdentifiedModel, sample_period_s: float | None,

@@ -13,6 +13,7 @@ from scipy.signal import welch
 
 from piezo_common.arrays import FloatArray
 from piezo_common.picture_style import (
+    BAND,
     BLUE,
     DIFFERENCE,
     GREY,
@@ -29,8 +30,6 @@ from piezo_identification.analysis.gain_over_frequency import gain_of
 from piezo_identification.report.waveform_view import WaveformView, mean_hold
 
 NANOMETRES = 1e3
-BAND = 2.0
-"""Standard deviations to both sides, between which 95 % of normal errors lie."""
 
 SPECTRUM_CELLS = 1000
 """Points of a spectrum that is drawn over the logarithm of frequency."""

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 import re
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from piezo_identification.commands.identify_command import COMMAND, EXPERIMENTS, PURPOSES
 from piezo_identification.commands.identify_command import main as identify_main
 from piezo_identification.commands.simulate_command import main as simulate_main
+from piezo_identification.commands.waveforms_command import NAMES as NAMES_OF_WAVEFORMS
 from piezo_identification.experiments import catalogue as experiments
 from piezo_identification.identification.identify import IdentificationCancelled, identify
 from piezo_models.hysteresis.preisach import PreisachModel
@@ -365,3 +368,22 @@ def test_a_slow_recording_of_another_stage_is_enough(slow_file, sign, tmp_path, 
 def test_identify_needs_something_to_identify():
     with pytest.raises(ValueError, match="there is nothing to identify"):
         identify()
+
+
+def test_recording_that_is_given_under_a_wrong_name_stops_the_identification(
+        short_files, tmp_path, capsys):
+    model = tmp_path / "model.json"
+    assert identify_main(["--dynamics", str(short_files["creep"]), "--output", str(model)]) == 2
+    told = capsys.readouterr().err
+    assert "creep.csv can hardly stand for the dynamics: too slow to hold dynamics" in told
+    assert "give it as --creep, which it can stand for, or go on with --anyway" in told
+    assert not model.exists()
+
+
+def test_waveforms_of_the_recipe_are_given_by_their_names():
+    given = COMMAND.parser().parse_args([
+        "--hysteresis", "a.csv", "b.csv", "--sweep", "c.csv", "--multisine", "d.csv",
+        "--output", "model.json"])
+    assert given.hysteresis == [Path("a.csv"), Path("b.csv"), Path("c.csv")]
+    assert given.dynamics == [Path("d.csv")]
+    assert {*NAMES_OF_WAVEFORMS} == {*EXPERIMENTS, *PURPOSES}

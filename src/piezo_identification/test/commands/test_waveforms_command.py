@@ -78,3 +78,15 @@ def test_what_does_not_fit_is_refused_in_one_line_and_leaves_no_file(
 def test_empty_range_is_refused(tmp_path, capsys):
     assert main(["--directory", str(tmp_path), "--range", "5", "5", "--rate", "1e4"]) == 2
     assert "--range 5 5 is empty: give the lower end first" in capsys.readouterr().err
+
+
+def test_waveform_that_is_there_is_kept_unless_it_may_be_replaced(tmp_path, capsys):
+    options = "--rate", "10000", "--levels", "2", "--experiments", "hysteresis"
+    kept = tmp_path / "hysteresis.csv"
+    kept.write_text("the waveform of a recording")
+    assert written(tmp_path, *options, "sweep") == 2
+    assert f"{kept} exists already and is not overwritten" in capsys.readouterr().err
+    assert [*tmp_path.iterdir()] == [kept]
+    assert kept.read_text() == "the waveform of a recording"
+    assert written(tmp_path, *options, "--force") == 0
+    assert kept.read_text().startswith("time_s,voltage_v")

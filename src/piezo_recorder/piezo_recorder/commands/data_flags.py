@@ -3,7 +3,8 @@
 
 import argparse
 
-FILE_HELP = "recording or table of samples (CSV, .mat, .h5, .npz, .tdms, .parquet and others)"
+FILE_HELP = ("recording or table of samples (CSV, .mat, .h5, .npz, .tdms, .parquet, .xlsx and "
+             "others)")
 
 
 def add_columns_option(parser: argparse.ArgumentParser) -> None:

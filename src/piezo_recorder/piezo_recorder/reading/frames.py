@@ -37,7 +37,8 @@ def to_frame(recording: Recording) -> "pandas.DataFrame":
     try:
         import pandas
     except ImportError:
-        raise RecordingError("pandas is not installed: install it (`pip install pandas`), "
+        raise RecordingError("pandas is not installed: install it (`pip install pandas`, or the "
+                             "extra `pip install '.[frames]'` of the suite), "
                              "or use the arrays of read_recording.") from None
     frame = pandas.DataFrame(
         _columns_of(recording), index=pandas.Index(recording.time_s, name="time_s"))
@@ -64,7 +65,8 @@ def to_xarray(recording: Recording) -> "xarray.Dataset":
     try:
         import xarray
     except ImportError:
-        raise RecordingError("xarray is not installed: install it (`pip install xarray`), "
+        raise RecordingError("xarray is not installed: install it (`pip install xarray`, or the "
+                             "extra `pip install '.[frames]'` of the suite), "
                              "or use the arrays of read_recording.") from None
     columns = {"time_s": recording.time_s, **_columns_of(recording)}
     dataset = xarray.Dataset(

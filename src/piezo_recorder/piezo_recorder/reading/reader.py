@@ -2,6 +2,7 @@
 """Reader of recordings: rosbag2 directories, MCAP files and the files of other programs."""
 
 import hashlib
+import shlex
 from os import PathLike
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -31,6 +32,8 @@ MCAP_MAGIC = b"\x89MCAP0\r\n"
 NO_KIND = 0
 """No kind of record in an MCAP file."""
 PART_BYTES = 1 << 20
+MOST_NAMED = 20
+"""Files of a folder that a message names."""
 
 
 def read_recording(path: str | PathLike[str], topic: str | None = None,
@@ -130,8 +133,11 @@ def data_files(path: Path) -> list[Path]:
         compression = metadata["compression_mode"].lower()
         names = [Path(name) for name in metadata["relative_file_paths"]]
     except (UnreadableFile, yaml.YAMLError, KeyError, TypeError, AttributeError):
+        inside = sorted(shlex.quote(str(each)) for each in path.iterdir() if each.is_file())
         raise RecordingError(
-            f"{path} has no readable metadata.yaml: give the .mcap file inside it.") from None
+            f"{path} has no readable metadata.yaml, so it is no recording: give what is inside it, "
+            f"{' '.join(inside[:MOST_NAMED]) or 'where there is no file'}"
+            f"{' ...' if len(inside) > MOST_NAMED else ''}") from None
     if storage != "mcap" or compression not in ("", "none"):
         raise RecordingError(
             f"{path} is stored as {storage} {compression}: "

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Files that other libraries wrote are read to the numbers that they were given."""
 
+import io
 import sys
+import zipfile
 
 import numpy as np
 import pandas
@@ -177,11 +179,20 @@ def test_groups_of_a_file_are_recordings(tmp_path):
     np.testing.assert_array_equal(one.voltage_v, second.voltage_v)
 
 
+def empty_workbook():
+    """Return the bytes by which a workbook is known."""
+    written = io.BytesIO()
+    with zipfile.ZipFile(written, "w") as archive:
+        archive.writestr("[Content_Types].xml", "<xml/>")
+    return written.getvalue()
+
+
 @pytest.mark.parametrize("module, content, package", [
     ("h5py", b"\x89HDF\r\n\x1a\n" + bytes(600), "h5py"),
     ("nptdms", b"TDSm" + bytes(60), "nptdms"),
     ("pyarrow.parquet", b"PAR1" + bytes(60), "pyarrow"),
     ("pyarrow.ipc", b"ARROW1" + bytes(60), "pyarrow"),
+    ("openpyxl", empty_workbook(), "openpyxl"),
 ])
 def test_library_that_is_missing_is_named_in_one_line(
         tmp_path, monkeypatch, module, content, package):
@@ -192,13 +203,23 @@ def test_library_that_is_missing_is_named_in_one_line(
         read_recording(path)
 
 
-def test_workbook_and_archive_of_objects_are_refused_with_what_to_do(tmp_path):
-    import zipfile
-    workbook = tmp_path / "book.xlsx"
-    with zipfile.ZipFile(workbook, "w") as archive:
-        archive.writestr("[Content_Types].xml", "<xml/>")
-    with pytest.raises(RecordingError, match="save the sheet as CSV"):
-        read_recording(workbook)
+def test_archive_of_objects_is_refused_with_what_to_do(tmp_path):
     np.savez(tmp_path / "objects.npz", a=np.array([{}, {}], dtype=object))
     with pytest.raises(RecordingError, match="holds no columns of numbers"):
         read_recording(tmp_path / "objects.npz")
+
+
+def test_sheet_is_read_below_its_labels(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.active.append(["measured on a stage"])
+    book.active.append(["t [ms]", "U [V]", "pos [nm]", "remark"])
+    for row, (voltage_v, displacement_um) in enumerate(
+            zip(VOLTAGE_V, DISPLACEMENT_UM, strict=True)):
+        book.active.append([row * 0.5, voltage_v, 1e3 * displacement_um, "good"])
+    book.create_sheet("notes").append(["nothing here"])
+    book.save(tmp_path / "book.xlsx")
+    recording = read_recording(tmp_path / "book.xlsx")
+    np.testing.assert_allclose(recording.voltage_v, VOLTAGE_V)
+    np.testing.assert_allclose(recording.displacement_um, DISPLACEMENT_UM)
+    assert recording.sample_period_s == pytest.approx(0.5e-3)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The report of the demo: what was measured, in sentences, tables and pictures."""
 
+import shlex
 from dataclasses import dataclass
 
 from piezo_common.report_page import Section, pictured, render_page
@@ -141,8 +142,7 @@ def _identification_section(errors, model, recordings, directory):
          "The table gives e_y, the norm of the difference over the norm of the measured "
          "displacement without its mean, on a recording that no parameter was fitted to: the "
          "whole of it, its slow part (hysteresis) and its fast part (dynamics). The first again: "
-         f"`./run piezo_identification simulate --model {directory}/model.json "
-         f"--data {directory}/validation`.",),
+         f"`{_first_again(directory)}`.",),
         rows,
         (pictured("Hysteresis loops",
                   identification_pictures.draw_loops(predictions["validation"]),
@@ -161,6 +161,11 @@ def _identification_section(errors, model, recordings, directory):
                       model.linear(), sample_period_s, measured),
                   "From the hysteresis' output to the displacement: the model, and the harmonics "
                   "of the square wave that stand out of the noise.", closer=True)))
+
+
+def _first_again(directory):
+    return shlex.join(["./run", "piezo_identification", "simulate", "--model",
+                       f"{directory}/model.json", "--data", f"{directory}/validation"])
 
 
 def _frequency_section(frequency_hz, runs):

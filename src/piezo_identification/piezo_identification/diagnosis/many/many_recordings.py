@@ -231,7 +231,8 @@ def cluster_client(scheduler: str | None) -> "Client":
         from distributed import Client, LocalCluster
     except ImportError:
         raise ValueError(
-            "distributed is not installed: pip install dask distributed") from None
+            "distributed is not installed: `pip install dask distributed`, or the extra "
+            "`pip install '.[cluster]'` of the suite") from None
     try:
         if scheduler:
             return Client(scheduler, timeout=CONNECT_S)

@@ -103,11 +103,7 @@ def read_npz(path: Path, progress: Progress) -> list[Table]:
     group = Group("")
     with damage_told(path, "NumPy file"):
         with zipfile.ZipFile(path) as archive:
-            names = archive.namelist()
             size = sum(each.file_size for each in archive.infolist())
-        if "[Content_Types].xml" in names:
-            raise RecordingError(f"{path} is a workbook of a spreadsheet program: save the sheet "
-                                 "as CSV")
         if size > LARGEST_BYTES:
             raise RecordingError(f"{path} unpacks to {size} bytes, more than the {LARGEST_BYTES} "
                                  "that are read at once: cut it into parts")

@@ -8,19 +8,19 @@ from piezo_recorder.reading.recording import RecordingError
 from piezo_recorder.reading.tables.array_files import (
     read_hdf5,
     read_npy,
-    read_npz,
     read_wav,
 )
 from piezo_recorder.reading.tables.columnar_files import read_arrow, read_parquet, read_tdms
 from piezo_recorder.reading.tables.delimited_text import Needed, read_text_table
 from piezo_recorder.reading.tables.matlab_files import is_version_4, read_matlab
 from piezo_recorder.reading.tables.table import Progress, Table
+from piezo_recorder.reading.tables.workbooks import read_zip
 
 TableReader = Callable[[Path, Progress], list[Table]]
 
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 READERS: tuple[tuple[bytes, TableReader], ...] = (
-    (HDF5_MAGIC, read_hdf5), (b"\x93NUMPY", read_npy), (b"PK\x03\x04", read_npz),
+    (HDF5_MAGIC, read_hdf5), (b"\x93NUMPY", read_npy), (b"PK\x03\x04", read_zip),
     (b"MATLAB 5.0", read_matlab), (b"TDSm", read_tdms), (b"PAR1", read_parquet),
     (b"ARROW1", read_arrow), (b"RIFF", read_wav))
 """The bytes that a file begins with tell its reader."""
@@ -30,7 +30,8 @@ FOREIGN = {
                          "convert it with `ros2 bag convert` to uncompressed mcap"),
     b"\x1f\x8b": ("compressed by gzip", "unpack it with gunzip"),
     b"BZh": ("compressed by bzip2", "unpack it"),
-    b"\xd0\xcf\x11\xe0": ("a workbook of a spreadsheet program", "save the sheet as CSV"),
+    b"\xd0\xcf\x11\xe0": ("an old workbook of a spreadsheet program",
+                            "save it as .xlsx, or the sheet as CSV"),
     b"%PDF": ("a PDF", "give the data"),
 }
 """What is known, but not read: what it is, and what to do."""

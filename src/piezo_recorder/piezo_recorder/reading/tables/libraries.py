@@ -7,9 +7,9 @@ from typing import Any
 
 from piezo_recorder.reading.recording import RecordingError
 
-PACKAGES = {"h5py": "h5py", "nptdms": "nptdms", "pyarrow": "pyarrow",
+PACKAGES = {"h5py": "h5py", "nptdms": "nptdms", "openpyxl": "openpyxl",
             "pyarrow.parquet": "pyarrow", "pyarrow.ipc": "pyarrow"}
-"""Package to install for each module."""
+"""Package to install for each module; all of them are in the extra ``formats`` of the suite."""
 
 
 def library(module: str, path: Path) -> Any:
@@ -30,4 +30,6 @@ def library(module: str, path: Path) -> Any:
     except ImportError:
         package = PACKAGES[module]
         raise RecordingError(f"{path} needs the package {package}, which is not installed: install "
-                             f"it (`pip install {package}`), or save the data as CSV") from None
+                             f"it (`pip install {package}`, or all such packages by the extra "
+                             "`pip install '.[formats]'` of the suite), or save the data as "
+                             "CSV") from None

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""See when the nodes that were started answer."""
+
+import time
+from collections.abc import Iterable
+from typing import Self
+
+import rclpy
+from rcl_interfaces.srv import GetParameters
+from rclpy.task import Future
+
+from piezo_ros.discovery import prepare_discovery
+from piezo_ros.executor import make_executor, spin_once
+
+ASK_AGAIN_S = 2.0
+"""A node may answer before it has met who asks: that answer is lost."""
+
+
+class Readiness:
+    """A node that asks others whether they answer; a context manager.
+
+    Every node serves its parameters, and does so once it spins, behind all that it sets up before.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Of the nodes.
+    namespace : str
+        Of all of them.
+
+    Raises
+    ------
+    RuntimeError
+        If ROS cannot be entered, as where its security has no enclave for this node.
+    """
+
+    def __init__(self, names: Iterable[str], namespace: str = "") -> None:
+        prepare_discovery()
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context)
+        self._node = rclpy.create_node("client_of_suite", namespace=namespace,
+                                       context=self._context)
+        self._executor = make_executor(self._context)
+        self._executor.add_node(self._node)
+        self._servers = {
+            name: self._node.create_client(GetParameters, f"{name}/get_parameters")
+            for name in names}
+        self._asked: dict[str, tuple[float, list[Future]]] = {}
+        self._silent = set(self._servers)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._executor.remove_node(self._node)
+        self._executor.shutdown()
+        for server in self._servers.values():
+            self._node.destroy_client(server)
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    def look(self, timeout_s: float) -> set[str]:
+        """Ask who has not answered yet, and listen for so long; return who still has not."""
+        for name in self._silent:
+            self._ask(name)
+        until_s = time.monotonic() + timeout_s
+        while self._silent and (left_s := until_s - time.monotonic()) > 0.0:
+            spin_once(self._executor, left_s)
+            self._silent -= {name for name, (_, answers) in self._asked.items()
+                             if any(answer.done() for answer in answers)}
+        return set(self._silent)
+
+    def _ask(self, name: str) -> None:
+        server, now_s = self._servers[name], time.monotonic()
+        asked_s, answers = self._asked.get(name, (-ASK_AGAIN_S, []))
+        if server.service_is_ready() and now_s - asked_s >= ASK_AGAIN_S:
+            self._asked[name] = now_s, [*answers, server.call_async(GetParameters.Request())]

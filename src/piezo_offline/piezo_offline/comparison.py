@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Two models beside each other on one recording."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from piezo_common.summary_table import SummaryTable
+from piezo_identification.prediction.prediction import Prediction
+from piezo_offline.steps import AnyModel, simulate
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+NAMES = ("a", "b")
+
+
+@dataclass(frozen=True, repr=False)
+class Comparison:
+    """What two models make of one recording.
+
+    Attributes
+    ----------
+    a, b : piezo_identification.Prediction
+    """
+
+    a: Prediction
+    b: Prediction
+
+    def __repr__(self) -> str:
+        return repr(self.summary())
+
+    def _repr_html_(self) -> str:
+        return self.summary()._repr_html_()
+
+    def summary(self) -> SummaryTable:
+        """Return the errors of both models as a table, in percent and in um."""
+        rows = []
+        for name in NAMES:
+            prediction: Prediction = getattr(self, name)
+            left_um = (prediction.measured_um - prediction.simulated_um)[prediction.good]
+            rows.append((f"model {name}", prediction.e_y_percent(),
+                         float(np.std(left_um)), float(np.abs(left_um - left_um.mean()).max())))
+        return SummaryTable("errors of two models on one recording, without their means",
+                            ("", "e_y (%)", "rms (um)", "largest (um)"), rows)
+
+    def plot(self) -> "Figure":
+        """Draw what each of the models leaves of the displacement over time."""
+        from piezo_common.picture_style import CURVES, WIDE_IN, label, new_figure
+
+        figure = new_figure(3.6, WIDE_IN)
+        axes = figure.subplots()
+        for name, style in zip(NAMES, CURVES, strict=False):
+            prediction: Prediction = getattr(self, name)
+            left_um = prediction.measured_um - prediction.simulated_um
+            axes.plot(prediction.time_s, 1e3 * left_um, **style, label=f"model {name}")
+        label(axes, "time (s)", "measured minus simulated (nm)")
+        axes.legend()
+        return figure
+
+
+def compare(model_a: AnyModel, model_b: AnyModel, data: Any, *,
+            columns: Sequence[str] = ()) -> Comparison:
+    """Run two models on the voltage of one recording, and set what they leave beside each other.
+
+    Parameters
+    ----------
+    model_a, model_b : IdentifiedModel, StageModel or path-like
+    data : path, arrays by name, pandas.DataFrame or Recording
+        That neither was fitted to, or the better fit wins rather than the better model.
+    columns : sequence of str
+        See `piezo_offline.read`.
+
+    Raises
+    ------
+    ValueError
+        If the recording cannot be read or is too short.
+    """
+    return Comparison(*(simulate(model, data, columns=columns) for model in (model_a, model_b)))

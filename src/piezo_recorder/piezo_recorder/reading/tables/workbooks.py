@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Sheets of spreadsheet programs: .xlsx."""
+
+import zipfile
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from piezo_recorder.reading.tables.array_files import Group, damage_told, read_npz, tables_of
+from piezo_recorder.reading.tables.libraries import library
+from piezo_recorder.reading.tables.table import Progress, Table
+
+WORKBOOK = "[Content_Types].xml"
+"""Every workbook has it."""
+
+
+def read_zip(path: Path, progress: Progress) -> list[Table]:
+    """Read a workbook, or else the arrays of an .npz."""
+    with damage_told(path, "archive"), zipfile.ZipFile(path) as archive:
+        is_workbook = WORKBOOK in archive.namelist()
+    return (read_workbook if is_workbook else read_npz)(path, progress)
+
+
+def read_workbook(path: Path, progress: Progress) -> list[Table]:
+    """Read the sheets of a workbook; each is a table below the last row of text in it."""
+    openpyxl = library("openpyxl", path)
+    groups = []
+    with damage_told(path, "workbook"):
+        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+        try:
+            for number, sheet in enumerate(book.worksheets, start=1):
+                groups.append(_group(sheet.title, sheet.iter_rows(values_only=True)))
+                progress(f"read {path.name}", number / len(book.worksheets))
+        finally:
+            book.close()
+    return tables_of(path, groups)
+
+
+def _group(title: str, rows: Iterable[tuple[Any, ...]]) -> Group:
+    labels: tuple[Any, ...] = ()
+    numbers: list[tuple[Any, ...]] = []
+    for row in rows:
+        if any(isinstance(cell, int | float) for cell in row):
+            numbers.append(row)
+        elif any(cell is not None for cell in row) and not numbers:
+            labels = row
+    group = Group(title)
+    for label, values in _columns(labels, numbers):
+        group.take(label, values)
+    return group
+
+
+def _columns(labels: tuple[Any, ...], rows: list[tuple[Any, ...]],
+             ) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield label and values of each column that holds numbers; nan where a cell holds none."""
+    for column in range(max(map(len, rows), default=0)):
+        cells = [row[column] if column < len(row) else None for row in rows]
+        values = np.array([cell if isinstance(cell, int | float) else np.nan for cell in cells],
+                          dtype=float)
+        label = labels[column] if column < len(labels) else None
+        if np.isfinite(values).any():
+            yield str(label if label is not None else column + 1), values
