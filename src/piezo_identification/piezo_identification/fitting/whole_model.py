@@ -98,7 +98,7 @@ class WholeFit:
 
     def is_closer_than(self, other: "WholeFit") -> bool:
         """Tell whether less is left of the fitted rows, however many numbers that takes."""
-        return self._likelihood_over(other, 0) > 0.0
+        return log_evidence(self._squares_um2(0), 0) > log_evidence(other._squares_um2(0), 0)
 
     def held_out_over(self, other: "WholeFit") -> float:
         """Return the logarithm of the ratio of likelihoods on the rows that are held out."""
