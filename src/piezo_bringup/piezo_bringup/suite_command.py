@@ -5,7 +5,7 @@ import argparse
 import signal
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import closing
 from pathlib import Path
 
@@ -62,7 +62,7 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def _watch(options: argparse.Namespace) -> Iterator[None]:
+def _watch(options: argparse.Namespace) -> Generator[None, None, None]:
     """Wait for a moment at each step; say once when all nodes answer, and what may follow."""
     # Its libraries take a second, in which the nodes import theirs.
     from piezo_bringup.readiness import Readiness

@@ -13,7 +13,7 @@ from piezo_ros.starting import without_ros_arguments
 
 WAIT_S = 3.0
 """Nodes that run are seen within a second."""
-Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+Commands: TypeAlias = "argparse._SubParsersAction[_Parser]"
 INPUTS = ("model", "file", "waveform", "controller", "data", "holdout", "recordings",
           "extended_model")
 SHAPES = "harmonic", "triangle"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from piezo_common.summary_table import SummaryTable
+from piezo_common.summary_table import Cell, SummaryTable
 from piezo_identification.prediction.prediction import Prediction
 from piezo_offline.steps import AnyModel, simulate
 
@@ -37,7 +37,7 @@ class Comparison:
 
     def summary(self) -> SummaryTable:
         """Return the errors of both models as a table, in percent and in um."""
-        rows = []
+        rows: list[tuple[Cell, ...]] = []
         for name in NAMES:
             prediction: Prediction = getattr(self, name)
             left_um = (prediction.measured_um - prediction.simulated_um)[prediction.good]
