@@ -5,7 +5,7 @@ package = "piezo_client"
 
 setup(
     name=package,
-    version="0.1.0",
+    version="0.2.0",
     packages=find_packages(include=[package, package + ".*"]),
     package_data={package: ["py.typed"]},
     data_files=[

@@ -7,7 +7,7 @@ package = "piezo_controller"
 
 setup(
     name=package,
-    version="0.1.0",
+    version="0.2.0",
     packages=find_packages(include=[package, package + ".*"]),
     package_data={package: ["py.typed", "*.yaml", "**/*.yaml"]},
     data_files=[

@@ -5,7 +5,7 @@ package = "piezo_studies"
 
 setup(
     name=package,
-    version="0.1.0",
+    version="0.2.0",
     packages=find_packages(include=[package, package + ".*"]),
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + package]),
