@@ -86,7 +86,8 @@ def equations_of_gains(
         whole = np.hstack([basis, delays(spectrum.z, taps)])
         own = (whole[:, :, None] * spectrum.drive[:, None, :]).reshape(len(whole), -1)
         motions = spectrum.motion[:, output, None] * spectrum.z[:, None] ** late
-        parts.append(_cleared(spectrum, basis, output, np.hstack([own, motions])))
+        ahead = replace(spectrum, ahead=spectrum.ahead + int(late.max()))
+        parts.append(_cleared(ahead, basis, output, np.hstack([own, motions])))
     rows = np.concatenate(parts)
     return rows[:, : -late.size], rows[:, -late.size:]
 

@@ -11,35 +11,29 @@ from piezo_common.budget import Budget
 from piezo_identification.axes.coupled_fit import (
     CoupledFit,
     covariances,
-    linear_numbers,
     refined,
     softened_numbers,
 )
 from piezo_identification.axes.coupled_numbers import CoupledNumbers, Linearised
+from piezo_identification.axes.order_search import evidence_of, growing
 from piezo_identification.axes.predict_axes import SAME_PERIOD, errors_percent
 from piezo_identification.axes.sensor_delays import latencies, sensor_delays
-from piezo_identification.axes.shared_poles import relocated
 from piezo_identification.axes.spectra import (
     Spectrum,
     levels_of,
     reweighted,
     spectra_of_level,
 )
-from piezo_identification.fitting.model_weights import occam_penalty
 from piezo_models.axes.coupled import CoupledModel, Softening
 from piezo_models.axes.identified_axes import Coupling, IdentifiedAxes
 from piezo_recorder.reading.axes import AxesRecording
 from piezo_recorder.reading.recording import RecordingError
 
-TAPS = 2
-"""Of the direct part: with the voltage of the same sample and of the one before, a delay of less
-than a sample period is exact (Franklin, Powell and Workman 1998, section 4.3.4)."""
-
-FIRST_PAIRS, MOST_PAIRS, PAIRS_STEP = 2, 40, 2
+MOST_PAIRS = 40
 WORSE_IN_A_ROW = 2
-"""Orders without more evidence after which the search ends: two close modes may need both."""
+"""Orders without more evidence after which the search for the order ends."""
 
-JUDGED_STEPS, FINAL_STEPS = 3, 40
+JUDGED_STEPS, FINAL_STEPS = 3, 20
 """Gauss-Newton steps of a model that is compared, and of the one that is kept."""
 
 MOST_POWERS = 2
@@ -59,7 +53,7 @@ Note = Callable[[str], object]
 Progress = Callable[[str, float], object]
 
 
-def identify_axes(
+def identify_several_axes(
     recordings: Sequence[AxesRecording], validation: Sequence[AxesRecording] = (), *,
     pairs: int | None = None, note: Note = lambda text: None,
     progress: Progress = lambda what, part: None, budget: Budget | None = None,
@@ -95,14 +89,14 @@ def identify_axes(
     note(f"{len(recordings)} recordings of {', '.join(recordings[0].axes)} at "
          f"{len(levels)} levels, RMS " + ", ".join(
              f"{level[0].amplitude_v:.3g}" for level in levels) + " V")
-    late = latencies(reference, TAPS)
+    late = latencies(reference)
     levels = [[each.advanced(late) for each in level] for level in levels]
     reference = [each.advanced(late) for each in reference]
     if any(each.transient or len(reference) < reference[0].drive.shape[1] for each in reference):
-        reference = _with_deviations(reference, pairs)
+        reference = _with_deviations(reference)
         levels = [reference] if len(levels) == 1 else levels
-    steps = _ordered(reference, pairs, note, progress, budget)
-    fit, everything = _best_fit(reference, levels, steps, note, progress, budget)
+    start = _ordered(reference, pairs, note, progress, budget)
+    fit, everything = _best_fit(reference, levels, start, note, progress, budget)
     progress("memory", 0.9)
     return _identified(fit, everything, recordings, validation, late, budget)
 
@@ -140,50 +134,45 @@ def _is_response(level: Sequence[Spectrum]) -> bool:
         for axis, each in enumerate(level))
 
 
-def _with_deviations(spectra: Sequence[Spectrum], pairs: int | None) -> list[Spectrum]:
+def _with_deviations(spectra: Sequence[Spectrum]) -> list[Spectrum]:
     """Return spectra whose deviations are what a model with more than enough poles leaves."""
-    generous = linear_numbers(spectra, relocated(spectra, pairs or GENEROUS_PAIRS, TAPS), TAPS)
-    return [reweighted(each, left) for each, left in zip(
-        spectra, refined(generous, spectra, 0).left, strict=True)]
+    for _ in range(2):  # the first one was fitted with deviations as the motion
+        *_, generous = growing(spectra, GENEROUS_PAIRS)
+        spectra = [reweighted(each, left)
+                   for each, left in zip(spectra, generous.left, strict=True)]
+    return list(spectra)
 
 
 def _ordered(reference: Sequence[Spectrum], pairs: int | None, note: Note, progress: Progress,
-             budget: Budget) -> ComplexArray:
-    """Return the poles of the order with most evidence."""
+             budget: Budget) -> CoupledFit:
+    """Return the linear fit of the order with most evidence, or of a given one."""
     if pairs is not None:
-        return relocated(reference, pairs, TAPS)
-    best, best_evidence, worse = None, -np.inf, 0
-    for count in range(FIRST_PAIRS, MOST_PAIRS + 1, PAIRS_STEP):
-        progress(f"{count} pairs of poles", 0.5 * count / MOST_PAIRS)
-        steps = relocated(reference, count, TAPS)
-        evidence = evidence_of(refined(linear_numbers(reference, steps, TAPS), reference, 0))
-        if evidence > best_evidence:
-            best, best_evidence, worse = steps, evidence, 0
-        else:
-            worse += 1
+        *_, best = growing(reference, pairs)
+        return best
+    fits = growing(reference, MOST_PAIRS)
+    best, worse = next(fits), 0
+    for number, fit in enumerate(fits, start=1):
+        progress(f"{fit.numbers.steps.size} poles", min(0.5, 0.03 * number))
+        gains_evidence = evidence_of(fit) > evidence_of(best)
+        best, worse = (fit, 0) if gains_evidence else (best, worse + 1)
         if worse == WORSE_IN_A_ROW:
             break
         if budget.is_spent(0.5):
-            budget.not_tried.append(f"more than {count} pairs of poles")
+            budget.not_tried.append(f"more than {fit.numbers.steps.size} poles")
             break
-    assert best is not None  # the first order has more evidence than none
-    note(f"{np.count_nonzero(best.imag > 0.0)} modes and {np.count_nonzero(best.imag == 0.0)} real "
-         "poles, shared by all axes")
+    upper = best.numbers.steps.imag > 0.0
+    note(f"{np.count_nonzero(upper)} modes and {np.count_nonzero(~upper)} real poles, shared by "
+         "all axes")
     return best
 
 
-def evidence_of(fit: CoupledFit) -> float:
-    """Return the logarithm of the evidence of a fit, up to what is common to all of one data."""
-    return -fit.misfit - occam_penalty(None, np.ones(fit.count), fit.rows, fit.rows)
-
-
 def _best_fit(
-    reference: Sequence[Spectrum], levels: Sequence[Sequence[Spectrum]], steps: ComplexArray,
+    reference: Sequence[Spectrum], levels: Sequence[Sequence[Spectrum]], start: CoupledFit,
     note: Note, progress: Progress, budget: Budget,
 ) -> tuple[CoupledFit, list[Spectrum]]:
     """Return the fit with most evidence of those that soften and the one that does not."""
     progress("refinement", 0.5)
-    linear = refined(linear_numbers(reference, steps, TAPS), reference, JUDGED_STEPS)
+    linear = refined(start.numbers, reference, JUDGED_STEPS)
     others = [level for level in levels if _is_response(level) and level[0] is not reference[0]]
     everything = [spectrum for level in levels for spectrum in level]
     if not others:

@@ -7,15 +7,19 @@ import numpy as np
 
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.axes.coupled_fit import equations_of_gains
-from piezo_identification.axes.shared_poles import relocated
+from piezo_identification.axes.order_search import TAPS, growing
 from piezo_identification.axes.spectra import Spectrum
 from piezo_models.axes.coupled import CoupledModel
 
 MOST_LATE = 40
 """Samples by which a sensor may be late: 1 ms at 40 kHz."""
 
-PAIRS = 8
-"""Pairs of poles with which latencies are compared: enough for the strongest modes."""
+PAIRS = 16
+"""Pairs of poles with which latencies are compared: all but the weakest modes of three axes."""
+
+ALIKE = 1.05
+"""Ratio of what is left up to which two latencies explain a motion alike: modes that are not yet
+among the poles may gain so much by one that is not there."""
 
 MOST_DAMPED = 0.1
 """Damping ratio beyond which a mode's phase tells no delay: its shape is seldom real."""
@@ -24,30 +28,25 @@ POINTS_OF_SAMPLE = 50
 """Delays that are compared within a sample period; the best is interpolated."""
 
 
-def latencies(spectra: Sequence[Spectrum], taps: int) -> np.ndarray:
-    """Return the whole samples by which each sensor is late: those that leave least.
-
-    Parameters
-    ----------
-    taps : int
-        Of the direct part, which explains further fractions of a sample.
-    """
+def latencies(spectra: Sequence[Spectrum]) -> np.ndarray:
+    """Return the whole samples by which each sensor is late: the fewest that leave little."""
     n, tried = spectra[0].motion.shape[1], np.arange(MOST_LATE)
     late = np.zeros(n, dtype=int)
     for _ in range(2):  # poles that are found beside late sensors are not yet those of the stage
-        steps = relocated([each.advanced(late) for each in spectra], PAIRS, taps)
-        found = np.array([_least_left(*equations_of_gains(spectra, steps, taps, output, tried))
-                          for output in range(n)])
+        *_, fit = growing([each.advanced(late) for each in spectra], PAIRS)
+        found = np.array([
+            _fewest(*equations_of_gains(spectra, fit.numbers.steps, TAPS, output, tried))
+            for output in range(n)])
         if np.array_equal(found, late):
             break
         late = found
     return late
 
 
-def _least_left(rows: FloatArray, targets: FloatArray) -> int:
+def _fewest(rows: FloatArray, targets: FloatArray) -> int:
     orthogonal = np.linalg.qr(rows)[0]
-    return int(np.argmin(np.sum(targets**2, axis=0)
-                         - np.sum((orthogonal.T @ targets) ** 2, axis=0)))
+    left = np.sum(targets**2, axis=0) - np.sum((orthogonal.T @ targets) ** 2, axis=0)
+    return int(np.argmax(left <= ALIKE * left.min()))
 
 
 def sensor_delays(model: CoupledModel, deviations: ComplexArray) -> tuple[FloatArray, FloatArray]:

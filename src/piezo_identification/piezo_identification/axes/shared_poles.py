@@ -117,8 +117,7 @@ def _condition(group: Sequence[Spectrum], output: int, steps: ComplexArray, taps
         basis = mode_basis(spectrum.z, steps)
         gains = np.hstack([basis, delays(spectrum.z, taps)])
         columns = [gains * spectrum.drive[:, axis, None] for axis in driven]
-        columns += [transient_basis(each, basis) if each is spectrum
-                    else np.zeros((spectrum.z.size, basis.shape[1] + 1))
+        columns += [transient_basis(spectrum, basis) * (each is spectrum)
                     for each in group if each.transient]
         own.append(weight * np.hstack(columns))
         motion = spectrum.motion[:, output, None]
@@ -131,7 +130,7 @@ def _condition(group: Sequence[Spectrum], output: int, steps: ComplexArray, taps
 
 def transient_basis(spectrum: Spectrum, basis: ComplexArray) -> ComplexArray:
     """Return the spectra of what is left from before a recording and beyond it."""
-    return np.hstack([basis, np.ones((spectrum.z.size, 1))])
+    return np.hstack([basis, spectrum.z[:, None] ** np.arange(spectrum.ahead + 1)])
 
 
 def _real_form(steps: ComplexArray) -> tuple[FloatArray, FloatArray]:

@@ -37,6 +37,8 @@ class Spectrum:
         RMS of all voltages in the time domain.
     transient : bool
         The recording neither begins nor ends at rest, nor does it repeat.
+    ahead : int
+        Samples by which a motion was advanced at most: so many of its begin stand at its end.
     """
 
     z: ComplexArray
@@ -45,6 +47,7 @@ class Spectrum:
     weight: FloatArray
     amplitude_v: float
     transient: bool
+    ahead: int = 0
 
     @property
     def driven(self) -> tuple[int, ...]:
@@ -53,7 +56,8 @@ class Spectrum:
 
     def advanced(self, samples: np.ndarray) -> "Spectrum":
         """Return the spectrum with each sensor's latency taken off, in samples."""
-        return replace(self, motion=self.motion * self.z[:, None] ** samples)
+        return replace(self, motion=self.motion * self.z[:, None] ** samples,
+                       ahead=int(np.max(samples)))
 
 
 def levels_of(recordings: Sequence[AxesRecording]) -> list[list[AxesRecording]]:

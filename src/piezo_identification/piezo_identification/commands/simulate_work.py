@@ -9,6 +9,7 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_common.command_line import print_next, write_report
 from piezo_common.picture_style import to_png
+from piezo_identification.commands.axes_work import simulate_axes_file
 from piezo_identification.commands.row_options import READINGS
 from piezo_identification.conditioning.outlier_samples import outlier_text
 from piezo_identification.conditioning.sensor_sign import sign_text
@@ -21,7 +22,7 @@ from piezo_identification.report.simulation_report import (
     simulation_page,
 )
 from piezo_models.identified_model import IdentifiedModel
-from piezo_models.model_file import load_model
+from piezo_models.model_file import is_of_several_axes, load_model
 from piezo_recorder.reading.data_options import read_given
 from piezo_recorder.reading.waveform_file import read_waveform
 
@@ -30,6 +31,9 @@ DOTS_PER_INCH = 120
 
 def simulate_file(options: argparse.Namespace) -> None:
     """Simulate the model of the options under a recording; print the error and draw both."""
+    if is_of_several_axes(options.model):
+        simulate_axes_file(options)
+        return
     model_path, data_path, directory = options.model, options.data, options.output
     identified = load_model(model_path)
     if identified.shortfall():

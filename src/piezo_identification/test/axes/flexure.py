@@ -3,6 +3,7 @@
 
 import numpy as np
 from scipy.linalg import expm
+from scipy.signal.windows import tukey
 
 from piezo_recorder.reading.axes import axes_recordings_in
 
@@ -77,7 +78,7 @@ def multisine_v(samples, rng, amplitude_v=5.0, highest_hz=2500.0):
     lines = np.fft.rfftfreq(samples, PERIOD_S)
     spectrum = np.where((lines > 0.0) & (lines < highest_hz),
                         np.exp(2j * np.pi * rng.random(lines.size)), 0.0)
-    voltage_v = np.fft.irfft(spectrum, samples)
+    voltage_v = np.fft.irfft(spectrum, samples) * tukey(samples, 0.05)
     return amplitude_v * voltage_v / np.std(voltage_v)
 
 
@@ -89,7 +90,7 @@ def table(voltage_v, rng):
             "x_displacement_um": measured[:, 0] + 10.0, "y_displacement_um": measured[:, 1] + 7.0}
 
 
-def experiments(samples=8192, seed=1):
+def experiments(samples=4096, seed=1):
     """Return tables in which x moves, y moves, and both do."""
     rng = np.random.default_rng(seed)
     drives = [multisine_v(samples, rng)[:, None] * [[1.0, 0.0]],

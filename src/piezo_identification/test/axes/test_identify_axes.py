@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piezo_identification.axes.identify_axes import identify_axes
-from piezo_identification.axes.predict_axes import predicted_um
+from piezo_identification.axes.identify_axes import identify_several_axes
+from piezo_identification.axes.predict_axes import predict_several_axes
 from piezo_recorder.reading.recording import RecordingError
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -23,7 +23,7 @@ def recordings():
 
 @pytest.fixture(scope="module")
 def identified(recordings):
-    return identify_axes(recordings)
+    return identify_several_axes(recordings)
 
 
 def test_unseen_motion_is_predicted_to_three_times_the_noise(identified):
@@ -32,7 +32,8 @@ def test_unseen_motion_is_predicted_to_three_times_the_noise(identified):
     triangle_v = 8.0 * np.abs((40.0 * time_s + 0.5) % 2.0 - 1.0) - 4.0
     slow_v = np.linspace(0.0, 6.0, time_s.size)
     unseen = flexure.recording(flexure.table(np.column_stack([triangle_v, slow_v]), rng), "raster")
-    left = unseen.displacement_um - predicted_um(identified.model, unseen)
+    prediction = predict_several_axes(identified.model, unseen)
+    left = prediction.measured_um - prediction.simulated_um
     assert np.all(np.std(left, axis=0) < 3.0 * flexure.NOISE_UM)
 
 
@@ -71,11 +72,11 @@ def test_delays_of_the_sensors_are_found(identified):
 
 def test_an_axis_that_rests_throughout_is_refused(recordings):
     with pytest.raises(RecordingError, match="no recording moves the axis y"):
-        identify_axes(recordings[:1])
+        identify_several_axes(recordings[:1])
 
 
 def test_recordings_of_other_axes_are_refused(recordings):
     columns = flexure.experiments(samples=512)[0]
     renamed = {name.replace("y_", "z_"): values for name, values in columns.items()}
     with pytest.raises(RecordingError, match="give those of one stage"):
-        identify_axes([*recordings, flexure.recording(renamed, "other")])
+        identify_several_axes([*recordings, flexure.recording(renamed, "other")])

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The model file of several axes: version 2 of the model file, which has `axes`."""
 
-import json
 from os import PathLike
 from pathlib import Path
 from typing import Any, ClassVar
@@ -11,7 +10,6 @@ from numpy.typing import ArrayLike
 from pydantic import model_validator
 
 from piezo_common.arrays import ComplexArray
-from piezo_common.regular_file import UnreadableFile
 from piezo_common.schema import (
     Document,
     NotNegative,
@@ -25,7 +23,7 @@ from piezo_common.schema import (
     load_document,
     violation,
 )
-from piezo_common.text_file import is_something_else, read_bounded_text, replace_text
+from piezo_common.text_file import is_something_else, replace_text
 from piezo_models.axes.coupled import CoupledModel, Softening
 from piezo_models.axes.identified_axes import Coupling, IdentifiedAxes
 from piezo_models.model_document import FORMAT, ModelFileError, RecordingPart, rendered
@@ -153,15 +151,6 @@ def load_axes_model(path: str | PathLike[str]) -> IdentifiedAxes:
         return _built(load_document(AxesDocument, path, LARGEST_FILE_BYTES))
     except (SchemaError, ValueError) as error:
         raise ModelFileError(f"{path}: {error}") from None
-
-
-def is_axes_model(path: str | PathLike[str]) -> bool:
-    """Tell whether a file is a model of several axes; False where it cannot be read."""
-    try:
-        content = json.loads(read_bounded_text(path, LARGEST_FILE_BYTES))
-    except (UnreadableFile, ValueError, RecursionError):
-        return False
-    return isinstance(content, dict) and content.get("format") == FORMAT and "axes" in content
 
 
 def _document_of(identified: IdentifiedAxes) -> dict[str, Any]:
