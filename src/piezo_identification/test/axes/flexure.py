@@ -22,12 +22,18 @@ PUSH = np.array([[1.0, -0.03], [0.04, 1.0], [0.15, 0.3]])
 STATIC_UM_PER_V = np.array([[0.20, 0.20 * COUPLED], [-0.18 * COUPLED, 0.18]])
 
 
-def continuous():
-    """Return A, B, C of the motion at the sensors, in um and V."""
+def continuous(softer=1.0, damped=1.0):
+    """Return A, B, C of the motion at the sensors, in um and V.
+
+    Parameters
+    ----------
+    softer, damped : float
+        By which the stiffness and the damping are multiplied.
+    """
     zeros = np.zeros((3, 3))
     a = np.block([[zeros, np.eye(3)],
-                  [-np.diag(FREQUENCY_RAD_PER_S**2),
-                   -np.diag(2.0 * DAMPING * FREQUENCY_RAD_PER_S)]])
+                  [-softer * np.diag(FREQUENCY_RAD_PER_S**2),
+                   -damped * np.diag(2.0 * DAMPING * FREQUENCY_RAD_PER_S)]])
     # The modes as scaled by their frequencies, then all so that the static response is as told.
     b = np.vstack([np.zeros((3, 2)), FREQUENCY_RAD_PER_S[:, None] ** 2 * PUSH])
     turned = np.array([[1.0, 0.0], [OUT_OF_SQUARE_RAD, 1.0]])
@@ -59,9 +65,9 @@ def motion_um(voltage_v):
     return found
 
 
-def response(frequency_hz):
-    """Return the response of the samples, (F, 2, 2)."""
-    a, b, c = continuous()
+def response(frequency_hz, softer=1.0, damped=1.0):
+    """Return the response of the samples, (F, 2, 2); see `continuous`."""
+    a, b, c = continuous(softer, damped)
     step, drive = held(a, b, PERIOD_S)
     found = np.zeros((len(frequency_hz), 2, 2), dtype=complex)
     for row, z in enumerate(np.exp(2j * np.pi * np.asarray(frequency_hz) * PERIOD_S)):
@@ -97,6 +103,29 @@ def experiments(samples=4096, seed=1):
               multisine_v(samples, rng)[:, None] * [[0.0, 1.0]],
               np.column_stack([multisine_v(samples, rng), multisine_v(samples, rng)])]
     return [table(each, rng) for each in drives]
+
+
+LEVELS_V = (1.0, 2.0, 3.0)
+SOFTER, DAMPED = (1.0, 0.98, 0.965), (1.0, 1.1, 1.18)
+"""Stiffness and damping at each level: they change by more than a mode is wide."""
+
+
+def periods(realisations, seed, samples=4096):
+    """Return arrays (samples, axes, realisations, 2 periods) for each level."""
+    rng = np.random.default_rng(seed)
+    lines = np.arange(samples // 2 + 1)
+    played = (lines > 0) & (lines < 0.45 * samples)
+    levels = []
+    for level_v, softer, damped in zip(LEVELS_V, SOFTER, DAMPED, strict=True):
+        phases = np.exp(2j * np.pi * rng.random((lines.size, 2, realisations)))
+        spectrum = np.where(played[:, None, None], phases, 0.0)
+        spectrum *= level_v * samples / np.sqrt(2.0 * played.sum())
+        gain = response(lines / samples / PERIOD_S, softer, damped)
+        moved = np.fft.irfft(np.einsum("kij,kjr->kir", gain, spectrum), samples, axis=0)
+        drive = np.fft.irfft(spectrum, samples, axis=0)
+        noise = NOISE_UM * rng.normal(size=(*moved.shape, 2))
+        levels.append((np.stack([drive, drive], axis=-1), moved[..., None] + noise))
+    return levels
 
 
 def recording(columns, name):

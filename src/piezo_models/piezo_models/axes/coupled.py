@@ -16,6 +16,9 @@ from piezo_models.axes.coupled_kernels import run_modes
 LEAST_SEPARATION = 1e-10
 """Distance in the z plane below which poles are copies of one, a thousand times the rounding."""
 
+NEAR = 0.05
+"""Part of its frequency by which a mode may have moved: actuators soften by a few percent."""
+
 SHORTEST_MEMORY = 1e-3
 """Size of a pole in the z plane up to which it is a rest of a delay: m of them that meet at 0 are
 computed to the m-th root of the rounding, and no mode decays by as much in one sample."""
@@ -241,6 +244,30 @@ class CoupledModel:
         return type(self).from_control(
             self.to_control(amplitude_v), self.axes, self.operating_voltage_v,
             self.operating_displacement_um)
+
+    def mode_near(self, frequency_hz: float, amplitude_v: float | None = None) -> complex:
+        """Return the pole, in rad/s, of the highest resonance near a frequency.
+
+        Parameters
+        ----------
+        frequency_hz : float
+            Within `NEAR` of which it is sought.
+        amplitude_v : float, optional
+            At which the model softens; the reference by default.
+
+        Raises
+        ------
+        ValueError
+            If there is none.
+        """
+        linear = self if amplitude_v is None else self.at_amplitude(amplitude_v)
+        poles = linear.poles_rad_per_s
+        height = np.linalg.norm(linear.residues_um_per_v, axis=(1, 2)) / -poles.real
+        off = np.abs(np.abs(poles) / (2.0 * np.pi * frequency_hz) - 1.0)
+        near = (poles.imag > 0.0) & (off < NEAR)
+        if not near.any():
+            raise ValueError(f"there is no mode within {100 * NEAR:.0f} % of {frequency_hz:.4g} Hz")
+        return complex(poles[np.argmax(np.where(near, height, 0.0))])
 
     def to_control(self, amplitude_v: float | None = None) -> control.StateSpace:
         """Return the model at an amplitude as a discrete system of python-control.

@@ -15,6 +15,10 @@ NORMAL_90 = 1.6449
 """Standard deviations within which 90 % of a normal distribution lie."""
 
 
+LIGHT = 0.05
+"""Damping ratio up to which a pair of poles is a resonance that one can see."""
+
+
 @dataclass(frozen=True, eq=False)
 class Coupling:
     """The response from every axis to every axis at some frequencies, and its deviation.
@@ -115,20 +119,19 @@ class IdentifiedAxes:
         softening = self.model.softening
         if softening is None:
             return []
-        (low, high), ends = softening.range_v, []
-        for amplitude_v in softening.range_v:
-            linear = self.model.at_amplitude(amplitude_v)
-            ends.append((linear.poles_rad_per_s, np.trace(linear.response(0.0)[0].real)))
-        (poles, gain), (softer, more) = ends
+        low, high = softening.range_v
+        gain, more = (np.trace(self.model.response(0.0, each)[0].real) for each in (low, high))
         sentences = [
-            "softening: as the RMS of the voltages rises from "
-            f"{low:.3g} to {high:.3g} V, the static gain changes by {100 * (more / gain - 1):+.2g} "
-            "%, and"]
-        for pole in poles[(poles.imag > 0.0) & (poles.real > -0.1 * np.abs(poles))]:
-            near = softer[np.argmin(np.abs(softer - pole))]
+            f"softening: as the RMS of the voltages rises from {low:.3g} to {high:.3g} V, the "
+            f"static gain changes by {100 * (more / gain - 1):+.2g} % (amplitude-dependent gain), "
+            "and"]
+        poles = self.model.poles_rad_per_s
+        light = poles[(poles.imag > 0.0) & (poles.real > -LIGHT * np.abs(poles))]
+        for frequency_hz in np.sort(np.abs(light)) / (2.0 * np.pi):
+            stiff, soft = (self.model.mode_near(frequency_hz, each) for each in (low, high))
             sentences.append(
-                f"  the mode at {abs(pole) / (2 * np.pi):.4g} Hz by "
-                f"{100 * (abs(near) / abs(pole) - 1):+.2g} % (amplitude-dependent stiffness), its "
-                f"damping ratio from {-pole.real / abs(pole):.3g} to "
-                f"{-near.real / abs(near):.3g} (amplitude-dependent damping)")
+                f"  the mode at {frequency_hz:.4g} Hz by {100 * (abs(soft) / abs(stiff) - 1):+.2g} "
+                f"% (amplitude-dependent stiffness), its damping ratio from "
+                f"{-stiff.real / abs(stiff):.3g} to {-soft.real / abs(soft):.3g} "
+                "(amplitude-dependent damping)")
         return sentences
