@@ -15,7 +15,6 @@ ROWS_PER_NUMBER = 20
 """Rows of the slopes for each number: neighbouring lines of one mode have nearly one slope, so
 that their errors are averaged first where there are more."""
 
-MOST_STEPS = 12
 ENOUGH = 1e-4
 """Relative change of the misfit below which a step ends the fit: a hundredth of an error of 1 %."""
 
@@ -118,8 +117,7 @@ def softened_numbers(linear: CoupledNumbers, levels: Sequence[Sequence[Spectrum]
     return start
 
 
-def refined(numbers: CoupledNumbers, spectra: Sequence[Spectrum],
-            steps: int = MOST_STEPS) -> CoupledFit:
+def refined(numbers: CoupledNumbers, spectra: Sequence[Spectrum], steps: int) -> CoupledFit:
     """Return the numbers near a start that leave least, by damped Gauss-Newton steps.
 
     Parameters

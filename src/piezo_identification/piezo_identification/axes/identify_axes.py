@@ -30,6 +30,8 @@ from piezo_recorder.reading.axes import AxesRecording
 from piezo_recorder.reading.recording import RecordingError
 
 MOST_PAIRS = 40
+"""Pairs of poles at which the search for the order ends in any case."""
+
 WORSE_IN_A_ROW = 2
 """Orders without more evidence after which the search for the order ends."""
 

@@ -46,8 +46,12 @@ def growing(spectra: Sequence[Spectrum], most: int) -> Iterator[CoupledFit]:
 
 
 def evidence_of(fit: CoupledFit) -> float:
-    """Return the logarithm of the evidence of a fit, up to what is common to all of one data."""
-    return -fit.misfit - occam_penalty(None, np.ones(fit.count), fit.rows, fit.rows)
+    """Return the logarithm of the evidence of a fit, up to what is common to all of one data.
+
+    The scale of the errors is unknown: what a model lacks is among them.
+    """
+    likelihood = -0.5 * fit.rows * np.log(fit.misfit)
+    return float(likelihood - occam_penalty(None, np.ones(fit.count), fit.rows, fit.rows))
 
 
 def _fit(spectra: Sequence[Spectrum], steps: ComplexArray) -> CoupledFit:
