@@ -26,7 +26,13 @@ from piezo_common.schema import (
 from piezo_common.text_file import is_something_else, replace_text
 from piezo_models.axes.coupled import CoupledModel, Softening
 from piezo_models.axes.identified_axes import Coupling, IdentifiedAxes
-from piezo_models.model_document import FORMAT, ModelFileError, RecordingPart, rendered
+from piezo_models.model_document import (
+    FORMAT,
+    Deviation,
+    ModelFileError,
+    RecordingPart,
+    rendered,
+)
 from piezo_models.model_file import LARGEST_FILE_BYTES
 
 VERSION = 2
@@ -93,7 +99,8 @@ class AxesDocument(Document):
     voltage_range_v: list[Numbers] = entry("Lowest and highest voltage of each axis.", unit="V")
     latency_samples: list[NotNegative] = entry("Whole samples by which each sensor is late.")
     delays_s: Numbers = entry("Delay of each sensor, by the phases of the modes.", unit="s")
-    delay_deviations_s: list[NotNegative] = entry("Standard deviations.", unit="s")
+    delay_deviations_s: list[Deviation] = entry(
+        "Standard deviations; null where no mode tells it.", unit="s")
     modes: list[ModePart] = entry("Modes.")
     direct_um_per_v: list[Matrix] = entry(
         "Motion with the voltage of the same sample, the one before, and so on.", unit="um/V")
@@ -174,8 +181,10 @@ def _document_of(identified: IdentifiedAxes) -> dict[str, Any]:
         "axes": list(model.axes), "sample_period_s": model.sample_period_s,
         **{name: getattr(model, name).tolist() for name in (
             "operating_voltage_v", "operating_displacement_um", "latency_samples")},
-        **{name: getattr(identified, name).tolist() for name in (
-            "voltage_range_v", "delays_s", "delay_deviations_s")},
+        "voltage_range_v": identified.voltage_range_v.tolist(),
+        "delays_s": identified.delays_s.tolist(),
+        "delay_deviations_s": [off_s if np.isfinite(off_s) else None
+                               for off_s in identified.delay_deviations_s.tolist()],
         "modes": modes, "direct_um_per_v": model.direct_um_per_v.tolist(), **softening,
         "coupling": [
             {"frequency_hz": float(frequency_hz), "re_um_per_v": gain.real.tolist(),
@@ -215,7 +224,9 @@ def _built(document: AxesDocument) -> IdentifiedAxes:
         model, np.array(document.voltage_range_v), coupling, pole_off[:, 0] + 1j * pole_off[:, 1],
         _complex([mode.residue_deviation_re_um_per_v for mode in modes],
                  [mode.residue_deviation_im_um_per_v for mode in modes]).reshape(-1, n, n),
-        np.array(document.delays_s), np.array(document.delay_deviations_s), document.errors,
+        np.array(document.delays_s),
+        np.array([np.inf if off_s is None else off_s for off_s in document.delay_deviations_s]),
+        document.errors,
         [dict(recording) for recording in document.recordings], document.created,
         document.unfinished)
 
