@@ -11,6 +11,10 @@ from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.axes.shared_poles import delays, mode_basis, slopes_of_basis
 from piezo_identification.axes.spectra import Spectrum
 
+SLOWEST = 1e-5
+"""Least decay of a mode in a sample, and least turn of a pair: it would ring for 100 000 samples,
+longer than recordings last."""
+
 
 @dataclass(frozen=True, eq=False)
 class CoupledNumbers:
@@ -56,12 +60,17 @@ class CoupledNumbers:
         return moved.reshape(moved.shape[0], -1)
 
     def with_numbers(self, shared: FloatArray, own: FloatArray) -> Self:
-        """Return the model with other numbers, in the order of `shared` and `own`."""
+        """Return the model with other numbers, in the order of `shared` and `own`.
+
+        Poles stay stable, and those of pairs in the upper half plane.
+        """
         m, n, _ = self.gains.shape
         pairs = int(np.count_nonzero(self.steps.imag > 0.0))
         of_pairs = shared[: 2 * pairs].reshape(pairs, 2)
-        steps = np.exp(np.concatenate([of_pairs[:, 0] + 1j * of_pairs[:, 1],
-                                       shared[2 * pairs:m].astype(complex)]))
+        decays = np.minimum(np.concatenate([of_pairs[:, 0], shared[2 * pairs:m]]), -SLOWEST)
+        turns = np.zeros(decays.size)
+        turns[:pairs] = np.clip(of_pairs[:, 1], SLOWEST, np.pi - SLOWEST)
+        steps = np.exp(decays + 1j * turns)
         moved = own.reshape(n, -1, n).transpose(1, 0, 2)
         back, gain = np.split(shared[m:], [self.back.size])
         return replace(self, steps=steps, gains=moved[:m], direct=moved[m:],
@@ -98,6 +107,30 @@ class Linearised:
         direct = np.tensordot(self.taps, numbers.direct, 1)
         self.motion = np.einsum("kij,kj->ki", self.modal, self.force) + np.einsum(
             "kij,kj->ki", direct, self.drive)
+
+    def pulls(self, pull: ComplexArray) -> tuple[FloatArray, FloatArray]:
+        """Return the products of the slopes with a motion, summed over the lines.
+
+        Parameters
+        ----------
+        pull : (K, n) array of complex
+
+        Returns
+        -------
+        own : (n, count) array
+        shared : (count,) array
+        """
+        own = np.real(pull.conj().T @ self.own_slopes())
+        through = -np.einsum("ki,kij->kj", pull.conj(), self.modal @ self.closing)
+        of_modes = np.einsum("ki,mij,kj->km", pull.conj(), self.numbers.gains, self.force,
+                             optimize=True)
+        of_modes += np.einsum("kq,mqj,kj->km", through, self.gains_back, self.force, optimize=True)
+        of_poles = np.einsum("pkm,km->p", slopes_of_basis(self.z, self.numbers.steps), of_modes,
+                             optimize=True)
+        of_back = np.einsum("s,kq,km,kj->smqj", self.strengths, through, self.basis, self.force,
+                            optimize=True)
+        of_gain = np.einsum("s,kq,kj->sqj", self.strengths, through, self.drive, optimize=True)
+        return own, np.real(np.concatenate([of_poles, of_back.ravel(), of_gain.ravel()]))
 
     def own_slopes(self) -> ComplexArray:
         """Return the slopes of a motion over its own numbers, (K, count): alike for all."""
