@@ -66,8 +66,12 @@ def identify(
     rows_read: str = "start",
     progress: Callable[[str, float], object] | None = None,
     note: Callable[[str], object] | None = None, budget_s: float | None = None,
-) -> IdentifiedModel:
+) -> IdentifiedModel | IdentifiedAxes:
     """Identify a model of the stage from recordings; at least one of the first three.
+
+    Recordings of several axes (`piezo_recorder.AxesRecording`, and tables and arrays with columns
+    such as ``x_voltage_v``) give a model of all of them; of the options, `modes`, `progress`,
+    `note` and `budget_s` count then.
 
     Parameters
     ----------

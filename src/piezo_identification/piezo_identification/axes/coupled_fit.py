@@ -21,6 +21,9 @@ ENOUGH = 1e-4
 FIRST_DAMPING, LARGEST_DAMPING = 1e-4, 1e4
 """Of the steps, relative to the curvature of the misfit."""
 
+LESS = 0.8
+"""Factor by which a start's softening is reduced until all levels are stable."""
+
 LEAST_INFORMATION = 1e-30
 """Curvature of the misfit over a number, relative to the largest, that is none but rounding."""
 
@@ -60,7 +63,7 @@ def linear_numbers(spectra: Sequence[Spectrum], steps: ComplexArray, taps: int) 
         gains[:, output] = _scaled_lstsq(rows, targets[:, 0]).reshape(columns, n)
     none = np.zeros((0, columns - taps, n, n))
     return CoupledNumbers(steps, gains[: columns - taps], gains[columns - taps:], none, none[:, 0],
-                          spectra[0].amplitude_v)
+                          spectra[0].amplitude_v, np.ones(columns - taps))
 
 
 def equations_of_gains(
@@ -96,24 +99,31 @@ def softened_numbers(linear: CoupledNumbers, levels: Sequence[Sequence[Spectrum]
     """Return a start for the softening from the responses of other levels to each axis alone.
 
     With the response ``G`` of a level and that of the reference, ``G back`` is their difference,
-    linear in the gains of the modes in ``back``.
+    linear in the gains of the modes in ``back``. Modes beyond the lines have none, nor have those
+    that are narrower than the distance of two lines: nothing tells what they do at their resonance.
     """
-    n = linear.gains.shape[1]
+    n, steps = linear.gains.shape[1], linear.steps
+    angles, pairs = np.sort(np.angle(levels[0][0].z)), steps.imag > 0.0
+    inside = (np.angle(steps) < angles[-1]) & (-np.log(np.abs(steps)) > np.diff(angles).min())
     start = replace(linear, back=np.zeros((powers, *linear.gains.shape)),
-                    back_gain=np.zeros((powers, n, n)))
+                    back_gain=np.zeros((powers, n, n)), softening=np.concatenate(
+                        [np.repeat(inside[pairs], 2), inside[~pairs]]).astype(float))
     for axis in range(n):
         rows, targets = [], []
         for level in levels:
             spectrum, weight = level[axis], level[axis].weight
             strengths = start.strengths(spectrum.amplitude_v)
             gain = np.stack([each.motion for each in level], axis=2)
-            matrix = np.einsum("ki,s,km,kiq->kismq", weight, strengths,
-                               mode_basis(spectrum.z, linear.steps), gain, optimize=True)
+            matrix = np.einsum("ki,s,m,km,kiq->kismq", weight, strengths, start.softening,
+                               mode_basis(spectrum.z, steps), gain, optimize=True)
             rows.append(_real(matrix.reshape(weight.size, -1)))
             left = linear.motions([spectrum])[0] - spectrum.motion
             targets.append(_real((weight * left).reshape(-1)))
         start.back[:, :, :, axis] = _scaled_lstsq(
             np.concatenate(rows), np.concatenate(targets)).reshape(powers, -1, n)
+    amplitudes_v = [level[0].amplitude_v for level in levels]
+    while not all(start.is_stable(each) for each in amplitudes_v):
+        start = replace(start, back=LESS * start.back)
     return start
 
 
@@ -127,12 +137,14 @@ def refined(numbers: CoupledNumbers, spectra: Sequence[Spectrum], steps: int) ->
     """
     left = _left(numbers, spectra)
     misfit, damping = _misfit(spectra, left), FIRST_DAMPING
+    amplitudes_v = np.unique([each.amplitude_v for each in spectra]) if len(numbers.back) else []
     for _ in range(steps):
         normal = _Normal(numbers, spectra, left)
         while True:
             tried = normal.stepped(damping)
             left_then = _left(tried, spectra)
-            then = _misfit(spectra, left_then)
+            then = _misfit(spectra, left_then) if all(
+                tried.is_stable(each) for each in amplitudes_v) else np.inf
             if then < misfit or damping > LARGEST_DAMPING:
                 break
             damping *= 10.0
@@ -285,7 +297,8 @@ def _real(values: ComplexArray) -> FloatArray:
 
 
 def _scaled_lstsq(rows: FloatArray, targets: FloatArray) -> FloatArray:
-    scale = np.maximum(np.linalg.norm(rows, axis=0), np.finfo(float).tiny)
+    norms = np.linalg.norm(rows, axis=0)
+    scale = np.where(norms > 0.0, norms, 1.0)
     square = (rows / scale).T @ (rows / scale)
     solution: FloatArray = np.linalg.lstsq(
         square, (rows / scale).T @ targets, rcond=1e-12)[0] / scale

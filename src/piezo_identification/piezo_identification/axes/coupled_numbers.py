@@ -8,7 +8,12 @@ from typing import Self
 import numpy as np
 
 from piezo_common.arrays import ComplexArray, FloatArray
-from piezo_identification.axes.shared_poles import delays, mode_basis, slopes_of_basis
+from piezo_identification.axes.shared_poles import (
+    delays,
+    mode_basis,
+    real_form,
+    slopes_of_basis,
+)
 from piezo_identification.axes.spectra import Spectrum
 
 SLOWEST = 1e-5
@@ -33,6 +38,8 @@ class CoupledNumbers:
     back_gain : (P, n, n) array
     reference_v : float
         Amplitude at which nothing softens.
+    softening : (m,) array
+        1 for the columns that may act back, 0 for the others.
     """
 
     steps: ComplexArray
@@ -41,6 +48,7 @@ class CoupledNumbers:
     back: FloatArray
     back_gain: FloatArray
     reference_v: float
+    softening: FloatArray
 
     @property
     def logarithms(self) -> FloatArray:
@@ -80,8 +88,16 @@ class CoupledNumbers:
     def strengths(self, amplitude_v: float) -> FloatArray:
         """Return powers of the amplitude's distance from the reference, in parts of it."""
         away = amplitude_v / self.reference_v - 1.0
-        strengths: FloatArray = away ** np.arange(1, len(self.back) + 1)
-        return strengths
+        return np.array([away**power for power in range(1, len(self.back) + 1)])
+
+    def is_stable(self, amplitude_v: float) -> bool:
+        """Tell whether what acts back leaves the motion stable."""
+        m, n, _ = self.gains.shape
+        back = np.tensordot(self.strengths(amplitude_v), self.back, 1)
+        dynamics, drive = real_form(self.steps)
+        closed = np.kron(dynamics, np.eye(n)) - np.kron(drive[:, None], np.eye(n)) @ (
+            back.transpose(1, 0, 2).reshape(n, m * n))
+        return bool(np.abs(np.linalg.eigvals(closed)).max(initial=0.0) < 1.0)
 
     def motions(self, spectra: Sequence[Spectrum]) -> list[ComplexArray]:
         """Return the motion of each spectrum, (K, n), without transients."""
@@ -127,8 +143,8 @@ class Linearised:
         of_modes += np.einsum("kq,mqj,kj->km", through, self.gains_back, self.force, optimize=True)
         of_poles = np.einsum("pkm,km->p", slopes_of_basis(self.z, self.numbers.steps), of_modes,
                              optimize=True)
-        of_back = np.einsum("s,kq,km,kj->smqj", self.strengths, through, self.basis, self.force,
-                            optimize=True)
+        of_back = np.einsum("s,kq,m,km,kj->smqj", self.strengths, through,
+                            self.numbers.softening, self.basis, self.force, optimize=True)
         of_gain = np.einsum("s,kq,kj->sqj", self.strengths, through, self.drive, optimize=True)
         return own, np.real(np.concatenate([of_poles, of_back.ravel(), of_gain.ravel()]))
 
@@ -147,8 +163,8 @@ class Linearised:
         changed += np.einsum("kiq,pkm,mqj,kj->ikp", through, slopes, self.gains_back, self.force,
                              optimize=True)
         n, lines = changed.shape[:2]
-        of_modes = np.einsum("s,kiq,km,kj->iksmqj", self.strengths, through, self.basis,
-                             self.force, optimize=True)
+        of_modes = np.einsum("s,kiq,m,km,kj->iksmqj", self.strengths, through,
+                             self.numbers.softening, self.basis, self.force, optimize=True)
         of_gain = np.einsum("s,kiq,kj->iksqj", self.strengths, through, self.drive, optimize=True)
         return np.concatenate([changed, of_modes.reshape(n, lines, -1),
                                of_gain.reshape(n, lines, -1)], axis=2)

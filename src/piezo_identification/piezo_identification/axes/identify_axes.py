@@ -202,8 +202,9 @@ def _identified(
     first, numbers = recordings[0], fit.numbers
     period_s, n = first.sample_period_s, len(first.axes)
     samples = [len(each.voltage_v) for each in recordings]
+    poles: ComplexArray = np.log(numbers.steps) / period_s
     model = CoupledModel(
-        first.axes, period_s, np.log(numbers.steps) / period_s, _residues(numbers, numbers.gains),
+        first.axes, period_s, poles, _residues(numbers, numbers.gains),
         numbers.direct, late,
         np.average([each.voltage_v.mean(axis=0) for each in recordings], axis=0, weights=samples),
         np.average([each.displacement_um.mean(axis=0) for each in recordings], axis=0,
@@ -217,10 +218,10 @@ def _identified(
     known, columns = covariances(fit, spectra), numbers.gains.shape[0]
     gain_deviations = np.sqrt(np.array([
         np.diag(each)[: columns * n].reshape(columns, n) for each in known]).transpose(1, 0, 2))
-    poles = np.sqrt(np.diag(known[0])[numbers.own().shape[1]:][:columns])
+    off = np.sqrt(np.diag(known[0])[numbers.own().shape[1]:][:columns])
     pairs = int(np.count_nonzero(numbers.steps.imag > 0.0))
-    pole_deviations = np.concatenate([
-        poles[0:2 * pairs:2] + 1j * poles[1:2 * pairs:2], poles[2 * pairs:]]) / period_s
+    pole_deviations: ComplexArray = np.concatenate([
+        off[0:2 * pairs:2] + 1j * off[1:2 * pairs:2], off[2 * pairs:] + 0j]) / period_s
     residue_deviations = _residues(numbers, gain_deviations)
     delays_s, delay_deviations_s = sensor_delays(model, residue_deviations)
     return IdentifiedAxes(

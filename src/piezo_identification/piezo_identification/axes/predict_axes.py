@@ -88,7 +88,7 @@ def predict_several_axes(model: CoupledModel, recording: AxesRecording) -> AxesP
     else:
         simulated_um = model.simulate(recording.voltage_v)
     return AxesPrediction(
-        recording.axes, recording.sample_period_s * np.arange(len(simulated_um)),
+        recording.axes, recording.sample_period_s * np.arange(len(simulated_um), dtype=float),
         recording.voltage_v, recording.displacement_um, simulated_um)
 
 

@@ -90,8 +90,8 @@ def relocated(spectra: Sequence[Spectrum], pairs: int, taps: int,
         rows, targets = (np.concatenate(each) for each in zip(*conditions, strict=True))
         scale = np.maximum(np.linalg.norm(rows, axis=0), np.finfo(float).tiny)
         common = np.linalg.lstsq(rows / scale, targets, rcond=None)[0] / scale
-        dynamics, drive = _real_form(steps)
-        steps = _stable(np.linalg.eigvals(dynamics - np.outer(drive, common)))
+        dynamics, drive = real_form(steps)
+        steps = _stable(np.linalg.eigvals(dynamics - np.outer(drive, common)).astype(complex))
     return steps
 
 
@@ -99,11 +99,11 @@ def _groups(spectra: Sequence[Spectrum]) -> list[list[Spectrum]]:
     """Return spectra in groups that have no driven axis in common: their gains are other ones."""
     groups: list[list[Spectrum]] = []
     for spectrum in spectra:
-        apart, together = [], [spectrum]
-        for group in groups:
-            meets = any(set(each.driven) & set(spectrum.driven) for each in group)
-            (together if meets else apart).extend(group if meets else [group])
-        groups = [*apart, together]
+        meets = [any(set(each.driven) & set(spectrum.driven) for each in group)
+                 for group in groups]
+        together = [each for group, met in zip(groups, meets, strict=True) if met for each in group]
+        groups = [group for group, met in zip(groups, meets, strict=True) if not met]
+        groups.append([*together, spectrum])
     return groups
 
 
@@ -123,7 +123,8 @@ def _condition(group: Sequence[Spectrum], output: int, steps: ComplexArray, taps
         motion = spectrum.motion[:, output, None]
         common.append(weight * np.hstack([-motion * basis, motion]))
     whole = np.hstack([np.concatenate(own), np.concatenate(common)])
-    triangle = np.linalg.qr(np.concatenate([whole.real, whole.imag]), mode="r")
+    triangle: FloatArray = np.asarray(
+        np.linalg.qr(np.concatenate([whole.real, whole.imag]), mode="r"))
     first, last = np.concatenate(own).shape[1], triangle.shape[1] - 1
     return triangle[first:last, first:last], triangle[first:last, last]
 
@@ -133,7 +134,7 @@ def transient_basis(spectrum: Spectrum, basis: ComplexArray) -> ComplexArray:
     return np.hstack([basis, spectrum.z[:, None] ** np.arange(spectrum.ahead + 1)])
 
 
-def _real_form(steps: ComplexArray) -> tuple[FloatArray, FloatArray]:
+def real_form(steps: ComplexArray) -> tuple[FloatArray, FloatArray]:
     """Return real dynamics and drive whose states respond as `mode_basis`."""
     pairs, real = steps[steps.imag > 0.0], steps[steps.imag == 0.0].real
     dynamics = np.diag(np.concatenate([np.repeat(pairs.real, 2), real]))

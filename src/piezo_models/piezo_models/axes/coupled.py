@@ -225,13 +225,14 @@ class CoupledModel:
             strengths, first_v = self.softening.strengths(amplitude_v), amplitude_v[0]
             elongations, gain = self.softening.elongations, self.softening.gain
         back, gain_back = self._softened(first_v)
-        at_rest = np.eye(n) + self._modal(np.ones(1), back)[0].real
+        at_rest = np.eye(n) + self._modal(np.ones(1, dtype=complex), back)[0].real
         force_v = np.linalg.solve(at_rest, drive_v[0] - gain_back @ drive_v[0])
         state = force_v / (1.0 - steps[:, None])
         before, motion_um = state.copy(), np.empty_like(drive_v)
+        read: ComplexArray = multiples * self.residues_um_per_v
+        back_read: ComplexArray = multiples * elongations
         for again in (True, False)[not periodic:]:
-            run_modes(drive_v, strengths, steps, multiples * self.residues_um_per_v,
-                      multiples * elongations, gain, state, motion_um)
+            run_modes(drive_v, strengths, steps, read, back_read, gain, state, motion_um)
             if again:  # what has not decayed within the period is added up
                 left = steps[:, None] ** len(drive_v)
                 state = (state - left * before) / (1.0 - left)
@@ -347,8 +348,9 @@ class CoupledModel:
             power = a @ power
         upper, period_s = steps.imag >= 0.0, float(system.dt)
         zeros = np.zeros(n)
+        poles: ComplexArray = np.log(steps[upper]) / period_s
         return cls(
-            axes, period_s, np.log(steps[upper]) / period_s, residues[upper], np.array(taps),
+            axes, period_s, poles, residues[upper], np.array(taps),
             np.zeros(n, dtype=int),
             zeros if operating_voltage_v is None else np.asarray(operating_voltage_v, float),
             zeros if operating_displacement_um is None
