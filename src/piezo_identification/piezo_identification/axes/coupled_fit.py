@@ -137,7 +137,7 @@ def refined(numbers: CoupledNumbers, spectra: Sequence[Spectrum], steps: int) ->
     """
     left = _left(numbers, spectra)
     misfit, damping = _misfit(spectra, left), FIRST_DAMPING
-    amplitudes_v = np.unique([each.amplitude_v for each in spectra]) if len(numbers.back) else []
+    amplitudes_v = {each.amplitude_v for each in spectra} if len(numbers.back) else set()
     for _ in range(steps):
         normal = _Normal(numbers, spectra, left)
         while True:

@@ -202,7 +202,7 @@ def _identified(
     first, numbers = recordings[0], fit.numbers
     period_s, n = first.sample_period_s, len(first.axes)
     samples = [len(each.voltage_v) for each in recordings]
-    poles: ComplexArray = np.log(numbers.steps) / period_s
+    poles = (np.log(numbers.steps) / period_s).astype(complex)
     model = CoupledModel(
         first.axes, period_s, poles, _residues(numbers, numbers.gains),
         numbers.direct, late,
@@ -220,8 +220,8 @@ def _identified(
         np.diag(each)[: columns * n].reshape(columns, n) for each in known]).transpose(1, 0, 2))
     off = np.sqrt(np.diag(known[0])[numbers.own().shape[1]:][:columns])
     pairs = int(np.count_nonzero(numbers.steps.imag > 0.0))
-    pole_deviations: ComplexArray = np.concatenate([
-        off[0:2 * pairs:2] + 1j * off[1:2 * pairs:2], off[2 * pairs:] + 0j]) / period_s
+    pole_deviations = np.concatenate([
+        off[0:2 * pairs:2] + 1j * off[1:2 * pairs:2], off[2 * pairs:].astype(complex)]) / period_s
     residue_deviations = _residues(numbers, gain_deviations)
     delays_s, delay_deviations_s = sensor_delays(model, residue_deviations)
     return IdentifiedAxes(

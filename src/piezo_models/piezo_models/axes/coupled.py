@@ -227,10 +227,10 @@ class CoupledModel:
         back, gain_back = self._softened(first_v)
         at_rest = np.eye(n) + self._modal(np.ones(1, dtype=complex), back)[0].real
         force_v = np.linalg.solve(at_rest, drive_v[0] - gain_back @ drive_v[0])
-        state = force_v / (1.0 - steps[:, None])
+        state = (force_v / (1.0 - steps[:, None])).astype(complex)
         before, motion_um = state.copy(), np.empty_like(drive_v)
-        read: ComplexArray = multiples * self.residues_um_per_v
-        back_read: ComplexArray = multiples * elongations
+        read = (multiples * self.residues_um_per_v).astype(complex)
+        back_read = (multiples * elongations).astype(complex)
         for again in (True, False)[not periodic:]:
             run_modes(drive_v, strengths, steps, read, back_read, gain, state, motion_um)
             if again:  # what has not decayed within the period is added up
@@ -348,7 +348,7 @@ class CoupledModel:
             power = a @ power
         upper, period_s = steps.imag >= 0.0, float(system.dt)
         zeros = np.zeros(n)
-        poles: ComplexArray = np.log(steps[upper]) / period_s
+        poles = (np.log(steps[upper]) / period_s).astype(complex)
         return cls(
             axes, period_s, poles, residues[upper], np.array(taps),
             np.zeros(n, dtype=int),
