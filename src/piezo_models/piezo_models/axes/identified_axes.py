@@ -115,7 +115,10 @@ class IdentifiedAxes:
                             tuple(notes))
 
     def softening_sentences(self) -> list[str]:
-        """Say how mode frequencies, damping and static gain change with the amplitude."""
+        """Say how the static gain and the highest modes change with the amplitude.
+
+        A mode is left out where a higher one is near, or its damping is not known to a half.
+        """
         softening = self.model.softening
         if softening is None:
             return []
@@ -126,8 +129,12 @@ class IdentifiedAxes:
             f"static gain changes by {100 * (more / gain - 1):+.2g} % (amplitude-dependent gain), "
             "and"]
         poles = self.model.poles_rad_per_s
-        light = poles[(poles.imag > 0.0) & (poles.real > -LIGHT * np.abs(poles))]
-        for frequency_hz in np.sort(np.abs(light)) / (2.0 * np.pi):
+        known = self.pole_deviations_rad_per_s.real < -0.5 * poles.real
+        seen = (poles.imag > 0.0) & (poles.real > -LIGHT * np.abs(poles)) & known
+        for pole in sorted(poles[seen], key=abs):
+            frequency_hz = abs(pole) / (2.0 * np.pi)
+            if self.model.mode_near(frequency_hz) != pole:
+                continue  # beside a higher one
             stiff, soft = (self.model.mode_near(frequency_hz, each) for each in (low, high))
             sentences.append(
                 f"  the mode at {frequency_hz:.4g} Hz by {100 * (abs(soft) / abs(stiff) - 1):+.2g} "
