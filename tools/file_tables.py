@@ -22,6 +22,7 @@ from piezo_studies.marked_sections import with_sections
 PAGE = Path(__file__).parents[1] / "docs" / "files.md"
 DOCUMENTS = {
     "model": "piezo_models.model_document:ModelDocument",
+    "axes_model": "piezo_models.axes.axes_file:AxesDocument",
     "controller": "piezo_controller.feedback.controller_file:ControllerDocument",
     "weights": "piezo_controller.feedback.synthesis.weights_document:WeightsDocument",
     "learned": "piezo_controller.learning.learned_file:LearnedDocument",
@@ -29,6 +30,7 @@ DOCUMENTS = {
     "pi_gcs": "piezo_stage_driver.backends.pi_gcs_stage:PiSettings",
     "nv200": "piezo_stage_driver.backends.nv200_stage:Nv200Settings",
     "columns": "piezo_recorder.reading.columns:ColumnsDocument",
+    "arrays": "piezo_recorder.reading.axes:ArraysDocument",
     "probe": "piezo_identification.experiments.probing.probe_file:ProbeDocument",
     "plant": "piezo_sim.plant.plant_file:PlantDocument",
 }

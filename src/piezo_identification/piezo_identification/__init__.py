@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 from piezo_common.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
+    from piezo_identification.axes.identify_axes import identify_several_axes
+    from piezo_identification.axes.predict_axes import AxesPrediction, predict_several_axes
     from piezo_identification.diagnosis.diagnose import diagnose
     from piezo_identification.diagnosis.experiment_design.decide import decide
     from piezo_identification.diagnosis.experiment_design.propose import (
@@ -40,9 +42,10 @@ if TYPE_CHECKING:
 __getattr__, __dir__ = lazy_exports(__name__, __file__)
 
 __all__ = [
-    "DensityEstimate", "Estimate", "Experiment", "FrequencyResponse", "IdentificationCancelled",
-    "ModelMonitor", "Prediction", "ResponseOrder", "StageLimits", "alternatives_of_files", "decide",
-    "diagnose", "estimate_creep", "estimate_density", "estimate_dynamics",
-    "estimate_dynamics_multisine", "estimate_from_response", "identify", "named_experiment",
-    "predict", "propose", "read_frequency_response", "unseen_errors",
+    "AxesPrediction", "DensityEstimate", "Estimate", "Experiment", "FrequencyResponse",
+    "IdentificationCancelled", "ModelMonitor", "Prediction", "ResponseOrder", "StageLimits",
+    "alternatives_of_files", "decide", "diagnose", "estimate_creep", "estimate_density",
+    "estimate_dynamics", "estimate_dynamics_multisine", "estimate_from_response", "identify",
+    "identify_several_axes", "named_experiment", "predict", "predict_several_axes", "propose",
+    "read_frequency_response", "unseen_errors",
 ]

@@ -6,6 +6,9 @@ from typing import TYPE_CHECKING
 from piezo_common.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
+    from piezo_models.axes.axes_file import load_axes_model, save_axes_model
+    from piezo_models.axes.coupled import CoupledModel, Softening
+    from piezo_models.axes.identified_axes import Coupling, IdentifiedAxes
     from piezo_models.cascade import StageMemory, StageModel
     from piezo_models.control_objects import from_control, to_control
     from piezo_models.effects import EFFECTS, Effect, known_effects
@@ -27,9 +30,10 @@ if TYPE_CHECKING:
 __getattr__, __dir__ = lazy_exports(__name__, __file__)
 
 __all__ = [
-    "CreepDynamics", "EFFECTS", "Effect", "ElectricVibrationDynamics", "FirstRise",
-    "HystereticCreep", "IdentifiedModel", "ModelFileError", "PreisachMemory", "PreisachModel",
-    "StageMemory", "StageModel", "e_r_percent", "e_rms_percent", "e_y_percent", "from_control",
-    "invert_linear_periodic", "known_effects", "load_model", "save_model", "simulate_linear",
+    "CoupledModel", "Coupling", "CreepDynamics", "EFFECTS", "Effect", "ElectricVibrationDynamics",
+    "FirstRise", "HystereticCreep", "IdentifiedAxes", "IdentifiedModel", "ModelFileError",
+    "PreisachMemory", "PreisachModel", "Softening", "StageMemory", "StageModel", "e_r_percent",
+    "e_rms_percent", "e_y_percent", "from_control", "invert_linear_periodic", "known_effects",
+    "load_axes_model", "load_model", "save_axes_model", "save_model", "simulate_linear",
     "to_control", "zoh",
 ]

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The model file: one versioned JSON document, written atomically and read strictly."""
 
+import json
 from os import PathLike
 from pathlib import Path
 
+from piezo_common.regular_file import UnreadableFile
 from piezo_common.schema import SchemaError, load_document
-from piezo_common.text_file import is_something_else, replace_text
+from piezo_common.text_file import is_something_else, read_bounded_text, replace_text
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_document import (
     FORMAT,
@@ -53,15 +55,27 @@ def announced_model(path: str | PathLike[str]) -> IdentifiedModel:
     return identified
 
 
+def is_of_several_axes(path: str | PathLike[str]) -> bool:
+    """Tell whether a model file is one of several axes; False where it cannot be read."""
+    try:
+        content = json.loads(read_bounded_text(path, LARGEST_FILE_BYTES))
+    except (UnreadableFile, ValueError, RecursionError):
+        return False
+    return isinstance(content, dict) and content.get("format") == FORMAT and "axes" in content
+
+
 def load_model(path: str | PathLike[str]) -> IdentifiedModel:
-    """Read a model file.
+    """Read a model file of one axis.
 
     Raises
     ------
     ModelFileError
-        If the file is missing, is not a model file of this version, or has a missing, unknown or
-        invalid field.
+        If the file is missing, is not a model file of this version, is one of several axes, or has
+        a missing, unknown or invalid field.
     """
+    if is_of_several_axes(path):
+        raise ModelFileError(f"{path}: is a model of several axes, which only simulate and Python "
+                             "take so far; give a model of one axis")
     try:
         return built_model(load_document(ModelDocument, path, LARGEST_FILE_BYTES))
     except SchemaError as error:

@@ -7,8 +7,8 @@ from piezo_common.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
     from piezo_controller.feedback.controller_file import load_controller, save_controller
-    from piezo_models.model_file import load_model, save_model
     from piezo_offline.comparison import Comparison, compare
+    from piezo_offline.files import load_model, save_model
     from piezo_offline.given_data import DataWarning, read
     from piezo_offline.steps import (
         design,

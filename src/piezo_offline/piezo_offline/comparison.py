@@ -76,6 +76,9 @@ def compare(model_a: AnyModel, model_b: AnyModel, data: Any, *,
     Raises
     ------
     ValueError
-        If the recording cannot be read or is too short.
+        If the recording cannot be read or is too short, or has several axes.
     """
-    return Comparison(*(simulate(model, data, columns=columns) for model in (model_a, model_b)))
+    a, b = (simulate(model, data, columns=columns) for model in (model_a, model_b))
+    if not (isinstance(a, Prediction) and isinstance(b, Prediction)):
+        raise ValueError("compare takes models of one axis: simulate those of several one by one")
+    return Comparison(a, b)

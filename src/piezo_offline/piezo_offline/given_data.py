@@ -15,6 +15,13 @@ from piezo_identification.estimators.frequency_response.response_file import (
     is_frequency_response,
     read_frequency_response,
 )
+from piezo_recorder.reading.axes import (
+    AxesRecording,
+    axes_of_labels,
+    axes_recordings_in,
+    is_of_axes,
+    read_axes,
+)
 from piezo_recorder.reading.columns import parse_columns
 from piezo_recorder.reading.memory import IN_MEMORY, recording_of
 from piezo_recorder.reading.reader import read_recording
@@ -99,6 +106,31 @@ def _in_python(text: str) -> str:
 def in_list(given: Any) -> list[Any]:
     """Return what was given, one or several, as a list."""
     return list(given) if isinstance(given, list | tuple) else [given]
+
+
+def axes_recordings_of(given: Any, name: str) -> list[AxesRecording]:
+    """Return the recordings of several axes that were handed over; none where they are of one.
+
+    Parameters
+    ----------
+    given : path-like, mapping of str to array, AxesRecording, or a list or tuple of such
+    name : str
+        Of arrays.
+
+    Raises
+    ------
+    piezo_recorder.RecordingError
+        If a file or arrays of several axes do not fit.
+    """
+    if isinstance(given, list | tuple):
+        return [recording for each in given for recording in axes_recordings_of(each, name)]
+    if isinstance(given, AxesRecording):
+        return [given]
+    if isinstance(given, str | PathLike) and is_of_axes(given):
+        return read_axes(given)
+    if isinstance(given, Mapping) and len(axes_of_labels(list(given))) > 1:
+        return axes_recordings_in(given, name)
+    return []
 
 
 def recordings_of(given: Any, columns: Sequence[str], name: str) -> list[Recording]:

@@ -17,6 +17,8 @@ from piezo_controller.feedback.design_choices import (
 )
 from piezo_controller.feedback.feedback_design import FeedbackController
 from piezo_controller.feedback.stage_design import design_for_stage
+from piezo_identification.axes.identify_axes import identify_several_axes
+from piezo_identification.axes.predict_axes import AxesPrediction, predict_several_axes
 from piezo_identification.commands.row_options import READINGS
 from piezo_identification.diagnosis.diagnose import Diagnosis
 from piezo_identification.diagnosis.diagnose import diagnose as diagnose_recordings
@@ -34,11 +36,14 @@ from piezo_identification.identification.identify import identify as identify_re
 from piezo_identification.prediction.prediction import Prediction
 from piezo_identification.prediction.row_reading import all_as_identified, predict_as_identified
 from piezo_identification.recording_check.suitability import misfits
+from piezo_models.axes.identified_axes import IdentifiedAxes
 from piezo_models.cascade import StageModel
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import load_model
+from piezo_offline.files import load_model as load_any_model
 from piezo_offline.given_data import (
     DataWarning,
+    axes_recordings_of,
     in_list,
     read,
     recordings_of,
@@ -58,8 +63,12 @@ def identify(
     rows_read: str = "start",
     progress: Callable[[str, float], object] | None = None,
     note: Callable[[str], object] | None = None, budget_s: float | None = None,
-) -> IdentifiedModel:
+) -> IdentifiedModel | IdentifiedAxes:
     """Identify a model of the stage from recordings; at least one of the first three.
+
+    Recordings of several axes (`piezo_recorder.AxesRecording`, and tables and arrays with columns
+    such as ``x_voltage_v``) give a model of all of them; of the options, `modes`, `progress`,
+    `note` and `budget_s` count then.
 
     Parameters
     ----------
@@ -94,6 +103,14 @@ def identify(
     ValueError
         If a recording cannot be read or does not fit its purpose, or none is given.
     """
+    fitted = [each for name, data in (("creep", creep), ("dynamics", dynamics),
+                                      ("hysteresis", hysteresis))
+              for each in axes_recordings_of(data, name)]
+    if fitted:
+        return identify_several_axes(
+            fitted, axes_recordings_of(validation, "validation"), pairs=modes,
+            note=note or (lambda text: None), progress=progress or (lambda what, part: None),
+            budget=Budget(budget_s))
     given: dict[str, Any] = {}
     for name, data in (("creep", creep), ("dynamics", dynamics), ("hysteresis", hysteresis),
                        ("validation", validation)):
@@ -120,21 +137,21 @@ def identify(
         read_at_samples=_read_at(rows_read), budget=Budget(budget_s))
 
 
-def simulate(model: AnyModel, data: Any, *, columns: Sequence[str] = (),
-             rows_read: str = "start") -> Prediction:
+def simulate(model: AnyModel | IdentifiedAxes, data: Any, *, columns: Sequence[str] = (),
+             rows_read: str = "start") -> Prediction | AxesPrediction:
     """Run a model on the voltage of a recording, and set it beside the measured displacement.
 
     Parameters
     ----------
-    model : IdentifiedModel, StageModel or path-like
-    data : path, arrays by name, pandas.DataFrame or Recording
+    model : IdentifiedModel, StageModel, IdentifiedAxes or path-like
+    data : path, arrays by name, pandas.DataFrame, Recording or AxesRecording
     columns, rows_read
         See `identify`. Rows of which nothing is said are read as those of the identification where
         the model explains them better so.
 
     Returns
     -------
-    piezo_identification.Prediction
+    piezo_identification.Prediction or AxesPrediction
         Arrays of measured and simulated displacement; `e_y_percent`, `plot`.
 
     Raises
@@ -142,6 +159,14 @@ def simulate(model: AnyModel, data: Any, *, columns: Sequence[str] = (),
     ValueError
         If the recording cannot be read or is too short.
     """
+    if not isinstance(model, IdentifiedModel | StageModel):
+        opened = load_any_model(model) if isinstance(model, str | PathLike) else model
+        if isinstance(opened, IdentifiedAxes):
+            found = axes_recordings_of(data, "data")
+            if len(found) != 1:
+                raise ValueError(f"the data hold {len(found)} recordings of several axes: give one")
+            return predict_several_axes(opened.model, found[0])
+        model = opened
     recording = read(data, columns)
     prediction, sentences = predict_as_identified(_opened(model), recording, _read_at(rows_read))
     for sentence in sentences:

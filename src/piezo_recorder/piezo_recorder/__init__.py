@@ -6,6 +6,12 @@ from typing import TYPE_CHECKING
 from piezo_common.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
+    from piezo_recorder.reading.axes import (
+        AxesRecording,
+        axes_recordings_in,
+        axes_recordings_of_arrays,
+        read_axes,
+    )
     from piezo_recorder.reading.columns import ColumnsDocument, parse_columns
     from piezo_recorder.reading.frames import read_frame, to_frame, to_xarray
     from piezo_recorder.reading.memory import recording_of, recordings_in
@@ -19,8 +25,8 @@ if TYPE_CHECKING:
 __getattr__, __dir__ = lazy_exports(__name__, __file__)
 
 __all__ = [
-    "ColumnsDocument", "Flag", "MessageDefinition", "Recording", "RecordingError",
-    "RecordingWriter", "parse_columns", "read_frame", "read_recording", "read_recordings",
-    "recording_of", "recordings_in", "repair", "sha256_of", "to_frame",
-    "to_xarray",
+    "AxesRecording", "ColumnsDocument", "Flag", "MessageDefinition", "Recording", "RecordingError",
+    "RecordingWriter", "axes_recordings_in", "axes_recordings_of_arrays", "parse_columns",
+    "read_axes", "read_frame", "read_recording", "read_recordings", "recording_of",
+    "recordings_in", "repair", "sha256_of", "to_frame", "to_xarray",
 ]

@@ -14,6 +14,7 @@ from piezo_identification.analysis.distortion_over_frequency import (
     distortion_rows,
 )
 from piezo_identification.analysis.nonlinear_distortion import distortion_of
+from piezo_identification.commands.axes_work import check_axes_file
 from piezo_identification.estimators.frequency_response.response_file import (
     is_frequency_response,
     read_frequency_response,
@@ -23,6 +24,7 @@ from piezo_identification.recording_check.check_report import check_table
 from piezo_identification.recording_check.suitability import Suitability, given_as, suitability
 from piezo_identification.report.check_page import check_page
 from piezo_identification.report.check_picture import draw_check
+from piezo_recorder.reading.axes import is_of_axes
 from piezo_recorder.reading.data_options import read_all_given
 from piezo_recorder.reading.recording import Recording
 
@@ -37,9 +39,14 @@ def check_files(options: argparse.Namespace) -> None:
     checked: list[tuple[str, RecordingCheck, dict[str, Suitability], Figure | None]] = []
     fit_for: dict[str, dict[str, Suitability]] = {}
     responses: list[str] = []
+    of_axes: list[str] = []
     for path in options.data:
         if checked and budget.is_spent():
             budget.not_tried.append(f"{path}")
+            continue
+        if is_of_axes(path):
+            check_axes_file(path)
+            of_axes.append(str(path))
             continue
         if is_frequency_response(path):
             _print_response(path)
@@ -63,7 +70,7 @@ def check_files(options: argparse.Namespace) -> None:
         print(budget.sentence("done"))
     given = given_as(fit_for)
     # A frequency response stands alone for the dynamics.
-    given |= {"dynamics": responses[:1]} if responses else {}
+    given |= {"dynamics": responses[:1] or of_axes} if responses or of_axes else {}
     named = [word for experiment, paths in given.items() for word in (f"--{experiment}", *paths)]
     if options.columns:
         named += ["--columns", *options.columns]

@@ -11,6 +11,7 @@ import numpy as np
 from piezo_common.command_line import INTERRUPTED, budget_of, print_next, write_report
 from piezo_common.progress_lines import progress_printed
 from piezo_identification.adequacy.component_adequacy import adequacy_table
+from piezo_identification.commands.axes_work import are_of_axes, identify_axes_files
 from piezo_identification.commands.identify_command import EXPERIMENTS
 from piezo_identification.commands.response_options import (
     hold_s_of,
@@ -45,6 +46,10 @@ def identify_files(options: argparse.Namespace) -> int | None:
         Exit status, where the work was interrupted.
     """
     paths = {name: getattr(options, name) for name in EXPERIMENTS}
+    by_name = {name: [given] if isinstance(given, Path) else given
+               for name, given in paths.items() if given is not None}
+    if are_of_axes(path for given in by_name.values() for path in given):
+        return identify_axes_files(options, by_name)
     data = {name: _read(name, listed, options)
             for name, listed in paths.items() if listed is not None}
     for name, given in data.items():

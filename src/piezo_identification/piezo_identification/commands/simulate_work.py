@@ -9,6 +9,7 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_common.command_line import print_next, write_report
 from piezo_common.picture_style import to_png
+from piezo_identification.commands.axes_work import simulate_axes_file
 from piezo_identification.commands.row_options import READINGS
 from piezo_identification.prediction import Prediction
 from piezo_identification.prediction.outside_identified import outside_identified
@@ -19,7 +20,7 @@ from piezo_identification.report.simulation_report import (
     simulation_page,
 )
 from piezo_models.identified_model import IdentifiedModel
-from piezo_models.model_file import announced_model
+from piezo_models.model_file import announced_model, is_of_several_axes
 from piezo_recorder.reading.data_options import read_given
 from piezo_recorder.reading.waveform_file import read_waveform
 
@@ -28,6 +29,9 @@ DOTS_PER_INCH = 120
 
 def simulate_file(options: argparse.Namespace) -> None:
     """Simulate the model of the options under a recording; print the error and draw both."""
+    if is_of_several_axes(options.model):
+        simulate_axes_file(options)
+        return
     model_path, data_path, directory = options.model, options.data, options.output
     identified = announced_model(model_path)
     if options.voltage:

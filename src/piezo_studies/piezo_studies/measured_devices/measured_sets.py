@@ -10,6 +10,7 @@ from piezo_studies.measured_devices.measured import (
     NANOPOSITIONER,
     NESTED_LOOPS,
 )
+from piezo_studies.measured_devices.mirror import FILES as MIRROR_FILES
 from piezo_studies.measured_devices.oscillators import (
     ARROW,
     BOUC_WEN,
@@ -61,4 +62,6 @@ SETS = tuple(MeasuredSet(*each) for each in (
     ("Bouc-Wen", (BOUC_WEN, BOUC_WEN_MULTISINE, BOUC_WEN_SWEEP),
      "https://www.nonlinearbenchmark.org/benchmarks/bouc-wen", NO_LICENCE,
      f"{COLUMNS}, from that page"),
+    ("steering mirror", MIRROR_FILES, "https://github.com/merijnfloren/fsm-benchmark-data",
+     "CC BY 4.0", "the folder data of that repository, as fine_steering_mirror"),
 ))

@@ -4,10 +4,12 @@
 import json
 from dataclasses import asdict
 
+from piezo_models.axes.axes_file import save_axes_model
 from piezo_studies.measured_devices import (
     measured,
     measured_pictures,
     measured_sets,
+    mirror,
     oscillators,
 )
 from piezo_studies.measured_devices.measured_diagnosis import FINDINGS
@@ -82,7 +84,15 @@ def _nanopositioner(data, output):
     return figures
 
 
-SETS = {"scanner": _scanner, "cantilever": _cantilever, "nanopositioner": _nanopositioner}
+def _mirror(data, output):
+    figures, identified = mirror.mirror(data)
+    save_axes_model(output / "steering_mirror.json", identified)
+    print(identified.summary())
+    return figures
+
+
+SETS = {"scanner": _scanner, "cantilever": _cantilever, "nanopositioner": _nanopositioner,
+        "steering mirror": _mirror}
 
 OSCILLATORS = {"the circuit": oscillators.circuit, "Bouc-Wen": oscillators.bouc_wen}
 

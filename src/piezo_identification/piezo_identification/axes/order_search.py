@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Linear models of several axes with more and more modes."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from piezo_common.arrays import ComplexArray
+from piezo_identification.axes.coupled_fit import CoupledFit, linear_numbers, refined
+from piezo_identification.axes.shared_poles import FIRST_DAMPING, relocated
+from piezo_identification.axes.spectra import Spectrum, smoothed
+from piezo_identification.fitting.model_weights import occam_penalty
+
+TAPS = 2
+"""Of the direct part: with the voltage of the same sample and of the one before, a delay of less
+than a sample period is exact (Franklin, Powell and Workman 1998, section 4.3.4)."""
+
+PAIRS_STEP = 2
+"""Pairs of poles that are added at once: two close modes may need both."""
+
+MOVES = 4
+"""Relocations after poles were added: those that were there have little to go."""
+
+
+def growing(spectra: Sequence[Spectrum], most: int) -> Iterator[CoupledFit]:
+    """Yield fits of rising order, poles being added where most is left.
+
+    Parameters
+    ----------
+    most : int
+        Pairs of poles of the last fit.
+    """
+    count = min(PAIRS_STEP, most)
+    fit = _fit(spectra, relocated(spectra, count, TAPS))
+    yield fit
+    while count < most:
+        more = min(PAIRS_STEP, most - count)
+        count += more
+        grown = _fit(spectra, relocated(spectra, count, TAPS, _with_more(fit, spectra, more),
+                                        MOVES))
+        if grown.misfit > fit.misfit:  # relocation is no descent: begin anew
+            grown = min(grown, _fit(spectra, relocated(spectra, count, TAPS)),
+                        key=lambda each: each.misfit)
+        fit = grown
+        yield fit
+
+
+def evidence_of(fit: CoupledFit) -> float:
+    """Return the logarithm of the evidence of a fit, up to what is common to all of one data.
+
+    The scale of the errors is unknown: what a model lacks is among them.
+    """
+    likelihood = -0.5 * fit.rows * np.log(fit.misfit)
+    return float(likelihood - occam_penalty(None, np.ones(fit.count), fit.rows, fit.rows))
+
+
+def _fit(spectra: Sequence[Spectrum], steps: ComplexArray) -> CoupledFit:
+    return refined(linear_numbers(spectra, steps, TAPS), spectra, 0)
+
+
+def _with_more(fit: CoupledFit, spectra: Sequence[Spectrum], pairs: int) -> ComplexArray:
+    """Return the poles of a fit and pairs more, where most is left."""
+    lines = spectra[0].z.size
+    density = smoothed(np.sum([np.sum(np.abs(each.weight * left) ** 2, axis=1)
+                               for each, left in zip(spectra, fit.left, strict=True)
+                               if each.z.size == lines], axis=0))
+    angles, new = np.angle(spectra[0].z), []
+    for _ in range(pairs):
+        angle = angles[np.argmax(density)]
+        new.append(np.exp((1j - FIRST_DAMPING) * angle))
+        density[np.abs(angles - angle) < 2.0 * FIRST_DAMPING * angle] = 0.0
+    return np.concatenate([new, fit.numbers.steps])

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""By how much each sensor of several axes is late."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_identification.axes.coupled_fit import equations_of_gains
+from piezo_identification.axes.order_search import TAPS, growing
+from piezo_identification.axes.spectra import Spectrum
+from piezo_models.axes.coupled import CoupledModel
+
+MOST_LATE = 40
+"""Samples by which a sensor may be late: 1 ms at 40 kHz."""
+
+PAIRS = 16
+"""Pairs of poles with which latencies are compared: all but the weakest modes of three axes."""
+
+ALIKE = 1.05
+"""Ratio of what is left up to which two latencies explain a motion alike: modes that are not yet
+among the poles may gain so much by one that is not there."""
+
+MOST_DAMPED = 0.1
+"""Damping ratio beyond which a mode's phase tells no delay: its shape is seldom real."""
+
+POINTS_OF_SAMPLE = 50
+"""Delays that are compared within a sample period; the best is interpolated."""
+
+
+def latencies(spectra: Sequence[Spectrum]) -> np.ndarray:
+    """Return the whole samples by which each sensor is late: the fewest that leave little."""
+    n, tried = spectra[0].motion.shape[1], np.arange(MOST_LATE)
+    late = np.zeros(n, dtype=int)
+    for _ in range(2):  # poles that are found beside late sensors are not yet those of the stage
+        *_, fit = growing([each.advanced(late) for each in spectra], PAIRS)
+        found = np.array([
+            _fewest(*equations_of_gains(spectra, fit.numbers.steps, TAPS, output, tried))
+            for output in range(n)])
+        if np.array_equal(found, late):
+            break
+        late = found
+    return late
+
+
+def _fewest(rows: FloatArray, targets: FloatArray) -> int:
+    orthogonal = np.linalg.qr(rows)[0]
+    left = np.sum(targets**2, axis=0) - np.sum((orthogonal.T @ targets) ** 2, axis=0)
+    return int(np.argmax(left <= ALIKE * left.min()))
+
+
+def sensor_delays(model: CoupledModel, deviations: ComplexArray) -> tuple[FloatArray, FloatArray]:
+    """Return the delay of each sensor by the phases of the modes, with its standard deviation.
+
+    The displacement of a lightly damped mode of real shape lags its force by a quarter of a turn at
+    its frequency; what it lags more is the delay, alike for all modes in one sensor.
+
+    Parameters
+    ----------
+    deviations : (K, n, n) array of complex
+        Of the residues.
+
+    Returns
+    -------
+    delays_s, deviations_s : (n,) array
+        Infinite deviations where no mode tells it.
+    """
+    period_s, poles = model.sample_period_s, model.poles_rad_per_s
+    light = (poles.imag > 0.0) & (-poles.real < MOST_DAMPED * np.abs(poles))
+    light &= np.abs(poles) * period_s < np.pi
+    rates, n = np.abs(poles[light]), len(model.axes)
+    steps = np.exp(poles[light] * period_s)
+    # Of the continuous mode behind a voltage that is held.
+    held = (poles[light] / (steps - 1.0))[:, None, None]
+    residues = model.residues_um_per_v[light] * held
+    phases = np.angle(1j * residues)
+    sizes = np.abs(residues) / np.maximum(np.abs(deviations[light] * held), np.finfo(float).tiny)
+    delays_s, deviations_s = np.zeros(n), np.full(n, np.inf)
+    span = np.arange(-POINTS_OF_SAMPLE, 2 * POINTS_OF_SAMPLE) * period_s / POINTS_OF_SAMPLE
+    for sensor in range(n):
+        if not rates.size:
+            break
+        # The shape of a mode may have either sign.
+        agreement = np.cos(2.0 * (phases[:, sensor, :, None] + rates[:, None, None] * span))
+        weight = sizes[:, sensor] ** 2
+        total = np.einsum("kj,kjs->s", weight, agreement)
+        best = span[np.argmax(total)]
+        off = 0.5 * np.angle(np.exp(2j * (phases[:, sensor] + rates[:, None] * best)))
+        square = float(np.sum(weight * rates[:, None] ** 2))
+        step = -float(np.sum(weight * rates[:, None] * off)) / square
+        left = off + rates[:, None] * step
+        spread = max(1.0, float(np.sum(weight * left**2)) / max(left.size - 1, 1))
+        delays_s[sensor] = best + step + model.latency_samples[sensor] * period_s
+        deviations_s[sensor] = np.sqrt(spread / square)
+    return delays_s, deviations_s

@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Poles that all axes share, by vector fitting in the z plane."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_identification.axes.spectra import Spectrum
+
+FIRST_DAMPING = 0.02
+"""Damping ratio of the poles at the start, as of a metal flexure with its actuators; the iteration
+moves poles by more than their width at once."""
+
+ITERATIONS = 10
+"""Relocations of the poles; those of the sharp ones stand still after four or five."""
+
+LEAST_STEP = 1e-3
+"""Least real pole: what decays faster than to a thousandth in a sample is the direct part."""
+
+
+def mode_basis(z: ComplexArray, steps: ComplexArray) -> ComplexArray:
+    """Return the responses whose real multiples are those of modes, (K, 2 pairs + real poles).
+
+    Parameters
+    ----------
+    z : (K,) array of complex
+    steps : (m,) array of complex
+        Poles in the z plane, those of pairs first, by their upper one.
+    """
+    pairs = steps[steps.imag > 0.0]
+    columns = np.empty((z.size, 2 * pairs.size + np.count_nonzero(steps.imag == 0.0)), complex)
+    upper, lower = 1.0 / (z[:, None] - pairs), 1.0 / (z[:, None] - pairs.conj())
+    columns[:, 0:2 * pairs.size:2] = upper + lower
+    columns[:, 1:2 * pairs.size:2] = 1j * (upper - lower)
+    columns[:, 2 * pairs.size:] = 1.0 / (z[:, None] - steps[steps.imag == 0.0])
+    return columns
+
+
+def slopes_of_basis(z: ComplexArray, steps: ComplexArray) -> ComplexArray:
+    """Return the derivatives of `mode_basis`, (numbers, K, columns).
+
+    The numbers are, of each pair, the real and the imaginary part of the pole's logarithm, and of
+    each real pole its logarithm.
+    """
+    pairs, real = steps[steps.imag > 0.0], steps[steps.imag == 0.0]
+    columns = 2 * pairs.size + real.size
+    slopes = np.zeros((columns, z.size, columns), dtype=complex)
+    for at, step in enumerate(pairs):
+        upper = step / (z - step) ** 2
+        lower = step.conj() / (z - step.conj()) ** 2
+        total, difference = upper + lower, 1j * (upper - lower)
+        slopes[2 * at, :, 2 * at], slopes[2 * at, :, 2 * at + 1] = total, difference
+        slopes[2 * at + 1, :, 2 * at], slopes[2 * at + 1, :, 2 * at + 1] = difference, -total
+    for at, step in enumerate(real, start=2 * pairs.size):
+        slopes[at, :, at] = step / (z - step) ** 2
+    return slopes
+
+
+def delays(z: ComplexArray, taps: int) -> ComplexArray:
+    """Return the responses of a direct part to the present voltage and past ones, (K, taps)."""
+    return z[:, None] ** -np.arange(taps)
+
+
+def relocated(spectra: Sequence[Spectrum], pairs: int, taps: int,
+              steps: ComplexArray | None = None, iterations: int = ITERATIONS) -> ComplexArray:
+    """Return poles in the z plane that all motions share (Gustavsen and Semlyen 1999).
+
+    Parameters
+    ----------
+    spectra : sequence of Spectrum
+    pairs : int
+        Pairs of poles, some of which may turn out as two real ones.
+    taps : int
+        Of the direct part.
+    steps : (m,) array of complex, optional
+        To start from, in place of poles spread over the lines.
+
+    Returns
+    -------
+    (m,) array of complex
+        Stable; pairs, by their upper pole, before real ones.
+    """
+    if steps is None:
+        angles = np.quantile(np.angle(spectra[0].z), np.linspace(0.0, 1.0, pairs + 2)[1:-1])
+        steps = np.exp((1j - FIRST_DAMPING) * angles)
+    for _ in range(iterations):
+        conditions = [_condition(group, output, steps, taps)
+                      for group in _groups(spectra) for output in range(spectra[0].motion.shape[1])]
+        rows, targets = (np.concatenate(each) for each in zip(*conditions, strict=True))
+        scale = np.maximum(np.linalg.norm(rows, axis=0), np.finfo(float).tiny)
+        common = np.linalg.lstsq(rows / scale, targets, rcond=None)[0] / scale
+        dynamics, drive = real_form(steps)
+        steps = _stable(np.linalg.eigvals(dynamics - np.outer(drive, common)).astype(complex))
+    return steps
+
+
+def _groups(spectra: Sequence[Spectrum]) -> list[list[Spectrum]]:
+    """Return spectra in groups that have no driven axis in common: their gains are other ones."""
+    groups: list[list[Spectrum]] = []
+    for spectrum in spectra:
+        meets = [any(set(each.driven) & set(spectrum.driven) for each in group)
+                 for group in groups]
+        together = [each for group, met in zip(groups, meets, strict=True) if met for each in group]
+        groups = [group for group, met in zip(groups, meets, strict=True) if not met]
+        groups.append([*together, spectrum])
+    return groups
+
+
+def _condition(group: Sequence[Spectrum], output: int, steps: ComplexArray, taps: int,
+               ) -> tuple[FloatArray, FloatArray]:
+    """Return what one motion says of the common numerator once its own gains are eliminated."""
+    driven = sorted({axis for each in group for axis in each.driven})
+    own, common = [], []
+    for spectrum in group:
+        weight = spectrum.weight[:, output, None]
+        basis = mode_basis(spectrum.z, steps)
+        gains = np.hstack([basis, delays(spectrum.z, taps)])
+        columns = [gains * spectrum.drive[:, axis, None] for axis in driven]
+        columns += [transient_basis(spectrum, basis) * (each is spectrum)
+                    for each in group if each.transient]
+        own.append(weight * np.hstack(columns))
+        motion = spectrum.motion[:, output, None]
+        common.append(weight * np.hstack([-motion * basis, motion]))
+    whole = np.hstack([np.concatenate(own), np.concatenate(common)])
+    triangle: FloatArray = np.asarray(
+        np.linalg.qr(np.concatenate([whole.real, whole.imag]), mode="r"))
+    first, last = np.concatenate(own).shape[1], triangle.shape[1] - 1
+    return triangle[first:last, first:last], triangle[first:last, last]
+
+
+def transient_basis(spectrum: Spectrum, basis: ComplexArray) -> ComplexArray:
+    """Return the spectra of what is left from before a recording and beyond it."""
+    return np.hstack([basis, spectrum.z[:, None] ** np.arange(spectrum.ahead + 1)])
+
+
+def real_form(steps: ComplexArray) -> tuple[FloatArray, FloatArray]:
+    """Return real dynamics and drive whose states respond as `mode_basis`."""
+    pairs, real = steps[steps.imag > 0.0], steps[steps.imag == 0.0].real
+    dynamics = np.diag(np.concatenate([np.repeat(pairs.real, 2), real]))
+    drive = np.ones(len(dynamics))
+    for at, step in enumerate(pairs):
+        dynamics[2 * at, 2 * at + 1], dynamics[2 * at + 1, 2 * at] = step.imag, -step.imag
+        drive[2 * at: 2 * at + 2] = 2.0, 0.0
+    return dynamics, drive
+
+
+def _stable(found: ComplexArray) -> ComplexArray:
+    """Return poles within the unit circle; one that alternates turns into one that decays."""
+    inside = np.where(np.abs(found) < 1.0, found, 1.0 / found.conj())
+    pairs = inside[inside.imag > 0.0]
+    real = np.maximum(np.abs(inside[inside.imag == 0.0].real), LEAST_STEP)
+    return np.concatenate([pairs, real.astype(complex)])

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What recordings of several axes tell at the lines of their spectra."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_recorder.reading.axes import AxesRecording
+
+SMOOTHED_LINES = 31
+"""Lines over which a spectral density is averaged. The scatter of six realisations of three axes is
+then known to 10 %; a mode with a damping ratio of 1 % is about as wide at 1 s of recording."""
+
+SAME_LEVEL = 1.1
+"""Ratio of amplitudes up to which recordings are of one level: the gain of an actuator changes by a
+few percent over it."""
+
+EXCITED = 1e-2
+"""Part of the largest line's voltage above which a line of a periodic voltage is played."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Drive and motion at lines, of a recording or of the response of a level to one axis.
+
+    Attributes
+    ----------
+    z : (K,) array of complex
+        On the unit circle.
+    drive, motion : (K, n) array of complex
+    weight : (K, n) array
+        One over the standard deviation of each motion.
+    amplitude_v : float
+        RMS of all voltages in the time domain.
+    transient : bool
+        The recording neither begins nor ends at rest, nor does it repeat.
+    ahead : int
+        Samples by which a motion was advanced at most: so many of its begin stand at its end.
+    """
+
+    z: ComplexArray
+    drive: ComplexArray
+    motion: ComplexArray
+    weight: FloatArray
+    amplitude_v: float
+    transient: bool
+    ahead: int = 0
+
+    @property
+    def driven(self) -> tuple[int, ...]:
+        """Return the axes that are driven."""
+        return tuple(np.flatnonzero(np.any(self.drive != 0.0, axis=0)))
+
+    def advanced(self, samples: np.ndarray) -> "Spectrum":
+        """Return the spectrum with each sensor's latency taken off, in samples."""
+        return replace(self, motion=self.motion * self.z[:, None] ** samples,
+                       ahead=int(np.max(samples)))
+
+
+def levels_of(recordings: Sequence[AxesRecording]) -> list[list[AxesRecording]]:
+    """Return the recordings by level of amplitude, rising."""
+    rising = sorted(recordings, key=lambda each: each.amplitude_v)
+    levels: list[list[AxesRecording]] = []
+    for recording in rising:
+        if levels and recording.amplitude_v <= SAME_LEVEL * levels[-1][0].amplitude_v:
+            levels[-1].append(recording)
+        else:
+            levels.append([recording])
+    return levels
+
+
+def spectra_of_level(recordings: Sequence[AxesRecording]) -> list[Spectrum]:
+    """Return what recordings of one level tell.
+
+    Where there are more realisations of equal periods than axes, it is the best linear
+    approximation, with the scatter of the realisations about it, noise and distortion alike, as
+    its deviation (Pintelon and Schoukens, "System Identification", 2012, section 7.3.6). Else it
+    is the spectrum of each recording.
+    """
+    first, n = recordings[0], len(recordings[0].axes)
+    alike = all(each.periods and each.periods == first.periods
+                and each.voltage_v.shape == first.voltage_v.shape for each in recordings)
+    if alike and len(recordings) > n:
+        return _linear_approximation(recordings)
+    return [_of_recording(each) for each in recordings]
+
+
+def smoothed(power: FloatArray) -> FloatArray:
+    """Return a density averaged over neighbouring lines, shape as given, lines first."""
+    lines = min(SMOOTHED_LINES, len(power))
+    averaged: FloatArray = uniform_filter1d(power, lines, axis=0, mode="nearest")
+    return averaged
+
+
+def reweighted(spectrum: Spectrum, left: ComplexArray) -> Spectrum:
+    """Return a spectrum whose deviations are what a fit leaves, shape (K, n)."""
+    deviation = np.sqrt(smoothed(np.abs(left) ** 2))
+    return replace(spectrum, weight=1.0 / np.maximum(deviation, np.finfo(float).tiny))
+
+
+def _of_recording(recording: AxesRecording) -> Spectrum:
+    """Return the spectrum of a recording, with deviations in proportion to its motion at first."""
+    z, _, (drive, motion) = _lines(recording)
+    drive, motion = drive.mean(axis=0), motion.mean(axis=0)
+    return reweighted(Spectrum(z, drive, motion, np.ones(motion.shape), recording.amplitude_v,
+                               transient=not recording.periods), motion)
+
+
+def _lines(recording: AxesRecording) -> tuple[ComplexArray, np.ndarray, list[ComplexArray]]:
+    """Return z, numbers of lines, and drive and motion of each period, (P, K, n)."""
+    periods = recording.periods or 1
+    samples = len(recording.voltage_v) // periods
+    spectra = [np.fft.rfft(signal.reshape(periods, samples, -1), axis=1)
+               for signal in (recording.voltage_v, recording.displacement_um)]
+    lines = np.arange(1, (samples + 1) // 2)
+    if recording.periods:
+        size = np.abs(spectra[0][:, lines]).max(axis=(0, 2))
+        lines = lines[size > EXCITED * size.max()]
+    return np.exp(2j * np.pi * lines / samples), lines, [each[:, lines] for each in spectra]
+
+
+def _linear_approximation(recordings: Sequence[AxesRecording]) -> list[Spectrum]:
+    found = [_lines(each) for each in recordings]
+    common = set.intersection(*(set(lines.tolist()) for _, lines, _ in found))
+    kept = [np.isin(lines, sorted(common)) for _, lines, _ in found]
+    z = found[0][0][kept[0]]
+    # Lines, axes, realisations.
+    drive = np.stack([each[0].mean(axis=0)[keep] for (_, _, each), keep in zip(
+        found, kept, strict=True)], axis=-1)
+    motion = np.stack([each[1].mean(axis=0)[keep] for (_, _, each), keep in zip(
+        found, kept, strict=True)], axis=-1)
+    periods = recordings[0].periods
+    noise = np.zeros(motion.shape)
+    if periods > 1:
+        noise = smoothed(np.stack([
+            np.var(each[1][:, keep], axis=0, ddof=1) / periods
+            for (_, _, each), keep in zip(found, kept, strict=True)], axis=-1))
+    realisations, n = len(recordings), drive.shape[1]
+    weight = np.ones(motion.shape)
+    for _ in range(2):  # the second time, noisy realisations count less
+        gain, inverse = _weighted_gain(drive, motion, weight)
+        left = np.abs(motion - gain @ drive) ** 2 * (realisations / (realisations - n))
+        distortion = np.maximum(smoothed(np.mean(left, axis=2) - np.mean(noise, axis=2)),
+                                smoothed(np.mean(left, axis=2)) / realisations)
+        weight = 1.0 / np.sqrt(distortion[:, :, None] + noise)
+    gain, inverse = _weighted_gain(drive, motion, weight)
+    amplitude_v = float(np.mean([each.amplitude_v for each in recordings]))
+    deviation = np.sqrt(np.einsum("kijj->kij", inverse).real)
+    return [Spectrum(z, np.tile(np.eye(n)[axis], (z.size, 1)).astype(complex), gain[:, :, axis],
+                     1.0 / deviation[:, :, axis], amplitude_v, transient=False)
+            for axis in range(n)]
+
+
+def _weighted_gain(drive: ComplexArray, motion: ComplexArray, weight: FloatArray,
+                   ) -> tuple[ComplexArray, ComplexArray]:
+    """Return gain (K, n, n) and its covariance over the driven axes, (K, n, n, n)."""
+    square = weight**2
+    products = np.einsum("kar,kir,kbr->kiab", drive.conj(), square, drive)
+    targets = np.einsum("kar,kir,kir->kia", drive.conj(), square, motion)
+    inverse = np.linalg.inv(products)
+    return np.einsum("kiab,kib->kia", inverse, targets), inverse

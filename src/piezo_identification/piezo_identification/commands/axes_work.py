@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What `identify`, `simulate` and `check` do with files of several axes."""
+
+import argparse
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from piezo_common.command_line import INTERRUPTED, budget_of, print_next
+from piezo_common.picture_style import to_png
+from piezo_common.progress_lines import progress_printed
+from piezo_common.summary_table import SummaryTable
+from piezo_identification.axes.identify_axes import identify_several_axes
+from piezo_identification.axes.predict_axes import predict_several_axes
+from piezo_identification.axes.spectra import levels_of
+from piezo_models.axes.axes_file import load_axes_model, save_axes_model
+from piezo_recorder.reading.axes import AxesRecording, is_of_axes, read_axes
+
+OF_ONE_AXIS = ("creep_pairs", "antiresonances", "band", "grid", "smoothing", "translation_weight")
+"""Options of `identify` for parts that a model of several axes does not have."""
+
+
+def are_of_axes(paths: Iterable[Path]) -> bool:
+    """Tell whether files are recordings of several axes.
+
+    Raises
+    ------
+    ValueError
+        If some are and others are not.
+    """
+    listed = list(paths)
+    of_axes = [is_of_axes(path) for path in listed]
+    if any(of_axes) and not all(of_axes):
+        raise ValueError(f"{listed[of_axes.index(False)]} is of one axis and "
+                         f"{listed[of_axes.index(True)]} of several: give files of one stage")
+    return bool(listed) and all(of_axes)
+
+
+def identify_axes_files(options: argparse.Namespace,
+                        paths: Mapping[str, Sequence[Path]]) -> int | None:
+    """Identify a model of several axes; write it, and print what was found.
+
+    Parameters
+    ----------
+    paths : dict of str to list of Path
+        By experiment. All but ``validation`` are fitted together.
+
+    Returns
+    -------
+    int or None
+        Exit status, where the work was interrupted.
+    """
+    for name in OF_ONE_AXIS:
+        if getattr(options, name) is not None:
+            raise ValueError(f"--{name.replace('_', '-')} is for one axis: leave it out")
+    fitted = _read(path for name, listed in paths.items() if name != "validation"
+                   for path in listed)
+    budget = budget_of(options)
+    with progress_printed(budget) as progress:
+        identified = identify_several_axes(
+            fitted, _read(paths.get("validation", ())), pairs=options.modes, note=print,
+            progress=progress, budget=budget)
+    save_axes_model(options.output, identified)
+    print(identified.summary())
+    print("e_y: norm of the difference over that of the measured displacement without its mean "
+          "(4.20), percent")
+    print(f"model written to {options.output}")
+    if budget.is_interrupted:
+        return INTERRUPTED
+    print_next(options, "piezo_identification", "simulate", "--model", options.output, "--data",
+               "<a recording that was not fitted>", "--output", options.output.with_suffix(""))
+    return None
+
+
+def simulate_axes_file(options: argparse.Namespace) -> None:
+    """Simulate a model of several axes under recordings; print the errors and draw both."""
+    if options.voltage:
+        raise ValueError("--voltage is for a model of one axis: give --data, or use "
+                         "CoupledModel.simulate in Python")
+    model = load_axes_model(options.model).model
+    for recording in _read([options.data]):
+        prediction = predict_several_axes(model, recording)
+        print(recording.name)
+        for axis, error in prediction.e_y_percent().items():
+            print(f"{axis} e_y_percent {error:.4g}")
+        if options.output is not None:
+            options.output.mkdir(parents=True, exist_ok=True)
+            name = "_".join(filter(None, ("displacement", recording.title)))
+            picture = options.output / f"{name}.png"
+            picture.write_bytes(to_png(prediction.plot()))
+            print(f"drawn {picture}")
+    print("e_y: norm of the difference over that of the measured displacement without its mean "
+          "(4.20), percent")
+
+
+def check_axes_file(path: Path) -> None:
+    """Print what the recordings of a file of several axes are good for."""
+    recordings = _read([path])
+    print(axes_table(str(path), recordings))
+
+
+def axes_table(name: str, recordings: Sequence[AxesRecording]) -> SummaryTable:
+    """Return what each axis does in each recording, as a table with notes."""
+    rows: list[tuple[str | float | None, ...]] = []
+    for recording in recordings:
+        moves = np.ptp(recording.voltage_v, axis=0) > 0.0
+        noise = _noise_um(recording)
+        rows += [(recording.title, axis, "yes" if moves[number] else "no",
+                  float(np.std(recording.voltage_v[:, number])),
+                  float(np.std(recording.displacement_um[:, number])),
+                  None if noise is None else float(noise[number]))
+                 for number, axis in enumerate(recording.axes)]
+    first = recordings[0]
+    levels = levels_of(recordings)
+    notes = [f"{len(recordings)} recordings of {len(first.voltage_v)} samples at "
+             f"{1.0 / first.sample_period_s:.6g} Hz, {first.periods or 'no'} periods known to be "
+             "equal, at the levels (RMS) " + ", ".join(
+                 f"{level[0].amplitude_v:.3g} V of {len(level)}" for level in levels)]
+    enough = all(level[0].periods and len(level) > len(first.axes) for level in levels)
+    notes.append(
+        "more realisations than axes at each level: noise and distortion are told apart from the "
+        "response, and softening is told where there are several levels" if enough else
+        "noise and distortion are estimated from what a model leaves; more realisations of equal "
+        "periods than axes would tell them")
+    resting = [axis for number, axis in enumerate(first.axes)
+               if all(np.ptp(each.voltage_v[:, number]) == 0.0 for each in recordings)]
+    if resting:
+        notes.append(f"at rest throughout: {', '.join(resting)}; record how they move, too")
+    return SummaryTable(name, ("recording", "axis", "moves", "voltage RMS (V)",
+                               "displacement RMS (um)", "noise RMS (um)"), rows, tuple(notes))
+
+
+def _noise_um(recording: AxesRecording) -> np.ndarray | None:
+    """Return the noise by the differences of equal periods, (n,); None where there are none."""
+    if recording.periods < 2:
+        return None
+    periods = recording.displacement_um.reshape(recording.periods, -1, len(recording.axes))
+    noise: np.ndarray = np.sqrt(np.mean(np.var(periods, axis=0, ddof=1), axis=0))
+    return noise
+
+
+def _read(paths: Iterable[Path]) -> list[AxesRecording]:
+    recordings = []
+    for path in paths:
+        print(f"reading {path}", flush=True)
+        recordings += read_axes(path)
+    for note in dict.fromkeys(note for each in recordings for note in each.notes):
+        print(note)
+    return recordings

@@ -1,0 +1,418 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Two or three axes that share their modes, and soften as they are driven harder."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import control
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import block_diag, eig
+from scipy.signal import lfilter
+
+from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_models.axes.coupled_kernels import run_modes
+
+LEAST_SEPARATION = 1e-10
+"""Distance in the z plane below which poles are copies of one, a thousand times the rounding."""
+
+NEAR = 0.05
+"""Part of its frequency by which a mode may have moved: actuators soften by a few percent."""
+
+SHORTEST_MEMORY = 1e-3
+"""Size of a pole in the z plane up to which it is a rest of a delay: m of them that meet at 0 are
+computed to the m-th root of the rounding, and no mode decays by as much in one sample."""
+
+
+@dataclass(frozen=True, eq=False)
+class Softening:
+    """What the modes and the gain lose as the amplitude of the voltage rises.
+
+    Ferroelectric actuators grow softer, more lossy and more sensitive with their amplitude, slowly
+    against the beats of the modes. With ``a`` the distance of the amplitude from the reference, in
+    parts of it, the elongation of each actuator acts back on its voltage:
+    ``v = u - sum over p of a^p (elongation_p of v + gain_p u)``, p from 1 on.
+
+    Attributes
+    ----------
+    elongations : (P, K, n, n) array of complex
+        Residue of each mode in the elongation of each actuator, by the axis that drives it.
+    gain : (P, n, n) array
+        Part of the voltage itself.
+    reference_v : float
+        Amplitude at which the linear part holds: RMS of all voltages about the operating point.
+    memory_s : float
+        Time constant over which the mean square of the voltage is taken.
+    range_v : (float, float)
+        Amplitudes of the identification; the softening is held beyond them.
+    """
+
+    elongations: ComplexArray
+    gain: FloatArray
+    reference_v: float
+    memory_s: float
+    range_v: tuple[float, float]
+
+    def strengths(self, amplitude_v: ArrayLike) -> FloatArray:
+        """Return the powers of the distance from the reference, shape of the amplitudes and P."""
+        away = np.clip(amplitude_v, *self.range_v) / self.reference_v - 1.0
+        strengths: FloatArray = away[..., None] ** np.arange(1, len(self.gain) + 1)
+        return strengths
+
+    def amplitude_v(self, drive_v: FloatArray, sample_period_s: float) -> FloatArray:
+        """Return the running RMS of a voltage about the operating point, shape (N,).
+
+        It begins with that of the first `memory_s`.
+
+        Parameters
+        ----------
+        drive_v : (N, n) array
+        """
+        square = np.mean(drive_v**2, axis=1)
+        begin = square[: max(1, round(self.memory_s / sample_period_s))].mean()
+        kept = np.exp(-sample_period_s / self.memory_s)
+        mean, _ = lfilter([1.0 - kept], [1.0, -kept], square, zi=[kept * begin])
+        amplitude_v: FloatArray = np.sqrt(np.maximum(mean, 0.0))
+        return amplitude_v
+
+
+@dataclass(frozen=True, eq=False)
+class CoupledModel:
+    """Linear motion of several axes about an operating point: modes that all of them share.
+
+    Attributes
+    ----------
+    axes : tuple of str
+        Names, in the order of rows and columns.
+    sample_period_s : float
+        The model predicts samples at this period, from voltages held between them.
+    poles_rad_per_s : (K,) array of complex
+        One of each conjugate pair, the upper one; real poles have no imaginary part.
+    residues_um_per_v : (K, n, n) array of complex
+        By mode, axis that moves and axis that is driven, of the sampled response: the sum of
+        ``R / (z - exp(pole T))`` and, of complex poles, their conjugates.
+    direct_um_per_v : (L, n, n) array
+        Motion that follows the voltage of the same sample, of the one before, and so on.
+    latency_samples : (n,) array of int
+        Whole samples by which each sensor is late.
+    operating_voltage_v, operating_displacement_um : (n,) array
+    softening : Softening, optional
+    """
+
+    axes: tuple[str, ...]
+    sample_period_s: float
+    poles_rad_per_s: ComplexArray
+    residues_um_per_v: ComplexArray
+    direct_um_per_v: FloatArray
+    latency_samples: np.ndarray
+    operating_voltage_v: FloatArray
+    operating_displacement_um: FloatArray
+    softening: Softening | None = None
+
+    def __post_init__(self) -> None:
+        modes, n = self.poles_rad_per_s.size, len(self.axes)
+        shapes = {
+            "residues_um_per_v": (self.residues_um_per_v.shape, (modes, n, n)),
+            "direct_um_per_v": (self.direct_um_per_v.shape[1:], (n, n)),
+            "latency_samples": (self.latency_samples.shape, (n,)),
+            "operating_voltage_v": (self.operating_voltage_v.shape, (n,)),
+            "operating_displacement_um": (self.operating_displacement_um.shape, (n,))}
+        if self.softening is not None:
+            parts = len(self.softening.gain)
+            shapes["softening.elongations"] = (
+                self.softening.elongations.shape, (parts, modes, n, n))
+            shapes["softening.gain"] = (self.softening.gain.shape, (parts, n, n))
+        for name, (found, wanted) in shapes.items():
+            if found != wanted:
+                raise ValueError(f"{name} has the shape {found}; give {wanted}")
+        if np.any(self.poles_rad_per_s.real >= 0.0) or np.any(self.poles_rad_per_s.imag < 0.0):
+            raise ValueError("a pole is not stable or not of the upper half; give stable ones")
+
+    def __repr__(self) -> str:
+        soft = ", softening" if self.softening else ""
+        return (f"<CoupledModel of {', '.join(self.axes)}: {self.poles_rad_per_s.size} modes at "
+                f"{1.0 / self.sample_period_s:.6g} Hz{soft}>")
+
+    @property
+    def _multiples(self) -> FloatArray:
+        return np.where(self.poles_rad_per_s.imag > 0.0, 2.0, 1.0)
+
+    def response(self, frequency_hz: ArrayLike, amplitude_v: float | None = None) -> ComplexArray:
+        """Return the response from every axis to every axis.
+
+        Parameters
+        ----------
+        frequency_hz : (F,) array_like
+        amplitude_v : float, optional
+            At which it softens; the reference by default.
+
+        Returns
+        -------
+        (F, n, n) array of complex
+            In um/V, by frequency, axis that moves and axis that is driven.
+        """
+        z = np.exp(2j * np.pi * np.atleast_1d(frequency_hz) * self.sample_period_s)
+        elongations, gain = self._softened(amplitude_v)
+        force = np.linalg.solve(np.eye(len(self.axes)) + self._modal(z, elongations),
+                                np.eye(len(self.axes)) - gain)
+        delays = z[:, None] ** -np.arange(self.direct_um_per_v.shape[0])
+        direct = np.einsum("fl,lij->fij", delays, self.direct_um_per_v)
+        late = z[:, None] ** -self.latency_samples
+        motion = self._modal(z, self.residues_um_per_v) @ force + direct
+        response: ComplexArray = late[:, :, None] * motion
+        return response
+
+    def _modal(self, z: ComplexArray, residues: ComplexArray) -> ComplexArray:
+        steps = np.exp(self.poles_rad_per_s * self.sample_period_s)
+        pairs = self.poles_rad_per_s.imag > 0.0
+        upper = np.einsum("fk,kij->fij", 1.0 / (z[:, None] - steps), residues)
+        lower = np.einsum("fk,kij->fij", 1.0 / (z[:, None] - steps[pairs].conj()),
+                          residues[pairs].conj())
+        response: ComplexArray = upper + lower
+        return response
+
+    def _softened(self, amplitude_v: float | None) -> tuple[ComplexArray, FloatArray]:
+        """Return residues and gain by which the motion at an amplitude acts back."""
+        if self.softening is None or amplitude_v is None:
+            return np.zeros_like(self.residues_um_per_v), np.zeros((len(self.axes),) * 2)
+        strengths = self.softening.strengths(amplitude_v)
+        return (np.tensordot(strengths, self.softening.elongations, 1),
+                np.tensordot(strengths, self.softening.gain, 1))
+
+    def simulate(self, voltage_v: ArrayLike, periodic: bool = False) -> FloatArray:
+        """Return the displacement under a voltage.
+
+        Parameters
+        ----------
+        voltage_v : (N, n) array_like
+            Each value held for a sample period. The stage has rested at the first one.
+        periodic : bool
+            The voltage has been repeated for long instead.
+
+        Returns
+        -------
+        (N, n) array
+            In um at the sample instants.
+
+        Raises
+        ------
+        ValueError
+            If the voltage has another shape or is not finite.
+        """
+        voltages_v = np.asarray(voltage_v, dtype=float)
+        if voltages_v.ndim != 2 or voltages_v.shape[1] != len(self.axes) or not voltages_v.size:
+            raise ValueError(f"the voltage has the shape {voltages_v.shape}; give (samples, "
+                             f"{len(self.axes)}), one column for each of {', '.join(self.axes)}")
+        if not np.all(np.isfinite(voltages_v)):
+            raise ValueError("a voltage is not finite; mend it or cut it out")
+        drive_v = voltages_v - self.operating_voltage_v
+        motion_um = self._run(drive_v, periodic) + sum(
+            _delayed(drive_v, age, periodic) @ tap.T
+            for age, tap in enumerate(self.direct_um_per_v))
+        late_um = np.column_stack([
+            _delayed(column, late, periodic)
+            for column, late in zip(motion_um.T, self.latency_samples, strict=True)])
+        return late_um + self.operating_displacement_um
+
+    def _run(self, drive_v: FloatArray, periodic: bool) -> FloatArray:
+        n, multiples = len(self.axes), self._multiples[:, None, None]
+        steps = np.exp(self.poles_rad_per_s * self.sample_period_s)
+        strengths, gain = np.zeros((len(drive_v), 0)), np.zeros((0, n, n))
+        elongations = np.zeros((0, steps.size, n, n), dtype=complex)
+        first_v = None
+        if self.softening is not None:
+            amplitude_v = self.softening.amplitude_v(drive_v, self.sample_period_s)
+            strengths, first_v = self.softening.strengths(amplitude_v), amplitude_v[0]
+            elongations, gain = self.softening.elongations, self.softening.gain
+        back, gain_back = self._softened(first_v)
+        at_rest = np.eye(n) + self._modal(np.ones(1, dtype=complex), back)[0].real
+        force_v = np.linalg.solve(at_rest, drive_v[0] - gain_back @ drive_v[0])
+        state = (force_v / (1.0 - steps[:, None])).astype(complex)
+        before, motion_um = state.copy(), np.empty_like(drive_v)
+        read = (multiples * self.residues_um_per_v).astype(complex)
+        back_read = (multiples * elongations).astype(complex)
+        for again in (True, False)[not periodic:]:
+            run_modes(drive_v, strengths, steps, read, back_read, gain, state, motion_um)
+            if again:  # what has not decayed within the period is added up
+                left = steps[:, None] ** len(drive_v)
+                state = (state - left * before) / (1.0 - left)
+        return motion_um
+
+    def at_amplitude(self, amplitude_v: float) -> Self:
+        """Return the linear model to which this one softens at an amplitude."""
+        if self.softening is None:
+            return self
+        return type(self).from_control(
+            self.to_control(amplitude_v), self.axes, self.operating_voltage_v,
+            self.operating_displacement_um)
+
+    def mode_near(self, frequency_hz: float, amplitude_v: float | None = None) -> complex:
+        """Return the pole, in rad/s, of the highest resonance near a frequency.
+
+        Parameters
+        ----------
+        frequency_hz : float
+            Within `NEAR` of which it is sought.
+        amplitude_v : float, optional
+            At which the model softens; the reference by default.
+
+        Raises
+        ------
+        ValueError
+            If there is none.
+        """
+        linear = self if amplitude_v is None else self.at_amplitude(amplitude_v)
+        poles = linear.poles_rad_per_s
+        height = np.linalg.norm(linear.residues_um_per_v, axis=(1, 2)) / -poles.real
+        off = np.abs(np.abs(poles) / (2.0 * np.pi * frequency_hz) - 1.0)
+        near = (poles.imag > 0.0) & (off < NEAR)
+        if not near.any():
+            raise ValueError(f"there is no mode within {100 * NEAR:.0f} % of {frequency_hz:.4g} Hz")
+        return complex(poles[np.argmax(np.where(near, height, 0.0))])
+
+    def to_control(self, amplitude_v: float | None = None) -> control.StateSpace:
+        """Return the model at an amplitude as a discrete system of python-control.
+
+        Parameters
+        ----------
+        amplitude_v : float, optional
+            At which it softens; the reference by default.
+
+        Returns
+        -------
+        control.StateSpace
+            From ``x_voltage_v``, ... to ``x_displacement_um``, ..., about the operating point.
+        """
+        n = len(self.axes)
+        modes, drive = _copies_of_modes(
+            np.exp(self.poles_rad_per_s * self.sample_period_s), n)
+        elongations, gain = self._softened(amplitude_v)
+        modes = modes - drive @ self._readout(elongations)
+        read = self._readout(self.residues_um_per_v)
+        modal = control.ss(modes, drive @ (np.eye(n) - gain), read, np.zeros((n, n)),
+                           self.sample_period_s)
+        late = np.zeros((self.latency_samples.max() + 1, n, n))
+        late[self.latency_samples, range(n), range(n)] = 1.0
+        system = _shift_register(late, self.sample_period_s) * (
+            modal + _shift_register(self.direct_um_per_v, self.sample_period_s))
+        return control.ss(system, inputs=[f"{axis}_voltage_v" for axis in self.axes],
+                          outputs=[f"{axis}_displacement_um" for axis in self.axes])
+
+    def _readout(self, residues: ComplexArray) -> FloatArray:
+        """Return how outputs read the states of `_copies_of_modes`, shape (n, states)."""
+        columns = []
+        for residue, pole in zip(residues, self.poles_rad_per_s, strict=True):
+            columns += [2.0 * residue.real, -2.0 * residue.imag] if pole.imag else [residue.real]
+        return np.hstack(columns)
+
+    @classmethod
+    def from_control(
+        cls, system: control.StateSpace | control.TransferFunction, axes: tuple[str, ...],
+        operating_voltage_v: ArrayLike | None = None,
+        operating_displacement_um: ArrayLike | None = None,
+    ) -> Self:
+        """Return the modal model of a discrete system of python-control.
+
+        Parameters
+        ----------
+        system : control.StateSpace or control.TransferFunction
+            Discrete and stable, with as many inputs as outputs, poles that differ.
+        axes : tuple of str
+        operating_voltage_v, operating_displacement_um : (n,) array_like, optional
+            0 by default.
+
+        Raises
+        ------
+        ValueError
+            If the system is another one.
+        """
+        n = len(axes)
+        if (system.ninputs, system.noutputs) != (n, n):
+            raise ValueError(f"the system has {system.ninputs} inputs and {system.noutputs} "
+                             f"outputs; give {n} of each, one for each axis")
+        if not system.dt or system.dt is True:
+            raise ValueError("the system has no sample period; give a discrete one, such as by "
+                             "control.sample_system(system, sample_period_s)")
+        a, b, c, d = map(np.asarray, control.ssdata(control.ss(system)))
+        found, left, right = eig(a, left=True, right=True)
+        if np.any(np.abs(found) >= 1.0):
+            raise ValueError("the system is not stable; give a stable one")
+        lasting = np.abs(found) > SHORTEST_MEMORY
+        steps, residues = _poles_and_residues(
+            found[lasting], c @ right[:, lasting], left[:, lasting].conj().T @ b,
+            left[:, lasting].conj().T @ right[:, lasting])
+        taps, power = [d], b
+        for age in range(np.count_nonzero(~lasting)):
+            modal = np.einsum("k,kij->ij", steps**age, residues).real
+            taps.append(c @ power - modal)
+            power = a @ power
+        upper, period_s = steps.imag >= 0.0, float(system.dt)
+        zeros = np.zeros(n)
+        poles = (np.log(steps[upper]) / period_s).astype(complex)
+        return cls(
+            axes, period_s, poles, residues[upper], np.array(taps),
+            np.zeros(n, dtype=int),
+            zeros if operating_voltage_v is None else np.asarray(operating_voltage_v, float),
+            zeros if operating_displacement_um is None
+            else np.asarray(operating_displacement_um, float))
+
+
+def _poles_and_residues(
+    found: ComplexArray, read: ComplexArray, drive: ComplexArray, overlap: ComplexArray,
+) -> tuple[ComplexArray, ComplexArray]:
+    """Return each pole once, with the residue of all its copies together.
+
+    Parameters
+    ----------
+    found : (k,) array of complex
+        Eigenvalues.
+    read : (n, k) array of complex
+        Right eigenvectors at the outputs.
+    drive : (k, n) array of complex
+        Left eigenvectors at the inputs.
+    overlap : (k, k) array of complex
+        Products of left and right eigenvectors.
+    """
+    steps, residues, left_over = [], [], np.arange(found.size)
+    while left_over.size:
+        near = np.abs(found[left_over] - found[left_over[0]]) < LEAST_SEPARATION
+        copies, left_over = left_over[near], left_over[~near]
+        of_copies = overlap[np.ix_(copies, copies)]
+        if np.linalg.norm(of_copies, -2) < LEAST_SEPARATION:  # the least singular value
+            raise ValueError("two modes of the system are one that grows with time before it "
+                             "decays; give a system whose modes differ")
+        steps.append(found[copies].mean())
+        residues.append(read[:, copies] @ np.linalg.solve(of_copies, drive[copies]))
+    axes = read.shape[0]
+    return np.array(steps), np.array(residues, dtype=complex).reshape(-1, axes, axes)
+
+
+def _delayed(signal: FloatArray, samples: int, periodic: bool) -> FloatArray:
+    """Return a signal later by whole samples; what came before is the period or its begin."""
+    at = np.arange(len(signal)) - samples
+    delayed: FloatArray = signal[at % len(signal) if periodic else np.maximum(at, 0)]
+    return delayed
+
+
+def _copies_of_modes(steps: ComplexArray, axes: int) -> tuple[FloatArray, FloatArray]:
+    """Return real dynamics of modes and how each axis drives its own copy of them."""
+    blocks, drives = [], []
+    for step in steps:
+        if step.imag:
+            blocks.append(np.array([[step.real, -step.imag], [step.imag, step.real]]))
+            drives += [1.0, 0.0]
+        else:
+            blocks.append(np.array([[step.real]]))
+            drives.append(1.0)
+    # States in the order mode, part, axis, as `_readout` has its columns.
+    return np.kron(block_diag(*blocks), np.eye(axes)), np.kron(
+        np.array(drives)[:, None], np.eye(axes))
+
+
+def _shift_register(taps: FloatArray, sample_period_s: float) -> control.StateSpace:
+    """Return the system that multiplies the present voltage and past ones, (L, n, n)."""
+    past, n = len(taps) - 1, taps.shape[1]
+    shift = np.kron(np.eye(past, k=-1), np.eye(n))
+    enter = np.kron(np.eye(past, 1), np.eye(n))
+    read = np.hstack([*taps[1:], np.zeros((n, 0))])
+    return control.ss(shift, enter, read, taps[0], sample_period_s)

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A model of several axes together with what is known of its identification."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+
+import numpy as np
+
+from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_common.summary_table import SummaryTable
+from piezo_models.axes.coupled import CoupledModel
+
+NORMAL_90 = 1.6449
+"""Standard deviations within which 90 % of a normal distribution lie."""
+
+
+LIGHT = 0.05
+"""Damping ratio up to which a pair of poles is a resonance that one can see."""
+
+
+@dataclass(frozen=True, eq=False)
+class Coupling:
+    """The response from every axis to every axis at some frequencies, and its deviation.
+
+    Attributes
+    ----------
+    frequency_hz : (F,) array
+    gain_um_per_v : (F, n, n) array of complex
+        By frequency, axis that moves and axis that is driven; at the reference amplitude.
+    deviation_um_per_v : (F, n, n) array of complex
+        Standard deviations of the real parts, and those of the imaginary parts.
+    """
+
+    frequency_hz: FloatArray
+    gain_um_per_v: ComplexArray
+    deviation_um_per_v: ComplexArray
+
+    def interval_90(self) -> tuple[ComplexArray, ComplexArray]:
+        """Return the lower and upper ends of the 90 % intervals of real and imaginary parts."""
+        half = NORMAL_90 * self.deviation_um_per_v
+        return self.gain_um_per_v - half, self.gain_um_per_v + half
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifiedAxes:
+    """A model of several axes with what is known of its identification.
+
+    Attributes
+    ----------
+    voltage_range_v : (n, 2) array
+        Lowest and highest voltage of each axis.
+    coupling : Coupling
+    pole_deviations_rad_per_s : (K,) array of complex
+        Standard deviations of the real parts, and those of the imaginary parts.
+    residue_deviations_um_per_v : (K, n, n) array of complex
+        The same of the residues.
+    delays_s, delay_deviations_s : (n,) array
+        Of each sensor, by the phases of the modes in it; see `CoupledModel` for what is simulated.
+    errors : dict of str to dict
+        ``e_y_percent`` of each axis on data that was not fitted.
+    recordings : list of {"path": str, "sha256": str}
+    created : str
+        ISO 8601.
+    unfinished : str
+        Why the identification ended early; empty where it was done.
+    """
+
+    model: CoupledModel
+    voltage_range_v: FloatArray
+    coupling: Coupling
+    pole_deviations_rad_per_s: ComplexArray
+    residue_deviations_um_per_v: ComplexArray
+    delays_s: FloatArray
+    delay_deviations_s: FloatArray
+    errors: dict[str, dict[str, float]] = field(default_factory=dict)
+    recordings: Sequence[dict[str, str]] = ()
+    created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+    unfinished: str = ""
+
+    def __repr__(self) -> str:
+        return f"<IdentifiedAxes of {self.created}: {self.model!r}>"
+
+    def _repr_html_(self) -> str:
+        return self.summary()._repr_html_()
+
+    def summary(self) -> SummaryTable:
+        """Return modes with deviations, static coupling, delays and softening as a table."""
+        model = self.model
+        rows: list[tuple[str | float | None, ...]] = []
+        for number, (pole, off) in enumerate(zip(
+                model.poles_rad_per_s, self.pole_deviations_rad_per_s, strict=True), start=1):
+            if pole.imag:
+                rows.append((f"mode {number} frequency", "Hz", abs(pole) / (2.0 * np.pi),
+                             off.imag / (2.0 * np.pi)))
+                rows.append((f"mode {number} damping ratio", "1", -pole.real / abs(pole),
+                             off.real / abs(pole)))
+            else:
+                rows.append((f"mode {number} rate", "rad/s", -pole.real, off.real))
+        lowest = int(np.argmin(self.coupling.frequency_hz))
+        at_hz = self.coupling.frequency_hz[lowest]
+        for i, moved in enumerate(model.axes):
+            for j, driven in enumerate(model.axes):
+                rows.append((f"{moved} from {driven} at {at_hz:.3g} Hz", "um/V",
+                             self.coupling.gain_um_per_v[lowest, i, j].real,
+                             self.coupling.deviation_um_per_v[lowest, i, j].real))
+        rows += [(f"delay of {axis}", "s", float(delay_s), float(off_s)) for axis, delay_s, off_s in
+                 zip(model.axes, self.delays_s, self.delay_deviations_s, strict=True)]
+        notes = [f"{axis}: e_y {error['e_y_percent']:.3g} % on data that was not fitted"
+                 for axis, error in self.errors.items()]
+        notes += self.softening_sentences()
+        if self.unfinished:
+            notes.append(f"unfinished: {self.unfinished}")
+        return SummaryTable(repr(model)[1:-1], ("parameter", "unit", "value", "std. dev."), rows,
+                            tuple(notes))
+
+    def softening_sentences(self) -> list[str]:
+        """Say how the static gain and the highest modes change with the amplitude.
+
+        A mode is left out where a higher one is near, or its damping is not known to a half.
+        """
+        softening = self.model.softening
+        if softening is None:
+            return []
+        low, high = softening.range_v
+        gain, more = (np.trace(self.model.response(0.0, each)[0].real) for each in (low, high))
+        sentences = [
+            f"softening: as the RMS of the voltages rises from {low:.3g} to {high:.3g} V, the "
+            f"static gain changes by {100 * (more / gain - 1):+.2g} % (amplitude-dependent gain), "
+            "and"]
+        poles = self.model.poles_rad_per_s
+        known = self.pole_deviations_rad_per_s.real < -0.5 * poles.real
+        seen = (poles.imag > 0.0) & (poles.real > -LIGHT * np.abs(poles)) & known
+        for pole in sorted(poles[seen], key=abs):
+            frequency_hz = abs(pole) / (2.0 * np.pi)
+            if self.model.mode_near(frequency_hz) != pole:
+                continue  # beside a higher one
+            stiff, soft = (self.model.mode_near(frequency_hz, each) for each in (low, high))
+            sentences.append(
+                f"  the mode at {frequency_hz:.4g} Hz by {100 * (abs(soft) / abs(stiff) - 1):+.2g} "
+                f"% (amplitude-dependent stiffness), its damping ratio from "
+                f"{-stiff.real / abs(stiff):.3g} to {-soft.real / abs(soft):.3g} "
+                "(amplitude-dependent damping)")
+        return sentences

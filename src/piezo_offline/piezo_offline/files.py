@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The files of models, of one axis or of several."""
+
+from os import PathLike
+
+from piezo_models.axes.axes_file import load_axes_model, save_axes_model
+from piezo_models.axes.identified_axes import IdentifiedAxes
+from piezo_models.identified_model import IdentifiedModel
+from piezo_models.model_file import is_of_several_axes
+from piezo_models.model_file import load_model as load_model_of_one_axis
+from piezo_models.model_file import save_model as save_model_of_one_axis
+
+
+def load_model(path: str | PathLike[str]) -> IdentifiedModel | IdentifiedAxes:
+    """Read a model file, of one axis or of several.
+
+    Raises
+    ------
+    piezo_models.ModelFileError
+        If the file is missing, is no model file of this version, or a field of it does not fit.
+    """
+    return load_axes_model(path) if is_of_several_axes(path) else load_model_of_one_axis(path)
+
+
+def save_model(path: str | PathLike[str], identified: IdentifiedModel | IdentifiedAxes) -> None:
+    """Write a model file; the file at `path` is replaced at once or not at all.
+
+    Raises
+    ------
+    piezo_models.ModelFileError
+        If the file cannot be written, or there is one that is no model file.
+    """
+    if isinstance(identified, IdentifiedAxes):
+        save_axes_model(path, identified)
+    else:
+        save_model_of_one_axis(path, identified)

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The same steps in Python with arrays of two axes."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+import piezo_offline
+from piezo_models import IdentifiedAxes
+
+GAIN = np.array([[0.2, 0.004], [-0.003, 0.15]])
+
+
+def columns(seed):
+    """Return columns of two lagged axes with static coupling, from rest."""
+    rng = np.random.default_rng(seed)
+    drive = rng.normal(size=(1500, 2)) * (np.arange(1500)[:, None] > 20)
+    moved = lfilter([0.0, 0.4], [1.0, -0.6], drive @ GAIN.T, axis=0)
+    measured = moved + 1e-3 * rng.normal(size=moved.shape)
+    return {"time_s": 1e-3 * np.arange(1500), "x_voltage_v": drive[:, 0],
+            "y_voltage_v": drive[:, 1], "x_displacement_um": measured[:, 0],
+            "y_displacement_um": measured[:, 1]}
+
+
+@pytest.fixture(scope="module")
+def identified():
+    return piezo_offline.identify(dynamics=columns(1), validation=columns(2), modes=1)
+
+
+def test_arrays_of_two_axes_give_a_model_of_both(identified):
+    assert isinstance(identified, IdentifiedAxes)
+    np.testing.assert_allclose(identified.model.response(0.0)[0].real, GAIN, atol=2e-3)
+    assert all(error["e_y_percent"] < 3.0 for error in identified.errors.values())
+
+
+def test_a_saved_model_simulates_alike(identified, tmp_path):
+    path = tmp_path / "model.json"
+    piezo_offline.save_model(path, identified)
+    assert isinstance(piezo_offline.load_model(path), IdentifiedAxes)
+    unseen = columns(3)
+    errors = piezo_offline.simulate(path, unseen).e_y_percent()
+    assert errors == pytest.approx(piezo_offline.simulate(identified, unseen).e_y_percent())
+
+
+def test_several_recordings_are_refused_where_one_is_simulated(identified):
+    with pytest.raises(ValueError, match="hold 2 recordings"):
+        piezo_offline.simulate(identified, [columns(3), columns(4)])

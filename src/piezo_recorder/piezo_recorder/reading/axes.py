@@ -1,0 +1,312 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Recordings of two or three axes: tables with columns for each of them, and arrays."""
+
+import hashlib
+import re
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from os import PathLike
+from pathlib import Path
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from piezo_common.schema import Document, Number, Part, Positive, SchemaError, entry, load_document
+from piezo_recorder.reading.columns import ColumnsDocument, SignalColumn
+from piezo_recorder.reading.memory import IN_MEMORY, recordings_in
+from piezo_recorder.reading.reader import read_recordings
+from piezo_recorder.reading.recording import Recording, RecordingError
+from piezo_recorder.reading.tables.array_files import damage_told
+from piezo_recorder.reading.tables.file_kinds import read_tables
+from piezo_recorder.reading.tables.table import no_progress
+from piezo_recorder.reading.units import scale_of
+
+MOST_AXES = 3
+FORMAT = "piezo_axes_arrays"
+HEAD_BYTES = 1 << 16
+"""The labels of a table stand within them."""
+ZIP_MAGIC = b"PK\x03\x04"
+
+_VOLTAGE = re.compile(r"([a-z][a-z0-9]*)_voltage_v")
+"""Label of the voltage of an axis: its short lower-case name stands before the unit."""
+
+
+@dataclass(frozen=True, eq=False)
+class AxesRecording:
+    """Samples of two or three axes on one clock.
+
+    Attributes
+    ----------
+    path : str
+        Where it was read.
+    axes : tuple of str
+        Names, in the order of the columns.
+    sample_period_s : float
+    voltage_v, displacement_um : (N, n) array
+    periods : int
+        Equal periods of the voltage that the samples are, measured once the stage had settled;
+        0 where that is not known.
+    title : str
+        Which of several recordings of one file.
+    sha256 : str
+        Hash of the samples.
+    notes : tuple of str
+        What was assumed or mended when it was read, for people.
+    """
+
+    path: str
+    axes: tuple[str, ...]
+    sample_period_s: float
+    voltage_v: np.ndarray
+    displacement_um: np.ndarray
+    periods: int = 0
+    title: str = ""
+    sha256: str = ""
+    notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return (f"<AxesRecording {self.name}: {len(self.voltage_v)} samples of "
+                f"{', '.join(self.axes)} at {1.0 / self.sample_period_s:.6g} Hz>")
+
+    @property
+    def name(self) -> str:
+        """Return path and title."""
+        return f"{self.path} {self.title}".rstrip()
+
+    @property
+    def amplitude_v(self) -> float:
+        """Return the RMS of all voltages about their means."""
+        return float(np.sqrt(np.mean(np.var(self.voltage_v, axis=0))))
+
+
+class ChannelsPart(Part):
+    """An array of the channels of all axes."""
+
+    file: str = entry("NumPy file (.npy), beside the description.")
+    unit: str = entry("Unit of its numbers, such as V, mV, um, nm or m.")
+    signs: list[Number] = entry(
+        "Sign or factor of each channel, such as [1, 1, -1]; 1 by default.", default=[])
+
+
+class ArraysDocument(Document):
+    """Arrays of several axes: which file is what, and what the dimensions mean."""
+
+    TITLE: ClassVar[str] = "description of arrays"
+    SYNTAX: ClassVar[str] = "yaml"
+    FORMAT: ClassVar[str] = FORMAT
+
+    format: str = entry(f"Always {FORMAT}.")
+    axes: list[str] = entry("Names of the axes, in the order of the channels.")
+    sample_rate_hz: Positive = entry("Samples a second.", unit="Hz")
+    voltage: ChannelsPart = entry("The voltages.")
+    displacement: ChannelsPart = entry("The displacements.")
+    dimensions: list[Literal["sample", "channel", "realisation", "period"]] = entry(
+        "What the dimensions of both arrays are. Periods are equal ones, measured one after the "
+        "other once the stage had settled.", default=["sample", "channel"])
+    realisations: list[Number] = entry(
+        "Numbers of the realisations to read, from 1; all by default.", default=[])
+
+
+def axes_of_labels(labels: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the axes of which a table has both columns, in its order."""
+    found = [match[1] for match in map(_VOLTAGE.fullmatch, labels) if match]
+    return tuple(axis for axis in found if f"{axis}_displacement_um" in labels)
+
+
+def is_of_axes(path: str | PathLike[str]) -> bool:
+    """Tell whether a file is a recording of several axes, or a description of such arrays."""
+    path = Path(path)
+    if not path.is_file() or path.suffix.lower() == ".mcap":
+        return False
+    with open(path, "rb") as file:
+        head = file.read(HEAD_BYTES)
+    if head.startswith(ZIP_MAGIC):
+        with damage_told(path, "NumPy file"), zipfile.ZipFile(path) as archive:
+            head = " ".join(archive.namelist()).encode()
+    text = head.decode(errors="replace")
+    if path.suffix.lower() in (".yaml", ".yml"):
+        return f"format: {FORMAT}" in text
+    labels = re.findall(r"[a-z][a-z0-9]*_(?:voltage_v|displacement_um)\b", text)
+    return len(axes_of_labels(labels)) > 1
+
+
+def read_axes(path: str | PathLike[str]) -> list[AxesRecording]:
+    """Read the recordings of a file of several axes.
+
+    Parameters
+    ----------
+    path : str or Path
+        A table with columns such as ``time_s,x_voltage_v,y_voltage_v,x_displacement_um,
+        y_displacement_um`` in any format that is read of one axis, or the description of arrays
+        (YAML), see `ArraysDocument`. A column that fits no axis is left.
+
+    Raises
+    ------
+    RecordingError
+        If the file, a column, a row or the sample period is not as it should be; one line.
+    """
+    path = Path(path)
+    if path.suffix.lower() in (".yaml", ".yml"):
+        return _described(path)
+    labels = [label for table in read_tables(path, lambda table: [], no_progress)
+              for label in table.columns]
+    return _joined(str(path), axes_of_labels(labels),
+                   lambda columns: read_recordings(path, columns=columns))
+
+
+def axes_recordings_in(data: Mapping[str, ArrayLike], name: str = IN_MEMORY) -> list[AxesRecording]:
+    """Return the recordings that columns in memory hold, by label as in a table.
+
+    Raises
+    ------
+    RecordingError
+        See `read_axes`.
+    """
+    return _joined(name, axes_of_labels(list(data)),
+                   lambda columns: recordings_in(data, columns, name))
+
+
+def axes_recordings_of_arrays(
+    voltage_v: ArrayLike, displacement_um: ArrayLike, sample_rate_hz: float, axes: Sequence[str],
+    dimensions: Sequence[str] = ("sample", "channel"), signs: Sequence[float] = (),
+    name: str = IN_MEMORY,
+) -> list[AxesRecording]:
+    """Return a recording for each realisation in arrays of samples, channels and so on.
+
+    Parameters
+    ----------
+    voltage_v, displacement_um : array_like
+        Of one shape.
+    axes : sequence of str
+        Names of the channels.
+    dimensions : sequence of str
+        "sample", "channel", "realisation" and "period" in the order of the arrays; those that are
+        not there are single. Periods are equal ones, measured once the stage had settled.
+    signs : sequence of float, optional
+        Of the displacement of each channel.
+    name : str
+        Stands for the path of a file.
+
+    Raises
+    ------
+    RecordingError
+        If the arrays do not fit the dimensions and axes, or hold what is not finite.
+    """
+    voltages_v, displacements_um = (np.asarray(each, dtype=float)
+                                    for each in (voltage_v, displacement_um))
+    if voltages_v.shape != displacements_um.shape or voltages_v.ndim != len(dimensions):
+        raise RecordingError(
+            f"{name}: the arrays have the shapes {voltages_v.shape} and {displacements_um.shape}: "
+            f"give two of one shape with the dimensions {', '.join(dimensions)}")
+    if not {"sample", "channel"} <= set(dimensions) or len(set(dimensions)) < len(dimensions):
+        raise RecordingError(f"{name}: the dimensions are {', '.join(dimensions)}: give sample and "
+                             "channel once, realisation and period at most once")
+    channels = voltages_v.shape[list(dimensions).index("channel")]
+    if channels != len(axes) or not 2 <= channels <= MOST_AXES:
+        raise RecordingError(f"{name}: there are {channels} channels and {len(axes)} axes: give 2 "
+                             f"to {MOST_AXES}, a name for each")
+    displacements_um = _signed(displacements_um, signs, dimensions, name)
+    if not (np.all(np.isfinite(voltages_v)) and np.all(np.isfinite(displacements_um))):
+        raise RecordingError(f"{name} holds a number that is not finite: mend it or leave it out")
+    return [
+        _with_hash(AxesRecording(
+            name, tuple(axes), 1.0 / sample_rate_hz, voltage, displacement,
+            periods if "period" in dimensions else 0,
+            str(number) if "realisation" in dimensions else ""))
+        for number, (voltage, displacement, periods) in enumerate(zip(
+            *(_by_realisation(each, dimensions) for each in (voltages_v, displacements_um)),
+            _periods(voltages_v, dimensions), strict=True), start=1)]
+
+
+def _periods(values: np.ndarray, dimensions: Sequence[str]) -> list[int]:
+    size = dict(zip(dimensions, values.shape, strict=True))
+    return [size.get("period", 1)] * size.get("realisation", 1)
+
+
+def _by_realisation(values: np.ndarray, dimensions: Sequence[str]) -> np.ndarray:
+    """Return (realisations, samples of all periods in a row, channels)."""
+    order = ("realisation", "period", "sample", "channel")
+    present = [each for each in order if each in dimensions]
+    turned = np.transpose(values, [list(dimensions).index(each) for each in present])
+    for axis, each in enumerate(order):
+        if each not in dimensions:
+            turned = np.expand_dims(turned, axis)
+    realisations, periods, samples, channels = turned.shape
+    return turned.reshape(realisations, periods * samples, channels)
+
+
+def _described(path: Path) -> list[AxesRecording]:
+    try:
+        document = load_document(ArraysDocument, path)
+    except SchemaError as error:
+        raise RecordingError(f"{path}: {error}") from None
+    found = axes_recordings_of_arrays(
+        _array(path, document, "voltage"), _array(path, document, "displacement"),
+        document.sample_rate_hz, document.axes, document.dimensions, name=str(path))
+    wanted = document.realisations or [number + 1 for number in range(len(found))]
+    if not set(wanted) <= set(range(1, len(found) + 1)):
+        raise RecordingError(f"{path}: realisations names one that is not there: give numbers from "
+                             f"1 to {len(found)}")
+    return [found[int(number) - 1] for number in wanted]
+
+
+def _array(path: Path, document: ArraysDocument, signal: str) -> np.ndarray:
+    part: ChannelsPart = getattr(document, signal)
+    file = path.parent / part.file
+    if not file.is_file():
+        raise RecordingError(f"{path} names {part.file}, which is missing: copy it there")
+    with damage_told(file, "NumPy file"):
+        values = np.load(file, allow_pickle=False).astype(float)
+    return _signed(values, part.signs, document.dimensions, f"{path}: {signal}") * scale_of(
+        signal, part.unit)
+
+
+def _signed(values: np.ndarray, signs: Sequence[float], dimensions: Sequence[str],
+            name: str) -> np.ndarray:
+    """Multiply each channel by its sign."""
+    if not len(signs):
+        return values
+    if values.ndim != len(dimensions) or "channel" not in dimensions:
+        raise RecordingError(f"{name} has {values.ndim} dimensions: give as many names of "
+                             "dimensions, one of them channel")
+    where = list(dimensions).index("channel")
+    if len(signs) != values.shape[where] or not np.all(signs):
+        raise RecordingError(f"{name} has {len(signs)} signs: give one for each of "
+                             f"{values.shape[where]} channels, none of them 0")
+    return values * np.reshape(signs, [-1 if at == where else 1 for at in range(values.ndim)])
+
+
+def _joined(name: str, axes: tuple[str, ...],
+            read: Callable[[ColumnsDocument], list[Recording]]) -> list[AxesRecording]:
+    """Read each axis as a recording of its own, and join those of one time."""
+    if not 2 <= len(axes) <= MOST_AXES:
+        raise RecordingError(
+            f"{name} has {len(axes)} axes ({', '.join(axes) or 'none'}): give 2 to {MOST_AXES}, "
+            "with columns such as x_voltage_v and x_displacement_um for each")
+    by_axis = [read(ColumnsDocument(
+        voltage=SignalColumn(column=f"{axis}_voltage_v", unit="V"),
+        displacement=SignalColumn(column=f"{axis}_displacement_um", unit="um"))) for axis in axes]
+    joined = []
+    for parts in zip(*by_axis, strict=True):
+        first = parts[0]
+        if any(not np.array_equal(part.sample_index, first.sample_index) for part in parts):
+            raise RecordingError(f"{name}: an axis lacks values that another one has: give rows "
+                                 "with values of all axes")
+        if first.gaps:
+            raise RecordingError(f"{name} lacks rows: give the parts between the gaps as files of "
+                                 "their own")
+        joined.append(_with_hash(AxesRecording(
+            name, axes, first.sample_period_s,
+            np.column_stack([part.voltage_v for part in parts]),
+            np.column_stack([part.displacement_um for part in parts]), title=first.title,
+            notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)))))
+    return joined
+
+
+def _with_hash(recording: AxesRecording) -> AxesRecording:
+    digest = hashlib.sha256()
+    for values in (recording.voltage_v, recording.displacement_um):
+        digest.update(np.ascontiguousarray(values).tobytes())
+    return replace(recording, sha256=digest.hexdigest())

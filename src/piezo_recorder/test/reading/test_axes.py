@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Recordings of several axes: tables, arrays in memory, arrays of realisations and periods."""
+
+import numpy as np
+import pytest
+
+from piezo_recorder.reading.axes import (
+    axes_recordings_in,
+    axes_recordings_of_arrays,
+    is_of_axes,
+    read_axes,
+)
+from piezo_recorder.reading.recording import RecordingError
+
+TIME_S = np.arange(50) / 1000.0
+
+
+def columns():
+    rng = np.random.default_rng(1)
+    return {"time_s": TIME_S, **{f"{axis}_{signal}": rng.normal(size=50)
+                                 for signal in ("voltage_v", "displacement_um")
+                                 for axis in ("x", "y")}}
+
+
+def write(path, table):
+    np.savetxt(path, np.column_stack(list(table.values())), "%.17g", ",",
+               header=",".join(table), comments="")
+    return path
+
+
+def test_a_table_has_an_array_of_both_axes(tmp_path):
+    table = columns() | {"temperature_k": np.full(50, 300.0)}
+    path = write(tmp_path / "both.csv", table)
+    assert is_of_axes(path)
+    found, = read_axes(path)
+    assert found.axes == ("x", "y")
+    assert found.sample_period_s == pytest.approx(1e-3)
+    np.testing.assert_allclose(found.voltage_v[:, 1], table["y_voltage_v"])
+    np.testing.assert_allclose(found.displacement_um[:, 0], table["x_displacement_um"])
+    same, = axes_recordings_in(table)
+    np.testing.assert_allclose(same.displacement_um, found.displacement_um)
+
+
+def test_npz_is_read_as_text_is(tmp_path):
+    np.savez(tmp_path / "both.npz", **columns())
+    assert is_of_axes(tmp_path / "both.npz")
+    assert read_axes(tmp_path / "both.npz")[0].axes == ("x", "y")
+
+
+def test_a_table_of_one_axis_is_none_of_several(tmp_path):
+    path = write(tmp_path / "one.csv", {"time_s": TIME_S, "voltage_v": TIME_S,
+                                        "displacement_um": TIME_S})
+    assert not is_of_axes(path)
+
+
+def arrays():
+    rng = np.random.default_rng(2)
+    return rng.normal(size=(64, 3, 4, 2)), rng.normal(size=(64, 3, 4, 2)) * 1e-6
+
+
+def described(folder, text=""):
+    voltage_v, displacement_m = arrays()
+    np.save(folder / "u.npy", voltage_v)
+    np.save(folder / "y.npy", displacement_m)
+    path = folder / "mirror.yaml"
+    path.write_text("""format: piezo_axes_arrays
+axes: [a, b, c]
+sample_rate_hz: 6400
+voltage: {file: u.npy, unit: V}
+displacement: {file: y.npy, unit: m, signs: [1, -1, 1]}
+dimensions: [sample, channel, realisation, period]
+""" + text)
+    return path
+
+
+def test_arrays_give_a_recording_for_each_realisation(tmp_path):
+    path = described(tmp_path)
+    assert is_of_axes(path)
+    found = read_axes(path)
+    voltage_v, displacement_m = arrays()
+    assert [each.title for each in found] == ["1", "2", "3", "4"]
+    assert found[2].periods == 2
+    np.testing.assert_allclose(found[2].voltage_v[64:], voltage_v[:, :, 2, 1])
+    np.testing.assert_allclose(found[2].displacement_um[:64, 1], -1e6 * displacement_m[:, 1, 2, 0])
+
+
+def test_some_realisations_may_be_chosen(tmp_path):
+    assert [each.title for each in read_axes(described(tmp_path, "realisations: [4, 1]\n"))] == [
+        "4", "1"]
+
+
+@pytest.mark.parametrize(("text", "words"), [
+    ("realisations: [5]\n", "numbers from 1 to 4"),
+    ("colour: red\n", "colour"),
+])
+def test_descriptions_that_do_not_fit_are_refused(tmp_path, text, words):
+    with pytest.raises(RecordingError, match=words):
+        read_axes(described(tmp_path, text))
+
+
+@pytest.mark.parametrize(("changes", "words"), [
+    ({"dimensions": ("sample", "channel")}, "the dimensions sample, channel"),
+    ({"axes": ("a", "b")}, "3 channels and 2 axes"),
+    ({"signs": (1.0, 0.0, 1.0)}, "none of them 0"),
+])
+def test_arrays_that_do_not_fit_are_refused(changes, words):
+    fields = {"axes": ("a", "b", "c"),
+              "dimensions": ("sample", "channel", "realisation", "period")} | changes
+    with pytest.raises(RecordingError, match=words):
+        axes_recordings_of_arrays(*arrays(), 6400.0, **fields)
+
+
+def test_an_axis_that_lacks_values_is_refused():
+    table = columns()
+    table["y_displacement_um"][-1] = np.nan
+    with pytest.raises(RecordingError, match="an axis lacks values"):
+        axes_recordings_in(table)
