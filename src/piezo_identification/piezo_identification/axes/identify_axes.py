@@ -220,8 +220,8 @@ def _identified(
         np.diag(each)[: columns * n].reshape(columns, n) for each in known]).transpose(1, 0, 2))
     off = np.sqrt(np.diag(known[0])[numbers.own().shape[1]:][:columns])
     pairs = int(np.count_nonzero(numbers.steps.imag > 0.0))
-    pole_deviations = np.concatenate([
-        off[0:2 * pairs:2] + 1j * off[1:2 * pairs:2], off[2 * pairs:]]).astype(complex) / period_s
+    pole_deviations = (np.concatenate([
+        off[0:2 * pairs:2] + 1j * off[1:2 * pairs:2], off[2 * pairs:]]) / period_s).astype(complex)
     residue_deviations = _residues(numbers, gain_deviations)
     delays_s, delay_deviations_s = sensor_delays(model, residue_deviations)
     return IdentifiedAxes(

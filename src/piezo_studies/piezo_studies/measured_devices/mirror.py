@@ -28,6 +28,9 @@ PUBLISHED_PERCENT = (6.37, 4.84, 4.19)
 BOUNDS_PERCENT = (5.6, 4.5, 4.2)
 """Of the best linear approximation of each level by itself."""
 
+PAIRS = 24
+"""Pairs of poles. The evidence goes on to some 30, for 2 % less misfit and twice the time."""
+
 FILES = tuple(f"{FOLDER}/{signal}_{level}mV_{part}.npy" for level in LEVELS_MV
               for part in ("train", "test") for signal in ("u", "y"))
 
@@ -41,7 +44,7 @@ def mirror(directory: Path) -> tuple[list[Figure], IdentifiedAxes]:
         Of the measured data.
     """
     fitted = [each for level in LEVELS_MV for each in _recordings(directory, level, "train")]
-    identified = identify_several_axes(fitted, note=print)
+    identified = identify_several_axes(fitted, pairs=PAIRS, note=print)
     figures = []
     for level, published, bound in zip(LEVELS_MV, PUBLISHED_PERCENT, BOUNDS_PERCENT, strict=True):
         errors = errors_percent(identified.model, _recordings(directory, level, "test"))
