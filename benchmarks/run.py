@@ -2,8 +2,8 @@
 """Run all benchmarks and print one table: python run.py [--rounds N].
 
 What is compared is measured side by side in each round; of the rounds the table tells the median
-and the spread. An hour of a stream is played once, and identification is set beside its peers once,
-over many draws of the noise.
+and the spread. An hour of a stream is played once, check, identify and diagnose are timed once over
+the number of rows, and identification is set beside its peers once, over many draws of the noise.
 """
 
 import argparse
@@ -21,6 +21,8 @@ from hysteresis_speed import look_up_error_percent, samples_per_s
 from loop_speed import LOCKSTEP, closed_loop, ping_pong_round_trips, tick_round_trips
 from paced import paced_run
 from paced_onboard import onboard_run
+from rows_speed import TARGETS as ROWS_TARGETS
+from rows_speed import measure as measure_rows
 from stream_length import TARGETS as STREAM_TARGETS
 from stream_length import measure as measure_streams
 from suite_start import TARGETS as START_TARGETS
@@ -180,9 +182,12 @@ def main():
             measure(measured)
     print("an hour of a stream ...", flush=True)
     measure_streams(measured)
+    print("check, identify and diagnose over the number of rows ...", flush=True)
+    measure_rows(measured)
     print("identification beside its peers ...", flush=True)
     peers.measure(measured)
-    rows = measured.table(TARGETS | ANSWER_TARGETS | START_TARGETS | STREAM_TARGETS)
+    rows = measured.table(
+        TARGETS | ANSWER_TARGETS | START_TARGETS | STREAM_TARGETS | ROWS_TARGETS)
     show(rows)
     write(rows, OUTPUT / "table.json")
     print(f"written to {OUTPUT / 'table.json'}")
