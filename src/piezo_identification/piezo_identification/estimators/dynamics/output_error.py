@@ -29,11 +29,7 @@ from piezo_identification.estimators.dynamics.fit_deviations import (
     fit_covariance,
     is_significant,
 )
-from piezo_identification.estimators.dynamics.pole_search import (
-    LAST_EVALUATIONS,
-    MOST_MODES,
-    free_fits,
-)
+from piezo_identification.estimators.dynamics.pole_search import MOST_MODES, free_fits
 from piezo_identification.estimators.estimate import (
     DelayEstimate,
     Estimate,
@@ -88,11 +84,11 @@ def fit_output_error(
 ) -> Estimate:
     """Electric and vibration dynamics (4.3) and a delay of least output error.
 
-    Poles with free residues come first, for more and more modes while that gains evidence. They
-    are themselves a model, of coupled modes. From them begin the forms with fewer parameters: modes
-    one after the other, as in (4.3); the same with the antiresonances that modes which move side by
-    side leave between them; modes that add their part of the displacement; and each of these with
-    a sensor that lags. That of the least Bayesian information criterion is taken.
+    Poles with free residues come first, as many as there is evidence for. They are themselves a
+    model, of coupled modes. From them begin the forms with fewer parameters: modes one after the
+    other, as in (4.3); the same with the antiresonances that modes which move side by side leave
+    between them; modes that add their part of the displacement; and each of these with a sensor
+    that lags. That of the most evidence is taken.
 
     Parameters
     ----------
@@ -131,8 +127,8 @@ class _Search:
 
     def try_all_orders(self) -> None:
         """Fit the forms of as many modes as the free residues have evidence for."""
-        frees = list(self._free_fits(MOST_MODES))
-        best = int(np.argmax([self._record.log_evidence(free, free.numbers) for free in frees]))
+        frees = list(free_fits(self._coarse, MOST_MODES))
+        best = int(np.argmax([self._coarse.log_evidence(free, free.numbers) for free in frees]))
         # A form with a lag of its own may have a mode less.
         with while_time_lasts("further orders of the dynamics", ORDERS):
             for free in frees[max(0, best - 1) : best + 1]:
@@ -143,7 +139,7 @@ class _Search:
     def try_modes_in_series(self, count: int) -> None:
         """Fit a number of modes in series, begun from those that explain most of richer ones."""
         order = ModeOrder(count)
-        for free in self._free_fits(count + MODES_LEFT_OUT):
+        for free in free_fits(self._coarse, count + MODES_LEFT_OUT):
             if free.modes < count:
                 continue
             choices = [(_chosen(free.vector, modes)) for modes in _subsets(free.modes, count)]
@@ -181,11 +177,6 @@ class _Search:
         if not delay.is_significant and not of_phase:
             fit = without or self._whole.fit(fit.order, fit.vector, 0.0, is_delay_free=False)
         return fit, delay
-
-    def _free_fits(self, most_modes: int) -> Iterator[FreeFit]:
-        for free in free_fits(self._coarse, most_modes):
-            yield free if self._coarse is self._record else self._record.fit_free(
-                free.vector, free.delay, LAST_EVALUATIONS)
 
     def _polished(self, fit: FastFit) -> FastFit:
         return self._whole.fit(
