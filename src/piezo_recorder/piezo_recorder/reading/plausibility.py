@@ -37,6 +37,14 @@ class UsualStage:
         By which they outnumber equal samples elsewhere, where noise tells them apart.
     coarse : float
         Part of the displacement's range; a sensor whose steps are larger is coarse, not clipped.
+    ahead : float
+        Area of a loop over that of its frame from which on its sense counts; loops of stages have
+        0.05 to 0.2.
+    follows : float
+        Correlation of voltage and displacement from which on a loop has a sense: below it, modes
+        may turn the phase by more than a quarter.
+    rows_ahead : int
+        By which a logger may read the displacement later than the voltage.
     """
 
     least_range_um: float = 0.3
@@ -54,6 +62,9 @@ class UsualStage:
     stuck_samples: int = 8
     stuck_ratio: float = 5.0
     coarse: float = 3e-3
+    ahead: float = 0.03
+    follows: float = 0.9
+    rows_ahead: int = 2
 
 
 USUAL = UsualStage()
@@ -82,11 +93,37 @@ def implausible(recording: Recording) -> list[str]:
         said.append(f"the displacement is {displacement_um[0]:g} um throughout: is the sensor on?")
     if swing_v > 0.0 and range_um > 0.0:
         said += _beyond_usual(float(np.abs(voltage_v).max()), swing_v, range_um)
+    if swing_v > 0.0 and range_um > 0.0 and runs_ahead(voltage_v, displacement_um):
+        said.append("the displacement runs ahead of the voltage, as if it drove the stage: are "
+                    "the two columns exchanged?")
     for name, end, share in clipped_ends(displacement_um, voltage_v):
         said.append(f"the displacement stays at its {name} value, {end:.6g} um, in "
                     f"{100.0 * share:.2g} % of the samples while it moves elsewhere: the sensor is "
                     "clipped there; reduce the voltage or centre the sensor")
     return said
+
+
+def runs_ahead(voltage_v: FloatArray, displacement_um: FloatArray) -> bool:
+    """Tell whether loops are run through in the sense that no passive stage has.
+
+    Hysteresis, creep and lags all let the displacement come behind the voltage, so that loops over
+    the voltage turn counterclockwise.
+
+    Parameters
+    ----------
+    voltage_v, displacement_um : ndarray, shape (N,)
+        Neither is constant.
+    """
+    late = USUAL.rows_ahead
+    driving, driven = voltage_v[late:], displacement_um[:-late]
+    if len(driving) < USUAL.fewest_rows or np.ptp(driving) == 0.0 or np.ptp(driven) == 0.0:
+        return False
+    if np.corrcoef(driving, driven)[0, 1] < USUAL.follows:
+        return False
+    driving, driven = ((values - values.min()) / np.ptp(values) for values in (driving, driven))
+    area = 0.5 * float(np.sum(driving * np.roll(driven, -1) - np.roll(driving, -1) * driven))
+    cycles = max(1.0, 0.5 * float(np.abs(np.diff(driving)).sum()))
+    return area < -USUAL.ahead * cycles
 
 
 def _beyond_usual(largest_v: float, swing_v: float, range_um: float) -> list[str]:

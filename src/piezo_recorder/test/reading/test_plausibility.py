@@ -53,6 +53,13 @@ def test_implausible_numbers_are_said(tmp_path, voltage_v, displacement_um, said
     assert re.search(said, notes(tmp_path, voltage_v, displacement_um))
 
 
+def test_columns_that_are_exchanged_are_asked_about(tmp_path, noise_um):
+    late = 0.5 - 0.5 * np.cos(INDEX / 300.0 - 0.12)  # as hysteresis, creep and lags make it
+    assert notes(tmp_path, 100.0 * SINE, 13.0 * late + noise_um) == ""
+    said = notes(tmp_path, 7.0 + 13.0 * late + noise_um, 100.0 * SINE)
+    assert said.endswith("are the two columns exchanged?")
+
+
 def test_few_rows_are_said(tmp_path):
     assert "only 3 rows" in notes(tmp_path, 100.0 * SINE, 10.0 * SINE, rows=3)
 
