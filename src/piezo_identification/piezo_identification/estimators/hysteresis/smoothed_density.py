@@ -156,9 +156,7 @@ def density_of_segments(
             # What is smooth needs fewer cells.
             levels_v, size = levels_v[::2], size // 2
             parts = parts if plays is None else 2 * parts
-        # What the coarse cells confirm was chosen on finer ones, of nearly the same loops.
-        is_refined = near is None or near.smoothing_weight != choice.penalties.smoothing
-        choice = _on_finer_grids(segments, levels_v, choice, whole_plane, plays, is_refined)
+        choice = _on_finer_grids(segments, levels_v, choice, whole_plane, plays)
         penalties, multiplier, is_enough = choice.penalties, choice.forces, choice.is_enough
     else:
         penalties = Penalties(smoothing_weight, translation_weight or 0.0)
@@ -298,9 +296,9 @@ def _output_um(segment: HysteresisSegment, levels_v: FloatArray, plays: PlaySum,
 
 def _on_finer_grids(
     segments: Sequence[HysteresisSegment], levels_v: FloatArray, choice: PenaltyChoice,
-    whole_plane: bool, plays: PlaySum | None, is_refined: bool,
+    whole_plane: bool, plays: PlaySum | None,
 ) -> PenaltyChoice:
-    """Choose the smoothing anew on twice as many cells if that is asked for and the data allow.
+    """Choose the smoothing anew on twice as many cells if the data allow.
 
     They do where the whole plane is visited, or there are several samples for each cell.
 
@@ -314,8 +312,7 @@ def _on_finer_grids(
             finer_v = np.linspace(levels_v[0], levels_v[-1], 2 * cells + 1)
             about = None if plays is None else plays.unknowns(2 * cells)
             forces = _on_finer_grid(choice.forces, cells, 2 * cells)
-            if is_refined and cells == CELLS_FOR_THE_WEIGHT and (
-                    whole_plane or _many(segments, 2 * cells)):
+            if (whole_plane or _many(segments, 2 * cells)) and cells == CELLS_FOR_THE_WEIGHT:
                 choice = refine_smoothing(segments, finer_v, choice, forces, about)
             else:
                 [equations] = equations_of_folds(segments, finer_v, about=about)
