@@ -22,7 +22,7 @@ from piezo_studies.marked_sections import with_sections
 PAGE = Path(__file__).parents[1] / "docs" / "files.md"
 DOCUMENTS = {
     "model": "piezo_models.model_document:ModelDocument",
-    "axes_model": "piezo_models.axes.axes_file:AxesDocument",
+    "axes_model": "piezo_models.axes_model_file:AxesDocument",
     "controller": "piezo_controller.feedback.controller_file:ControllerDocument",
     "weights": "piezo_controller.feedback.synthesis.weights_document:WeightsDocument",
     "learned": "piezo_controller.learning.learned_file:LearnedDocument",

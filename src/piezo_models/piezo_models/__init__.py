@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 from piezo_common.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
-    from piezo_models.axes.axes_file import load_axes_model, save_axes_model
     from piezo_models.axes.coupled import CoupledModel, Softening
     from piezo_models.axes.identified_axes import Coupling, IdentifiedAxes
+    from piezo_models.axes_model_file import load_axes_model, save_axes_model
     from piezo_models.cascade import StageMemory, StageModel
     from piezo_models.control_objects import from_control, to_control
     from piezo_models.effects import EFFECTS, Effect, known_effects

@@ -3,8 +3,8 @@
 
 from os import PathLike
 
-from piezo_models.axes.axes_file import load_axes_model, save_axes_model
 from piezo_models.axes.identified_axes import IdentifiedAxes
+from piezo_models.axes_model_file import load_axes_model, save_axes_model
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import is_of_several_axes
 from piezo_models.model_file import load_model as load_model_of_one_axis

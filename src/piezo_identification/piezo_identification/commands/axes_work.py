@@ -14,7 +14,7 @@ from piezo_common.summary_table import SummaryTable
 from piezo_identification.axes.identify_axes import identify_several_axes
 from piezo_identification.axes.predict_axes import predict_several_axes
 from piezo_identification.axes.spectra import levels_of
-from piezo_models.axes.axes_file import load_axes_model, save_axes_model
+from piezo_models.axes_model_file import load_axes_model, save_axes_model
 from piezo_recorder.reading.axes import AxesRecording, is_of_axes, read_axes
 
 OF_ONE_AXIS = ("creep_pairs", "antiresonances", "band", "grid", "smoothing", "translation_weight")

@@ -11,7 +11,7 @@ from piezo_identification.commands.check_command import main as check_main
 from piezo_identification.commands.diagnose_command import main as diagnose_main
 from piezo_identification.commands.identify_command import main as identify_main
 from piezo_identification.commands.simulate_command import main as simulate_main
-from piezo_models.axes.axes_file import load_axes_model, save_axes_model
+from piezo_models.axes_model_file import load_axes_model, save_axes_model
 from piezo_models.model_document import ModelFileError
 from piezo_models.model_file import load_model
 

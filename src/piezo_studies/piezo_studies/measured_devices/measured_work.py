@@ -4,7 +4,7 @@
 import json
 from dataclasses import asdict
 
-from piezo_models.axes.axes_file import save_axes_model
+from piezo_models.axes_model_file import save_axes_model
 from piezo_studies.measured_devices import (
     measured,
     measured_pictures,
