@@ -258,7 +258,7 @@ def _array(path: Path, document: ArraysDocument, signal: str) -> np.ndarray:
     if not file.is_file():
         raise RecordingError(f"{path} names {part.file}, which is missing: copy it there")
     with damage_told(file, "NumPy file"):
-        values = np.load(file, allow_pickle=False).astype(float)
+        values = np.load(file).astype(float)
     return _signed(values, part.signs, document.dimensions, f"{path}: {signal}") * scale_of(
         signal, part.unit)
 
