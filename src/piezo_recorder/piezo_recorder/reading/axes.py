@@ -301,8 +301,15 @@ def _joined(name: str, axes: tuple[str, ...],
             name, axes, first.sample_period_s,
             np.column_stack([part.voltage_v for part in parts]),
             np.column_stack([part.displacement_um for part in parts]), title=first.title,
-            notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)))))
+            notes=_joined_notes(axes, parts))))
     return joined
+
+
+def _joined_notes(axes: Sequence[str], parts: Sequence[Recording]) -> tuple[str, ...]:
+    """Return the notes on each axis once, with its name where they are not those of all."""
+    return tuple(dict.fromkeys(
+        note if all(note in each.notes for each in parts) else f"axis {axis}: {note}"
+        for axis, part in zip(axes, parts, strict=True) for note in part.notes))
 
 
 def _with_hash(recording: AxesRecording) -> AxesRecording:

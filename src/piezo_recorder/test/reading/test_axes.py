@@ -41,6 +41,12 @@ def test_a_table_has_an_array_of_both_axes(tmp_path):
     np.testing.assert_allclose(same.displacement_um, found.displacement_um)
 
 
+def test_what_is_odd_about_one_axis_names_it():
+    found, = axes_recordings_in(columns() | {"y_voltage_v": np.zeros(50)})
+    odd = [note for note in found.notes if "throughout" in note]
+    assert len(odd) == 1 and odd[0].startswith("axis y: ")
+
+
 def test_npz_is_read_as_text_is(tmp_path):
     np.savez(tmp_path / "both.npz", **columns())
     assert is_of_axes(tmp_path / "both.npz")
