@@ -168,7 +168,7 @@ def misfits(given: Recordings | FrequencyResponse, experiment: str) -> Iterator[
             yield Misfit(
                 f"{recording.path} can hardly stand for the {experiment}: {fit.reason}",
                 tuple(other for other in EXPERIMENTS[:-1] if other != experiment
-                      and suitability_for(check, other).verdict == "yes"))
+                      and suitability_for(check, other).verdict != "no"))
 
 
 def given_as(fit_for: Mapping[str, Mapping[str, Suitability]]) -> dict[str, list[str]]:

@@ -293,7 +293,7 @@ def test_identify_refuses_a_file_that_does_not_exist(name, files, tmp_path, caps
 def test_identify_refuses_the_recording_of_another_experiment(files, tmp_path, capsys):
     wrong = dict(files) | {"creep": files["dynamics"]}
     arguments = [*options(wrong), "--output", tmp_path / "model.json"]
-    assert "dynamics.csv steps faster" in refusal(identify_main, arguments, capsys)
+    assert "dynamics.csv can hardly stand for the creep" in refusal(identify_main, arguments, capsys)
 
 
 def test_identify_refuses_an_output_that_cannot_be_written_before_it_works(files, capsys):
@@ -371,9 +371,9 @@ def test_identify_needs_something_to_identify():
 
 
 def test_recording_that_is_given_under_a_wrong_name_stops_the_identification(
-        short_files, tmp_path, capsys):
+        files, tmp_path, capsys):
     model = tmp_path / "model.json"
-    assert identify_main(["--dynamics", str(short_files["creep"]), "--output", str(model)]) == 2
+    assert identify_main(["--dynamics", str(files["creep"]), "--output", str(model)]) == 2
     told = capsys.readouterr().err
     assert "creep.csv can hardly stand for the dynamics: too slow to hold dynamics" in told
     assert "give it as --creep, which it can stand for, or go on with --anyway" in told

@@ -39,7 +39,8 @@ def test_the_displacement_under_a_voltage_is_written_and_a_poor_model_is_said_fi
     printed = capsys.readouterr().out.splitlines()
     assert printed[0] == (
         "the model is inadequate: dynamics leaves 190 times the noise, 2 % of the motion")
-    assert printed[-1] == f"written {files / 'out' / 'predicted.csv'}"
+    assert printed[-2] == f"written {files / 'out' / 'predicted.csv'}"
+    assert printed[-1].startswith("next: ")
     table = np.genfromtxt(files / "out" / "predicted.csv", delimiter=",", names=True)
     assert table.dtype.names == ("time_s", "voltage_v", "displacement_um")
     late_s = np.maximum(table["time_s"] - 200 * PERIOD_S, 0.0)
