@@ -293,7 +293,8 @@ def test_identify_refuses_a_file_that_does_not_exist(name, files, tmp_path, caps
 def test_identify_refuses_the_recording_of_another_experiment(files, tmp_path, capsys):
     wrong = dict(files) | {"creep": files["dynamics"]}
     arguments = [*options(wrong), "--output", tmp_path / "model.json"]
-    assert "dynamics.csv can hardly stand for the creep" in refusal(identify_main, arguments, capsys)
+    told = refusal(identify_main, arguments, capsys)
+    assert "dynamics.csv can hardly stand for the creep" in told
 
 
 def test_identify_refuses_an_output_that_cannot_be_written_before_it_works(files, capsys):
