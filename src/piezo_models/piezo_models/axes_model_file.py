@@ -23,7 +23,6 @@ from piezo_common.schema import (
     load_document,
     violation,
 )
-from piezo_common.text_file import is_something_else, replace_text
 from piezo_models.axes.coupled import CoupledModel, Softening
 from piezo_models.axes.identified_axes import Coupling, IdentifiedAxes
 from piezo_models.model_document import (
@@ -31,9 +30,8 @@ from piezo_models.model_document import (
     Deviation,
     ModelFileError,
     RecordingPart,
-    rendered,
 )
-from piezo_models.model_file import LARGEST_FILE_BYTES
+from piezo_models.model_file import LARGEST_FILE_BYTES, write_document
 
 VERSION = 2
 
@@ -133,17 +131,9 @@ def save_axes_model(path: str | PathLike[str], identified: IdentifiedAxes) -> No
     ModelFileError
         If the file cannot be written, or there is one that is no model file.
     """
-    path = Path(path)
     document = _document_of(identified)
     checked(AxesDocument, document)
-    if is_something_else(path, FORMAT, LARGEST_FILE_BYTES):
-        raise ModelFileError(f"{path}: is there already and is no model file, so it is not "
-                             "overwritten; choose another name")
-    try:
-        replace_text(path, rendered(document) + "\n")
-    except OSError as error:
-        raise ModelFileError(
-            f"{path}: cannot be written ({error.strerror}); choose a writable directory") from error
+    write_document(Path(path), document)
 
 
 def load_axes_model(path: str | PathLike[str]) -> IdentifiedAxes:

@@ -4,6 +4,7 @@
 import json
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 from piezo_common.regular_file import UnreadableFile
 from piezo_common.schema import SchemaError, load_document
@@ -34,6 +35,17 @@ def save_model(path: str | PathLike[str], identified: IdentifiedModel) -> None:
     path = Path(path)
     document = document_of(identified)
     identified_model_of(document, path)
+    write_document(path, document)
+
+
+def write_document(path: Path, document: dict[str, Any]) -> None:
+    """Write the checked document of a model, of one axis or of several; see `save_model`.
+
+    Raises
+    ------
+    ModelFileError
+        If the file cannot be written, or there is one that is no model file.
+    """
     if is_something_else(path, FORMAT, LARGEST_FILE_BYTES):
         raise ModelFileError(
             f"{path}: is there already and is no model file, so it is not overwritten; "

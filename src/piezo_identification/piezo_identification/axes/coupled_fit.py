@@ -19,7 +19,7 @@ ENOUGH = 1e-4
 """Relative change of the misfit below which a step ends the fit: a hundredth of an error of 1 %."""
 
 FIRST_DAMPING, LARGEST_DAMPING = 1e-4, 1e4
-"""Of the steps, relative to the curvature of the misfit."""
+"""Damping of the steps, relative to the curvature of the misfit: the first, and the most."""
 
 LESS = 0.8
 """Factor by which a start's softening is reduced until all levels are stable."""

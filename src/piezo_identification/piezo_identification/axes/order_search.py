@@ -12,8 +12,8 @@ from piezo_identification.axes.spectra import Spectrum, smoothed
 from piezo_identification.fitting.model_weights import occam_penalty
 
 TAPS = 2
-"""Of the direct part: with the voltage of the same sample and of the one before, a delay of less
-than a sample period is exact (Franklin, Powell and Workman 1998, section 4.3.4)."""
+"""Taps of the direct part. With the voltage of the same sample and of the one before, a delay of
+less than a sample period is exact (Franklin, Powell and Workman 1998, section 4.3.4)."""
 
 PAIRS_STEP = 2
 """Pairs of poles that are added at once: two close modes may need both."""

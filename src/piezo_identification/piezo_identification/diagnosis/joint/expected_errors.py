@@ -54,7 +54,7 @@ class ErrorSettings:
 SETTINGS = ErrorSettings()
 
 DEVIATIONS = np.linspace(0.0, 4.0, 41)
-"""Of the logarithm of the factor, close beside the width of the evidence."""
+"""Values of the logarithm of the factor, over its width, at which the evidence is summed."""
 SIZES = np.exp(2.0 * SETTINGS.carried_spread * DEVIATIONS)[:, None]
 """Squares of the factor."""
 WEIGHTS = -0.5 * DEVIATIONS**2 - logsumexp(-0.5 * DEVIATIONS**2)
