@@ -51,6 +51,7 @@ from piezo_identification.diagnosis.joint.competition import (
     led_by_the_most_probable,
     probabilities_of_named,
     with_free_model,
+    with_plain_model,
 )
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
@@ -230,6 +231,8 @@ def _diagnosed(model: StageModel, recordings: Sequence[Recording], holdout: Reco
     selection = replace(selection, interrupted=bool(budget.not_tried))
     selection = led_by_the_most_probable(selection, competition)
     competition = with_free_model(competition, model, given.recordings, selection)
+    competition = with_plain_model(
+        competition, model, given.recordings, old, selection, report)
     sources = noise_sources([*given.recordings, *filter(None, [given.holdout]), *old])
     noise = (noise or KnownNoise()).beside(sources)
     decision, found, believed = decide(selection, validation, competition, noise)
@@ -345,7 +348,7 @@ def decide(selection: Selection, validation: Validation,
         # the parameters of these may be better.
         explains = competition.probabilities[SOMETHING_ELSE] < PROBABILITIES.believed
         is_better = validation_beside.rms_um(beside.end) < validation.rms_um(fit) or (
-            explains and _names(beside.end) != _names(fit))
+            competition.is_plain or explains and _names(beside.end) != _names(fit))
         if is_better and validation_beside.improves(beside.end):
             found, believed, fit, refused = beside, validation_beside, beside.end, {}
     outliers = found_outliers(found.regression, fit.effects)

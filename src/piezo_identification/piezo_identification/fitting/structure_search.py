@@ -335,14 +335,19 @@ def between_rows(problem: WholeModel, given: StageModel,
     later_s = (delay_s or 0.0) + 0.5 * problem.sample_period_s
     smooth = (BandLimitedVoltage(),)
     yield Structure("a smooth voltage", replace(given, effects=(*smooth, *given.effects)), later_s)
-    highest = _highest_rad_per_s(problem)
-    frequency = np.geomspace(1e-3 * highest, highest, 4000)
-    gain = np.abs(given.response(frequency / (2.0 * np.pi))) / np.abs(given.response([0.0]))
-    loudest = int(np.argmax(gain))
-    mode = ElectricVibrationDynamics(
-        0.0, (float(frequency[loudest]),), (float(0.5 / max(gain[loudest], 1.0)),))
+    mode = loudest_mode(given, problem.sample_period_s)
     yield Structure("a smooth voltage, the loudest mode", replace(
         given, dynamics=mode, effects=smooth), later_s)
+
+
+def loudest_mode(model: StageModel, sample_period_s: float) -> ElectricVibrationDynamics:
+    """Return a mode as loud as a model is where its gain is largest, in the band of samples."""
+    highest = _highest_rad_per_s(sample_period_s)
+    frequency = np.geomspace(1e-3 * highest, highest, 4000)
+    gain = np.abs(model.response(frequency / (2.0 * np.pi))) / np.abs(model.response([0.0]))
+    loudest = int(np.argmax(gain))
+    return ElectricVibrationDynamics(
+        0.0, (float(frequency[loudest]),), (float(0.5 / max(gain[loudest], 1.0)),))
 
 
 def _without_gaps(creep: CreepDynamics) -> CreepDynamics:
@@ -423,7 +428,7 @@ def _apart(modes: Sequence[VibrationMode]) -> list[VibrationMode]:
 
 
 def _rings(problem: WholeModel, mode: VibrationMode) -> bool:
-    fastest = _highest_rad_per_s(problem)
+    fastest = _highest_rad_per_s(problem.sample_period_s)
     return (mode.damping_ratio < SETTINGS.most_damped
             and SETTINGS.slowest * fastest <= mode.frequency_rad_per_s <= fastest)
 
@@ -444,12 +449,12 @@ def is_better(fit: WholeFit, other: WholeFit) -> bool:
 
 def has_modes_in_band(problem: WholeModel, fit: WholeFit) -> bool:
     """Tell whether all modes beside the others are slow enough for the samples to show them."""
-    return all(effect.frequency_rad_per_s <= _highest_rad_per_s(problem)
+    return all(effect.frequency_rad_per_s <= _highest_rad_per_s(problem.sample_period_s)
                for effect in fit.model.effects if type(effect) is VibrationMode)
 
 
-def _highest_rad_per_s(problem: WholeModel) -> float:
-    return 2.0 * np.pi * SETTINGS.highest / problem.sample_period_s
+def _highest_rad_per_s(sample_period_s: float) -> float:
+    return 2.0 * np.pi * SETTINGS.highest / sample_period_s
 
 
 def structures(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:

@@ -38,6 +38,8 @@ from piezo_recorder.reading.recording import Recording
 EARLIEST = 1.0
 """Shortest sample periods by which a fitted delay may be negative: rows are then read late."""
 
+BEFORE_DELAY = ("voltage", "modes")
+"""Places of the effects of a model that act ahead of its delay."""
 
 BESIDE_ROUGH, BESIDE_FITTED = 2.0, 0.02
 """Prior widths of the changes of the hysteresis, over that of a joint fit with new recordings. Of
@@ -81,6 +83,17 @@ class WholeFit:
         """Return how many numbers were estimated, those of a wide prior included."""
         return (physical_count(self.model) + (self.delay_s is not None) + self.free_changes
                 + sum(fitted_values(effect)[0].size for effect in self.model.effects))
+
+    @property
+    def delayed_model(self) -> StageModel:
+        """Return the model with its delay among its effects."""
+        effects = list(self.model.effects)
+        if self.delay_s is not None and self.delay_s > 0.0:
+            effects.append(Delay(self.delay_s))
+        # The sort is stable: what is behind the delay stays in its order.
+        effects.sort(key=lambda effect: 0 if effect.place in BEFORE_DELAY else
+                     1 if isinstance(effect, Delay) else 2)
+        return replace(self.model, effects=tuple(effects))
 
     @property
     def density_changes(self) -> FloatArray:

@@ -35,6 +35,7 @@ from piezo_identification.estimators.frequency_response.response_fit import (
 )
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
 from piezo_identification.estimators.hysteresis.density_fit import estimate_density
+from piezo_identification.fitting.whole_model import BEFORE_DELAY
 from piezo_identification.simulation.model_run import ModelRun
 from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
@@ -56,9 +57,6 @@ the dynamics: slow rows hardly tell."""
 
 SECOND_PASS = 0.3
 """Share of the time that an identification may take, after which nothing is estimated once more."""
-
-BEFORE_DELAY = ("voltage", "modes")
-"""Places of the effects that the delay of the stage comes after."""
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,6 @@ from piezo_identification.fitting.whole_model import (
 )
 from piezo_identification.identification.fitted_model import FittedModel
 from piezo_identification.identification.given_data import Data
-from piezo_identification.identification.linear_dynamics import BEFORE_DELAY
 from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.vibration_mode import VibrationMode
@@ -134,7 +133,7 @@ class _Search:
 
     def _loops_beside(self, fit: WholeFit) -> DensityEstimate:
         assert self.loops_beside is not None
-        return self.loops_beside(with_delay(fit), read_later(self.read_late_s, fit))
+        return self.loops_beside(fit.delayed_model, read_later(self.read_late_s, fit))
 
     def _part(self, begin: float, length: float) -> Callable[[str, float], object]:
         return lambda what, fraction: self.report(what, begin + length * fraction)
@@ -235,7 +234,7 @@ def _has_order(order: ResponseOrder, model: StageModel) -> bool:
 def with_fit(fitted: FittedModel, fit: WholeFit) -> FittedModel:
     """Return the model of a fit with its standard deviations."""
     of_parts, of_effects, of_delay_s = fit.deviations()
-    model = with_delay(fit)
+    model = fit.delayed_model
     known = {id(effect): each for effect, each in zip(fit.model.effects, of_effects, strict=True)}
     uncertainties: dict[str, Any] = dict(of_parts)
     if model.effects:
@@ -243,17 +242,6 @@ def with_fit(fitted: FittedModel, fit: WholeFit) -> FittedModel:
             {"delay_s": of_delay_s} if isinstance(effect, Delay) else known[id(effect)]
             for effect in model.effects]
     return replace(fitted, model=model, uncertainties=uncertainties)
-
-
-def with_delay(fit: WholeFit) -> StageModel:
-    """Return the model of a fit with its delay among its effects."""
-    effects = list(fit.model.effects)
-    if fit.delay_s is not None and fit.delay_s > 0.0:
-        effects.append(Delay(fit.delay_s))
-    # The sort is stable: what is behind the delay stays in its order.
-    effects.sort(key=lambda effect: 0 if effect.place in BEFORE_DELAY else
-                 1 if isinstance(effect, Delay) else 2)
-    return replace(fit.model, effects=tuple(effects))
 
 
 def reliable(uncertainties: Mapping[str, Any], adequacy: Mapping[str, Mapping[str, Any]],

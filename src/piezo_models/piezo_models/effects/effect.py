@@ -47,6 +47,10 @@ def parameter(unit: str, scale: str = "linear", low: float = -np.inf, high: floa
     )
 
 
+ROUNDING = 1e-9
+"""Part of a displacement up to which it has not moved: of a range so small no shape is known."""
+
+
 @dataclass(frozen=True)
 class Evidence:
     """What a recording shows of a model's error: from it an effect guesses its parameters.
@@ -97,8 +101,9 @@ class Evidence:
 
     @property
     def travel_um(self) -> float:
-        """Return the largest minus smallest displacement."""
-        return float(np.ptp(self.displacement_um))
+        """Return the largest minus smallest displacement; 0 if the model moves by rounding only."""
+        travel_um = float(np.ptp(self.displacement_um))
+        return travel_um if travel_um > ROUNDING * np.abs(self.displacement_um).max() else 0.0
 
     def best(self, candidates: Iterable[Candidate],
              contributions: Callable[[Candidate], FloatArray],

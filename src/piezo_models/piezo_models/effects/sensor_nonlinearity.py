@@ -62,7 +62,7 @@ class SensorNonlinearity(Effect):
     def starts(cls, evidence: Evidence) -> list[Self]:
         """Begin with the polynomials of least squares over the travel of the recording."""
         low, high = evidence.displacement_um.min(), evidence.displacement_um.max()
-        if low == high:
+        if evidence.travel_um == 0.0:
             return []
         shape = cls(0.0, 0.0, 0.0, 0.0, 0.5 * (low + high), 0.5 * (high - low))
         gains, _ = evidence.reduction(shape.deviations(evidence.displacement_um))

@@ -74,6 +74,14 @@ class Stiffening(Effect):
             for part, level in zip(parts.T, before, strict=True)
         ])
 
+    def _damped(self, signal: FloatArray, sample_period_s: float) -> FloatArray:
+        """Return what a further damping of 1 removes from a displacement, (N, 1) or (N, 0)."""
+        if self.acts_at_once(sample_period_s):
+            return np.empty((signal.size, 0))
+        w = self.frequency_rad_per_s
+        return filtered([w, 0.0], [1.0, 2.0 * self.damping_ratio * w, w * w], signal,
+                        sample_period_s)[:, None]
+
     def apply(self, signal: FloatArray, sample_period_s: float,
               rest: float | None = None) -> FloatArray:
         """Return the solution of the spring's equation of motion for the signal as its load."""
@@ -113,7 +121,7 @@ class Stiffening(Effect):
         it is tried only where the model has no mode.
         """
         low, high = evidence.displacement_um.min(), evidence.displacement_um.max()
-        if low == high:
+        if evidence.travel_um == 0.0:
             return []
         dynamics = evidence.dynamics
         modes = list(zip(
@@ -122,8 +130,11 @@ class Stiffening(Effect):
         starts = []
         for mode in modes or [(0.0, 1.0)]:
             shape = cls(0.0, 0.0, 0.0, 0.5 * (low + high), 0.5 * (high - low), *mode)
-            gains, _ = evidence.reduction(-shape.yields(measured_um, evidence.sample_period_s))
-            linear_um, square_um, cubic_um, quartic_um = gains.tolist()
+            parts = shape.yields(measured_um, evidence.sample_period_s)
+            damped = shape._damped(measured_um, evidence.sample_period_s)
+            gains, _ = evidence.reduction(-np.column_stack([parts, damped]))
+            linear_um, square_um, cubic_um, quartic_um, *viscous = gains.tolist()
             starts.append(cls(linear_um, square_um, cubic_um, shape.centre_um, shape.half_range_um,
-                              *mode, quartic_um))
+                              *mode, quartic_um,
+                              *np.clip(viscous, LEAST_VISCOUS, MOST_VISCOUS).tolist()))
         return starts

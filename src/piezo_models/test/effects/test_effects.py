@@ -298,6 +298,16 @@ def test_a_guess_of_a_delay_stays_within_its_bounds_in_a_recording_of_minutes():
     assert all(guess.delay_s <= longest_s for guess in Delay.starts(shown))
 
 
+@pytest.mark.parametrize("kind", [Stiffening, SensorNonlinearity])
+def test_a_model_that_moves_by_rounding_only_hints_at_no_curve(kind):
+    still_um = 3.0 + 1e-15 * np.arange(4000)
+    shown = Evidence(
+        PERIOD_S, still_um, still_um, np.ones(4000), 1e-3,
+        ElectricVibrationDynamics(0.0, (6000.0,), (0.05,)), still_um,
+        lambda *_: pytest.fail("nothing is to be fitted"), lambda contribution: 1.0)
+    assert kind.starts(shown) == []
+
+
 def test_a_delay_of_part_of_a_sample_is_exact_for_slow_signals():
     time_s = np.arange(4000) * PERIOD_S
     for delay_s in (0.3 * PERIOD_S, 4.6 * PERIOD_S):

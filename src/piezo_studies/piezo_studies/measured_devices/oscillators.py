@@ -5,23 +5,18 @@ A circuit that behaves as a mass on a spring with a cubic part (Silverbox), and 
 with hysteresis (Bouc-Wen).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from piezo_identification import identify
-from piezo_identification.conditioning.row_alignment import rows_read_at_start
 from piezo_identification.diagnosis.diagnose import Diagnosis, diagnose
-from piezo_identification.estimators.dynamics.any_input import estimate_dynamics_any
-from piezo_identification.identification.linear_dynamics import LinearDynamics
 from piezo_identification.prediction import predict
 from piezo_identification.prediction.row_reading import read_as_identified
 from piezo_models.cascade import StageModel
 from piezo_models.effects.vibration_mode import VibrationMode
-from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.identified_model import IdentifiedModel
-from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.reader import read_recording
 from piezo_recorder.reading.recording import Recording
 from piezo_studies.measured_devices.measured import Figure
@@ -35,6 +30,9 @@ BOUC_WEN, BOUC_WEN_MULTISINE, BOUC_WEN_SWEEP = (
 
 FITTED_PART = 0.7
 """Of the multisines; the rest is predicted."""
+
+NOISE_UM = 8.0
+"""RMS, of the training data of Bouc-Wen, as the benchmark prescribes."""
 
 MV_PER_UM = 1e3
 """The files hold 1 V of the circuit as 1 um."""
@@ -78,7 +76,9 @@ def circuit(directory: Path) -> Benchmark:
 
 
 def bouc_wen(directory: Path) -> Benchmark:
-    """Fit a line and one mode to the hysteretic oscillator, diagnose it, and predict unseen data.
+    """Identify the hysteretic oscillator on noisy multisines, diagnose it, and predict unseen data.
+
+    The training data have no noise; the benchmark's rules add `NOISE_UM` RMS.
 
     Parameters
     ----------
@@ -88,38 +88,25 @@ def bouc_wen(directory: Path) -> Benchmark:
     train, multisine, sweep = (
         read_recording(Path(directory) / name)
         for name in (BOUC_WEN, BOUC_WEN_MULTISINE, BOUC_WEN_SWEEP))
-    model, read_at = _line_and_mode(train)
-    train, multisine, sweep = (
-        rows_read_at_start(each, read_at) for each in (train, multisine, sweep))
-    diagnosis = diagnose(model, [train], multisine)
+    noise_um = NOISE_UM * np.random.default_rng(0).normal(size=train.displacement_um.size)
+    train = replace(train, displacement_um=train.displacement_um + noise_um)
+    identified = identify(dynamics=train)
+    train, multisine, sweep = (_aligned(identified, each) for each in (train, multisine, sweep))
+    diagnosis = diagnose(identified.model, [train], multisine)
     figures = []
-    for name, tested, note, bounds in (("test multisine", multisine, 33.0, (34.0, 10.0)),
-                                       ("sweep", sweep, 33.0, (50.0, 10.0))):
+    for name, tested, bounds in (("test multisine", multisine, (34.0, 10.0)),
+                                 ("sweep", sweep, (50.0, 10.0))):
         travel_um = float(np.std(tested.displacement_um))
         before, after = (100.0 * _rms_um(each, tested) / travel_um
-                         for each in (model, diagnosis.model))
+                         for each in (identified.model, diagnosis.model))
         figures += [
-            Figure("Bouc-Wen", "RMS over that of the output, linear", "multisine", name, "%", note,
-                   bounds[0], before, f"mode of {_frequency_hz(model):.2f} Hz"),
+            Figure("Bouc-Wen", "RMS over that of the output, linear", "multisine", name, "%", 33.0,
+                   bounds[0], before, f"mode of {_frequency_hz(identified.model):.2f} Hz"),
             Figure("Bouc-Wen", "RMS over that of the output, diagnosed", "multisine", name, "%",
-                   6.8, bounds[1], after, "the note's nonlinear models leave 1.8 to 6.8 %"),
+                   1.8, bounds[1], after, f"{0.01 * after * travel_um:.2g} um; the best published, "
+                   "12 um with 217 parameters, is a black box, ours has the form of the equation"),
         ]
     return Benchmark(figures, _finding("Bouc-Wen", "linear", diagnosis, "the test multisine"))
-
-
-def _line_and_mode(recording: Recording) -> tuple[StageModel, float]:
-    """Fit a gain and one mode, and tell when the rows are read, in sample periods."""
-    low_v, high_v = float(recording.voltage_v.min()), float(recording.voltage_v.max())
-    line = PreisachModel(low_v, high_v, np.zeros((1, 1)), 0.0, np.ones(1))
-    found = LinearDynamics().with_dynamics(
-        estimate_dynamics_any([recording], CreepDynamics(), line, mode_count=1))
-    aligned = rows_read_at_start(recording, found.read_at_samples)
-    unit = StageModel(line, CreepDynamics(), found.dynamics, effects=found.all_effects)
-    gain = np.polyfit(
-        unit.simulate(aligned.voltage_v, aligned.sample_period_s), aligned.displacement_um, 1)[0]
-    line = PreisachModel(low_v, high_v, np.zeros((1, 1)), 0.0, np.array([gain]))
-    return (StageModel(line, CreepDynamics(), found.dynamics, effects=found.all_effects),
-            found.read_at_samples)
 
 
 def _aligned(identified: IdentifiedModel, recording: Recording) -> Recording:

@@ -22,6 +22,11 @@ from piezo_identification.diagnosis.joint.alternatives import (
     times_of_coming,
 )
 from piezo_identification.diagnosis.joint.expected_errors import ExpectedErrors, expected_errors
+from piezo_identification.diagnosis.joint.plain_model import (
+    beside_plain_model,
+    is_plain,
+    plain_model,
+)
 from piezo_identification.diagnosis.joint.probabilities import (
     NONE,
     SOMETHING_ELSE,
@@ -30,10 +35,12 @@ from piezo_identification.diagnosis.joint.probabilities import (
     probabilities,
 )
 from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
-from piezo_identification.fitting.dataset import Dataset
+from piezo_identification.fitting.dataset import Dataset, dataset_of
+from piezo_identification.fitting.evidence import log_evidence
+from piezo_identification.fitting.free_parameters import free_count
 from piezo_identification.fitting.joint_fit import JointFit, JointProblem
 from piezo_identification.fitting.model_weights import HeldOut, expected_widths, held_out_of
-from piezo_identification.fitting.regression import Fit, Regression, reweighted
+from piezo_identification.fitting.regression import Fit, Regression, accuracies_um, reweighted
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, known_effects
 from piezo_models.effects.outliers import Outliers
@@ -62,12 +69,15 @@ class Competition:
         When each set of effects that competed came.
     stated_um : float
         RMS of what the model that is believed is known to be wrong by.
+    is_plain : bool
+        It is the plainest model with effects, and not the given one.
     """
 
     probabilities: dict[str, float]
     best: Alternative | None = None
     times: dict[tuple[str, ...], Came] = field(default_factory=dict)
     stated_um: float = 0.0
+    is_plain: bool = False
 
     def came(self, names: Iterable[str]) -> Came:
         """Report when a set of effects came."""
@@ -176,6 +186,65 @@ def with_free_model(competition: Competition, model: StageModel, new: Sequence[R
                    best=most_probable(fitted, expected))
 
 
+def with_plain_model(competition: Competition, model: StageModel, new: Sequence[Recording],
+                     old: Sequence[Recording], selection: Selection,
+                     progress: Callable[[str, float], None]) -> Competition:
+    """Let effects beside the plainest model compete, where that leaves little more than the given.
+
+    The given model is then too large for what it explains: hysteresis, creep and further modes may
+    stand for what an effect does to the mechanics.
+
+    Parameters
+    ----------
+    competition : Competition
+        Of what the given model may lack.
+    new, old : sequence of Recording
+        To be diagnosed, and of the identification.
+    selection : Selection
+        Of effects beside the given model.
+    progress : callable
+        Called with (what is done, fraction).
+    """
+    probable = max(competition.probabilities, key=competition.probabilities.__getitem__)
+    if probable == NONE or selection.interrupted or is_plain(model):
+        return competition
+    regression = selection.regression
+    left_um = regression.left_um(regression.as_given())
+    with while_time_lasts("effects beside a line and one mode"):
+        check_cancelled()
+        plain = plain_model(model, [*new, *old], left_um)
+        if plain is None:
+            return competition
+        stated_um = competition.stated_um
+        problem, fitted = beside_plain_model(
+            plain, new, old, lambda problem: _expected(problem, stated_um), progress)
+        expected = _expected(problem, stated_um)
+        best = most_probable(fitted, expected)
+        if best.names and _evidence_of_joint(best.fit) > (
+                _evidence_of_joint(competition.best.fit) if competition.best is not None
+                else _evidence_of_fit(regression, selection.end)):
+            return replace(competition, probabilities=_probabilities(problem, fitted, stated_um),
+                           best=best, times=times_of_coming(fitted, expected) if old else {},
+                           is_plain=True)
+    return competition
+
+
+def _evidence_of_joint(fit: JointFit) -> float:
+    """Return the evidence of a model with its effects, by what it leaves of all recordings."""
+    dataset = fit.regression.dataset
+    squares_um2 = np.array([part.mean_square_um2 for part in held_out_of(fit)])
+    return log_evidence(squares_um2 + accuracies_um(dataset) ** 2,
+                        free_count(dataset.model) + fit.count)
+
+
+def _evidence_of_fit(regression: Regression, fit: Fit) -> float:
+    """Return the same of effects beside the given model, by the new recordings."""
+    dataset = regression.dataset
+    squares_um2 = np.array([part.mean_square_um2 for part in _held_out(regression, fit)])
+    return log_evidence(squares_um2 + accuracies_um(dataset) ** 2,
+                        free_count(dataset.model) + fit.parameter_count)
+
+
 def _sets(selection: Selection) -> list[tuple[Effect, ...]]:
     """Return the sets of effects that explain the new recordings alone, the best first.
 
@@ -267,16 +336,18 @@ def _of_new_recordings(selection: Selection, stated_um: float) -> dict[str, floa
 
 def _of_fits(regression: Regression, fits: Sequence[Fit], stated_um: float) -> dict[str, float]:
     """Return the probabilities of fits to the new recordings alone."""
-    evidence = []
-    for fit in fits:
-        held_out = _held_out(regression, fit)
-        widths = expected_widths(
-            [effect for effect in fit.effects if type(effect) is not Outliers],
-            regression.dataset.extent)
-        evidence.append(Evidence(
-            _label(fit), held_out, penalty_of(held_out, fit.covariance, widths)))
     expected = expected_errors(regression.dataset, regression.noise.noise_um, stated_um)
-    return probabilities(evidence, expected, len(regression.dataset.recordings))
+    return probabilities([_evidence_of(regression, fit) for fit in fits], expected,
+                         len(regression.dataset.recordings))
+
+
+def _evidence_of(regression: Regression, fit: Fit) -> Evidence:
+    """Return what the probability of a fit to the new recordings alone depends on."""
+    held_out = _held_out(regression, fit)
+    widths = expected_widths(
+        [effect for effect in fit.effects if type(effect) is not Outliers],
+        regression.dataset.extent)
+    return Evidence(_label(fit), held_out, penalty_of(held_out, fit.covariance, widths))
 
 
 def _held_out(regression: Regression, fit: Fit) -> tuple[HeldOut, ...]:
@@ -306,7 +377,7 @@ def beside_alternative(selection: Selection, competition: Competition,
     own, added = effects[: len(effects) - count], effects[len(effects) - count :]
     model = replace(alternative.fit.regression.dataset.model, effects=own)
     before = selection.regression
-    moved = replace(before, dataset=_with_model(before.dataset, model))
+    moved = replace(before, dataset=_with_model(before.dataset, model, competition.is_plain))
     regression = reweighted(moved, added)
     covariance = alternative.fit.covariance
     if covariance is not None:
@@ -322,7 +393,9 @@ def beside_alternative(selection: Selection, competition: Competition,
                    indistinguishable=names | competition.indistinguishable())
 
 
-def _with_model(dataset: Dataset, model: StageModel) -> Dataset:
-    """Simulate another model on the same rows."""
-    return replace(
-        dataset, model=model, simulated=tuple(part.with_model(model) for part in dataset.simulated))
+def _with_model(dataset: Dataset, model: StageModel, has_other_parameters: bool) -> Dataset:
+    """Simulate another model on the same rows; it may have other parameters to differentiate by."""
+    simulated = tuple(part.with_model(model) for part in dataset.simulated)
+    if has_other_parameters:
+        return dataset_of(simulated, dataset.recordings)
+    return replace(dataset, model=model, simulated=simulated)

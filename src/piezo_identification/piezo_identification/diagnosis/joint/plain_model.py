@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The plainest model of some recordings, a line and one mode, and the effects that it needs.
+
+A model that was identified while its mechanics were nonlinear has made up for that by hysteresis,
+creep and further modes, each of which holds only where it was fitted. Where a line and the loudest
+mode leave little more, effects beside these are a simpler explanation of the same recordings.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from piezo_identification.diagnosis.comparison.selection import select_effects
+from piezo_identification.diagnosis.joint.alternatives import Alternative, beside_free_model
+from piezo_identification.diagnosis.joint.expected_errors import ExpectedErrors
+from piezo_identification.fitting.dataset import simulate_recordings
+from piezo_identification.fitting.joint_fit import JointProblem
+from piezo_identification.fitting.regression import first_regression
+from piezo_identification.fitting.structure_search import loudest_mode
+from piezo_identification.fitting.whole_model import WholeFit, WholeModel
+from piezo_models.cascade import StageModel
+from piezo_models.effects.band_limited_voltage import BandLimitedVoltage
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import CreepDynamics
+from piezo_recorder.reading.recording import Recording
+
+
+@dataclass(frozen=True)
+class PlainSettings:
+    """When a plain model is worth a comparison of effects.
+
+    Attributes
+    ----------
+    most_left : float
+        What it may leave at most, over what the given model leaves: hysteresis, creep and further
+        modes then explain less than the half of the misfit.
+    steps : int
+        Of its fit.
+    """
+
+    most_left: float = 2.0
+    steps: int = 20
+
+
+SETTINGS = PlainSettings()
+
+
+def is_plain(model: StageModel) -> bool:
+    """Tell whether a model is no more than a line and a mode already."""
+    return not (model.hysteresis.density_um_per_v2.any() or model.creep.poles_rad_per_s
+                or model.dynamics.time_constant_s > 0.0 or model.effects_at("modes")
+                or len(model.dynamics.mode_frequencies_rad_per_s) > 1)
+
+
+def plain_model(model: StageModel, recordings: Sequence[Recording],
+                left_um: float) -> StageModel | None:
+    """Fit a line and the loudest mode of a model, behind a held voltage and behind a smooth one.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        With the sign of the model, and their outliers marked.
+    left_um : float
+        RMS of what the model leaves of them.
+
+    Returns
+    -------
+    StageModel or None
+        The better one; None where the model has no mode, or both leave far more than it does.
+    """
+    if model.dynamics.is_static and not model.effects_at("modes"):
+        return None
+    period_s = min(recording.sample_period_s for recording in recordings)
+    bare = StageModel(_line(model, recordings), CreepDynamics(), loudest_mode(model, period_s))
+    problem = WholeModel(bare, recordings, [0.0] * len(recordings))
+    starts: list[tuple[StageModel, float | None]] = [(bare, None)]
+    if problem.is_sampled:
+        starts.append((replace(bare, effects=(BandLimitedVoltage(),)), 0.5 * period_s))
+    best = min((_fitted(problem, *start) for start in starts), key=_left_um)
+    return best.delayed_model if _left_um(best) < SETTINGS.most_left * left_um else None
+
+
+def beside_plain_model(plain: StageModel, new: Sequence[Recording], old: Sequence[Recording],
+                       expected: Callable[[JointProblem], ExpectedErrors],
+                       report: Callable[[str, float], None],
+                       ) -> tuple[JointProblem, list[Alternative]]:
+    """Select the effects that recordings show beside a plain model, and fit it anew beside them.
+
+    Parameters
+    ----------
+    plain : StageModel
+        See `plain_model`.
+    new, old : sequence of Recording
+        To be diagnosed, and of the identification.
+    expected : callable
+        Returns what is left of the recordings of a problem where the model lacks nothing.
+    report : callable
+        Called with (what is done, fraction).
+
+    Returns
+    -------
+    problem : JointProblem
+    alternatives : list of Alternative
+        The model with all effects selected, and with some of them.
+    """
+    dataset = simulate_recordings(plain, [*new, *old])
+    selection = select_effects(first_regression(dataset), report)
+    problem = JointProblem(plain, new, old, simulated=dataset.simulated)
+    sets = [fit.effects for fit in (selection.end, *selection.parts)]
+    return problem, beside_free_model(problem, sets, expected(problem))
+
+
+def _fitted(problem: WholeModel, model: StageModel, delay_s: float | None) -> WholeFit:
+    """Fit a model whose delay is not below zero: its rows are read as those of the given one."""
+    fit = problem.fit(model, delay_s, SETTINGS.steps)
+    return fit if (fit.delay_s or 0.0) >= 0.0 else problem.fit(fit.model, None, SETTINGS.steps)
+
+
+def _line(model: StageModel, recordings: Sequence[Recording]) -> PreisachModel:
+    """Return a line over the voltages of the recordings, with the gain of a model."""
+    low_v, high_v = model.hysteresis.voltage_min_v, model.hysteresis.voltage_max_v
+    low_um, high_um = model.hysteresis.output_range_um
+    gain_um_per_v = (high_um - low_um) / (high_v - low_v)
+    low_v = min(low_v, *(float(np.min(each.voltage_v)) for each in recordings))
+    high_v = max(high_v, *(float(np.max(each.voltage_v)) for each in recordings))
+    return PreisachModel(low_v, high_v, np.zeros((1, 1)), low_um, np.array([gain_um_per_v]))
+
+
+def _left_um(fit: WholeFit) -> float:
+    """Return the RMS of what is left of the rows that were fitted."""
+    return float(np.sqrt(np.mean(np.concatenate([left for left, _ in fit.left_um]) ** 2)))
