@@ -26,6 +26,7 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
+from piezo_common import side_by_side
 from piezo_ros.discovery import prepare_discovery
 
 LONG = bool(os.environ.get("LONG_TESTS"))
@@ -107,6 +108,14 @@ def pytest_collection_modifyitems(config, items):
     if left_out:
         config.hook.pytest_deselected(items=left_out)
         items[:] = [item for item in items if item not in set(left_out)]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_core():
+    """Let fits that go side by side take one core: other test files take the others."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(side_by_side, "cores", lambda: 1)
+        yield
 
 
 @pytest.fixture(scope="session")
