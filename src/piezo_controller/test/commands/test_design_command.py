@@ -89,7 +89,8 @@ def _assert_the_pictures_hold_the_margins(page, report):
 def test_other_methods_need_no_weights_and_have_no_picture_of_them(model_path, tmp_path, method,
                                                                    capsys):
     output = tmp_path / "controller.json"
-    assert main(["--model", str(model_path), "--method", method, "--output", str(output)]) == 0
+    assert main(["--model", str(model_path), "--method", method, "--output", str(output),
+                 "--no-report"]) == 0
     controller = load_controller(output)
     assert (controller.report["method"], controller.weights) == (method, {})
     assert {path.name for path in tmp_path.glob("*.png")} == {

@@ -44,8 +44,10 @@ class Creep(Effect):
 
     def response(self, s: ComplexArray) -> ComplexArray:
         """Return the factor of the effect in the frequency response."""
-        return 1.0 + sum(gain / (1.0 + s * time_s) for gain, time_s in zip(
-            self.gains, self.time_constants_s, strict=True))
+        response = np.ones_like(s)
+        for gain, time_s in zip(self.gains, self.time_constants_s, strict=True):
+            response = response + gain / (1.0 + s * time_s)
+        return response
 
     def relaxations(self, signal: FloatArray, sample_period_s: float,
                     rest: float | None = None) -> FloatArray:
