@@ -308,6 +308,14 @@ def without_pictures(monkeypatch):
     monkeypatch.setattr(report_page, "interactive_item", lambda figure: None)
 
 
+@pytest.fixture(scope="module")
+def static_pages():
+    """Leave what Bokeh draws out of pages: it takes as long as the pictures."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(report_page, "interactive_item", lambda figure: None)
+        yield
+
+
 @pytest.fixture
 def package_of_page(tmp_path):
     """Lay out the package that a page tells to write, as pip would install it; return its place."""
