@@ -26,18 +26,24 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
+from piezo_common import report_page, side_by_side
 from piezo_ros.discovery import prepare_discovery
 
 LONG = bool(os.environ.get("LONG_TESTS"))
 DOCS = Path(__file__).parent / "docs"
-OF_THE_SUITE = {
-    "test_client_library", "test_diagnose_action", "test_diagnose_experiments", "test_examples",
-    "test_experiments_recorded", "test_general_references", "test_identify_and_track",
-    "test_impossible_transitions", "test_long_streams", "test_node_parameters", "test_probe",
-    "test_run_supervision", "test_security", "test_stage_faults", "test_stage_tracking",
-    "test_stage_waveforms", "test_two_stages",
+SHARED = {
+    "identification": {
+        "test_diagnose_action", "test_diagnose_experiments", "test_examples",
+        "test_experiments_recorded", "test_general_references", "test_identify_and_track",
+        "test_long_streams", "test_run_supervision", "test_stage_faults", "test_two_stages"},
+    "whole_suite": {
+        "test_client_library", "test_impossible_transitions", "test_node_parameters",
+        "test_security", "test_stage_tracking", "test_stage_waveforms"},
 }
-"""Files that use the fixture ``suite`` or what is identified on it: both are made once."""
+"""Files by the fixture that they share, which is made once: those of one run in one process.
+
+What is identified comes with nodes of its own.
+"""
 # A test that draws does not watch the clock.
 settings.register_profile("suite", deadline=None)
 settings.load_profile("suite")
@@ -83,13 +89,14 @@ COUNTS = re.compile("number|direction|correlation|with the voltage")
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """Give each file to one process, and all files of OF_THE_SUITE to the same one."""
+    """Give each file to one process, and all files that are SHARED's of a fixture to the same."""
     from xdist.scheduler import LoadScopeScheduling
 
     class Scheduling(LoadScopeScheduling):
         def _split_scope(self, nodeid):
             path = nodeid.partition("::")[0]
-            return "suite" if Path(path).stem in OF_THE_SUITE else path
+            return next((fixture for fixture, files in SHARED.items()
+                         if Path(path).stem in files), path)
 
         def schedule(self):
             super().schedule()
@@ -107,6 +114,14 @@ def pytest_collection_modifyitems(config, items):
     if left_out:
         config.hook.pytest_deselected(items=left_out)
         items[:] = [item for item in items if item not in set(left_out)]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_core():
+    """Let fits that go side by side take one core: other test files take the others."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(side_by_side, "cores", lambda: 1)
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -288,8 +303,17 @@ def picture_faults():
 
 @pytest.fixture
 def without_pictures(monkeypatch):
-    """Leave every saved picture empty: to draw takes longer than what many tests look at."""
+    """Leave every picture empty: to draw takes longer than what many tests look at."""
     monkeypatch.setattr(Figure, "savefig", lambda figure, *given, **options: None)
+    monkeypatch.setattr(report_page, "interactive_item", lambda figure: None)
+
+
+@pytest.fixture(scope="module")
+def static_pages():
+    """Leave what Bokeh draws out of pages: it takes as long as the pictures."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(report_page, "interactive_item", lambda figure: None)
+        yield
 
 
 @pytest.fixture

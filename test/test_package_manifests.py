@@ -4,6 +4,7 @@
 import ast
 import re
 import tomllib
+from functools import cache
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -18,12 +19,15 @@ PYPI = {"bokeh", "control", "dask", "distributed", "h5py", "mcap", "nidaqmx", "n
 ROS = re.compile(r"rclpy|ament_index_python|launch(_ros)?|\w+_(msgs|interfaces)|std_srvs|piezo_\w+")
 
 
+@cache
 def imported_packages(path):
+    names = set()
     for node in ast.walk(ast.parse(path.read_text(), str(path))):
         if isinstance(node, ast.Import):
-            yield from (alias.name.split(".")[0] for alias in node.names)
+            names.update(alias.name.split(".")[0] for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and not node.level:
-            yield node.module.split(".")[0]
+            names.add(node.module.split(".")[0])
+    return names
 
 
 @pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.name)

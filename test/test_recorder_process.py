@@ -26,6 +26,7 @@ from piezo_client.client import Client
 from piezo_recorder.reading.reader import read_recording
 from piezo_recorder.writing.writer import FLUSH_PERIOD_S
 from piezo_ros.quality import DESCRIPTION, SAMPLES
+from piezo_studies.forked_processes import ForkedProcesses
 
 TIMEOUT_S = 300.0
 NAMESPACE = "/recorded"
@@ -84,8 +85,13 @@ class FedRecorder(Client):
 
 
 @pytest.fixture
-def recorder(tmp_path):
-    with Processes(tmp_path / "logs", data_root=tmp_path) as processes:
+def kind():
+    return ForkedProcesses
+
+
+@pytest.fixture
+def recorder(tmp_path, kind):
+    with kind(tmp_path / "logs", data_root=tmp_path) as processes:
         processes.start("recorder", namespace=NAMESPACE)
         with FedRecorder(processes) as recorder:
             yield recorder
@@ -228,6 +234,7 @@ def test_a_client_that_began_anew_leaves_no_recording_open(recorder, tmp_path):
     client.destroy_node()
 
 
+@pytest.mark.parametrize("kind", [Processes])  # whose end is that of a user's recorder
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_closes_the_recording(recorder, tmp_path, number):
     started = recorder.start(tmp_path, "run")

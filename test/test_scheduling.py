@@ -79,8 +79,9 @@ def test_process_that_takes_over_a_single_test_from_one_that_crashed_runs_it(sch
     assert scheduling.tests_finished
 
 
-def test_every_file_that_shares_the_suite_is_listed(request):
+def test_every_file_that_shares_nodes_or_what_they_identified_is_listed(request):
     listed = request.config.pluginmanager.get_plugin(str(request.config.rootpath / "conftest.py"))
-    sharing = {item.path.stem for item in request.session.items
-               if "whole_suite" in item.fixturenames}
-    assert sharing <= listed.OF_THE_SUITE, "they would start and identify the suite once more"
+    using = {fixture: {item.path.stem for item in request.session.items
+                       if fixture in item.fixturenames} for fixture in listed.SHARED}
+    assert using["identification"] <= listed.SHARED["identification"], "identified once more"
+    assert using["whole_suite"] <= set().union(*listed.SHARED.values()), "started once more"

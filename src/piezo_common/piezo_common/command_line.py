@@ -122,6 +122,18 @@ def add_report_option(parser: argparse.ArgumentParser, where: str) -> None:
                         help=f"do not write the page, {where}")
 
 
+def check_output_file(output: Path) -> None:
+    """Refuse a file that cannot be written, before the work.
+
+    Raises
+    ------
+    ValueError
+        If it is a directory, or in none that exists.
+    """
+    if output.is_dir() or not output.absolute().parent.is_dir():
+        raise ValueError(f"{output} is no file in an existing directory: choose another --output")
+
+
 def add_budget_option(parser: argparse.ArgumentParser) -> None:
     """Add ``--budget``, the time that the work of a command may take."""
     parser.add_argument("--budget", metavar="SECONDS", type=float,

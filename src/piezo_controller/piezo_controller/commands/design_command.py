@@ -5,7 +5,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from piezo_common.command_line import Command, add_report_option
+from piezo_common.command_line import Command, add_report_option, check_output_file
 from piezo_controller.feedback.design_choices import (
     DEFAULT_WEIGHTS,
     DISTURBANCE_HZ,
@@ -41,6 +41,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _check(options: argparse.Namespace) -> None:
+    check_output_file(options.output)
     if not options.disturbance_hz > 0:
         raise ValueError(f"--disturbance-hz is {options.disturbance_hz:g}: give a positive number")
     if not 0.0 < options.rate < float("inf"):

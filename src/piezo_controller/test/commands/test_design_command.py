@@ -8,6 +8,7 @@ from io import StringIO
 import pytest
 import yaml
 
+from piezo_common.command_line import Command
 from piezo_controller.commands.design_command import main
 from piezo_controller.feedback.controller_file import load_controller
 from piezo_controller.feedback.synthesis.weights import WeightsError, load_weights
@@ -23,7 +24,7 @@ def model_path(stage_model, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def designed(model_path, tmp_path_factory, picture_faults):
+def designed(model_path, tmp_path_factory, picture_faults, static_pages):
     """Run the command as it stands; return the path of its controller, and what it prints."""
     output = tmp_path_factory.mktemp("designed") / "controller.json"
     with redirect_stdout(StringIO()) as printed:
@@ -89,7 +90,8 @@ def _assert_the_pictures_hold_the_margins(page, report):
 def test_other_methods_need_no_weights_and_have_no_picture_of_them(model_path, tmp_path, method,
                                                                    capsys):
     output = tmp_path / "controller.json"
-    assert main(["--model", str(model_path), "--method", method, "--output", str(output)]) == 0
+    assert main(["--model", str(model_path), "--method", method, "--output", str(output),
+                 "--no-report"]) == 0
     controller = load_controller(output)
     assert (controller.report["method"], controller.weights) == (method, {})
     assert {path.name for path in tmp_path.glob("*.png")} == {
@@ -135,6 +137,14 @@ def test_bad_input_ends_with_status_2_and_one_line(model_path, tmp_path, capsys)
         assert main([str(a) for a in arguments]) == 2
         line = capsys.readouterr().err
         assert line.count("\n") == 1 and line.startswith("design: ")
+
+
+def test_output_that_cannot_be_written_is_refused_before_the_work(
+        model_path, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(Command, "_load", lambda command: pytest.fail("it worked first"))
+    for output in (tmp_path / "none" / "controller.json", tmp_path):
+        assert main(["--model", str(model_path), "--output", str(output)]) == 2
+        assert "is no file in an existing directory" in capsys.readouterr().err
 
 
 def test_weights_of_the_thesis_are_its_but_for_the_integrators_pole():

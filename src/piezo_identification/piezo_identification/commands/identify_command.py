@@ -5,7 +5,12 @@ import argparse
 import sys
 from pathlib import Path
 
-from piezo_common.command_line import Command, add_budget_option, add_report_option
+from piezo_common.command_line import (
+    Command,
+    add_budget_option,
+    add_report_option,
+    check_output_file,
+)
 from piezo_identification.commands.response_options import add_response_options
 from piezo_identification.commands.row_options import add_rows_option
 from piezo_recorder.commands.data_flags import add_columns_option
@@ -66,9 +71,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _check(options: argparse.Namespace) -> None:
-    output = options.output
-    if output.is_dir() or not output.absolute().parent.is_dir():
-        raise ValueError(f"{output} is no file in an existing directory: choose another --output")
+    check_output_file(options.output)
     if all(getattr(options, name) is None for name in ("creep", "dynamics", "hysteresis")):
         raise ValueError(
             "there is nothing to identify: give --creep, --dynamics or --hysteresis")

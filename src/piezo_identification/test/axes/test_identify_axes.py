@@ -18,7 +18,7 @@ import flexure
 @pytest.fixture(scope="module")
 def recordings():
     return [flexure.recording(columns, f"experiment {number}")
-            for number, columns in enumerate(flexure.experiments(), start=1)]
+            for number, columns in enumerate(flexure.experiments(2048), start=1)]
 
 
 @pytest.fixture(scope="module")

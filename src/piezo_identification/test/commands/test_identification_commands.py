@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 import re
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,8 @@ from piezo_identification.identification.identify import IdentificationCancelled
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.model_file import load_model
 from piezo_recorder.reading.reader import read_recording, sha256_of
+
+pytestmark = pytest.mark.usefixtures("static_pages")
 
 HEADER = "time_s,voltage_v,displacement_um"
 NAMES = ("creep", "dynamics", "hysteresis", "validation")
@@ -51,7 +53,7 @@ def options(files):
 
 
 @pytest.fixture(scope="module")
-def model_file(files, tmp_path_factory):
+def model_file(files, tmp_path_factory, static_pages):
     path = tmp_path_factory.mktemp("models") / "model.json"
     arguments = [*options(files), "--output", path, "--creep-pairs", 4, "--modes", 2, *FINE_GRID]
     assert identify_main([str(argument) for argument in arguments]) == 0
@@ -120,23 +122,26 @@ def test_the_model_names_range_periods_and_recordings(files, model_file):
     ]
 
 
+@pytest.mark.parametrize("names", [
+    ("creep",), pytest.param(("creep", "dynamics"), marks=pytest.mark.long)])
 def test_identify_takes_orders_and_says_why_and_what_the_data_determine(
-        short_files, tmp_path, capsys):
+        short_files, tmp_path, capsys, names):
     output = tmp_path / "model.json"
-    arguments = [*options(short_files), "--output", output, "--creep-pairs", 1, "--modes", 1,
-                 *GRID, "--no-report"]
+    orders = {"creep": ("--creep-pairs", 1), "dynamics": ("--modes", 1)}
+    arguments = [*options({name: short_files[name] for name in names}), "--output", output,
+                 *chain.from_iterable(orders[name] for name in names), "--no-report"]
     assert identify_main([str(argument) for argument in arguments]) == 0
     model = load_model(output).model
     assert len(model.creep.poles_rad_per_s) == 1
-    assert len(model.dynamics.mode_frequencies_rad_per_s) == 1
+    assert len(model.dynamics.mode_frequencies_rad_per_s) == ("dynamics" in names)
     printed = capsys.readouterr().out
-    assert printed.count("<- asked for") == 2
+    assert printed.count("<- asked for") == len(names)
     # Three creep pairs and a mode too few, on the data that were fitted themselves.
     adequacy = load_model(output).adequacy
-    assert {name: part["verdict"] for name, part in adequacy.items()} == {
-        "creep": "inadequate", "dynamics": "inadequate"}
+    assert {name: part["verdict"] for name, part in adequacy.items()} == dict.fromkeys(
+        names, "inadequate")
     assert "creep is inadequate: " in printed
-    assert f"let diagnose name the cause from {short_files['dynamics']}" in printed
+    assert f"let diagnose name the cause from {short_files[names[-1]]}" in printed
 
 
 @pytest.fixture(scope="module")

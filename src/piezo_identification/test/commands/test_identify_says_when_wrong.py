@@ -12,6 +12,7 @@ from piezo_models.model_file import load_model
 
 PERIOD_S = 0.05
 TURNS_V = (0.0, 60.0, 0.0, 40.0, 10.0, 50.0, 20.0, 55.0, 0.0, 30.0, 5.0, 60.0, 0.0)
+ASKED = ("--grid", "40", "--smoothing", "1e-10", "--translation-weight", "1e-10")
 VOLTAGE_V = np.concatenate([
     *(np.linspace(start, end, 100, endpoint=False) for start, end in pairwise(TURNS_V)), [0.0]])
 
@@ -37,7 +38,7 @@ def identified(save_csv, tmp_path, capsys):
 
 def test_the_error_on_the_fitted_data_and_the_start_are_always_printed(
         displacement_um, identified):
-    out, model = identified(displacement_um)
+    out, model = identified(displacement_um, *ASKED)
     part = model.adequacy["hysteresis"]
     assert part["error_percent"] < 0.5
     assert part["residual_rms_um"] == pytest.approx(0.005, rel=0.5)
@@ -50,9 +51,7 @@ def test_the_error_on_the_fitted_data_and_the_start_are_always_printed(
 
 def test_a_sensor_that_clips_in_the_wrong_unit_is_said_twice(displacement_um, identified):
     limit_um = np.quantile(displacement_um, 0.6)
-    out, model = identified(
-        5e-3 * np.minimum(displacement_um, limit_um),
-        "--grid", "40", "--smoothing", "1e-10", "--translation-weight", "1e-10")
+    out, model = identified(5e-3 * np.minimum(displacement_um, limit_um), *ASKED)
     assert "implausible: " in out
     assert len(re.findall(r"stays at its highest value, .* in 40 % of the samples", out)) == 1
     assert "is implausible for a piezo stage: is the displacement in um" in out

@@ -14,6 +14,8 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 
+pytestmark = pytest.mark.usefixtures("without_ceiling")
+
 PERIOD_S = 1e-3
 W, DAMPING = 400.0, 0.05
 
@@ -31,7 +33,7 @@ def recorded(voltage_v, displacement_um):
         voltage_v, displacement_um, np.full(voltage_v.size, Flag.PLAYING, dtype=np.uint32))
 
 
-def slow(samples=9000):
+def slow(samples=6000):
     time_s = PERIOD_S * np.arange(samples)
     return 1.2 * np.sin(2.0 * np.pi * 0.11 * time_s) + 0.9 * np.sin(2.0 * np.pi * 0.31 * time_s)
 
@@ -77,7 +79,7 @@ def test_steps_of_the_applied_voltage_are_found_with_their_size(model):
 
 
 def test_steps_of_the_sensor_are_found_with_their_size(model):
-    voltage_v, step_um = slow(), 0.0031
+    voltage_v, step_um = slow(9000), 0.0031
     displacement_um = linear(voltage_v) + noise(voltage_v.size, 1e-4) + 3.0
     diagnosis = diagnose(model, [recorded(
         voltage_v, step_um * np.round(displacement_um / step_um))])
@@ -89,7 +91,7 @@ def test_steps_of_the_sensor_are_found_with_their_size(model):
 
 @pytest.mark.parametrize("deviation_um", [1e-3, 1e-2])
 def test_steps_finer_than_the_noise_have_no_name(model, deviation_um):
-    voltage_v, step_um = slow(6000), 1e-3
+    voltage_v, step_um = slow(), 1e-3
     displacement_um = linear(voltage_v) + noise(voltage_v.size, deviation_um)
     diagnosis = diagnose(model, [recorded(
         voltage_v, step_um * np.round(displacement_um / step_um))])

@@ -23,6 +23,8 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 from piezo_models.model_file import load_model, save_model
 from piezo_recorder.reading.reader import read_recording
 
+pytestmark = pytest.mark.usefixtures("without_ceiling")
+
 NOISE_UM = 2e-3
 PERIOD_S = 1e-3
 MODE_RAD_PER_S, DAMPING_RATIO = 400.0, 0.05

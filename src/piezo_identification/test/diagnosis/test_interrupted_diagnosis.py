@@ -65,6 +65,7 @@ def test_before_anything_is_found_the_verdict_names_nothing(line, recording):
     assert found.model is line
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_when_the_time_is_over_the_verdict_and_its_page_say_what_was_not_tried(line, recording):
     found = diagnose(line, [recording], budget=Budget(1.0, count().__next__))
     document = found.document()

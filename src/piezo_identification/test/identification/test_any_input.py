@@ -4,13 +4,14 @@ import pytest
 from scipy.signal import chirp, lsim
 
 from piezo_identification.estimators.dynamics.any_input import estimate_dynamics_any
+from piezo_identification.estimators.frequency_response.response_model import ResponseOrder
 from piezo_identification.identification.identify import identify
 from piezo_identification.identification.linear_dynamics import estimate_linear_dynamics
 from piezo_models.linear.dynamics import CreepDynamics
 
 PERIOD_S = 1e-4
 LAG_S, MODE, DAMPING = 4e-4, 3000.0, 0.05
-COUNT = 12_000
+COUNT = 8_000
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +28,7 @@ def voltage_of(kind):
     time_s = np.arange(COUNT) * PERIOD_S
     random = np.random.default_rng(4)
     if kind == "chirp":
-        return 40.0 + 30.0 * chirp(time_s, 5.0, 1.2, 900.0)
+        return 40.0 + 30.0 * chirp(time_s, 5.0, time_s[-1], 900.0)
     if kind == "multisine":
         phases = random.uniform(0.0, 2.0 * np.pi, 40)
         tones = 2.0 * np.pi * 20.0 * np.arange(1, 41)
@@ -35,7 +36,7 @@ def voltage_of(kind):
     if kind == "noise":
         return np.clip(40.0 + 10.0 * random.normal(size=COUNT // 4), 0.0, 80.0).repeat(4)
     if kind == "steps":
-        return np.repeat([10.0, 60.0, 30.0, 75.0, 20.0, 50.0], COUNT // 6)
+        return np.resize(np.repeat([10.0, 60.0, 30.0, 75.0, 20.0, 50.0], COUNT // 6 + 1), COUNT)
     return np.where((np.arange(COUNT) * PERIOD_S / 0.030137) % 1.0 < 0.45, 65.0, 20.0)
 
 
@@ -57,6 +58,7 @@ KINDS = ("square", *(pytest.param(kind, marks=pytest.mark.long)
                     for kind in ("chirp", "multisine", "noise", "steps")))
 
 
+@pytest.mark.long  # the hysteresis below makes it harder
 @pytest.mark.parametrize("kind", KINDS)
 def test_dynamics_of_a_linear_stage_are_found_from_any_input(kind, linear_stage, record):
     recording = record(linear_stage, voltage_of(kind), PERIOD_S, noise_um=0.01)
@@ -89,15 +91,15 @@ def test_edges_of_a_generator_between_the_samples_are_found(record, linear_stage
 
 
 def test_a_linear_stage_becomes_a_line_with_its_gain(linear_stage, record):
-    for kind in ("square",):
-        recording = record(linear_stage, voltage_of(kind), PERIOD_S, noise_um=0.01)
-        hysteresis = identify(dynamics=recording).model.hysteresis
-        span_v = hysteresis.voltage_max_v - hysteresis.voltage_min_v
-        gain = np.ptp(hysteresis.output_range_um) / span_v
-        assert not hysteresis.density_um_per_v2.any()
-        assert gain == pytest.approx(0.57, rel=3e-3)
+    recording = record(linear_stage, voltage_of("square"), PERIOD_S, noise_um=0.01)
+    hysteresis = identify(dynamics=recording, order=ResponseOrder(0, 1, 0)).model.hysteresis
+    span_v = hysteresis.voltage_max_v - hysteresis.voltage_min_v
+    gain = np.ptp(hysteresis.output_range_um) / span_v
+    assert not hysteresis.density_um_per_v2.any()
+    assert gain == pytest.approx(0.57, rel=3e-3)
 
 
+@pytest.mark.long  # the deviation of a delay has tests of its own
 def test_a_delay_beside_another_form_of_stage_has_a_deviation_that_agrees_with_its_verdict(
         record, linear_stage):
     """No linear fit has the stiffening, whose periodic residual hides delay and lag alike."""

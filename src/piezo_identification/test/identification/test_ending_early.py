@@ -6,11 +6,16 @@ from itertools import count
 import pytest
 
 from piezo_common.budget import Budget
+from piezo_identification.estimators.frequency_response.response_model import ResponseOrder
 from piezo_identification.experiments import catalogue as experiments
+from piezo_identification.identification.given_hysteresis import DensityOptions
 from piezo_identification.identification.identify import identify
 from piezo_identification.report.identification_report import identification_sentence
 from piezo_models.model_file import load_model, save_model
 from piezo_recorder.reading.reader import read_recording
+
+# Which of them is best is not asked here, and takes most of an identification.
+ASKED = {"order": ResponseOrder(None, 2, 0), "density": DensityOptions(40, 1e-10, 1e-10)}
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +31,7 @@ def recordings(play, csv_of, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def whole(recordings):
-    return identify(**recordings)
+    return identify(**recordings, **ASKED)
 
 
 def interrupted_at(beginning):
@@ -44,7 +49,7 @@ def test_an_identification_that_is_done_is_not_unfinished(whole):
 @pytest.mark.parametrize("stage", [
     "everything together", pytest.param("with", marks=pytest.mark.long)])
 def test_ctrl_c_in_the_one_fit_leaves_the_best_model_so_far(recordings, whole, stage, tmp_path):
-    found = identify(**recordings, progress=interrupted_at(stage))
+    found = identify(**recordings, **ASKED, progress=interrupted_at(stage))
     assert found.unfinished.startswith("interrupted; not tried: ")
     assert found.unfinished in identification_sentence(found)
     save_model(tmp_path / "model.json", found)
@@ -56,12 +61,13 @@ def test_ctrl_c_in_the_one_fit_leaves_the_best_model_so_far(recordings, whole, s
 
 def test_ctrl_c_before_there_is_a_model_leaves_none(recordings):
     with pytest.raises(KeyboardInterrupt):
-        identify(**recordings, progress=interrupted_at("hysteresis"))
+        identify(**recordings, **ASKED, progress=interrupted_at("hysteresis"))
 
 
 def test_a_budget_that_is_over_at_once_leaves_the_separate_steps(recordings):
     told = []
-    found = identify(**recordings, note=told.append, budget=Budget(1.0, count().__next__))
+    found = identify(**recordings, **ASKED, note=told.append,
+                     budget=Budget(1.0, count().__next__))
     assert found.unfinished.startswith("the time of 1 s is over; not tried: ")
     table = next(text for text in told if text.startswith("one fit of the whole model"))
     assert table.splitlines()[-1].startswith("step by step") and "<- written" in table
@@ -69,6 +75,6 @@ def test_a_budget_that_is_over_at_once_leaves_the_separate_steps(recordings):
 
 @pytest.mark.long  # a whole identification
 def test_a_budget_that_is_large_enough_changes_nothing(recordings, whole):
-    found = identify(**recordings, budget=Budget(1e9, count().__next__))
+    found = identify(**recordings, **ASKED, budget=Budget(1e9, count().__next__))
     assert found.unfinished == ""
     assert found.errors == whole.errors

@@ -11,13 +11,15 @@ from piezo_identification.conditioning.waveforms import played
 from piezo_identification.experiments import catalogue as experiments
 from piezo_identification.identification.estimated_loops import loops_beside
 from piezo_identification.identification.given_hysteresis import (
-    CHOSEN_BY_DATA,
+    DensityOptions,
     estimate_hysteresis_of,
 )
 from piezo_identification.identification.linear_dynamics import LinearDynamics
 from piezo_models.effects.amplifier_lag import AmplifierLag
 
 pytestmark = pytest.mark.kernels
+
+ASKED = DensityOptions(80, 1e-13, 1e-12)
 
 
 def test_loops_that_are_estimated_anew_do_not_depend_on_those_of_the_model(plant, play):
@@ -29,8 +31,8 @@ def test_loops_that_are_estimated_anew_do_not_depend_on_those_of_the_model(plant
         plant.hysteresis,
         density_um_per_v2=density * (1.0 + np.linspace(-0.1, 0.1, len(density))[:, None])))
     near = estimate_hysteresis_of(
-        recordings, LinearDynamics(stage.creep, stage.dynamics, effects=stage.effects))
-    anew = loops_beside(recordings, CHOSEN_BY_DATA, near, bent, {"hysteresis": 0.0})
+        recordings, LinearDynamics(stage.creep, stage.dynamics, effects=stage.effects), ASKED)
+    anew = loops_beside(recordings, ASKED, near, bent, {"hysteresis": 0.0})
     voltage_v = played(recordings["hysteresis"]).voltage_v
 
     def error_um(hysteresis):

@@ -35,7 +35,8 @@ def error_of(dynamics):
     return np.abs(dynamics.response(frequency_hz) - truth).max() / np.abs(truth).max()
 
 
-@pytest.mark.parametrize("kind", ["chirp", "multisine", "noise"])
+@pytest.mark.parametrize("kind", [
+    "noise", *(pytest.param(kind, marks=pytest.mark.long) for kind in ("chirp", "multisine"))])
 def test_dynamics_and_hysteresis_are_told_apart_in_one_record(kind, foreign_stage, record):
     stage = foreign_stage((), 4e-4, 3000.0, 0.05)
     recording = record(stage, voltage_of(kind), PERIOD_S, noise_um=0.01)

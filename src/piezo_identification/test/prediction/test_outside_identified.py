@@ -107,7 +107,7 @@ def test_both_commands_say_it(one_loop, save_csv, tmp_path, capsys, picture_faul
     whole, inside = (float(line.split()[1]) for line in out.splitlines()
                      if line.startswith("e_y_percent"))
     assert inside < 0.2 * whole
-    assert diagnose_main(["--model", str(model), "--data", str(path),
+    assert diagnose_main(["--model", str(model), "--data", str(path), "--budget", "1e-9",
                           "--output", str(tmp_path / "out")]) == 0
     assert "of the samples lie beyond the model's voltages" in capsys.readouterr().out
     assert "beyond the model" in (tmp_path / "out" / "report.html").read_text()

@@ -281,6 +281,7 @@ def test_recording_of_no_use_says_why(read, voltage_v, displacement_um, said):
         assert said in each.reason
 
 
+@pytest.mark.usefixtures("static_pages")
 def test_command_prints_the_table_and_draws_a_picture_for_each_kind(
         tmp_path, save_csv, capsys, page_parts):
     index = np.arange(4000)

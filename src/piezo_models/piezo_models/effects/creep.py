@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 import control
 import numpy as np
 
-from piezo_common.arrays import FloatArray
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, parameter
 from piezo_models.effects.filtering import filtered
 
@@ -41,6 +41,13 @@ class Creep(Effect):
         return control.ss(
             np.diag(-rates), rates[:, None], np.array(self.gains)[None, :], [[1.0]]
         )
+
+    def response(self, s: ComplexArray) -> ComplexArray:
+        """Return the factor of the effect in the frequency response."""
+        response = np.ones_like(s)
+        for gain, time_s in zip(self.gains, self.time_constants_s, strict=True):
+            response = response + gain / (1.0 + s * time_s)
+        return response
 
     def relaxations(self, signal: FloatArray, sample_period_s: float,
                     rest: float | None = None) -> FloatArray:

@@ -73,6 +73,7 @@ def test_the_verdict_names_the_recording_that_tells_a_delay_from_a_lag(
     assert "<h2>What would decide" in page and "Play next_experiment.csv" in page
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_ctrl_c_keeps_the_verdict_and_removes_what_an_earlier_one_proposed(
         arguments, tmp_path, monkeypatch, capsys):
     def interrupted(*_):

@@ -21,6 +21,8 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 
+pytestmark = pytest.mark.usefixtures("without_ceiling")
+
 PERIOD_S, SAMPLES, NOISE_UM = 1e-3, 3000, 2e-3
 MODE = (400.0, 0.1)
 MODEL = StageModel(

@@ -139,7 +139,7 @@ def test_the_curvature_of_a_plane_density_is_zero():
     pytest.param(-0.003, -20.0, 120.0, marks=pytest.mark.long)])
 def test_unseen_input_and_its_inverse_are_predicted(lowest_v, highest_v, floor):
     plant = truth(lowest_v, highest_v, floor)
-    voltage_v = reversal_curves(lowest_v, highest_v, 70, 1000)
+    voltage_v = reversal_curves(lowest_v, highest_v, 70, 600)
     noise_um = NOISE_UM * np.random.default_rng(1).normal(size=voltage_v.size)
     estimate = smoothed_density(
         voltage_v, plant.simulate(voltage_v) + noise_um, np.linspace(lowest_v, highest_v, 141),
