@@ -81,6 +81,9 @@ def read(data: Any, columns: Any = (), name: Any = "") -> Recording:
         return data
     if not isinstance(name, str):
         data, columns, name = dict(zip(SIGNALS, (data, columns, name), strict=True)), (), ""
+    if isinstance(data, str | PathLike) and not columns and is_of_axes(data):
+        raise RecordingError(f"{data} is of several axes, which are not read alone: hand the file "
+                             "itself to check, identify or simulate")
     try:
         said = parse_columns(list(columns))
         if isinstance(data, str | PathLike):

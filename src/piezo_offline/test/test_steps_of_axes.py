@@ -45,3 +45,12 @@ def test_a_saved_model_simulates_alike(identified, tmp_path):
 def test_several_recordings_are_refused_where_one_is_simulated(identified):
     with pytest.raises(ValueError, match="hold 2 recordings"):
         piezo_offline.simulate(identified, [columns(3), columns(4)])
+
+
+def test_a_file_of_two_axes_is_not_read_alone(tmp_path):
+    path = tmp_path / "both.csv"
+    table = columns(1)
+    np.savetxt(path, np.column_stack(list(table.values())), delimiter=",", header=",".join(table),
+               comments="")
+    with pytest.raises(piezo_offline.RecordingError, match="hand the file itself to check"):
+        piezo_offline.read(path)

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 SAME_PERIOD = 1e-4
 """Relative difference of sample periods up to which they are one: a clock's tolerance."""
 
+AT_REST = 20
+"""Rows whose voltages are the same from which a recording begins at rest, as of one axis."""
+
 
 @dataclass(frozen=True, eq=False)
 class AxesPrediction:
@@ -66,8 +69,9 @@ class AxesPrediction:
 def predict_several_axes(model: CoupledModel, recording: AxesRecording) -> AxesPrediction:
     """Return what a model predicts from the voltage of a recording, beside what it measured.
 
-    A recording of periods is predicted as one that has repeated for long, another one from rest at
-    its first voltage.
+    A recording of periods is predicted as one that has repeated for long, and one whose first
+    voltages are all the same from rest. Any other begins in motion: what the modes still ring by is
+    estimated from its displacement, as the offset is.
 
     Raises
     ------
@@ -87,9 +91,23 @@ def predict_several_axes(model: CoupledModel, recording: AxesRecording) -> AxesP
         simulated_um = np.tile(model.simulate(mean_v, periodic=True), (recording.periods, 1))
     else:
         simulated_um = model.simulate(recording.voltage_v)
+        if np.any(np.ptp(recording.voltage_v[:AT_REST], axis=0) > 0.0):
+            simulated_um = simulated_um + _begun_um(model, recording.displacement_um - simulated_um)
     return AxesPrediction(
         recording.axes, recording.sample_period_s * np.arange(len(simulated_um), dtype=float),
         recording.voltage_v, recording.displacement_um, simulated_um)
+
+
+def _begun_um(model: CoupledModel, left_um: FloatArray) -> FloatArray:
+    """Return the part of what is left that the modes ring by from before a recording, (N, n)."""
+    steps = np.exp(model.poles_rad_per_s * model.sample_period_s)
+    decays = steps ** np.arange(len(left_um))[:, None]
+    ringing = np.hstack([decays.real, decays.imag[:, steps.imag > 0.0]])
+    # Beside an offset, which no error has.
+    columns = np.hstack([ringing, np.ones((len(left_um), 1))])
+    gains = np.linalg.lstsq(columns, left_um, rcond=1e-9)[0]
+    begun_um: FloatArray = ringing @ gains[:-1]
+    return begun_um
 
 
 def errors_percent(model: CoupledModel,

@@ -2,6 +2,7 @@
 """Identification of a flexure of two axes, from recordings that begin at rest."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,16 @@ def test_unseen_motion_is_predicted_to_three_times_the_noise(identified):
     prediction = predict_several_axes(identified.model, unseen)
     left = prediction.measured_um - prediction.simulated_um
     assert np.all(np.std(left, axis=0) < 3.0 * flexure.NOISE_UM)
+
+
+def test_a_recording_that_begins_in_motion_is_predicted_as_well(identified):
+    rng = np.random.default_rng(11)
+    whole = flexure.recording(flexure.table(rng.normal(size=(4000, 2)), rng), "noise")
+    begun = replace(whole, voltage_v=whole.voltage_v[1777:],
+                    displacement_um=whole.displacement_um[1777:])
+    prediction = predict_several_axes(identified.model, begun)
+    left = prediction.measured_um - prediction.simulated_um
+    assert np.all(np.std(left, axis=0) < 1.5 * flexure.NOISE_UM)
 
 
 def test_modes_are_found(identified):
