@@ -7,6 +7,7 @@ from scipy.signal import lfilter
 
 import piezo_offline
 from piezo_models import IdentifiedAxes
+from piezo_recorder import RecordingError
 
 GAIN = np.array([[0.2, 0.004], [-0.003, 0.15]])
 
@@ -52,5 +53,5 @@ def test_a_file_of_two_axes_is_not_read_alone(tmp_path):
     table = columns(1)
     np.savetxt(path, np.column_stack(list(table.values())), delimiter=",", header=",".join(table),
                comments="")
-    with pytest.raises(piezo_offline.RecordingError, match="hand the file itself to check"):
+    with pytest.raises(RecordingError, match="hand the file itself to check"):
         piezo_offline.read(path)
