@@ -129,7 +129,7 @@ def _of_square_wave(
     samples = samples_per_mean(part)
     lags, _ = leading_lags(model.effects_at("displacement") + model.effects_at("sensor"), samples)
     system, behind_s = behind_lags(model.linear(), lags)
-    first = first_settled(model.dynamics, time_s)
+    first = first_settled(model.dynamics, time_s, model.effects)
     if component == "dynamics":
         first = max(first, _first_used(part, wave.steps, model.creep))
     elif wave.steps.size >= FEWEST_STEPS:

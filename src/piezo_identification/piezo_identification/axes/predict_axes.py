@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.conditioning.settling import AT_REST
 from piezo_models.axes.coupled import CoupledModel
 from piezo_models.measures import e_y_percent
 from piezo_recorder.reading.axes import AxesRecording
@@ -18,9 +19,6 @@ if TYPE_CHECKING:
 
 SAME_PERIOD = 1e-4
 """Relative difference of sample periods up to which they are one: a clock's tolerance."""
-
-AT_REST = 20
-"""Rows whose voltages are the same from which a recording begins at rest, as of one axis."""
 
 
 @dataclass(frozen=True, eq=False)

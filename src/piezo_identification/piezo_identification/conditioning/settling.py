@@ -24,6 +24,9 @@ SMALL_PART = 0.01
 """Part of the displacement below which a mode beside others rings too little to wait for: it rings
 about a mean that is right."""
 
+AT_REST = 20
+"""First samples without a change of the voltage, from which a recording begins at rest."""
+
 MOST_OF_RECORDING = 0.25
 """Part of a recording that is given away to settle, however slowly a mode decays."""
 
@@ -138,13 +141,19 @@ def settling_time_s(dynamics: ElectricVibrationDynamics) -> float:
     return -np.log(NEGLIGIBLE) / slowest_rad_per_s
 
 
-def first_settled(dynamics: ElectricVibrationDynamics, time_s: FloatArray) -> int:
+def first_settled(dynamics: ElectricVibrationDynamics, time_s: FloatArray,
+                  effects: Sequence[Effect] = ()) -> int:
     """Find the first sample of a recording at which its start has settled, if it is long enough.
 
     Parameters
     ----------
     time_s : (N,) array
         Since the start.
+    effects : sequence of Effect
+        Of them, lags of the amplifier and of the sensor have to settle, too.
     """
-    settled = int(np.searchsorted(time_s, settling_time_s(dynamics)))
+    longest_lag_s = max((effect.time_constant_s for effect in effects
+                         if isinstance(effect, (SensorLag, AmplifierLag))), default=0.0)
+    settled = int(np.searchsorted(
+        time_s, max(settling_time_s(dynamics), -np.log(NEGLIGIBLE) * longest_lag_s)))
     return min(settled, int(MOST_OF_RECORDING * time_s.size))

@@ -12,6 +12,7 @@ from piezo_common.arrays import BoolArray, FloatArray
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.fitting.dataset import Dataset, dataset_of
 from piezo_identification.fitting.effect_fit import fit_effects
+from piezo_identification.fitting.evidence import correlated_scale
 from piezo_identification.fitting.free_parameters import (
     free_sensitivities,
     piece_outputs_um,
@@ -40,17 +41,11 @@ class JointSettings:
     kept_samples : int
         Of all recordings, up to which the outputs of some 40 pieces of the hysteresis are kept:
         0.6 GB.
-    blocks : tuple of int
-        Neighbouring rows whose means tell how far errors are alike.
-    fewest_blocks : int
-        Of a recording, for their means to tell it.
     """
 
     steps: int = 2
     worthwhile: float = 0.5
     kept_samples: int = 2_000_000
-    blocks: tuple[int, ...] = (10, 100, 1000)
-    fewest_blocks: int = 10
 
 
 SETTINGS = JointSettings()
@@ -254,27 +249,6 @@ class JointProblem:
 
 def _left_um(regression: Regression, effects: Sequence[Effect]) -> FloatArray:
     return regression.tolerance_um * regression.as_given(effects).residual
-
-
-def correlated_scale(residual: FloatArray) -> float:
-    """Return the RMS of a residual, times the root of how many neighbours err alike.
-
-    Parameters
-    ----------
-    residual : (N,) array
-
-    Returns
-    -------
-    float
-        Of white noise its standard deviation. The variance of a mean over a long block is that of
-        white noise of this standard deviation, over the length of the block.
-    """
-    squares = [np.mean(residual**2)]
-    for length in SETTINGS.blocks:
-        blocks = residual[: residual.size // length * length].reshape(-1, length)
-        if len(blocks) >= SETTINGS.fewest_blocks:
-            squares.append(length * np.mean(blocks.mean(axis=1) ** 2))
-    return float(np.sqrt(max(squares)))
 
 
 def _scale_um(dataset: Dataset, noise: NoiseEstimate,

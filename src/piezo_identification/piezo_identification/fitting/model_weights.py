@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.fitting.joint_fit import JointFit, correlated_scale
+from piezo_identification.fitting.evidence import correlated_scale
+from piezo_identification.fitting.joint_fit import JointFit
 from piezo_models.effects import Effect, Extent, fitted_values, units_of_fitted
 
 WIDEST = 2.3

@@ -12,7 +12,7 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.fitting.dataset import dataset_of
-from piezo_identification.fitting.evidence import log_evidence
+from piezo_identification.fitting.evidence import independent_errors, log_evidence
 from piezo_identification.fitting.free_parameters import (
     changed_model,
     changes_between,
@@ -41,6 +41,9 @@ EARLIEST = 1.0
 BEFORE_DELAY = ("voltage", "modes")
 """Places of the effects of a model that act ahead of its delay."""
 
+LEAST_GAIN = 1e-9
+"""Of a line, in um/V: a displacement that falls has none."""
+
 BESIDE_ROUGH, BESIDE_FITTED = 2.0, 0.02
 """Prior widths of the changes of the hysteresis, over that of a joint fit with new recordings. Of
 loops that were estimated beside a rough creep, they are wrong by as much as that moves them; those
@@ -64,6 +67,9 @@ class WholeFit:
         Of a good model of each recording.
     covariance : (p, p) array or None
         Of all unknowns; None before any fit.
+    counts : (R,) array
+        Errors of each recording that count: those that are independent beside the fit of its
+        problem that has explained most of their pattern so far.
     has_converged : bool
     free_changes : int
         Changes of the hysteresis that a wide prior leaves free.
@@ -75,6 +81,7 @@ class WholeFit:
     accuracy_um: FloatArray
     errors: JointErrors = field(repr=False)
     vector: FloatArray = field(repr=False)
+    counts: FloatArray = field(repr=False)
     has_converged: bool = False
     free_changes: int = 0
 
@@ -103,10 +110,11 @@ class WholeFit:
     def evidence_over(self, other: "WholeFit") -> float:
         """Return by how much the evidence for this model is more than for another.
 
-        As many errors of each recording count in all fits, so that three models are in one order
+        As many errors of each recording count for all fits, so that three models are in one order
         whichever two are compared.
         """
-        mine, others = (log_evidence(fit._squares_um2(0), fit.numbers) for fit in (self, other))
+        mine, others = (
+            log_evidence(fit._squares_um2(0), fit.numbers, self.counts) for fit in (self, other))
         return mine - others
 
     def is_closer_than(self, other: "WholeFit") -> bool:
@@ -115,7 +123,8 @@ class WholeFit:
 
     def held_out_over(self, other: "WholeFit") -> float:
         """Return the logarithm of the ratio of likelihoods on the rows that are held out."""
-        return log_evidence(self._squares_um2(1), 0) - log_evidence(other._squares_um2(1), 0)
+        return (log_evidence(self._squares_um2(1), 0, self.counts)
+                - log_evidence(other._squares_um2(1), 0, self.counts))
 
     def _squares_um2(self, rows: int) -> FloatArray:
         """Return the mean square of what is left of each recording, and of the accuracy, (R,)."""
@@ -184,6 +193,8 @@ class WholeModel:
         self.noise = estimate_noise(self._dataset, model.effects)
         good = ~self._dataset.at_rows(self.noise.outliers)
         self._fitted, self._good = self._dataset.for_estimation & good, good
+        # Shared with the fits, and with the same problem about another hysteresis.
+        self._counts = np.zeros(len(simulated))
         self.about_here()
 
     def with_hysteresis(self, hysteresis: PreisachModel, width: float) -> "WholeModel":
@@ -197,6 +208,20 @@ class WholeModel:
         problem._dataset = replace(self._dataset, model=bare, simulated=tuple(side_by_side(
             lambda part: part.with_model(bare), self._dataset.simulated)))
         return problem
+
+    def with_line(self) -> "WholeModel":
+        """Return the same problem with the line that leaves least in place of its hysteresis."""
+        loops = self._given.hysteresis
+        unit = PreisachModel(
+            loops.voltage_min_v, loops.voltage_max_v, np.zeros((1, 1)), 0.0, np.ones(1))
+        model = replace(self._given, hysteresis=unit)
+        pairs = [(part.with_model(model).simulate(), part.measured_um)
+                 for part in self._dataset.simulated]
+        moved, measured = (np.concatenate([each - each.mean() for each in signals])
+                           for signals in zip(*pairs, strict=True))
+        gain_um_per_v = max(float(moved @ measured / (moved @ moved)), LEAST_GAIN)
+        return self.with_hysteresis(
+            replace(unit, reversible_um_per_v=np.array([gain_um_per_v])), BESIDE_ROUGH)
 
     def about_here(self) -> None:
         """Let the next fit compute anew what the pieces of the hysteresis do to the displacement.
@@ -242,10 +267,13 @@ class WholeModel:
         found = errors.effects_at(descent.vector)
         fitted = changed_model(errors.dataset.model, descent.vector[: errors.count])
         delays_s = [effect.delay_s - shift_s for effect in found if type(effect) is Delay]
+        left_um = errors.left_um(descent.vector)
+        np.maximum(self._counts, [independent_errors(left) for left, _ in left_um],
+                   out=self._counts)
         return WholeFit(
             replace(fitted, effects=tuple(each for each in found if type(each) is not Delay)),
-            delays_s[0] if delays_s else None, errors.left_um(descent.vector),
-            errors.accuracy_um, errors, descent.vector, descent.has_converged,
+            delays_s[0] if delays_s else None, left_um, errors.accuracy_um, errors,
+            descent.vector, self._counts, descent.has_converged,
             errors.count - begun.size if self._hysteresis_width >= 1.0 else 0)
 
     def over_noise(self, fit: WholeFit, of_accuracy: float = 1.0) -> FloatArray:
@@ -289,6 +317,11 @@ class WholeModel:
             pieces_um=self._pieces_um,
             hysteresis_width=self._hysteresis_width,
             of_pieces_um=self._of_pieces_um.setdefault(smooth, {}))
+
+    @property
+    def given(self) -> StageModel:
+        """Return the model from which fits begin, with its hysteresis."""
+        return self._given
 
     @cached_property
     def _pieces_um(self) -> list[list[FloatArray]] | None:

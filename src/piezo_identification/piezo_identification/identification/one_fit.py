@@ -95,6 +95,24 @@ class _Search:
                 if not is_at_noise(state.problem, state.best):
                     other = self._from(start, BEGUN + number * length, length)
                     state = other if is_better(other.best, state.best) else state
+        return self._or_of_a_line(state, delay_s)
+
+    def _or_of_a_line(self, state: _State, delay_s: float | None) -> _State:
+        """Return a state, or the best one of a line where that is better and no loops were given.
+
+        What other recordings show of a hysteresis may be what the dynamics lack.
+        """
+        if self.loops_beside is not None or not state.best.model.hysteresis.density_um_per_v2.any():
+            return state
+        with while_time_lasts("a line in place of the hysteresis"):
+            check_cancelled()
+            problem = self.problem.with_line()
+            line = replace(self, problem=problem, tried=[], given=replace(
+                self.given, model=problem.given, visited=np.ones((1, 1), dtype=bool)))
+            other = line.best(delay_s)
+            self.tried.extend((f"a line: {change}", fit) for change, fit in line.tried)
+            if is_better(other.best, state.best):
+                return other
         return state
 
     def _from(self, start: _State, begin: float, length: float) -> _State:

@@ -10,7 +10,7 @@ import numpy as np
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.conditioning.outlier_samples import good_samples, with_outliers_marked
 from piezo_identification.conditioning.sensor_sign import moves_against, reversed_displacement
-from piezo_identification.conditioning.settling import first_settled
+from piezo_identification.conditioning.settling import AT_REST, NEGLIGIBLE, first_settled
 from piezo_identification.conditioning.waveforms import (
     played,
     samples_per_mean,
@@ -135,19 +135,28 @@ class ModelRun:
             model.effects_at("displacement") + model.effects_at("sensor"), self._samples)
         self._system, self._delay_s = behind_lags(model.linear(), lags)
         time_s = self.part.time_s
-        self.settled = np.arange(first_settled(model.dynamics, time_s), time_s.size)
+        self.settled = np.arange(
+            first_settled(model.dynamics, time_s, model.effects), time_s.size)
         rates_rad_per_s = list(model.creep.poles_rad_per_s)
         if model.hysteretic_creep is not None:
             rates_rad_per_s += [1.0 / tau for tau in set(model.hysteretic_creep.time_constants_s)]
         time_s = time_s[self.settled]
         self.good = good_samples(self.part)[self.settled]
         self._nuisance = np.column_stack([
-            np.ones(time_s.size), *(np.exp(-rate * time_s) for rate in rates_rad_per_s)
+            np.ones(time_s.size), *(np.exp(-rate * time_s) for rate in rates_rad_per_s),
+            *(self._ringing(time_s) if np.ptp(recording.voltage_v[:AT_REST]) else ()),
         ])
         self._span_of: tuple[BoolArray, FloatArray] | None = None
         if np.count_nonzero(self.good) <= self._nuisance.shape[1]:
             raise ValueError(
                 f"{recording.path} has {self.part.time_s.size} samples: record longer")
+
+    def _ringing(self, time_s: FloatArray) -> list[FloatArray]:
+        """Return what modes may still ring by from before a recording that begins in motion."""
+        poles = self._system.poles()
+        poles = poles[(poles.imag > 0.0) & (poles.real * time_s[0] > np.log(NEGLIGIBLE))]
+        decays = [np.exp(pole * time_s) for pole in poles]
+        return [part for decay in decays for part in (decay.real, decay.imag)]
 
     @property
     def measured_um(self) -> FloatArray:

@@ -109,7 +109,7 @@ class SimulatedRecording:
         self.outlier = ~good_samples(part)
         self.off_um = part.columns.get(OUTLIER, np.zeros(self.time_s.size))
         self._joined_v, self._samples_before = with_voltage_before(recording, part)
-        self.begin = first_settled(model.dynamics, self.time_s)
+        self.begin = first_settled(model.dynamics, self.time_s, model.effects)
         if self.time_s.size - self.begin < SETTINGS.fewest_samples:
             raise ValueError(
                 f"{self.path} has {self.time_s.size} samples, fewer than "

@@ -4,6 +4,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from piezo_studies.measured_devices.further_sets import PLAYER_ARM, ROBOT_ARM, TANKS
 from piezo_studies.measured_devices.measured import (
     CANTILEVER,
     MAJOR_LOOPS,
@@ -20,6 +21,7 @@ from piezo_studies.measured_devices.oscillators import (
 )
 
 NO_LICENCE = "none known that lets others redistribute it"
+DAISY = "https://homes.esat.kuleuven.be/~smc/daisy"
 COLUMNS = "columns time_s, voltage_v, displacement_um"
 
 
@@ -64,4 +66,10 @@ SETS = tuple(MeasuredSet(*each) for each in (
      f"{COLUMNS}, from that page"),
     ("steering mirror", MIRROR_FILES, "https://github.com/merijnfloren/fsm-benchmark-data",
      "CC BY 4.0", "the folder data of that repository, as fine_steering_mirror"),
+    ("cascaded tanks", (TANKS,), "https://www.nonlinearbenchmark.org/benchmarks/cascaded-tanks",
+     NO_LICENCE, "dataBenchmark.csv of that page, in cascaded_tanks"),
+    ("robot arm", (ROBOT_ARM,), f"{DAISY}, set 96-009", NO_LICENCE,
+     "robot_arm.dat of that page, in robot_arm"),
+    ("CD player's arm", (PLAYER_ARM,), f"{DAISY}, set 96-007", NO_LICENCE,
+     "CD_player_arm.dat of that page, in cd_player_arm"),
 ))

@@ -4,8 +4,11 @@
 import json
 from dataclasses import asdict
 
+import numpy as np
+
 from piezo_models.axes_model_file import save_axes_model
 from piezo_studies.measured_devices import (
+    further_sets,
     measured,
     measured_pictures,
     measured_sets,
@@ -92,7 +95,10 @@ def _mirror(data, output):
 
 
 SETS = {"scanner": _scanner, "cantilever": _cantilever, "nanopositioner": _nanopositioner,
-        "steering mirror": _mirror}
+        "steering mirror": _mirror,
+        "cascaded tanks": lambda data, output: further_sets.tanks(data),
+        "robot arm": lambda data, output: further_sets.robot_arm(data),
+        "CD player's arm": lambda data, output: further_sets.player_arm(data)}
 
 OSCILLATORS = {"the circuit": oscillators.circuit, "Bouc-Wen": oscillators.bouc_wen}
 
@@ -107,7 +113,8 @@ def table(figures):
     head = ("set", "fitted on", "tested on", "error", "in the note", "ours", "at most", "")
     rows = [head] + [
         (figure.data, figure.fitted_on, figure.tested_on, figure.quantity,
-         f"{figure.note:.3g} {figure.unit}", f"{figure.ours:.3g} {figure.unit}",
+         "none" if np.isnan(figure.note) else f"{figure.note:.3g} {figure.unit}",
+         f"{figure.ours:.3g} {figure.unit}",
          f"{figure.bound:.3g} {figure.unit}", _verdict(figure))
         for figure in figures
     ]

@@ -15,6 +15,7 @@ from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.generator_edges import generator_edges
 from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.sensor_noise import noise_floor_um
+from piezo_identification.conditioning.settling import AT_REST
 from piezo_identification.conditioning.waveforms import two_levels
 from piezo_identification.estimators.creep.square_wave_creep import USUAL_SETTLING_S
 from piezo_identification.estimators.dynamics.fast_creep import fit_beside_fast_creep
@@ -42,9 +43,8 @@ from piezo_recorder.reading.recording import Recording
 MODES_OF_A_LINE = 2
 """Vibration modes with which a line is compared with a hysteresis."""
 
-AT_REST = 20
-"""Samples without a change of the voltage, from which a recording counts as beginning at rest; and
-so many at the end of a visit of a level tell where it ended."""
+AT_END = 20
+"""Samples at the end of a visit of a level that tell where it ended."""
 
 LONGEST_LOOK = 200
 """Samples at the end of that rest, at most, that show whether the stage still rings."""
@@ -179,7 +179,7 @@ def _comes_back(part: Recording) -> bool:
     wave = two_levels(part)
     if wave is None:
         return True
-    ends_um = [np.mean(part.displacement_um[max(0, step - AT_REST) : step])
+    ends_um = [np.mean(part.displacement_um[max(0, step - AT_END) : step])
                for step in wave.steps[::2]]
     noise_um = noise_floor_um(part.displacement_um)
     return bool(np.abs(np.mean(ends_um) - ends_um[0]) <= STILL * noise_um)

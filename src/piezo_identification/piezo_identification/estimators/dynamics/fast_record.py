@@ -23,7 +23,7 @@ from piezo_identification.estimators.poles.spectral_input import (
     SpectralLines,
     real_rows,
 )
-from piezo_identification.fitting.evidence import INDEPENDENT, log_evidence
+from piezo_identification.fitting.evidence import INDEPENDENT, independent_errors, log_evidence
 from piezo_identification.fitting.regression import SETTINGS as FIT
 
 EARLIEST, LATEST = -1.5, 100.0
@@ -181,12 +181,23 @@ class FastRecord:
         """Number of parameters that are fitted linearly: the gain and the fixed columns."""
         return 1 + self._span.shape[1]
 
-    def log_evidence(self, fit: FastFit | FreeFit, numbers: int) -> float:
-        """Return the evidence of a fit with so many numbers beside those of the fixed columns."""
+    def log_evidence(self, fit: FastFit | FreeFit, numbers: int,
+                     independent: float = INDEPENDENT) -> float:
+        """Return the evidence of a fit with so many numbers beside those of the fixed columns.
+
+        Parameters
+        ----------
+        independent : float
+            Errors that count, at most as many as there are rows.
+        """
         rows = fit.residual.size
         accuracy_um = FIT.model_tolerance * np.ptp((self.every_row or self).measured_um)
         return log_evidence(fit.cost / rows + accuracy_um**2,
-                            numbers + self._span.shape[1], min(rows, INDEPENDENT))
+                            numbers + self._span.shape[1], min(rows, independent))
+
+    def independent_errors(self, fit: FastFit | FreeFit) -> float:
+        """Return how many errors beside a fit are independent, within what may count."""
+        return INDEPENDENT if self.every_row else independent_errors(fit.residual)
 
     def thinned(self, most_rows: int) -> "FastRecord":
         """Return the record with no more rows than given, spread over all of it; made once.

@@ -35,6 +35,7 @@ from piezo_identification.estimators.estimate import (
     Estimate,
     OrderTrial,
 )
+from piezo_identification.fitting.evidence import INDEPENDENT
 
 ROWS_OF_SEARCH, ROWS_OF_TRIALS, ROWS_OF_FIT = 3000, 10_000, 20_000
 """Rows of a longer record in which starts are sought, in which orders are compared, and in which
@@ -124,11 +125,14 @@ class _Search:
         self._record, self._coarse = (
             record.thinned(rows) for rows in (ROWS_OF_TRIALS, ROWS_OF_SEARCH))
         self._fits: dict[ModeOrder, FastFit] = {}
+        self._independent = INDEPENDENT
 
     def try_all_orders(self) -> None:
         """Fit the forms of as many modes as the free residues have evidence for."""
         frees = list(free_fits(self._coarse, MOST_MODES))
-        best = int(np.argmax([self._coarse.log_evidence(free, free.numbers) for free in frees]))
+        self._independent = self._coarse.independent_errors(frees[-1])
+        best = int(np.argmax([self._coarse.log_evidence(free, free.numbers, self._independent)
+                              for free in frees]))
         # A form with a lag of its own may have a mode less.
         with while_time_lasts("further orders of the dynamics", ORDERS):
             for free in frees[max(0, best - 1) : best + 1]:
@@ -200,7 +204,8 @@ class _Search:
             self._try_sensor_lag(fit)
 
     def _information(self, fit: FastFit) -> float:
-        return -2.0 * self._record.log_evidence(fit, self._numbers(fit.order))
+        return -2.0 * self._record.log_evidence(
+            fit, self._numbers(fit.order), self._independent)
 
     def _try_sensor_lag(self, fit: FastFit) -> None:
         order = replace(fit.order, sensor_lags=1)
