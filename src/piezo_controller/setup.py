@@ -24,6 +24,7 @@ setup(
         "console_scripts": [
             "controller = piezo_controller.node.start:main",
             "design = piezo_controller.commands.design_command:main",
+            "scan = piezo_controller.commands.scan_command:main",
         ],
     },
 )

@@ -37,7 +37,7 @@ MEASURED: dict[str, Any] = {"color": GREY, "linewidth": 3.0, "label": "measured"
 MODELLED: dict[str, Any] = {"color": BLUE, "linewidth": 1.2, "label": "modelled"}
 DIFFERENCE: dict[str, Any] = {
     "color": VERMILION, "linestyle": "none", "marker": ".", "markersize": 1.5}
-REFERENCE = {"color": GREY, "linewidth": 4.0, "label": "reference"}
+REFERENCE: dict[str, Any] = {"color": GREY, "linewidth": 4.0, "label": "reference"}
 FEEDFORWARD = {"color": ORANGE, "linewidth": 1.6, "label": "feedforward"}
 FEEDBACK = {"color": BLUE, "linewidth": 0.8, "label": "feedback"}
 LIMIT: dict[str, Any] = {"color": BLACK, "linestyle": ":", "linewidth": 1.0}

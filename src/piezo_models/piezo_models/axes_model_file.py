@@ -85,7 +85,8 @@ class AxesDocument(Document):
     TITLE: ClassVar[str] = "model file of several axes"
     FORMAT: ClassVar[str] = FORMAT
     VERSION: ClassVar[int] = VERSION
-    RENEW: ClassVar[str] = "identify the model again with this release"
+    RENEW: ClassVar[str] = (
+        "give a model of several axes, identified with this release; version 1 is of one axis")
 
     format: str = entry(f"Always {FORMAT}.")
     version: Number = entry(f"Always {VERSION}.")

@@ -6,6 +6,7 @@ import sys
 
 from piezo_common.command_line import UMBRELLA
 from piezo_controller.commands.design_command import COMMAND as DESIGN
+from piezo_controller.commands.scan_command import COMMAND as SCAN
 from piezo_identification.commands.check_command import COMMAND as CHECK
 from piezo_identification.commands.diagnose_command import COMMAND as DIAGNOSE
 from piezo_identification.commands.diagnose_many_command import COMMAND as DIAGNOSE_MANY
@@ -19,7 +20,7 @@ from piezo_recorder.commands.report_command import COMMAND as REPORT
 
 COMMANDS = {command.name: command for command in (
     WAVEFORMS, CONVERT, REPORT, CHECK, IDENTIFY, SIMULATE, DIAGNOSE, DIAGNOSE_MANY, PROPOSE,
-    DESIGN, COMPLETION)}
+    DESIGN, SCAN, COMPLETION)}
 """In the order in which they are used."""
 
 

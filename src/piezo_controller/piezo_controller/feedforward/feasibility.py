@@ -121,13 +121,13 @@ def unreachable(plan: Callable[[float, float], object], reference_um: FloatArray
             reachable = middle
         else:
             beyond = middle
-    reachable_um = _rounded_down(reachable * travel_um)
+    reachable_um = rounded_down(reachable * travel_um)
     return UnreachableReference(
         f"the amplifier cannot follow {travel_um:.4g} um peak to peak about {mean_um:.4g} um: "
         f"{reason}; {reachable_um:g} um peak to peak is within reach", reachable_um)
 
 
-def _rounded_down(value: float) -> float:
+def rounded_down(value: float) -> float:
     """Round down to three significant digits."""
     if value <= 0:
         return 0.0

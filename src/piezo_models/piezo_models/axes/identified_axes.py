@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_common.summary_table import SummaryTable
@@ -83,6 +84,50 @@ class IdentifiedAxes:
 
     def _repr_html_(self) -> str:
         return self.summary()._repr_html_()
+
+    def response_deviation_um_per_v(self, frequency_hz: ArrayLike) -> FloatArray:
+        """Return the standard deviation of each entry of the response at any frequency.
+
+        Those of poles and residues give its course, the resonances included; that of the coupling,
+        which knows how they hang together, its size.
+
+        Parameters
+        ----------
+        frequency_hz : (F,) array_like
+
+        Returns
+        -------
+        (F, n, n) array
+            Of real and imaginary part together, in um/V.
+        """
+        wanted_hz, known_hz = np.asarray(frequency_hz, float), self.coupling.frequency_hz
+        course = self._deviation_of_modes(known_hz)
+        known = np.abs(self.coupling.deviation_um_per_v)
+        share = np.divide(known, course, out=np.ones_like(known), where=course > 0.0)
+        at = np.log(np.maximum(wanted_hz, known_hz[0]))
+        deviation = self._deviation_of_modes(wanted_hz)
+        for i, j in np.ndindex(*deviation.shape[1:]):
+            deviation[:, i, j] *= np.interp(at, np.log(known_hz), share[:, i, j])
+        return deviation
+
+    def _deviation_of_modes(self, frequency_hz: FloatArray) -> FloatArray:
+        """Return the deviations as they were if those of poles and residues had no correlation."""
+        model, period_s = self.model, self.model.sample_period_s
+        z = np.exp(2j * np.pi * frequency_hz * period_s)[:, None, None]
+        square = np.zeros((frequency_hz.size, len(model.axes), len(model.axes)))
+        for pole, residue, pole_off, off in zip(
+                model.poles_rad_per_s, model.residues_um_per_v, self.pole_deviations_rad_per_s,
+                self.residue_deviations_um_per_v, strict=True):
+            step = np.exp(pole * period_s)
+            upper, lower = 1.0 / (z - step), (pole.imag > 0.0) / (z - step.conj())
+            moved = period_s * step * upper**2 * residue
+            mirrored = period_s * step.conj() * lower**2 * residue.conj()
+            square += (np.abs((upper + lower) * off.real) ** 2
+                       + np.abs((upper - lower) * off.imag) ** 2
+                       + np.abs((moved + mirrored) * pole_off.real) ** 2
+                       + np.abs((moved - mirrored) * pole_off.imag) ** 2)
+        deviation: FloatArray = np.sqrt(square)
+        return deviation
 
     def summary(self) -> SummaryTable:
         """Return modes with deviations, static coupling, delays and softening as a table."""

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Paths and points from CSV files."""
+
+from pathlib import Path
+
+import numpy as np
+
+from piezo_common.arrays import FloatArray
+from piezo_controller.references.kind import InvalidReference
+
+SUFFIX = "_displacement_um"
+
+LARGEST_STEP = 3.0
+"""From the last position to the first, in steps of a smooth path beside it: more is a jump."""
+
+
+def points_of_file(path: str | Path) -> tuple[tuple[str, ...], FloatArray]:
+    """Read the axes and points of a CSV with columns such as ``x_displacement_um``.
+
+    Returns
+    -------
+    axes : tuple of str
+    points_um : (K, m) array
+
+    Raises
+    ------
+    InvalidReference
+        If there are none, or a row is not of numbers.
+    """
+    columns = _columns(Path(path))
+    axes = tuple(name.removesuffix(SUFFIX) for name in columns if name.endswith(SUFFIX))
+    if len(axes) < 2:
+        raise InvalidReference(f"{path} has the columns {', '.join(columns)}: give two or three "
+                               f"such as x{SUFFIX}")
+    return axes, np.column_stack([columns[axis + SUFFIX] for axis in axes])
+
+
+def positions_of_file(path: str | Path,
+                      sample_period_s: float) -> tuple[tuple[str, ...], FloatArray]:
+    """Read one period of a path, sampled at the sample rate; see `points_of_file`.
+
+    Raises
+    ------
+    InvalidReference
+        If its times are not those of the samples, or its end jumps to its beginning.
+    """
+    axes, position_um = points_of_file(path)
+    time_s = _columns(Path(path)).get("time_s")
+    samples = np.arange(len(position_um))
+    if time_s is None or np.abs(time_s - time_s[0] - samples * sample_period_s).max() > (
+            0.01 * sample_period_s):
+        raise InvalidReference(f"{path} has no column time_s at {1.0 / sample_period_s:.6g} Hz, "
+                               "the rate of the model: resample it to that rate")
+    steps = np.linalg.norm(np.diff(position_um, axis=0, append=position_um[:1]), axis=1)
+    if steps[-1] > LARGEST_STEP * max(steps[-2], steps[0]):
+        raise InvalidReference(f"{path} jumps by {steps[-1]:.4g} um from its last position to its "
+                               "first: let it end where it begins")
+    return axes, position_um
+
+
+def _columns(path: Path) -> dict[str, FloatArray]:
+    try:
+        with open(path, encoding="utf-8") as file:
+            names = [name.strip() for name in file.readline().split(",")]
+            values = np.loadtxt(file, delimiter=",", ndmin=2)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or "a row is not of numbers"
+        raise InvalidReference(f"{path} cannot be read: {reason}; give a CSV with a header such as "
+                               f"time_s,x{SUFFIX},y{SUFFIX}") from None
+    if values.shape[1] != len(names) or not np.isfinite(values).all():
+        raise InvalidReference(f"{path} has a row that has not a finite number in each of "
+                               f"{', '.join(names)}: mend it")
+    return dict(zip(names, values.T, strict=True))

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The work of `scan`: plan the voltages, write, print and draw them."""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from piezo_common.arrays import FloatArray
+from piezo_common.command_line import print_next
+from piezo_common.picture_style import to_png
+from piezo_controller.axes.scan import scan
+
+OF_PATTERN = ("size_um", "centre_um", "rate_hz", "lines", "pixels", "both_directions", "flyback_s",
+              "frame_flyback_s", "linear_velocity", "file", "axes")
+OF_PLAN = ("voltage_range_v", "slew_limit_v_per_s")
+
+
+def plan_scan(options: argparse.Namespace) -> None:
+    """Plan the path of the options; write its voltages and a picture, and print what to expect."""
+    given = {name: value for name in (*OF_PATTERN, *OF_PLAN)
+             if (value := getattr(options, name)) is not None}
+    plan = scan(options.model, options.pattern, **given)
+    options.output.mkdir(parents=True, exist_ok=True)
+    period, begin, picture = (options.output / name for name in (
+        "path.csv", "begin.csv", "path.png"))
+    _write(period, plan.columns())
+    begin_v = plan.begin_voltage_v
+    _write(begin, {"time_s": plan.model.sample_period_s * np.arange(len(begin_v), dtype=float),
+                   **{f"{axis}_voltage_v": column
+                      for axis, column in zip(plan.path.axes, begin_v.T, strict=True)}})
+    print(plan.summary())
+    picture.write_bytes(to_png(plan.plot()))
+    print(f"one period, to be repeated: {period}; from the operating point into it: {begin}")
+    print(f"drawn {picture}")
+    print_next(options, "piezo_identification", "simulate", "--model", options.model, "--data",
+               "<a recording of these voltages>", "--output", options.output)
+
+
+def _write(path: Path, columns: dict[str, FloatArray]) -> None:
+    np.savetxt(path, np.column_stack(list(columns.values())), "%.9g", ",",
+               header=",".join(columns), comments="")

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Planned voltages are played on a flexure that shares no code with the model."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import control
+import numpy as np
+import pytest
+
+from piezo_controller.axes.coupled_inverse import invert_path
+from piezo_controller.axes.path_plan import UnreachablePath
+from piezo_controller.axes.repeated_period import repeated
+from piezo_controller.axes.scan import scan
+from piezo_controller.references.kind import InvalidReference
+from piezo_models import CoupledModel, Softening
+
+sys.path.insert(0, str(Path(__file__).parent))
+import xy_flexure
+
+SETTLED_S = 0.9
+"""The lowest mode has decayed to a millionth."""
+
+FASTEST_HZ = 1.5 * xy_flexure.FREQUENCY_HZ.min()
+
+
+@pytest.fixture(scope="module")
+def model():
+    return xy_flexure.model()
+
+
+@pytest.fixture(scope="module")
+def model_with_errors():
+    """Return the model with errors of 1 % of frequencies and pushes, 10 % of the damping."""
+    return xy_flexure.model((0.01, -0.01, 0.01), 0.1, 0.01)
+
+
+def plan_of(model, kind, **fields):
+    return scan(model, kind, slew_limit_v_per_s=1e8, **fields)
+
+
+def done_um(plan):
+    """Return one period of what the flexure does, once it has settled."""
+    again = round(SETTLED_S / xy_flexure.PERIOD_S / len(plan.voltage_v)) + 1
+    played_v = np.concatenate([plan.begin_voltage_v, *[plan.voltage_v] * (again + 1)])
+    return xy_flexure.played_um(played_v)[-len(plan.voltage_v):]
+
+
+def errors_percent(plan):
+    left_um = done_um(plan) - plan.path.position_um
+    travel_um = np.ptp(plan.path.position_um, axis=0)
+    return 100.0 * np.sqrt(np.mean(left_um**2, axis=0)) / travel_um
+
+
+def coupling_db(plan):
+    """Return what y does over what x is asked for."""
+    return 20.0 * np.log10(np.std(done_um(plan)[:, 1]) / np.std(plan.path.position_um[:, 0]))
+
+
+@pytest.mark.parametrize(("kind", "fields", "most_percent"), [
+    ("raster", {"size_um": (20, 20), "rate_hz": 100.0}, 0.05),
+    ("raster", {"size_um": (20, 20), "rate_hz": 500.0}, 0.2),
+    ("raster", {"size_um": (20, 20), "rate_hz": 500.0, "both_directions": True}, 0.2),
+    ("lissajous", {"rate_hz": FASTEST_HZ}, 0.1),
+    ("spiral", {"rate_hz": FASTEST_HZ}, 0.1),
+    ("spiral", {"rate_hz": FASTEST_HZ, "linear_velocity": True}, 0.1),
+    ("rosette", {"rate_hz": FASTEST_HZ}, 0.1),
+    ("cycloid", {"rate_hz": FASTEST_HZ}, 0.1)])
+def test_paths_are_followed_by_a_stage_whose_model_is_known(model, kind, fields, most_percent):
+    plan = plan_of(model, kind, lines=10, **fields)
+    assert errors_percent(plan).max() < most_percent
+    # Ten times below what is allowed, and as it was predicted.
+    assert errors_percent(plan).max() < 0.1 * most_percent + 1e-3
+    np.testing.assert_allclose(
+        plan.prediction.displacement_um["coupled"], done_um(plan), atol=1e-3)
+
+
+def test_a_model_with_errors_of_one_percent_leaves_errors_of_a_few(model_with_errors):
+    raster = plan_of(model_with_errors, "raster", size_um=(20, 20), rate_hz=100.0, lines=10)
+    assert 0.05 < errors_percent(raster).max() < 1.5
+    lissajous = plan_of(model_with_errors, "lissajous", rate_hz=FASTEST_HZ, lines=10)
+    assert 0.1 < errors_percent(lissajous).max() < 5.0
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 150.0, 250.0, 310.0])
+def test_what_x_does_is_not_seen_in_y(model, model_with_errors, rate_hz):
+    sine = {"size_um": (10.0, 0.0), "rate_hz": rate_hz, "lines": 2}
+    plan = plan_of(model, "lissajous", **sine)
+    plain_v = invert_path(plan.path.position_um, model, "none").voltage_v
+    before_db = coupling_db(replace(plan, voltage_v=plain_v))
+    assert before_db > -30.0
+    assert coupling_db(plan) < (-60.0 if rate_hz < 310.0 else -40.0)
+    assert coupling_db(plan_of(model_with_errors, "lissajous", **sine)) < before_db - 25.0
+
+
+def test_each_inverse_is_better_than_the_one_before(model):
+    plan = plan_of(model, "raster", size_um=(10, 10), rate_hz=100.0, lines=10)
+    none, diagonal, coupled = (
+        plan.prediction.error_percent[each].max() for each in ("none", "diagonal", "coupled"))
+    assert none > 5.0 * diagonal > 100.0 * coupled
+    alone = plan.prediction.coupling_db
+    assert alone["diagonal"][1, 0] > -40.0
+    assert alone["coupled"][1, 0] < -100.0
+    printed = repr(plan.summary())
+    assert "y from x" in printed
+    assert "x error" in printed
+
+
+def test_what_is_said_to_be_in_reach_is_in_reach(model):
+    fields = {"rate_hz": 200.0, "lines": 10, "both_directions": True}
+    limits = {"voltage_range_v": [(-24.0, 24.0), (-25.0, 40.0)]}
+    with pytest.raises(UnreachablePath, match="it takes x voltages from") as refused:
+        scan(model, "raster", size_um=(10, 10), **fields, **limits)
+    size_um = refused.value.reachable_size_um
+    assert f"{size_um[0]:.4g} x {size_um[1]:.4g} um at this rate" in str(refused.value)
+    assert np.all(size_um > 3.0)
+    plan = scan(model, "raster", size_um=tuple(size_um), **fields, **limits)
+    assert np.abs(plan.voltage_v[:, 0]).max() > 0.99 * 24.0
+    fields["rate_hz"] = refused.value.reachable_rate_hz
+    assert 50.0 < fields["rate_hz"] < 200.0
+    scan(model, "raster", size_um=(10, 10), **fields, **limits)
+
+
+def test_the_slew_limit_and_the_centre_are_in_the_refusal(model):
+    with pytest.raises(UnreachablePath, match="more than the slew limit of 1e\\+04 V/s"):
+        scan(model, "spiral", rate_hz=300.0, lines=5, slew_limit_v_per_s=1e4)
+    with pytest.raises(UnreachablePath, match="cannot hold the centre"):
+        scan(model, "spiral", rate_hz=300.0, lines=5, centre_um=(50.0, 0.0),
+                     voltage_range_v=(-100.0, 100.0))
+    with pytest.raises(UnreachablePath, match="and no rate at this size"):
+        scan(model, "spiral", rate_hz=300.0, lines=5, voltage_range_v=(-1.0, 1.0))
+
+
+def test_the_gain_is_limited_and_what_that_costs_is_said(model):
+    fields = {"size_um": (10, 10), "rate_hz": 500.0, "lines": 10}
+    free, limited = (plan_of(model, "raster", **fields, gain_limit=limit) for limit in (1e4, 5.0))
+    assert np.ptp(limited.voltage_v) < 0.7 * np.ptp(free.voltage_v)
+    left_um = limited.prediction.displacement_um["coupled"] - limited.path.position_um
+    np.testing.assert_allclose(np.sqrt(np.mean(left_um**2, axis=0)), limited.left_out_um,
+                               rtol=1e-3)
+    assert limited.left_out_um.max() > 100.0 * free.left_out_um.max()
+
+
+def test_axes_that_look_in_one_direction_are_refused(model):
+    alike = CoupledModel(
+        ("x", "y"), 1e-4, np.zeros(0, complex), np.zeros((0, 2, 2), complex),
+        np.array([[[1.0, 1.0], [1.0, 1.0001]]]), np.zeros(2, int), np.zeros(2), np.zeros(2))
+    with pytest.raises(ValueError, match="cannot be told apart"):
+        scan(alike, "spiral")
+    with pytest.raises(InvalidReference, match="the path moves z"):
+        scan(model, "spiral", axes=("x", "z"))
+
+
+def test_an_axis_that_the_path_leaves_out_is_held(model):
+    three = control.append(model.to_control(), control.ss([[0.5]], [[0.5]], [[0.1]], [[0.0]],
+                                                        xy_flexure.PERIOD_S))
+    of_three = CoupledModel.from_control(three, ("x", "y", "z"), np.full(3, 50.0), np.full(3, 5.0))
+    plan = plan_of(of_three, "rosette", axes=("z", "x"), rate_hz=50.0, lines=4)
+    assert plan.path.position_um[:, 1] == pytest.approx(5.0)
+    assert plan.path.position_um[:, [0, 2]].mean(axis=0) == pytest.approx([5.0, 5.0])
+    done = repeated(plan.voltage_v, of_three)
+    np.testing.assert_allclose(done, plan.path.position_um, atol=1e-4)
+    assert np.ptp(plan.voltage_v[:, 1]) > 0.0
+
+
+@pytest.mark.parametrize(("kind", "rate_hz"), [("raster", 100.0), ("lissajous", 100.0)])
+def test_softening_within_a_period_is_taken_off(model, kind, rate_hz):
+    # The elongation that acts back is a twentieth of the motion, the memory shorter than a period.
+    soft = replace(model, softening=Softening(
+        -0.2 * model.residues_um_per_v[None], np.zeros((1, 2, 2)), 5.0, 0.02, (0.0, 20.0)))
+    plan = plan_of(soft, kind, size_um=(5, 5), rate_hz=rate_hz, lines=8)
+    position_um = plan.path.position_um
+    stiff_v = invert_path(position_um, model).voltage_v
+    before, after = (np.std(repeated(each, soft) - position_um) for each in (
+        stiff_v, plan.voltage_v))
+    assert after < 1e-4 * np.std(position_um)
+    assert before > 30.0 * after
