@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piezo_common.arrays import ComplexArray, FloatArray
-from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect
-from piezo_models.effects.sensor_lag import SensorLag
+from piezo_models.effects.lag import Lag
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.linear.dynamics import ElectricVibrationDynamics, zoh
 
@@ -119,8 +118,8 @@ def slow_delay_s(dynamics: ElectricVibrationDynamics, effects: Sequence[Effect])
     for effect in effects:
         if isinstance(effect, Delay):
             delay_s += effect.delay_s
-        elif isinstance(effect, (SensorLag, AmplifierLag)):
-            delay_s += effect.time_constant_s
+        elif isinstance(effect, Lag):
+            delay_s += effect.slow_delay_s
         elif isinstance(effect, VibrationMode) and not _has_to_settle(effect):
             delay_s += _delay_of_mode_s(effect, in_series_s)
     return delay_s
