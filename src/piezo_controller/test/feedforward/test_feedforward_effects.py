@@ -33,6 +33,7 @@ from piezo_models.effects.stiffening import Stiffening
 from piezo_models.effects.thermal_drift import ThermalDrift
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.effects.voltage_clipping import VoltageClipping
+from piezo_models.effects.voltage_relaxation import VoltageRelaxation
 from piezo_models.linear.dynamics import CreepDynamics
 
 pytestmark = pytest.mark.kernels
@@ -48,7 +49,7 @@ COMPENSATED = [
     (CoupledMode(8796.0, 0.01, 0.05, 0.01), 1e-6), (Delay(1.3e-4), 1e-6),
     (SensorLag(1e-4), 1e-6), (SensorNonlinearity(0.1, 0.5, 0.3, 0.1, 50.0, 50.0), 1e-6),
     (SlewLimit(1e6), 1e-6), (VoltageClipping(-18.0, 118.0), 1e-6),
-    (AmplifierLag(4e-5), 1e-3),
+    (AmplifierLag(4e-5), 1e-3), (VoltageRelaxation(4e-4, 0.3), 1e-3),
     (SecondOrderAmplifier(4e-5, 0.7), 1e-2), (BandLimitedVoltage(), 1e-6),
     (RateDependentHysteresis(0.02, 1000.0, 0.3, 1e-3), 1e-3),
     (Stiffening(0.3, 0.3, 0.3, 50.0, 50.0, 2846.0, 0.68), 1e-6), (Backlash(0.05), 5e-3),

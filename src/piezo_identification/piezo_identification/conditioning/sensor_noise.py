@@ -28,6 +28,10 @@ class NoiseSettings:
         Samples of a rest that counts.
     drift_order : int
         Degree of the polynomial that repeats may drift by, one from the other, as creep does.
+    over_sampled : float
+        White noise as strong as the quietest band of a displacement, over its RMS, below which the
+        band shows the sensor's noise. A misfit in proportion to the motion then adds at most a
+        hundredth of its power to it, and stands out.
     """
 
     high_bands: int = 4
@@ -36,6 +40,7 @@ class NoiseSettings:
     span_tolerance: float = 1e-6
     fewest_at_rest: int = 200
     drift_order: int = 2
+    over_sampled: float = 0.1
 
 
 SETTINGS = NoiseSettings()
@@ -62,6 +67,22 @@ def sensor_noise_um(displacement_um: FloatArray, voltage_v: FloatArray, residual
         noise_from_repeats_um(displacement_um, period) if period else None,
     ]
     return min(noise for noise in found if noise)
+
+
+def shows_noise(displacement_um: FloatArray, voltage_v: FloatArray) -> bool:
+    """Tell whether a recording shows the sensor's noise, and does not only bound it from above.
+
+    A rest and repeats show it, and a band in which the stage moves little. Where it moves as much
+    in all bands, what a model lacks there looks like noise.
+
+    Parameters
+    ----------
+    displacement_um, voltage_v : (N,) array
+    """
+    if repeated_period(voltage_v) or noise_from_rest_um(displacement_um, voltage_v) is not None:
+        return True
+    moving_um = displacement_um - displacement_um.mean()
+    return noise_floor_um(moving_um) < SETTINGS.over_sampled * float(np.std(moving_um))
 
 
 def repeated_period(voltage_v: FloatArray) -> int | None:

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piezo_common.arrays import ComplexArray, FloatArray
-from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect
-from piezo_models.effects.sensor_lag import SensorLag
+from piezo_models.effects.lag import Lag
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.linear.dynamics import ElectricVibrationDynamics, zoh
 
@@ -122,8 +121,8 @@ def slow_delay_s(dynamics: ElectricVibrationDynamics, effects: Sequence[Effect])
     for effect in effects:
         if isinstance(effect, Delay):
             delay_s += effect.delay_s
-        elif isinstance(effect, (SensorLag, AmplifierLag)):
-            delay_s += effect.time_constant_s
+        elif isinstance(effect, Lag):
+            delay_s += effect.slow_delay_s
         elif isinstance(effect, VibrationMode) and not _has_to_settle(effect):
             delay_s += _delay_of_mode_s(effect, in_series_s)
     return delay_s
@@ -150,10 +149,10 @@ def first_settled(dynamics: ElectricVibrationDynamics, time_s: FloatArray,
     time_s : (N,) array
         Since the start.
     effects : sequence of Effect
-        Of them, lags of the amplifier and of the sensor have to settle, too.
+        Of them, lags have to settle, too.
     """
     longest_lag_s = max((effect.time_constant_s for effect in effects
-                         if isinstance(effect, (SensorLag, AmplifierLag))), default=0.0)
+                         if isinstance(effect, Lag)), default=0.0)
     settled = int(np.searchsorted(
         time_s, max(settling_time_s(dynamics), -np.log(NEGLIGIBLE) * longest_lag_s)))
     return min(settled, int(MOST_OF_RECORDING * time_s.size))

@@ -6,7 +6,7 @@ recordings, conditioned, simulated, residual, candidates, fits, comparison, comp
 ceiling, verdict. The report of it is written by `piezo_identification.diagnosis.report.results`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -60,7 +60,11 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
 )
 from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
 from piezo_identification.diagnosis.joint.probabilities import SOMETHING_ELSE
-from piezo_identification.diagnosis.joint.remainder import HeldToNoise, held_to_noise
+from piezo_identification.diagnosis.joint.remainder import (
+    HeldToNoise,
+    held_to_noise,
+    held_to_prediction,
+)
 from piezo_identification.diagnosis.verdict import Verdict
 from piezo_identification.fitting.dataset import simulate_recordings
 from piezo_identification.fitting.regression import Fit, Regression, first_regression
@@ -161,6 +165,8 @@ class Decision:
         From which the verdict follows.
     remains : str
         How many times the noise what remains is, and what shows the noise.
+    predicted : Ceiling or None
+        What a learner predicts of what remains; None where it was not asked yet.
     """
 
     verdict: str
@@ -170,6 +176,7 @@ class Decision:
     came: Came
     probabilities: dict[str, float]
     remains: str
+    predicted: "Ceiling | None" = None
 
 
 def diagnose(model: StageModel, recordings: Sequence[Recording],
@@ -357,16 +364,17 @@ def decide(selection: Selection, validation: Validation,
         # Those of the competition are of fits that are not named here.
         shares = probabilities_of_named(competition, regression, fit, refused)
 
-    def held(fit: Fit, found: Selection, believed: Validation) -> HeldToNoise:
-        return held_to_noise(
-            shares, believed.remainders(fit), noise.beside(noise_of_residuals(found.regression)),
-            competition.stated_um, finds_nothing=not fit.effects and outliers is None)
-
-    shares = held(fit, found, believed).probabilities
-    is_explained = shares[SOMETHING_ELSE] < PROBABILITIES.believed
+    held = hold_to_noise(shares, found, believed, fit, noise, competition.stated_um,
+                         finds_nothing=not fit.effects and outliers is None)
+    is_explained = held.probabilities[SOMETHING_ELSE] < PROBABILITIES.believed
     most = SETTINGS.guess * lack_of_fit(regression, selection.start)
-    if not is_explained and lack_of_fit(found.regression, fit) > most:
+    if (not is_explained and held.predicted is None
+            and lack_of_fit(found.regression, fit) > most):
         found, believed, fit = selection, validation, selection.start
+        held = replace(
+            hold_to_noise(held.probabilities, found, believed, fit, noise, competition.stated_um,
+                          finds_nothing=outliers is None),
+            probabilities=held.probabilities)
     verdict = "unexplained"
     if is_explained:
         verdict = "explained" if fit.effects or outliers else "none"
@@ -374,8 +382,34 @@ def decide(selection: Selection, validation: Validation,
         # The recordings of the identification did not take part: its errors are in the effects.
         fit = with_model_errors(found.regression, fit)
     came = competition.came(_names(fit))
-    return (Decision(verdict, fit, outliers, refused, came, shares,
-                     held(fit, found, believed).sentence), found, believed)
+    return (Decision(verdict, fit, outliers, refused, came, held.probabilities, held.sentence,
+                     held.predicted), found, believed)
+
+
+def hold_to_noise(shares: Mapping[str, float], found: Selection, believed: Validation, fit: Fit,
+                  noise: KnownNoise, stated_um: float, finds_nothing: bool) -> HeldToNoise:
+    """Hold what a fit leaves to the noise, and where nothing shows that, to what is predicted.
+
+    Parameters
+    ----------
+    shares : dict of str to float
+        Probabilities by the noise that each recording shows itself.
+    found, believed : Selection, Validation
+        Beside the model that is believed.
+    noise : KnownNoise
+        Of the recordings at hand and the model file.
+    stated_um : float
+        RMS of what the model is known to be wrong by.
+    finds_nothing : bool
+        No effect is named.
+    """
+    remainders = believed.remainders(fit)
+    known = noise.beside(noise_of_residuals(found.regression))
+    held = held_to_noise(shares, remainders, known, stated_um, finds_nothing)
+    if (held.probabilities[SOMETHING_ELSE] >= PROBABILITIES.believed or found.interrupted
+            or all(known.is_shown(each.period_s) for each in remainders)):
+        return held
+    return held_to_prediction(held, _learned(found, fit), remainders, stated_um)
 
 
 def _names(fit: Fit) -> list[str]:
@@ -388,14 +422,21 @@ def ceiling_of(selection: Selection, decision: Decision) -> "Ceiling | None":
     Returns
     -------
     Ceiling or None
-        None where what is left passes for noise, and where the comparison was interrupted.
+        None where what is left passes for noise that is known, and where the comparison was
+        interrupted.
     """
+    if decision.predicted is not None:
+        return decision.predicted
     if selection.interrupted or is_noise(selection.regression, decision.fit):
         return None
+    return _learned(selection, decision.fit)
+
+
+def _learned(selection: Selection, fit: Fit) -> "Ceiling":
     # Its library takes a second to import, and most verdicts do not ask.
     from piezo_identification.diagnosis.evidence.ceiling import ceiling
 
-    return ceiling(selection.regression, decision.fit)
+    return ceiling(selection.regression, fit)
 
 
 def tell(model: StageModel, given: Conditioned, selection: Selection, validation: Validation,
@@ -433,9 +474,9 @@ def tell(model: StageModel, given: Conditioned, selection: Selection, validation
 
 
 def _left(regression: Regression, decision: Decision, predictable: "Ceiling | None") -> str:
-    """Describe what an unexplained recording leaves, and how much of it repeats."""
+    """Describe what an unexplained recording leaves, or one in which nothing shows the noise."""
     if decision.verdict != "unexplained":
-        return ""
+        return decision.remains if decision.predicted is not None else ""
     told = [decision.remains, describe_residual(regression, decision.fit)]
     if predictable is not None:
         told.append(predictable.sentence())

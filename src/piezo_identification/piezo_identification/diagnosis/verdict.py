@@ -49,14 +49,14 @@ class Verdict:
     not_told_from : dict of str to str
         Of these, the ones that the data cannot tell from an effect that is named, and which.
     left : str
-        What is left if it is more than noise; empty otherwise.
+        What is left if it is more than noise, or nothing shows the noise; empty otherwise.
     reversed : list of str
         Recordings whose sign was changed: their sensor counts against the model.
     left_out : list of str
         Sentences on the samples that were left out as outliers.
     ceiling : dict of str to float or None
         How much of what is left a learner without any knowledge of stages predicts; None where
-        what is left passes for noise, or was not asked. See `evidence.ceiling.Ceiling`.
+        what is left passes for known noise, or was not asked. See `evidence.ceiling.Ceiling`.
     probabilities : dict of str to float
         Of each set of effects that matters, its names joined by +, of `none` and of
         `something_else`; the largest first, and they sum to one. Empty where they were not asked.

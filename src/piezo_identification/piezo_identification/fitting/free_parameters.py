@@ -37,7 +37,7 @@ from piezo_identification.simulation.sampled_response import (
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
-from piezo_models.effects.amplifier_lag import AmplifierLag
+from piezo_models.effects.lag import Lag
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.connections import in_parallel, in_series, matrices_of, scaled
 from piezo_models.linear.creep_errors import creep_error_map
@@ -110,7 +110,7 @@ def free_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp],
         return part.respond_each(system, inputs_um, delay_s, rows if at_once else None)
 
     ahead, of_pieces = model.effects_at("voltage"), linear
-    if pieces_um is None or not all(isinstance(effect, AmplifierLag) for effect in ahead):
+    if pieces_um is None or not all(isinstance(effect, Lag) for effect in ahead):
         pieces_um = piece_outputs_um(part, given)
     else:
         of_pieces = control.ss(*in_series(

@@ -50,3 +50,14 @@ def test_repeats_tell_the_noise_where_the_sensor_s_own_band_does_not(noise):
     found = subject.sensor_noise_um(
         played + 0.009 * noise, played, played + 0.009 * noise, subject.repeated_period(played))
     assert found == pytest.approx(0.009, rel=0.03)
+
+
+def test_a_rest_repeats_and_a_motion_that_is_slow_beside_the_rows_show_the_noise(noise):
+    voltage_v = np.random.default_rng(1).normal(size=noise.size)
+    assert not subject.shows_noise(voltage_v + 0.01 * noise, voltage_v)
+    resting_v = np.append(voltage_v, np.full(1000, voltage_v[-1]))
+    assert subject.shows_noise(resting_v + 0.01 * np.resize(noise, resting_v.size), resting_v)
+    repeating_v = np.tile(voltage_v[:4000], 10)
+    assert subject.shows_noise(repeating_v + 0.01 * noise, repeating_v)
+    slow_v = np.convolve(voltage_v, np.hanning(60), mode="same")
+    assert subject.shows_noise(slow_v + 0.01 * noise, slow_v)

@@ -35,6 +35,7 @@ from piezo_models.effects.stiffening import Stiffening
 from piezo_models.effects.thermal_drift import ThermalDrift
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.effects.voltage_clipping import VoltageClipping
+from piezo_models.effects.voltage_relaxation import VoltageRelaxation
 
 EFFECTS = (
     Creep,
@@ -52,6 +53,7 @@ EFFECTS = (
     RateDependentHysteresis,
     AmplifierLag,
     SecondOrderAmplifier,
+    VoltageRelaxation,
     BandLimitedVoltage,
     Stiffening,
     HystereticSpring,

@@ -3,11 +3,11 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import control
 
-from piezo_models.effects.effect import Effect, Evidence
+from piezo_models.effects.effect import Effect
 from piezo_models.effects.filtering import slowed
 from piezo_models.effects.lag import Lag
 from piezo_models.effects.sensor_lag import SensorLag
@@ -40,11 +40,6 @@ class AmplifierLag(Lag):
         """Return the lag as a continuous system, as `Effect.lag` describes."""
         return slowed([1.0], [1.0, 1.0], self.time_constant_s)
 
-    @classmethod
-    def starts(cls, evidence: Evidence) -> list[Self]:
-        """Return none: `identify` fits this lag together with the dynamics that it resembles."""
-        return []
-
 
 def lag_behind_hysteresis(effects: Iterable[Effect]) -> tuple[Effect, ...]:
     """Return effects with the amplifier's lag behind the hysteresis, where a sine sees it, too."""
@@ -64,7 +59,7 @@ def parts_of_rows(effects: Iterable[Effect], sample_period_s: float,
         Rows that are means of several samples stay whole.
     """
     rows = [effect.time_constant_s / sample_period_s for effect in effects
-            if isinstance(effect, AmplifierLag)]
+            if isinstance(effect, Lag)]
     within = [each for each in rows if SHORTEST < each < LONGEST]
     if not within or samples_per_mean > 1:
         return 1

@@ -1,12 +1,20 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What every lag does to a signal, wherever it stands."""
 
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Self
+
+import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_models.effects.effect import LEAST, MOST, Effect, Extent, parameter
+from piezo_models.effects.delay import Delay
+from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, parameter
 from piezo_models.effects.filtering import filtered, filtered_on, unfiltered_period
+
+SCANNED = np.geomspace(0.1, 1000.0, 13)
+"""Time constants that are tried, in sample periods."""
+LIKELY = (1e-3, 3.0)
+"""Gain of the best of them, by which its time constant is multiplied, at least and at most."""
 
 
 @dataclass(frozen=True)
@@ -20,16 +28,27 @@ class Lag(Effect):
     def apply(self, signal: FloatArray, sample_period_s: float,
               rest: float | None = None) -> FloatArray:
         """Return the signal behind the effect, as `Effect.apply` describes."""
-        return filtered([1.0], self._denominator(), signal, sample_period_s, rest)
+        return filtered(self._numerator(), self._denominator(), signal, sample_period_s, rest)
 
     def advance(self, signal: FloatArray, sample_period_s: float,
                 past: Any = None) -> tuple[FloatArray, Any]:
         """Continue the signal behind the effect; the past is the filter's state."""
-        return filtered_on([1.0], self._denominator(), signal, sample_period_s, past)
+        return filtered_on(
+            self._numerator(), self._denominator(), signal, sample_period_s, past)
 
     def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
         """Divide the period by the lag, harmonic by harmonic."""
-        return unfiltered_period([1.0], self._denominator(), wanted, sample_period_s)
+        return unfiltered_period(
+            self._numerator(), self._denominator(), wanted, sample_period_s)
+
+    @property
+    def slow_delay_s(self) -> float:
+        """Return by how much slow signals come late, in s."""
+        return self.time_constant_s
+
+    def _numerator(self) -> list[float]:
+        """Return the coefficients of the filter's numerator, of the highest power first."""
+        return [1.0]
 
     def _denominator(self) -> list[float]:
         """Return the coefficients of the filter, of the square of the rate first."""
@@ -40,3 +59,31 @@ class Lag(Effect):
     def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
         """Bound the time constant by what the recordings can show."""
         return {"time_constant_s": (1e-4 * extent.sample_period_s, 0.3 * extent.duration_s)}
+
+    @classmethod
+    def tried(cls, time_constant_s: float) -> Self:
+        """Return the lag of a time constant that a scan tries."""
+        return cls(time_constant_s)
+
+    @classmethod
+    def scanned(cls, evidence: Evidence) -> list[tuple[Self, float]]:
+        """Return the best of a scan, and how many times what it delays is missing; or nothing.
+
+        A lag ahead of the hysteresis moves the displacement much as one behind it does: they differ
+        where the voltage has just turned.
+        """
+        found = evidence.best(
+            [cls.tried(time_s) for time_s in evidence.sample_period_s * SCANNED],
+            lambda shape: (shape.apply(evidence.displacement_um, evidence.sample_period_s)
+                           - evidence.displacement_um)[:, None])
+        return [(shape, float(gains[0])) for shape, gains in found if gains[0] > 0.0]
+
+    @classmethod
+    def starts(cls, evidence: Evidence) -> list[Self]:
+        """Begin with the best of a scan."""
+        found = cls.scanned(evidence)
+        # A gain below one means a shorter lag.
+        return [replace(shape, time_constant_s=shape.time_constant_s * float(np.clip(
+            gain, *LIKELY))) for shape, gain in found]
+
+    lacks_excitation = Delay.lacks_excitation

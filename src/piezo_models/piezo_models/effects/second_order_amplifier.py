@@ -2,12 +2,12 @@
 """Amplifier of second order, in front of the hysteresis."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import control
 
 from piezo_models.effects.amplifier_lag import AmplifierLag
-from piezo_models.effects.effect import parameter
+from piezo_models.effects.effect import Evidence, parameter
 from piezo_models.effects.filtering import slowed
 
 
@@ -32,3 +32,7 @@ class SecondOrderAmplifier(AmplifierLag):
         time_s: float = self.time_constant_s
         return [(self.quality_factor * time_s) ** 2, time_s, 1.0]
 
+    @classmethod
+    def starts(cls, evidence: Evidence) -> list[Self]:
+        """Return none: `identify` compares it with an amplifier of first order."""
+        return []

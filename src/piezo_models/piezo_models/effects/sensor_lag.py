@@ -5,11 +5,10 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import control
-import numpy as np
 
 from piezo_common.arrays import ComplexArray
 from piezo_models.effects.delay import Delay
-from piezo_models.effects.effect import Evidence, parameter
+from piezo_models.effects.effect import parameter
 from piezo_models.effects.filtering import slowed
 from piezo_models.effects.lag import Lag
 
@@ -49,19 +48,6 @@ class SensorLag(Lag):
         return [self.roundness * self.time_constant_s**2, self.time_constant_s, 1.0]
 
     @classmethod
-    def starts(cls, evidence: Evidence) -> list[Self]:
-        """Begin with the best of a scan."""
-        shapes = [
-            cls(time_s, ROUNDED)
-            for time_s in evidence.sample_period_s * np.geomspace(0.1, 1000.0, 13)
-        ]
-        found = evidence.best(
-            shapes,
-            lambda shape: (shape.apply(evidence.displacement_um, evidence.sample_period_s)
-                           - evidence.displacement_um)[:, None],
-        )
-        # A gain below one means a shorter lag.
-        return [cls(shape.time_constant_s * float(np.clip(gains[0], 1e-3, 3.0)), ROUNDED)
-                for shape, gains in found if gains[0] > 0.0]
-
-    lacks_excitation = Delay.lacks_excitation
+    def tried(cls, time_constant_s: float) -> Self:
+        """Return a rounded lag of a time constant that a scan tries."""
+        return cls(time_constant_s, ROUNDED)

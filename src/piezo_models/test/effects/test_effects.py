@@ -43,6 +43,7 @@ from piezo_models.effects.stiffening import Stiffening
 from piezo_models.effects.thermal_drift import ThermalDrift
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.effects.voltage_clipping import VoltageClipping
+from piezo_models.effects.voltage_relaxation import VoltageRelaxation
 from piezo_models.hysteresis.hysteretic_creep import HystereticCreep
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.identified_model import IdentifiedModel
@@ -67,6 +68,7 @@ EXAMPLES = (
     RateDependentHysteresis(0.05, 100.0, 0.3, 1e-3),
     AmplifierLag(4e-5),
     SecondOrderAmplifier(4e-5, 0.7),
+    VoltageRelaxation(4e-4, 0.3),
     BandLimitedVoltage(),
     Stiffening(0.1, 0.2, 0.3, 10.0, 20.0, 5000.0, 0.1),
     HystereticSpring(-0.2, 0.01, 0.2, 2.0, -0.5, 1.0, 10.0, 10.0, 5000.0, 0.1),

@@ -4,6 +4,8 @@
 A recording without a rest or a repeat cannot tell what a model lacks from noise. Another recording
 of the same sensor can. A row of a slow recording may be the mean of many samples, so the noise that
 it shows may be less than that of faster rows, by the root of the ratio of the sample periods.
+
+A recording that does not show the noise bounds it from above, as it has no less noise than that.
 """
 
 from collections.abc import Sequence
@@ -18,6 +20,7 @@ from piezo_identification.conditioning.sensor_noise import (
     noise_from_repeats_um,
     noise_from_rest_um,
     repeated_period,
+    shows_noise,
 )
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.fitting.regression import Regression
@@ -30,6 +33,8 @@ MOST_SAMPLES = 200_000
 OF_MEANS = "repeats"
 """Where repeats told the noise of a component, it is that of their mean, and their number is not in
 the model file."""
+OF_RESTS = "rests"
+"""Where rests told it, it is shown; else it is what the component left in its quietest band."""
 
 
 @dataclass(frozen=True)
@@ -43,16 +48,20 @@ class NoiseSource:
         Sample period of its rows.
     name : str
         Of what shows it.
+    is_shown : bool
+        Else the noise may be any less.
     """
 
     rms_um: float
     period_s: float
     name: str
+    is_shown: bool = True
 
     def at(self, period_s: float) -> "NoiseSource":
         """Return the most noise that rows of another sample period may have."""
         faster = max(1.0, self.period_s / period_s)
-        return NoiseSource(self.rms_um * float(np.sqrt(faster)), period_s, self.name)
+        return replace(self, rms_um=self.rms_um * float(np.sqrt(faster)), period_s=period_s,
+                       is_shown=self.is_shown and bool(np.isclose(faster, 1.0)))
 
 
 @dataclass(frozen=True)
@@ -74,6 +83,10 @@ class KnownNoise:
         return min((source.at(period_s) for source in self.sources),
                    key=lambda source: source.rms_um)
 
+    def is_shown(self, period_s: float) -> bool:
+        """Tell whether the noise of rows of a sample period is known, and not only bounded."""
+        return any(source.at(period_s).is_shown for source in self.sources)
+
     def beside(self, sources: Sequence[NoiseSource]) -> "KnownNoise":
         """Return the same with more sources."""
         return replace(self, sources=(*self.sources, *sources))
@@ -83,7 +96,8 @@ def noise_of_model(identified: IdentifiedModel) -> KnownNoise:
     """Return the noise that a model file tells of its recordings."""
     adequacy, periods_s = identified.adequacy, identified.sample_periods_s
     return KnownNoise(
-        tuple(NoiseSource(part["noise_rms_um"], periods_s[name], f"the model file for {name}")
+        tuple(NoiseSource(part["noise_rms_um"], periods_s[name], f"the model file for {name}",
+                          part["noise_from"] == OF_RESTS)
               for name, part in adequacy.items()
               if name in periods_s and part.get("noise_from", OF_MEANS) != OF_MEANS
               and part["noise_rms_um"] > 0.0),
@@ -92,7 +106,8 @@ def noise_of_model(identified: IdentifiedModel) -> KnownNoise:
 
 def noise_of_residuals(regression: Regression) -> list[NoiseSource]:
     """Return the noise that each recording of a regression shows beside the model."""
-    return [NoiseSource(noise_um, part.sample_period_s, f"{recording.path} beside the model")
+    return [NoiseSource(noise_um, part.sample_period_s, f"{recording.path} beside the model",
+                        shows_noise(part.measured_um[part.begin :], part.voltage_v[part.begin :]))
             for recording, part, noise_um in zip(
                 regression.dataset.recordings, regression.dataset.simulated,
                 regression.noise.noise_um, strict=True)]
@@ -103,10 +118,12 @@ def noise_sources(recordings: Sequence[Recording]) -> list[NoiseSource]:
     found = []
     for recording in recordings:
         part = played(recording)
-        noise_um = _noise_um(np.asarray(part.displacement_um, dtype=float)[:MOST_SAMPLES],
-                             np.asarray(part.voltage_v, dtype=float)[:MOST_SAMPLES])
+        signals = [np.asarray(each, dtype=float)[:MOST_SAMPLES]
+                   for each in (part.displacement_um, part.voltage_v)]
+        noise_um = _noise_um(*signals)
         if noise_um > 0.0:
-            found.append(NoiseSource(noise_um, part.sample_period_s, str(recording.path)))
+            found.append(NoiseSource(
+                noise_um, part.sample_period_s, str(recording.path), shows_noise(*signals)))
     return found
 
 

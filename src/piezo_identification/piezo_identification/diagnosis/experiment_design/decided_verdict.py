@@ -10,10 +10,10 @@ from piezo_identification.diagnosis.diagnose import (
     Diagnosis,
     ceiling_of,
     condition,
+    hold_to_noise,
     tell,
 )
 from piezo_identification.diagnosis.evidence.found_outliers import found_outliers
-from piezo_identification.diagnosis.evidence.known_noise import noise_of_residuals
 from piezo_identification.diagnosis.experiment_design.alternatives import Alternatives
 from piezo_identification.diagnosis.joint.alternatives import Alternative as Competitor
 from piezo_identification.diagnosis.joint.alternatives import Came, evidence_of
@@ -24,7 +24,6 @@ from piezo_identification.diagnosis.joint.competition import (
 )
 from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
 from piezo_identification.diagnosis.joint.probabilities import SOMETHING_ELSE
-from piezo_identification.diagnosis.joint.remainder import held_to_noise
 from piezo_identification.fitting.dataset import simulate_recordings
 from piezo_identification.fitting.regression import (
     first_regression,
@@ -74,16 +73,14 @@ def decided_verdict(model: StageModel, recordings: Sequence[Recording], holdout:
     if unnamed >= PROBABILITIES.believed:
         # They are of a fit that is not named here.
         chances = probabilities_of_named(competition, selection.regression, selection.end, ())
-    held = held_to_noise(
-        chances, validation.remainders(selection.end),
-        diagnosis.noise.beside(noise_of_residuals(selection.regression)),
-        diagnosis.stated_um, finds_nothing=not names and outliers is None)
+    held = hold_to_noise(chances, selection, validation, selection.end, diagnosis.noise,
+                         diagnosis.stated_um, finds_nothing=not names and outliers is None)
     chances = held.probabilities
     verdict = "unexplained"
     if chances[SOMETHING_ELSE] < PROBABILITIES.believed:
         verdict = "explained" if names or outliers else "none"
     decision = Decision(verdict, selection.end, outliers, {}, _came(alternatives), chances,
-                        held.sentence)
+                        held.sentence, held.predicted)
     told = tell(
         model, given, selection, validation, decision, ceiling_of(selection, decision))
     return replace(

@@ -95,7 +95,8 @@ def expected_outcome(alternatives: Alternatives, experiment: Experiment,
                 distance[true, other] = np.linalg.norm(left) / np.sqrt(SPLIT.held_out)
     chances = np.array([alternative.probability for alternative in alternatives.alternatives])
     deciding = _deciding(distance, chances)
-    return ExpectedOutcome(rms_um, distance, deciding, float(deciding @ chances))
+    # Chances sum to one but for rounding.
+    return ExpectedOutcome(rms_um, distance, deciding, min(float(deciding @ chances), 1.0))
 
 
 def _deciding(distance: FloatArray, chances: FloatArray) -> FloatArray:

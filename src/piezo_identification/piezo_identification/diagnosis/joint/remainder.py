@@ -1,12 +1,18 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What remains of each recording, held to the least noise that is known of its sensor."""
+"""What remains of each recording, held to the least noise that is known of its sensor.
+
+Where no recording shows the noise, what remains may be noise or not. A part of it that follows from
+the voltage is none: that part is held to the accuracy of a good model.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from piezo_identification.adequacy.lack_of_fit import SETTINGS as ADEQUACY
+from piezo_identification.diagnosis.comparison.criteria import CRITERIA
 from piezo_identification.diagnosis.evidence.known_noise import KnownNoise
 from piezo_identification.diagnosis.joint.expected_errors import errors_of_model
 from piezo_identification.diagnosis.joint.probabilities import (
@@ -16,6 +22,9 @@ from piezo_identification.diagnosis.joint.probabilities import (
 )
 from piezo_identification.fitting.model_weights import Remainder
 from piezo_identification.fitting.regression import SETTINGS as FIT
+
+if TYPE_CHECKING:
+    from piezo_identification.diagnosis.evidence.ceiling import Ceiling
 
 
 @dataclass(frozen=True)
@@ -28,10 +37,13 @@ class HeldToNoise:
         The largest first.
     sentence : str
         How many times the noise remains, and what shows the noise.
+    predicted : Ceiling or None
+        What a learner predicts of the remainder; None where it was not asked.
     """
 
     probabilities: dict[str, float]
     sentence: str
+    predicted: "Ceiling | None" = None
 
 
 def held_to_noise(shares: Mapping[str, float], remainders: Sequence[Remainder], known: KnownNoise,
@@ -60,16 +72,9 @@ def held_to_noise(shares: Mapping[str, float], remainders: Sequence[Remainder], 
     left = np.array([each.held_out.mean_square_um2 for each in remainders])
     samples = np.array([min(each.held_out.independent, SETTINGS.most_effective)
                         for each in remainders])
-    before = shares.get(SOMETHING_ELSE, 0.0)
-    listed = {name: share for name, share in shares.items() if name != SOMETHING_ELSE}
-    whole = sum(listed.values())
     odds = odds_of_something_else(left, samples, errors_of_model(
         noise_um, accuracy_um, np.array([each.motion_um for each in remainders]),
         np.minimum(stated_um, noise_um) if contradicts else stated_um))
-    odds *= max(listed.values(), default=0.0) / whole if whole > 0.0 else 1.0
-    other = max(before, odds / (1.0 + odds))
-    kept = {name: share * (1.0 - other) / whole if whole > 0.0 else 0.0
-            for name, share in listed.items()} | {SOMETHING_ELSE: other}
     worst = int(np.argmax(left / noise_um**2))
     sentence = (
         f"What remains of {remainders[worst].name} is {np.sqrt(left[worst]) / noise_um[worst]:.3g} "
@@ -78,5 +83,50 @@ def held_to_noise(shares: Mapping[str, float], remainders: Sequence[Remainder], 
     if contradicts:
         sentence += (f" The identification already called inadequate: "
                      f"{', '.join(known.inadequate)}.")
-    return HeldToNoise(
-        dict(sorted(kept.items(), key=lambda entry: -entry[1])), sentence)
+    return HeldToNoise(_with_other_odds(shares, odds), sentence)
+
+
+def held_to_prediction(held: HeldToNoise, predicted: "Ceiling", remainders: Sequence[Remainder],
+                       stated_um: float) -> HeldToNoise:
+    """Return how probable something else is, where nothing shows the noise of the sensor.
+
+    Parameters
+    ----------
+    held : HeldToNoise
+        To the least bound of the noise.
+    predicted : Ceiling
+        What a learner predicts of what remains.
+    remainders : sequence of Remainder
+        Of the recordings that are diagnosed.
+    stated_um : float
+        RMS of what the model is known to be wrong by.
+    """
+    # Less than a learner may take from noise by chance, or than matters beside it.
+    least_um = CRITERIA.noticeable * predicted.left_um
+    largest = max(remainders, key=lambda each: each.travel_um)
+    samples = min(sum(each.held_out.independent for each in remainders), SETTINGS.most_effective)
+    odds = odds_of_something_else(
+        np.array([predicted.from_voltage_um**2]), np.array([samples]), errors_of_model(
+            np.array([least_um]), np.array([FIT.model_tolerance * largest.travel_um]),
+            np.array([largest.motion_um]), stated_um))
+    follows = "nothing follows from the voltage"
+    if predicted.from_voltage_um > 0.0:
+        follows = (f"{1e3 * predicted.from_voltage_um:.3g} nm follow from the voltage, and are no "
+                   "noise")
+    sentence = (
+        "No recording at hand shows the noise of the sensor: none of them rests, repeats or is "
+        f"sampled much faster than it moves. Of the {1e3 * predicted.left_um:.3g} nm RMS that "
+        f"remain, {follows}. A second in which the voltage rests shows how much of them is noise.")
+    return HeldToNoise(_with_other_odds(held.probabilities, odds), sentence, predicted)
+
+
+def _with_other_odds(shares: Mapping[str, float], odds: float) -> dict[str, float]:
+    """Return probabilities with something else at least as probable as its odds to the best."""
+    before = shares.get(SOMETHING_ELSE, 0.0)
+    listed = {name: share for name, share in shares.items() if name != SOMETHING_ELSE}
+    whole = sum(listed.values())
+    odds *= max(listed.values(), default=0.0) / whole if whole > 0.0 else 1.0
+    other = max(before, odds / (1.0 + odds))
+    kept = {name: share * (1.0 - other) / whole if whole > 0.0 else 0.0
+            for name, share in listed.items()} | {SOMETHING_ELSE: other}
+    return dict(sorted(kept.items(), key=lambda entry: -entry[1]))

@@ -26,6 +26,10 @@ from piezo_identification.estimators.poles.spectral_input import (
 from piezo_identification.fitting.evidence import INDEPENDENT, independent_errors, log_evidence
 from piezo_identification.fitting.regression import SETTINGS as FIT
 
+BESIDE_LOOPS = 0.5
+"""Part of the rows whose errors count at least: what is alike in them may be the hysteresis', which
+is estimated later."""
+
 EARLIEST, LATEST = -1.5, 100.0
 """Delays in sample periods between which one is sought: the earliest is that of a logger that reads
 the displacement at the end of the hold, and half a period more."""
@@ -197,7 +201,10 @@ class FastRecord:
 
     def independent_errors(self, fit: FastFit | FreeFit) -> float:
         """Return how many errors beside a fit are independent, within what may count."""
-        return INDEPENDENT if self.every_row else independent_errors(fit.residual)
+        if self.every_row:
+            return INDEPENDENT
+        fewest = min(BESIDE_LOOPS * fit.residual.size, INDEPENDENT)
+        return max(independent_errors(fit.residual), fewest)
 
     def thinned(self, most_rows: int) -> "FastRecord":
         """Return the record with no more rows than given, spread over all of it; made once.

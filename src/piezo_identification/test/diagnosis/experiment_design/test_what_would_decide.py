@@ -85,5 +85,7 @@ def test_ctrl_c_keeps_the_verdict_and_removes_what_an_earlier_one_proposed(
     assert main(arguments) == 130
     verdict = json.loads((tmp_path / "out" / "verdict.json").read_text())
     assert verdict["interrupted"] and verdict["next_experiment"] is None
-    assert [entry["name"] for entry in verdict["effects"]] == ["delay"]
+    # So slow a scan does not tell it from a lag, of the amplifier or of the sensor.
+    (named,) = (entry["name"] for entry in verdict["effects"])
+    assert {"delay", "sensor_lag"} <= {named, *verdict["not_decidable"]}
     assert not (tmp_path / "out" / "next_experiment.csv").exists()

@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from piezo_identification.diagnosis.evidence.ceiling import Ceiling
 from piezo_identification.diagnosis.evidence.known_noise import KnownNoise, NoiseSource
-from piezo_identification.diagnosis.joint.remainder import held_to_noise
+from piezo_identification.diagnosis.joint.remainder import held_to_noise, held_to_prediction
 from piezo_identification.fitting.model_weights import HeldOut, Remainder
 
 PERIOD_S = 1e-4
@@ -64,3 +65,31 @@ def test_an_inadequate_component_excuses_what_is_less_than_the_noise(times, pass
     left = replace(remainder(times * QUIET.rms_um), motion_um=300.0)
     found = held_to_noise(SURE, [left], known, times * QUIET.rms_um, finds_nothing=True)
     assert (found.probabilities["something_else"] < 0.5) is passes
+
+
+@pytest.mark.parametrize(("predicted_um", "passes"), [(0.0, True), (0.2, True), (0.5, False)])
+def test_what_follows_from_the_voltage_is_no_noise(predicted_um, passes):
+    left = remainder(1.0)
+    ceiling = Ceiling(1.0, predicted_um, predicted_um, np.sqrt(1.0 - predicted_um**2), 1.0)
+    found = held_to_prediction(held(left, known=KnownNoise((replace(QUIET, rms_um=1.0),))),
+                               ceiling, [left], 0.0)
+    assert (found.probabilities["something_else"] < 0.5) is passes
+    assert sum(found.probabilities.values()) == pytest.approx(1.0)
+    assert "in which the voltage rests" in found.sentence
+
+
+def test_what_follows_from_the_voltage_passes_where_a_good_model_errs_as_much():
+    left = replace(remainder(1.0), travel_um=1e4)
+    ceiling = Ceiling(1.0, 0.7, 0.7, 0.71, 1.0)
+    known = KnownNoise((replace(QUIET, rms_um=1.0),))
+    found = held_to_prediction(held(left, known=known), ceiling, [left], 0.0)
+    assert found.probabilities["something_else"] < 0.5
+
+
+@pytest.mark.parametrize(("source", "is_shown"), [
+    (QUIET, True), (replace(QUIET, is_shown=False), False),
+    (replace(QUIET, period_s=10.0 * PERIOD_S), False),
+    (replace(QUIET, period_s=0.1 * PERIOD_S), True)],
+    ids=["the same rows", "a bound", "slower rows", "faster rows"])
+def test_noise_is_known_where_rows_as_fast_show_it(source, is_shown):
+    assert KnownNoise((source,)).is_shown(PERIOD_S) is is_shown

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A part of the voltage that comes late, in front of the hysteresis."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import control
+
+from piezo_models.effects.amplifier_lag import AmplifierLag
+from piezo_models.effects.effect import Evidence, parameter
+from piezo_models.effects.filtering import slowed
+from piezo_models.effects.lag import Lag
+
+MOST = 0.9
+"""Share that comes late at most: of more, the lag of the whole voltage is the simpler form."""
+LEAST = 1e-3
+"""Share from which a fit begins at least."""
+CLEARLY_LESS = 0.95
+"""Part of what the lag of the whole voltage leaves that a guess may leave: in motion that is slow
+beside the time constant both are the same delay."""
+
+
+@dataclass(frozen=True)
+class VoltageRelaxation(Lag):
+    """A share of the voltage at the actuator comes late, and the rest at once.
+
+    By 1 - share + share / (1 + T s): what leads with two paths to the actuator do, or a dielectric
+    that takes up its charge in two ways. Where all of it comes late, it is `amplifier_lag`.
+    """
+
+    name: ClassVar[str] = "voltage_relaxation"
+    place: ClassVar[str] = "voltage"
+    experiment: ClassVar[str] = "steps, and loops whose period is near the time constant"
+    indistinguishable_from: ClassVar[tuple[str, ...]] = ("amplifier_lag", "creep")
+
+    share: float = parameter("1", "linear", 0.0, MOST, default=0.5)
+
+    @property
+    def slow_delay_s(self) -> float:
+        """Return by how much slow signals come late, in s."""
+        return self.share * self.time_constant_s
+
+    def lag(self) -> control.StateSpace:
+        """Return the relaxation as a continuous system, as `Effect.lag` describes."""
+        return slowed([1.0 - self.share, 1.0], [1.0, 1.0], self.time_constant_s)
+
+    def _numerator(self) -> list[float]:
+        return [(1.0 - self.share) * self.time_constant_s, 1.0]
+
+    def _denominator(self) -> list[float]:
+        return [self.time_constant_s, 1.0]
+
+    @classmethod
+    def tried(cls, time_constant_s: float) -> Self:
+        """Return the relaxation of a time constant that a scan tries."""
+        return cls(time_constant_s, MOST)
+
+    @classmethod
+    def starts(cls, evidence: Evidence) -> list[Self]:
+        """Begin with the best of a scan, whose gain is the share, unless all may come late."""
+        def left(effect: Lag) -> float:
+            behind_um = effect.apply(evidence.displacement_um, evidence.sample_period_s)
+            return 1.0 - evidence.reduction((behind_um - evidence.displacement_um)[:, None])[1]
+
+        whole = min(map(left, AmplifierLag.starts(evidence)), default=1.0)
+        return [cls(shape.time_constant_s, max(MOST * gain, LEAST))
+                for shape, gain in cls.scanned(evidence)
+                if gain < 1.0 and left(shape) < CLEARLY_LESS * whole]
