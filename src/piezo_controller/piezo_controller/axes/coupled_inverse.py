@@ -19,7 +19,7 @@ INVERSES = ("none", "diagonal", "coupled")
 """By the static gain of each axis alone; by the response of each axis; by the whole matrix."""
 
 LINES_AT_ONCE = 1 << 15
-"""Of the spectrum, to bound memory."""
+"""Lines of the spectrum that are inverted together, which bounds the memory."""
 
 ROUNDS, SAME_AMPLITUDE = 20, 1e-9
 """The softening follows from the voltage and the voltage from the softening: each round multiplies

@@ -29,7 +29,8 @@ def path_figure(plan: "PathPlan") -> Figure:
         plane.plot(*thinned(done_um[:, first], done_um[:, second]), **style)
     plane.set_aspect("equal")
     label(plane, f"{path.axes[first]} (um)", f"{path.axes[second]} (um)", str(path))
-    plane.legend(loc="upper right")
+    # Beside the path, which fills its axes.
+    figure.legend(*plane.get_legend_handles_labels(), loc="outside lower left", ncols=3)
     for row, inverse in enumerate(SHOWN):
         error = figure.add_subplot(grid[row, 1])
         left_nm = 1e3 * (path.position_um - prediction.displacement_um[inverse])

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SLEW_LIMIT_V_PER_S = 2e6
-"""Of `plan_feedforward`, too."""
+"""Slew limit, as that of `plan_feedforward`."""
 
 SAME_PERIOD = 1e-9
 """Relative difference of sample periods up to which they are one: rounding."""

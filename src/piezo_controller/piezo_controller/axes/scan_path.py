@@ -12,7 +12,7 @@ from piezo_common.arrays import FloatArray
 from piezo_controller.references.kind import InvalidReference
 
 MOST_SAMPLES = 2_500_000
-"""Of a period: a frame of a minute at 40 kHz. A plan keeps some ten arrays of them in memory."""
+"""Samples of a period: a frame of a minute at 40 kHz. A plan keeps ten arrays of them or so."""
 
 
 class Mark(IntFlag):

@@ -220,8 +220,11 @@ class WholeModel:
         moved, measured = (np.concatenate([each - each.mean() for each in signals])
                            for signals in zip(*pairs, strict=True))
         gain_um_per_v = max(float(moved @ measured / (moved @ moved)), LEAST_GAIN)
-        return self.with_hysteresis(
-            replace(unit, reversible_um_per_v=np.array([gain_um_per_v])), BESIDE_ROUGH)
+        offset_um = np.mean([measured.mean() - gain_um_per_v * moved.mean()
+                             for moved, measured in pairs])
+        return self.with_hysteresis(replace(
+            unit, offset_um=float(offset_um), reversible_um_per_v=np.array([gain_um_per_v])),
+            BESIDE_ROUGH)
 
     def about_here(self) -> None:
         """Let the next fit compute anew what the pieces of the hysteresis do to the displacement.
