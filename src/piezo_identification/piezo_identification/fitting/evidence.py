@@ -9,11 +9,9 @@ from piezo_common.arrays import FloatArray
 INDEPENDENT = 1000.0
 """Errors of each recording that count at most, however many rows it has."""
 
-
 FEWEST = 0.25
 """Part of the rows whose errors count at least: those that are alike for long may hide smaller ones
 that are not."""
-
 
 BLOCKS, FEWEST_BLOCKS = (10, 100, 1000), 10
 """Neighbouring rows whose means tell how far errors are alike, and blocks for them to tell it."""

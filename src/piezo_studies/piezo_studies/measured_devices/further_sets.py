@@ -17,6 +17,7 @@ from piezo_recorder import recording_of
 from piezo_recorder.reading.axes import axes_recordings_in
 from piezo_recorder.reading.recording import Recording
 from piezo_studies.measured_devices.measured import Figure
+from piezo_studies.measured_devices.oscillators import FITTED_PART, divided, rms_um
 
 TANKS, ROBOT_ARM = "cascaded_tanks/dataBenchmark.csv", "robot_arm/robot_arm.dat"
 PLAYER_ARM = "cd_player_arm/CD_player_arm.dat"
@@ -24,18 +25,13 @@ PLAYER_ARM = "cd_player_arm/CD_player_arm.dat"
 TANKS_PERIOD_S, UNKNOWN_PERIOD_S = 4.0, 1e-3
 """The second of the arms, whose sample periods are not published: it scales their frequencies."""
 
-FITTED_PART = 0.7
-"""Of the arms; the rest is predicted."""
-
 
 def tanks(directory: Path) -> list[Figure]:
     """Identify two tanks in series, and predict the level under another voltage of the pump."""
     rows = np.genfromtxt(Path(directory) / TANKS, delimiter=",", skip_header=1)[:, :4]
     fitted, unseen = (_recording(rows[:, i], rows[:, 2 + i], TANKS_PERIOD_S) for i in range(2))
-    identified = identify(dynamics=fitted)
-    prediction = predict(identified.model, unseen)
-    rms = float(np.std((prediction.measured_um - prediction.simulated_um)[prediction.good]))
-    return [Figure("cascaded tanks", "RMS", "estimation", "validation", "V", 0.757, 0.757, rms,
+    return [Figure("cascaded tanks", "RMS", "estimation", "validation", "V", 0.757, 0.757,
+                   rms_um(identify(dynamics=fitted).model, unseen),
                    "published: linear; nonlinear 0.34")]
 
 
@@ -44,7 +40,7 @@ def robot_arm(directory: Path) -> list[Figure]:
     rows = np.loadtxt(Path(directory) / ROBOT_ARM)
     # It falls where its input rises.
     whole = _recording(rows[:, 0], -rows[:, 1], UNKNOWN_PERIOD_S)
-    fitted, unseen = _divided(whole)
+    fitted, unseen = divided(whole)
     identified = identify(dynamics=fitted)
     error = predict(identified.model, read_as_identified(identified, unseen)[0]).e_y_percent()
     return [Figure("robot arm", "relative error", "first part", "the rest", "%", np.nan, 15.0,
@@ -68,8 +64,3 @@ def player_arm(directory: Path) -> list[Figure]:
 def _recording(voltage_v: np.ndarray, displacement_um: np.ndarray, period_s: float) -> Recording:
     return recording_of({"time_s": period_s * np.arange(voltage_v.size), "voltage_v": voltage_v,
                          "displacement_um": displacement_um})
-
-
-def _divided(whole: Recording) -> tuple[Recording, Recording]:
-    is_fitted = np.arange(whole.voltage_v.size) < FITTED_PART * whole.voltage_v.size
-    return whole.select(is_fitted), whole.select(~is_fitted)

@@ -29,7 +29,7 @@ BOUC_WEN, BOUC_WEN_MULTISINE, BOUC_WEN_SWEEP = (
     "bouc_wen/test_sweep.csv")
 
 FITTED_PART = 0.7
-"""Of the multisines; the rest is predicted."""
+"""Of a recording; the rest is predicted."""
 
 NOISE_UM = 8.0
 """RMS, of the training data of Bouc-Wen, as the benchmark prescribes."""
@@ -55,16 +55,14 @@ def circuit(directory: Path) -> Benchmark:
         Of the measured data.
     """
     multisine, arrow = (read_recording(Path(directory) / name) for name in (CIRCUIT, ARROW))
-    sample = np.arange(multisine.voltage_v.size)
-    is_fitted = sample < FITTED_PART * sample.size
-    fitted, unseen = multisine.select(is_fitted), multisine.select(~is_fitted)
+    fitted, unseen = divided(multisine)
     identified = identify(dynamics=fitted)
     fitted, unseen, arrow = (_aligned(identified, each) for each in (fitted, unseen, arrow))
     diagnosis = diagnose(identified.model, [fitted], arrow)
     figures = []
     for name, tested, linear_mv, most_linear_mv, nonlinear_mv in (
             ("further multisines", unseen, 6.7, 7.0, 0.30), ("arrow", arrow, 14.5, 14.5, 0.60)):
-        before, after = (MV_PER_UM * _rms_um(model, tested)
+        before, after = (MV_PER_UM * rms_um(model, tested)
                          for model in (identified.model, diagnosis.model))
         figures += [
             Figure("circuit", "RMS, linear", "multisines", name, "mV", linear_mv, most_linear_mv,
@@ -97,7 +95,7 @@ def bouc_wen(directory: Path) -> Benchmark:
     for name, tested, bounds in (("test multisine", multisine, (34.0, 10.0)),
                                  ("sweep", sweep, (50.0, 10.0))):
         travel_um = float(np.std(tested.displacement_um))
-        before, after = (100.0 * _rms_um(each, tested) / travel_um
+        before, after = (100.0 * rms_um(each, tested) / travel_um
                          for each in (identified.model, diagnosis.model))
         figures += [
             Figure("Bouc-Wen", "RMS over that of the output, linear", "multisine", name, "%", 33.0,
@@ -113,7 +111,14 @@ def _aligned(identified: IdentifiedModel, recording: Recording) -> Recording:
     return read_as_identified(identified, recording)[0]
 
 
-def _rms_um(model: StageModel, recording: Recording) -> float:
+def divided(whole: Recording) -> tuple[Recording, Recording]:
+    """Return the part of a recording that is fitted, and the rest."""
+    sample = np.arange(whole.voltage_v.size)
+    is_fitted = sample < FITTED_PART * sample.size
+    return whole.select(is_fitted), whole.select(~is_fitted)
+
+
+def rms_um(model: StageModel, recording: Recording) -> float:
     """Return the RMS error of a prediction, offset removed."""
     prediction = predict(model, recording)
     return float(np.std((prediction.measured_um - prediction.simulated_um)[prediction.good]))

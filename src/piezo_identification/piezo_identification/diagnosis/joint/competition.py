@@ -220,29 +220,26 @@ def with_plain_model(competition: Competition, model: StageModel, new: Sequence[
             plain, new, old, lambda problem: _expected(problem, stated_um), progress)
         expected = _expected(problem, stated_um)
         best = most_probable(fitted, expected)
-        if best.names and _evidence_of_joint(best.fit) > (
-                _evidence_of_joint(competition.best.fit) if competition.best is not None
-                else _evidence_of_fit(regression, selection.end)):
+        before = competition.best
+        given = _evidence_of_model(
+            regression.dataset, _evidence_of(regression, selection.end),
+            selection.end.parameter_count) if before is None else _evidence_of_alternative(before)
+        if best.names and _evidence_of_alternative(best) > given:
             return replace(competition, probabilities=_probabilities(problem, fitted, stated_um),
                            best=best, times=times_of_coming(fitted, expected) if old else {},
                            is_plain=True)
     return competition
 
 
-def _evidence_of_joint(fit: JointFit) -> float:
-    """Return the evidence of a model with its effects, by what it leaves of all recordings."""
-    dataset = fit.regression.dataset
-    squares_um2 = np.array([part.mean_square_um2 for part in held_out_of(fit)])
-    return log_evidence(squares_um2 + accuracies_um(dataset) ** 2,
-                        free_count(dataset.model) + fit.count)
+def _evidence_of_alternative(alternative: Alternative) -> float:
+    fit = alternative.fit
+    return _evidence_of_model(fit.regression.dataset, alternative.evidence, fit.count)
 
 
-def _evidence_of_fit(regression: Regression, fit: Fit) -> float:
-    """Return the same of effects beside the given model, by the new recordings."""
-    dataset = regression.dataset
-    squares_um2 = np.array([part.mean_square_um2 for part in _held_out(regression, fit)])
-    return log_evidence(squares_um2 + accuracies_um(dataset) ** 2,
-                        free_count(dataset.model) + fit.parameter_count)
+def _evidence_of_model(dataset: Dataset, evidence: Evidence, effect_numbers: int) -> float:
+    """Return the evidence of a model with its effects, its own numbers counted as well."""
+    squares_um2 = np.array(evidence.mean_square_um2) + accuracies_um(dataset) ** 2
+    return log_evidence(squares_um2, free_count(dataset.model) + effect_numbers)
 
 
 def _sets(selection: Selection) -> list[tuple[Effect, ...]]:
