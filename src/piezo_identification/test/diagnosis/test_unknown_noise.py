@@ -35,12 +35,14 @@ def test_what_follows_from_the_voltage_does_not_pass_for_noise_that_nothing_show
     assert diagnosis.ceiling["from_voltage_um"] == pytest.approx(1.0, rel=0.1)
 
 
+@pytest.mark.long
 def test_a_good_model_of_random_rows_lacks_nothing(random_rows):
     diagnosis = diagnose(LINE, [random_rows(0.0)])
     assert (diagnosis.verdict, diagnosis.effects) == ("none", [])
     assert "nothing follows from the voltage" in diagnosis.left
 
 
+@pytest.mark.long
 def test_a_rest_shows_the_noise(random_rows):
     diagnosis = diagnose(LINE, [random_rows(1.4, resting=1000)])
     assert diagnosis.verdict == "unexplained"

@@ -37,8 +37,8 @@ def stage(foreign_stage):
 
 
 @pytest.mark.parametrize("waveform", [
-    "steps", "trapezoid", *(pytest.param(name, marks=pytest.mark.long)
-                            for name in ("staircase", "triangles"))])
+    "steps", *(pytest.param(name, marks=pytest.mark.long)
+               for name in ("trapezoid", "staircase", "triangles"))])
 def test_creep_is_found_from_any_slow_voltage(waveform, stage, record):
     estimate = estimate_slow_creep(record(stage, WAVEFORMS[waveform], PERIOD_S))
     assert error_of(estimate.model, stage) < 3e-3
