@@ -7,6 +7,7 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from itertools import count, pairwise
+from multiprocessing import forkserver
 from pathlib import Path
 
 import numpy as np
@@ -289,6 +290,13 @@ def patient_clients():
             patch.setattr(module, "DIAGNOSTICS_S", TIMEOUT_S)
         patch.setattr(client_module, "ACCEPTANCE_TIMEOUT_S", TIMEOUT_S)
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def forks_that_count():
+    """Wait for the server of the forks, so that the time of a run has that of its nodes."""
+    yield
+    forkserver._forkserver._stop()
 
 
 @pytest.fixture(scope="session")
