@@ -9,6 +9,7 @@ from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
+pytestmark = pytest.mark.long
 PERIOD_S, SAMPLES, NOISE_UM, GAIN_UM_PER_V = 1e-3, 4000, 0.044, 0.3
 LINE = StageModel(
     PreisachModel(-60.0, 60.0, np.zeros((1, 1)), -18.0, np.array([GAIN_UM_PER_V])),
@@ -35,14 +36,12 @@ def test_what_follows_from_the_voltage_does_not_pass_for_noise_that_nothing_show
     assert diagnosis.ceiling["from_voltage_um"] == pytest.approx(1.0, rel=0.1)
 
 
-@pytest.mark.long
 def test_a_good_model_of_random_rows_lacks_nothing(random_rows):
     diagnosis = diagnose(LINE, [random_rows(0.0)])
     assert (diagnosis.verdict, diagnosis.effects) == ("none", [])
     assert "nothing follows from the voltage" in diagnosis.left
 
 
-@pytest.mark.long
 def test_a_rest_shows_the_noise(random_rows):
     diagnosis = diagnose(LINE, [random_rows(1.4, resting=1000)])
     assert diagnosis.verdict == "unexplained"

@@ -44,6 +44,7 @@ def test_creep_is_found_from_any_slow_voltage(waveform, stage, record):
     assert error_of(estimate.model, stage) < 3e-3
 
 
+@pytest.mark.long
 def test_what_a_first_rise_leaves_is_not_taken_for_creep(independent_stage, recorded):
     """Steps of a stage never cycled, whose plays do not come back to where they began."""
     stage = independent_stage(creep_rates=(0.05, 0.8), creep_gains=(0.04, 0.03))
