@@ -72,7 +72,9 @@ def unlink_words(app: Sphinx, page: nodes.document) -> None:
 
 def typeset(translator: HTML5Translator, node: nodes.math | nodes.math_block) -> None:
     """Write a formula as MathML, which browsers typeset without a script from elsewhere."""
-    translator.body.append(tex2mathml(node.astext(), as_block=isinstance(node, nodes.math_block)))
+    is_block = isinstance(node, nodes.math_block)
+    formula = tex2mathml(node.astext(), as_block=is_block)
+    translator.body.append(f"<p>{formula}</p>\n" if is_block else formula)
     raise nodes.SkipNode
 
 

@@ -13,9 +13,11 @@ from piezo_controller.feedback.design_choices import (
     DEFAULT_WEIGHTS,
     DISTURBANCE_HZ,
     METHODS,
+    PEAK_SENSITIVITY,
     SAMPLE_RATE_HZ,
 )
 from piezo_controller.feedback.feedback_design import FeedbackController
+from piezo_controller.feedback.sample_rate.named_feedbacks import feedback_at_margin
 from piezo_controller.feedback.stage_design import design_for_stage
 from piezo_identification.axes.identify_axes import identify_several_axes
 from piezo_identification.axes.predict_axes import AxesPrediction, predict_several_axes
@@ -273,7 +275,8 @@ def extend(model: IdentifiedModel | str | PathLike[str], verdict: Verdict, data:
 def design(
     model: AnyModel, *, method: str = METHODS[0], weights: str | Path = DEFAULT_WEIGHTS,
     disturbance_hz: float = DISTURBANCE_HZ, samples_per_tick: int | None = None,
-    delay_ticks: int = 1, sample_rate_hz: float = SAMPLE_RATE_HZ,
+    delay_ticks: int = 1, sample_rate_hz: float = SAMPLE_RATE_HZ, feedback: str | None = None,
+    peak_sensitivity: float = PEAK_SENSITIVITY,
 ) -> FeedbackController:
     """Design the feedback for a model.
 
@@ -292,6 +295,12 @@ def design(
         1 where the controller answers the stage, 0 where the stage evaluates the law itself.
     sample_rate_hz : float
         Of the stage's sample clock.
+    feedback : str, optional
+        "h-infinity", "pi", "pid", "integral-resonant", "positive-position", "force-like" or
+        "repetitive": a law of every sample instead, for which of the others `disturbance_hz` and
+        `sample_rate_hz` count; see `feedback_at_margin`.
+    peak_sensitivity : float
+        The margin of that law.
 
     Returns
     -------
@@ -304,6 +313,9 @@ def design(
         If there is no such feedback; the message says why.
     """
     stage_model, digest = _identified(model)
+    if feedback is not None:
+        return feedback_at_margin(feedback, stage_model, disturbance_hz, peak_sensitivity,
+                                  1.0 / sample_rate_hz, digest)
     return design_for_stage(
         stage_model, weights, method, disturbance_hz=disturbance_hz,
         samples_per_tick=samples_per_tick, delay_ticks=delay_ticks,
