@@ -82,6 +82,15 @@ def to_control(model: StageModel, sample_period_s: float | None = None, lags: bo
     -------
     control.StateSpace
         From ``hysteresis_um`` to ``displacement_um``.
+
+    Examples
+    --------
+    >>> from piezo_models import PreisachModel
+    >>> line = PreisachModel(0.0, 10.0, np.zeros((1, 1)), 0.0, np.array([2.0]))
+    >>> dynamics = ElectricVibrationDynamics(1e-3, (1257.0,), (0.02,))
+    >>> stage = StageModel(line, CreepDynamics(), dynamics)
+    >>> to_control(stage).poles().round(1)
+    array([  -25.1+1256.7j,   -25.1-1256.7j, -1000. +0.j ])
     """
     system = model.linear()
     beside = [effect for effect in model.effects if effect.place not in IN_LINEAR]
