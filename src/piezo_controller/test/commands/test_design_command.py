@@ -34,6 +34,21 @@ def designed(model_path, tmp_path_factory, picture_faults):
     return output, printed.getvalue()
 
 
+def test_a_feedback_by_its_name_is_written_with_what_it_is_worth(model_path, tmp_path, capsys):
+    output = tmp_path / "pi.json"
+    assert main(["--model", str(model_path), "--feedback", "pi", "--output", str(output),
+                 "--no-report"]) == 0
+    controller = load_controller(output)
+    assert (controller.report["method"], controller.sample_period_s) == ("pi", 25e-6)
+    printed = capsys.readouterr().out
+    assert re.search(r"^pi +[\d.]+ .* 2(\.00\d*)? .* 1$", printed, re.M)
+    assert output.with_name("pi_comparison.png").read_bytes().startswith(b"\x89PNG")
+    assert printed.splitlines()[-1].endswith(f"--controller {output} --output runs")
+    assert main(["--model", str(model_path), "--feedback", "pi", "--method", "pid",
+                 "--output", str(output)]) == 2
+    assert "--method is of the laws of a tick" in capsys.readouterr().err
+
+
 def default_weights():
     return yaml.safe_load((files("piezo_controller") / "weights.yaml").read_text())
 
