@@ -33,6 +33,7 @@ DOCUMENTS = {
     "arrays": "piezo_recorder.reading.axes:ArraysDocument",
     "probe": "piezo_identification.experiments.probing.probe_file:ProbeDocument",
     "plant": "piezo_sim.plant.plant_file:PlantDocument",
+    "axes_plant": "piezo_sim.plant.plant_file:AxesPlantDocument",
 }
 SECTIONS = "fields of "
 HEAD = "| field | type | unit | range | meaning |\n|---|---|---|---|---|\n"
