@@ -75,7 +75,8 @@ class DescribedStage:
         Raises
         ------
         CallFailed
-            If nobody serves the stage, it is not configured, or a parameter contradicts it.
+            If nobody serves the stage, it is not configured, it has several axes, or a parameter
+            contradicts it.
         """
         begin_s, asked_s, state = time.monotonic(), -math.inf, None
         waiting = Waiting(self._node, self._state.srv_name)
@@ -91,6 +92,11 @@ class DescribedStage:
             time.sleep(POLL_S)
         if self.contradiction:
             raise CallFailed(self.contradiction)
+        if description.axes:
+            raise CallFailed(
+                f"{self._node.get_name()} takes a stage of one axis, this one has the axes "
+                f"{', '.join(axis.name for axis in description.axes)}: play and record waveforms "
+                "of all of them, and identify from the recordings")
         return description
 
     def check_unchanged(self, description: StageDescription) -> None:
