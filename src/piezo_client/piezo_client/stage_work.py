@@ -118,9 +118,9 @@ def _shortfall(model: Path | None) -> str:
 
 
 def _play(stage: Stage, options: argparse.Namespace) -> list[str]:
-    voltage_v, sample_period_s = read_waveform(options.waveform)
-    played = stage.play(voltage_v, sample_period_s, options.repeats, options.output,
-                        options.waveform.stem)
+    waveform = read_waveform(options.waveform)
+    played = stage.play(waveform.voltage_v, waveform.sample_period_s, options.repeats,
+                        options.output, options.waveform.stem, waveform.axes)
     return [f"recorded {played.path}", _check_of(played.path)]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Recordings of two or three axes: tables with columns for each of them, and arrays."""
+"""Recordings of two or three axes: those of a stage, tables with columns for each, and arrays."""
 
 import hashlib
 import re
@@ -16,7 +16,12 @@ from numpy.typing import ArrayLike
 from piezo_common.schema import Document, Number, Part, Positive, SchemaError, entry, load_document
 from piezo_recorder.reading.columns import ColumnsDocument, SignalColumn
 from piezo_recorder.reading.memory import IN_MEMORY, recordings_in
-from piezo_recorder.reading.reader import read_recordings
+from piezo_recorder.reading.reader import (
+    axes_of_messages,
+    holds_messages,
+    read_recording,
+    read_recordings,
+)
 from piezo_recorder.reading.recording import Recording, RecordingError
 from piezo_recorder.reading.tables.array_files import damage_told
 from piezo_recorder.reading.tables.file_kinds import read_tables
@@ -109,16 +114,23 @@ class ArraysDocument(Document):
         "Numbers of the realisations to read, from 1; all by default.", default=[])
 
 
+def axes_with_voltage(labels: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the axes of which a table has the voltage, in its order."""
+    return tuple(match[1] for match in map(_VOLTAGE.fullmatch, labels) if match)
+
+
 def axes_of_labels(labels: Sequence[str]) -> tuple[str, ...]:
     """Return the names of the axes of which a table has both columns, in its order."""
-    found = [match[1] for match in map(_VOLTAGE.fullmatch, labels) if match]
-    return tuple(axis for axis in found if f"{axis}_displacement_um" in labels)
+    return tuple(axis for axis in axes_with_voltage(labels) if f"{axis}_displacement_um" in labels)
 
 
 def is_of_axes(path: str | PathLike[str]) -> bool:
     """Tell whether a file is a recording of several axes, or a description of such arrays."""
     path = Path(path)
-    if not path.is_file() or path.suffix.lower() == ".mcap":
+    try:
+        if holds_messages(path):
+            return bool(axes_of_messages(path))
+    except RecordingError:  # said by who reads it
         return False
     with open(path, "rb") as file:
         head = file.read(HEAD_BYTES)
@@ -138,9 +150,11 @@ def read_axes(path: str | PathLike[str]) -> list[AxesRecording]:
     Parameters
     ----------
     path : str or Path
-        A table with columns such as ``time_s,x_voltage_v,y_voltage_v,x_displacement_um,
-        y_displacement_um`` in any format that is read of one axis, or the description of arrays
-        (YAML), see `ArraysDocument`. A column that fits no axis is left.
+        A recording of a stage of several axes, of which the samples are taken that are as far
+        apart as those of its waveform; a table with columns such as ``time_s,x_voltage_v,
+        y_voltage_v,x_displacement_um,y_displacement_um`` in any format that is read of one axis;
+        or the description of arrays (YAML), see `ArraysDocument`. A column that fits no axis is
+        left.
 
     Raises
     ------
@@ -150,10 +164,29 @@ def read_axes(path: str | PathLike[str]) -> list[AxesRecording]:
     path = Path(path)
     if path.suffix.lower() in (".yaml", ".yml"):
         return _described(path)
+    if holds_messages(path):
+        return [axes_recording_of(read_recording(path, several_axes=True))]
     labels = [label for table in read_tables(path, lambda table: [], no_progress)
               for label in table.columns]
     return _joined(str(path), axes_of_labels(labels),
                    lambda columns: read_recordings(path, columns=columns))
+
+
+def axes_recording_of(recording: Recording) -> AxesRecording:
+    """Return the samples of a stage of several axes that belong to what it played; see `read_axes`.
+
+    Raises
+    ------
+    RecordingError
+        If samples are missing.
+    """
+    played = recording.sample_periods_s[recording.playing]
+    part = recording.select(recording.sample_periods_s == played[0]) if played.size else recording
+    if part.gaps:
+        raise RecordingError(f"{recording.path} lacks samples: record it again")
+    return _with_hash(AxesRecording(
+        recording.path, recording.axes, part.sample_period_s, part.voltage_v,
+        part.displacement_um, notes=tuple(recording.notes)))
 
 
 def axes_recordings_in(data: Mapping[str, ArrayLike], name: str = IN_MEMORY) -> list[AxesRecording]:
