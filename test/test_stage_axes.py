@@ -46,9 +46,27 @@ def test_recording_holds_what_was_played_and_measured_of_both_axes(xy, tmp_path)
         played = xy.beside(stage.play, circle(), 1e-4, directory=tmp_path)
     recording, = read_axes(played)
     assert recording.axes == AXES and recording.sample_period_s == 1e-4
-    begin = int(np.flatnonzero(np.all(np.isclose(recording.voltage_v, circle()[0]), axis=1))[0])
-    assert np.allclose(recording.voltage_v[begin:begin + 800], circle(), rtol=1e-13)
-    assert np.all(np.ptp(recording.displacement_um, axis=0) > 15.0)
+    assert np.allclose(recording.voltage_v, circle(), rtol=1e-13)
+    # 60 V, at 0.24 um/V of the less sensitive axis.
+    assert np.all(np.ptp(recording.displacement_um, axis=0) > 14.0)
+
+
+def test_planned_path_is_played_and_its_error_told_by_axis(xy, tmp_path):
+    table = {"time_s": 1e-4 * np.arange(800), **{
+        f"{axis}_{name}": factor * column for name, factor in (
+            ("voltage_v", 1.0), ("displacement_um", 0.28))
+        for axis, column in zip(AXES, circle().T, strict=True)}}
+    for file, rows, columns in (("path.csv", slice(None), list(table)),
+                                ("begin.csv", slice(0, 2), [*table][:3])):
+        np.savetxt(tmp_path / file, np.column_stack([table[name][rows] for name in columns]),
+                   delimiter=",", header=",".join(columns), comments="")
+    with Stage("/xy") as stage:
+        run = xy.beside(stage.scan, tmp_path, directory=tmp_path)
+    measured_um = run.recording().displacement_um
+    assert any(np.array_equal(run.displacement_um, measured_um[first:first + 800])
+               for first in range(len(measured_um) - 800))
+    assert np.all((0.1 < run.error_percent) & (run.error_percent < 15.0))
+    assert list(run.summary().rows[1][:2]) == ["y", pytest.approx(16.8)]
 
 
 def test_limits_are_those_of_each_axis_and_described_as_such(xy):

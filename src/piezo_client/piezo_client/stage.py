@@ -27,6 +27,7 @@ from piezo_client.results import (
     Played,
     Tracking,
 )
+from piezo_client.scans import Scanned, read_scan, scanned
 from piezo_ros.messages import Message, MessageType
 from piezo_ros.stage_runs.described_stage import DescribedStage
 from piezo_ros.stage_runs.recording_calls import RecorderNews, free_name
@@ -112,6 +113,26 @@ class Stage:
                 self._call("recorder/stop_recording", StopRecording, last_sample=last_sample,
                            client=self._name)
         return Played(Path(path))
+
+    def scan(self, scan: AnyPath, periods: int = 2, directory: AnyPath = "runs",
+             name: str = "scan") -> Scanned:
+        """Play and record a path that `scan` has planned, and compare its last period.
+
+        Parameters
+        ----------
+        scan : path-like
+            Folder that `scan` wrote its voltages into.
+        periods : int
+            How often the path is followed; the first ones settle.
+        directory : path-like
+            Where the recording is made.
+        name : str
+            Of the recording, to which a number is added where it is taken.
+        """
+        planned = read_scan(scan)
+        played = self.play(planned.repeated_v(periods), planned.sample_period_s,
+                           directory=directory, name=name, axes=planned.axes)
+        return scanned(planned, played, periods)
 
     def settle(self, lowest_voltage_v: float | None = None, rest_s: int = 60) -> None:
         """Wipe out the past: go to the lowest voltage, then rest while the creep dies out.

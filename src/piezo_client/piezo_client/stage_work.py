@@ -124,6 +124,13 @@ def _play(stage: Stage, options: argparse.Namespace) -> list[str]:
     return [f"recorded {played.path}", _check_of(played.path)]
 
 
+def _scan(stage: Stage, options: argparse.Namespace) -> list[str]:
+    run = stage.scan(options.scan, options.periods, options.output)
+    return [str(run.summary()), f"recorded {run.path}",
+            next_line("stage", "piezo_identification", "simulate", "--model", "<MODEL>", "--data",
+                      run.path, "--output", options.output)]
+
+
 def _diagnose(stage: Stage, options: argparse.Namespace) -> list[str]:
     diagnosis = stage.diagnose(options.model, options.data, options.output, options.holdout,
                                options.experiments, options.longest_s)
@@ -173,6 +180,7 @@ def _status(stage: Stage, options: argparse.Namespace) -> list[str]:
 
 WORK: dict[str, Callable[[Stage, argparse.Namespace], list[str]]] = {
     "list": _list, "status": _status, "experiment": _experiment, "probe": _probe,
-    "identify": _identify, "track": _track, "play": _play, "diagnose": _diagnose, "accept": _accept,
+    "identify": _identify, "track": _track, "play": _play, "scan": _scan,
+    "diagnose": _diagnose, "accept": _accept,
     "settle": _settle, "stop": _stop, "reset": _reset}
 """By the subcommand: does what it is for, and returns the lines to print."""

@@ -150,8 +150,8 @@ def read_axes(path: str | PathLike[str]) -> list[AxesRecording]:
     Parameters
     ----------
     path : str or Path
-        A recording of a stage of several axes, of which the samples are taken that are as far
-        apart as those of its waveform; a table with columns such as ``time_s,x_voltage_v,
+        A recording of a stage of several axes, of which the way to the first sample of what it
+        played and back is left out; a table with columns such as ``time_s,x_voltage_v,
         y_voltage_v,x_displacement_um,y_displacement_um`` in any format that is read of one axis;
         or the description of arrays (YAML), see `ArraysDocument`. A column that fits no axis is
         left.
@@ -173,15 +173,19 @@ def read_axes(path: str | PathLike[str]) -> list[AxesRecording]:
 
 
 def axes_recording_of(recording: Recording) -> AxesRecording:
-    """Return the samples of a stage of several axes that belong to what it played; see `read_axes`.
+    """Return what a stage of several axes played, from the first sample of waveforms to the last.
 
     Raises
     ------
     RecordingError
         If samples are missing.
     """
-    played = recording.sample_periods_s[recording.playing]
-    part = recording.select(recording.sample_periods_s == played[0]) if played.size else recording
+    if not recording.axes:
+        raise RecordingError(f"{recording.path} is of one axis: give a recording of several")
+    played, part = np.flatnonzero(recording.playing), recording
+    if played.size:
+        row = np.arange(len(recording.sample_index))
+        part = recording.select((row >= played[0]) & (row <= played[-1]))
     if part.gaps:
         raise RecordingError(f"{recording.path} lacks samples: record it again")
     return _with_hash(AxesRecording(
