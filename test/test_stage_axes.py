@@ -2,6 +2,7 @@
 """A stage of two axes: played, recorded, read, and stopped as a whole."""
 
 from importlib import resources
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -113,4 +114,14 @@ def test_what_takes_one_axis_refuses_by_name(xy, tmp_path):
     assert "start_tracking takes a stage of one axis" in xy.call(
         StartTracking, "start_tracking").message
     with pytest.raises(GoalFailed, match="identification takes a stage of one axis, this one has"):
-        xy.run_experiment("creep", tmp_path)
+        xy.identify(tmp_path)
+
+
+def test_experiments_move_all_axes_and_are_read_as_periods_that_settled(xy, tmp_path):
+    folder = xy.run_experiment("multisine", tmp_path).recording
+    recordings = [each for path in sorted(Path(folder).iterdir()) for each in read_axes(path)]
+    assert len(recordings) == 4 and {each.periods for each in recordings} == {2}
+    first_v, second_v = np.split(recordings[0].voltage_v, 2)
+    assert len(first_v) == 32_000 and np.array_equal(first_v, second_v)
+    first_um, second_um = np.split(recordings[0].displacement_um, 2)
+    assert np.all(np.std(first_um - second_um, axis=0) < 0.05 * np.std(first_um, axis=0))

@@ -65,8 +65,10 @@ def _next_of(namespace: str, *arguments: object) -> str:
     return next_line("stage", "piezo_client", "stage", *of_stage, *arguments)
 
 
-def _check_of(recording: Path) -> str:
-    return next_line("stage", "piezo_identification", "check", "--data", recording)
+def _check_of(recorded: Path) -> str:
+    several = recorded.is_dir() and not (recorded / "metadata.yaml").exists()
+    return next_line("stage", "piezo_identification", "check", "--data",
+                     *(sorted(recorded.iterdir()) if several else [recorded]))
 
 
 def _experiment(stage: Stage, options: argparse.Namespace) -> list[str]:

@@ -2,6 +2,7 @@
 """Recordings of two or three axes: those of a stage, tables with columns for each, and arrays."""
 
 import hashlib
+import json
 import re
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
@@ -33,6 +34,8 @@ FORMAT = "piezo_axes_arrays"
 HEAD_BYTES = 1 << 16
 """The labels of a table stand within them."""
 ZIP_MAGIC = b"PK\x03\x04"
+PARAMETERS = "parameters.json"
+"""Attachment of an experiment's recording that tells its repeats."""
 
 _VOLTAGE = re.compile(r"([a-z][a-z0-9]*)_voltage_v")
 """Label of the voltage of an axis: its short lower-case name stands before the unit."""
@@ -175,6 +178,9 @@ def read_axes(path: str | PathLike[str]) -> list[AxesRecording]:
 def axes_recording_of(recording: Recording) -> AxesRecording:
     """Return what a stage of several axes played, from the first sample of waveforms to the last.
 
+    Where the recording tells that the waveform was repeated, and how many repeats settle, only the
+    equal periods behind these are returned.
+
     Raises
     ------
     RecordingError
@@ -188,9 +194,22 @@ def axes_recording_of(recording: Recording) -> AxesRecording:
         part = recording.select((row >= played[0]) & (row <= played[-1]))
     if part.gaps:
         raise RecordingError(f"{recording.path} lacks samples: record it again")
+    settling, periods = _repeats_told(recording.attachments)
+    first, equal = 0, periods - settling
+    if settling and not len(part.voltage_v) % periods:
+        first = len(part.voltage_v) // periods * settling
     return _with_hash(AxesRecording(
-        recording.path, recording.axes, part.sample_period_s, part.voltage_v,
-        part.displacement_um, notes=tuple(recording.notes)))
+        recording.path, recording.axes, part.sample_period_s, part.voltage_v[first:],
+        part.displacement_um[first:], equal if first else 0, notes=tuple(recording.notes)))
+
+
+def _repeats_told(attachments: Mapping[str, bytes]) -> tuple[int, int]:
+    """Return how many repeats settle, and how many there are; 0 and 1 where that is not told."""
+    try:
+        told = json.loads(attachments.get(PARAMETERS, b"{}"))
+        return int(told.get("settling_repeats", 0)), int(told.get("repeats", 1))
+    except (ValueError, TypeError, AttributeError):
+        return 0, 1
 
 
 def axes_recordings_in(data: Mapping[str, ArrayLike], name: str = IN_MEMORY) -> list[AxesRecording]:

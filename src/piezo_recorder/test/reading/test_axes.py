@@ -125,7 +125,8 @@ def test_an_axis_that_lacks_values_is_refused():
         axes_recordings_in(table)
 
 
-def bag_of_axes(sample_blocks, path, samples=400, slow=False, names=("x", "y")):
+def bag_of_axes(sample_blocks, path, samples=400, slow=False, names=("x", "y"),
+                attachments=()):
     """Write a recording of a stage of two axes; return its voltages and displacements."""
     voltage_v, displacement_um = np.random.default_rng(4).uniform(0.0, 50.0, (2, samples, 2))
     playing = [sample_blocks.serialise(
@@ -133,7 +134,7 @@ def bag_of_axes(sample_blocks, path, samples=400, slow=False, names=("x", "y")):
         1e-3 if slow else 2.5e-5, axes=names) for first in range(0, samples, 40)]
     rest = sample_blocks.serialise((40 if slow else 1) * samples, np.zeros((40, 2)),
                                    np.zeros((40, 2)), flags=0, axes=names)
-    sample_blocks.write(path, {"/stage/samples": [*playing, rest]}, 40_000.0)
+    sample_blocks.write(path, {"/stage/samples": [*playing, rest]}, 40_000.0, attachments)
     return voltage_v, displacement_um
 
 
@@ -186,3 +187,16 @@ def test_count_of_samples_of_several_axes_is_that_of_the_clock(sample_blocks):
         count.add(sample_blocks.serialise(first, np.zeros((40, 2)), np.zeros((40, 2)),
                                           axes=("x", "y")))
     assert (count.samples, count.missing, count.end) == (80, 20, 100)
+
+
+@pytest.mark.parametrize(("told", "periods", "samples"), [
+    (b'{"repeats": 5, "settling_repeats": 2}', 3, 240), (b'{"repeats": 5}', 0, 400),
+    (b'{"repeats": 3, "settling_repeats": 1}', 0, 400), (b"[]", 0, 400), (b"damaged", 0, 400),
+])
+def test_periods_that_settled_are_taken_where_the_recording_tells_of_them(
+        tmp_path, sample_blocks, told, periods, samples):
+    voltage_v, _ = bag_of_axes(sample_blocks, tmp_path / "run",
+                               attachments=[("parameters.json", told)])
+    recording, = read_axes(tmp_path / "run")
+    assert recording.periods == periods
+    assert np.array_equal(recording.voltage_v, voltage_v[400 - samples:])

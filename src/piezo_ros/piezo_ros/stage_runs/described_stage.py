@@ -64,18 +64,20 @@ class DescribedStage:
             for name, value in self._given.items()
             if self._heard is not None and value != (told := getattr(self._heard, name)))
 
-    def wait(self, check: Callable[[], None]) -> StageDescription:
+    def wait(self, check: Callable[[], None], several_axes: bool = False) -> StageDescription:
         """Return what the stage says of itself; wait for one that has just been started.
 
         Parameters
         ----------
         check : callable
             Called now and then; ends the wait by an exception.
+        several_axes : bool
+            Whether a stage of several axes will do, which is refused otherwise.
 
         Raises
         ------
         CallFailed
-            If nobody serves the stage, it is not configured, it has several axes, or a parameter
+            If nobody serves the stage, it is not configured or has too many axes, or a parameter
             contradicts it.
         """
         begin_s, asked_s, state = time.monotonic(), -math.inf, None
@@ -92,7 +94,7 @@ class DescribedStage:
             time.sleep(POLL_S)
         if self.contradiction:
             raise CallFailed(self.contradiction)
-        if description.axes:
+        if description.axes and not several_axes:
             raise CallFailed(
                 f"{self._node.get_name()} takes a stage of one axis, this one has the axes "
                 f"{', '.join(axis.name for axis in description.axes)}: play and record waveforms "
