@@ -70,6 +70,11 @@ def test_planned_path_is_played_and_its_error_told_by_axis(xy, tmp_path):
     assert list(run.summary().rows[1][:2]) == ["y", pytest.approx(16.8)]
 
 
+def test_array_without_a_column_for_each_axis_is_refused_before_it_is_sent(xy, tmp_path):
+    with Stage("/xy") as stage, pytest.raises(ValueError, match="the axes x, y: give a column for"):
+        xy.beside(stage.play, np.zeros((10, 3)), directory=tmp_path)
+
+
 def test_limits_are_those_of_each_axis_and_described_as_such(xy):
     with pytest.raises(GoalFailed, match=r"y: voltage sample 0 is 90 V, outside \[-20, 80\] V"):
         xy.play(np.array([[90.0, 90.0]]))

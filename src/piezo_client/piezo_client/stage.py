@@ -283,6 +283,10 @@ class Stage:
               axes: Sequence[str] = ()) -> PlayWaveform.Result:
         if np.ndim(voltage_v) > 1 and not axes:
             axes = [axis.name for axis in self.description.axes]
+            if np.shape(voltage_v)[1:] != (len(axes),):
+                raise ValueError(f"voltage_v has the shape {np.shape(voltage_v)}, the stage the "
+                                 f"axes {', '.join(axes) or '(one without a name)'}: give a column "
+                                 "for each")
         return self.client.goal(
             "play_waveform", self._shown(step), why_stop=why_stop,
             sample_period_s=float(sample_period_s),

@@ -64,6 +64,16 @@ class DescribedStage:
             for name, value in self._given.items()
             if self._heard is not None and value != (told := getattr(self._heard, name)))
 
+    @property
+    def too_many_axes(self) -> str:
+        """Why a node that takes one axis cannot use the stage; empty where it can."""
+        axes = self._heard.axes if self._heard is not None else []
+        if not axes:
+            return ""
+        return (f"{self._node.get_name()} takes a stage of one axis, this one has the axes "
+                f"{', '.join(axis.name for axis in axes)}: play and record waveforms of all of "
+                "them, and identify from the recordings")
+
     def wait(self, check: Callable[[], None], several_axes: bool = False) -> StageDescription:
         """Return what the stage says of itself; wait for one that has just been started.
 
@@ -94,11 +104,8 @@ class DescribedStage:
             time.sleep(POLL_S)
         if self.contradiction:
             raise CallFailed(self.contradiction)
-        if description.axes and not several_axes:
-            raise CallFailed(
-                f"{self._node.get_name()} takes a stage of one axis, this one has the axes "
-                f"{', '.join(axis.name for axis in description.axes)}: play and record waveforms "
-                "of all of them, and identify from the recordings")
+        if self.too_many_axes and not several_axes:
+            raise CallFailed(self.too_many_axes)
         return description
 
     def check_unchanged(self, description: StageDescription) -> None:
