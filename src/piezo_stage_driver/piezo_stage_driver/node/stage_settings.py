@@ -183,7 +183,9 @@ class StageSettings:
             file=file, sample_rate_hz=self.sample_rate_hz, samples_per_tick=self.samples_per_tick,
             minimum_voltage_v=self.minimum_voltage_v, maximum_voltage_v=self.maximum_voltage_v,
             rest_voltage_v=self.rest_voltage_v, ramp_rate_v_per_s=self.ramp_rate_v_per_s,
-            exchange_timeout_s=self.exchange_timeout_s)
+            exchange_timeout_s=self.exchange_timeout_s,
+            own=lambda axis: {name: getattr(self.of_axes([axis])[0], name) for name in (
+                "minimum_voltage_v", "maximum_voltage_v", "rest_voltage_v", "ramp_rate_v_per_s")})
 
     def create_supervisor(self, backend: StageBackend, latch: StopLatch) -> StageSupervisor:
         """Return the supervisor of a backend.
