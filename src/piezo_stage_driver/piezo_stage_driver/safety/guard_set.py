@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from piezo_stage_driver.safety.guards import FeedbackOscillation, SensorGuard, Stretch
+from piezo_stage_driver.safety.sample_kernels import columns
 
 SensorGuards = Sequence[SensorGuard] | Mapping[str, Sequence[SensorGuard]]
 
@@ -56,8 +57,3 @@ class GuardSet:
             causes += [f"{axis}: {cause}" if cause and axis else cause
                        for cause in [guard.examine(stretch) for guard in guards]]
         return next(filter(None, causes), "")
-
-
-def columns(samples: np.ndarray) -> list[np.ndarray]:
-    """Return the samples of each axis, shape (n,), contiguous."""
-    return [samples] if samples.ndim == 1 else list(np.ascontiguousarray(samples.T))

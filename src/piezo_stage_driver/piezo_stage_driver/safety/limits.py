@@ -5,6 +5,8 @@ import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import reduce
+from operator import or_
 from typing import Any, Protocol
 
 import numpy as np
@@ -13,6 +15,7 @@ import numpy.typing as npt
 from piezo_stage_driver.safety.sample_kernels import (
     FLAG_RANGE_LIMITED,
     FLAG_SLEW_LIMITED,
+    columns,
     hold_within,
 )
 
@@ -187,12 +190,10 @@ class AxesLimits:
     def apply(self, voltage_v: np.ndarray, previous_v: np.ndarray,
               sample_period_s: float) -> tuple[np.ndarray, int]:
         """Hold voltages within the limits; the flags are those of any axis."""
-        limited_v, flags = np.empty(voltage_v.shape), 0
-        for at, limits in enumerate(self._by_axis.values()):
-            limited_v[:, at], of_axis = limits.apply(
-                voltage_v[:, at], previous_v[at], sample_period_s)
-            flags |= of_axis
-        return limited_v, flags
+        limited_v, flags = zip(*(
+            limits.apply(of_axis_v, last_v, sample_period_s) for limits, of_axis_v, last_v in zip(
+                self._by_axis.values(), columns(voltage_v), previous_v, strict=True)), strict=True)
+        return np.column_stack(limited_v), reduce(or_, flags)
 
 
 @contextmanager
