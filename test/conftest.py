@@ -47,10 +47,11 @@ class Samples:
     def __init__(self, blocks):
         self.blocks = blocks
         self.first_sample = blocks[0].first_sample
-        self.voltage_v = np.concatenate([block.voltage_v for block in blocks])
-        self.displacement_um = np.concatenate([block.displacement_um for block in blocks])
-        self.flags = np.repeat([block.flags for block in blocks],
-                               [len(block.voltage_v) for block in blocks])
+        shape = (-1, len(blocks[0].axes)) if blocks[0].axes else (-1,)
+        self.voltage_v, self.displacement_um = (
+            np.concatenate([getattr(block, name) for block in blocks]).reshape(shape)
+            for name in ("voltage_v", "displacement_um"))
+        self.flags = np.repeat([block.flags for block in blocks], list(map(length, blocks)))
 
     @property
     def gapless(self):
@@ -70,13 +71,18 @@ class Samples:
 
 def end(block):
     """The sample of the clock behind a block."""
-    return block.first_sample + len(block.voltage_v) * round(block.sample_period_s * 40_000)
+    return block.first_sample + length(block) * round(block.sample_period_s * 40_000)
+
+
+def length(block):
+    """How many samples a block holds, of all axes."""
+    return len(block.voltage_v) // max(1, len(block.axes))
 
 
 def holds(path, topic, sample):
     """Tell whether a recording holds a sample of a topic."""
     try:
-        return sample in read_recording(path, topic=topic).sample_index
+        return sample in read_recording(path, topic=topic, several_axes=True).sample_index
     except RecordingError:  # nothing of the topic
         return False
 
@@ -100,15 +106,17 @@ class StageClient(Client):
     ----------
     processes : Processes
         The nodes of the namespace.
+    axes : tuple of str
+        Of a stage that has several.
     blocks : list of SampleBlock
         Since the last `forget`.
     answer : callable or None
         Takes a block, returns the feedback voltage, or None for no answer.
     """
 
-    def __init__(self, namespace, processes):
+    def __init__(self, namespace, processes, axes=()):
         super().__init__(namespace)
-        self.processes = processes
+        self.processes, self.axes = processes, axes
         self.blocks = []
         self.answer = None
         self.run = None
@@ -198,9 +206,12 @@ class StageClient(Client):
     # Goals and services
 
     def play(self, voltage_v, sample_period_s=25e-6, repeats=1, **options):
-        """Play a waveform to its end; see ``Client.goal``."""
-        return self.goal("play_waveform", voltage_v=array.array("d", voltage_v),
-                         sample_period_s=sample_period_s, repeats=repeats, **options)
+        """Play a waveform to its end, that of one axis on all of them; see ``Client.goal``."""
+        if self.axes and np.ndim(voltage_v) == 1:
+            voltage_v = np.repeat(np.reshape(voltage_v, (-1, 1)), len(self.axes), axis=1)
+        return self.goal(
+            "play_waveform", voltage_v=array.array("d", np.ravel(voltage_v)),
+            sample_period_s=sample_period_s, repeats=repeats, axes=list(self.axes), **options)
 
     def send_goal(self, name, **fields):
         """Send a goal; return it without waiting."""
@@ -264,7 +275,7 @@ class StageClient(Client):
 
     def another_client(self):
         """Another client of the same stage; a context manager."""
-        return StageClient(self.node.get_namespace(), self.processes)
+        return StageClient(self.node.get_namespace(), self.processes, self.axes)
 
     # Samples
 
@@ -317,7 +328,7 @@ class Nodes:
         self._ends = ExitStack()
         self._groups = 0
 
-    def start(self, *names, namespace="", connect=True, node_parameters=None,
+    def start(self, *names, namespace="", connect=True, node_parameters=None, axes=(),
               **stage_parameters):
         """Start a lockstep stage and other nodes in a namespace; return a client of the stage."""
         self._groups += 1
@@ -328,7 +339,7 @@ class Nodes:
             parameters = {"timing": "lockstep", "autostart": True, **PATIENT, **stage_parameters}
             processes.start(name, parameters if name == "stage"
                             else (node_parameters or {}).get(name), namespace or None)
-        client = self._ends.enter_context(StageClient(namespace, processes))
+        client = self._ends.enter_context(StageClient(namespace, processes, axes))
         client.until(lambda: {"client", "stage", *names} <= client.node_names())
         if connect:
             client.connect()
