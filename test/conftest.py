@@ -7,6 +7,7 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from itertools import count, pairwise
+from multiprocessing import forkserver
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +32,7 @@ from piezo_ros.quality import FEEDBACK, SAMPLES
 from piezo_studies.forked_processes import ForkedProcesses
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
-from endless_probe import write_endless_probe
+from probes import write_endless_probe, write_short_probe
 
 TIMEOUT_S = 300.0
 PATIENT = {"lockstep_timeout_s": 60.0, "exchange_timeout_s": 60.0,
@@ -46,10 +47,11 @@ class Samples:
     def __init__(self, blocks):
         self.blocks = blocks
         self.first_sample = blocks[0].first_sample
-        self.voltage_v = np.concatenate([block.voltage_v for block in blocks])
-        self.displacement_um = np.concatenate([block.displacement_um for block in blocks])
-        self.flags = np.repeat([block.flags for block in blocks],
-                               [len(block.voltage_v) for block in blocks])
+        shape = (-1, len(blocks[0].axes)) if blocks[0].axes else (-1,)
+        self.voltage_v, self.displacement_um = (
+            np.concatenate([getattr(block, name) for block in blocks]).reshape(shape)
+            for name in ("voltage_v", "displacement_um"))
+        self.flags = np.repeat([block.flags for block in blocks], list(map(length, blocks)))
 
     @property
     def gapless(self):
@@ -69,13 +71,18 @@ class Samples:
 
 def end(block):
     """The sample of the clock behind a block."""
-    return block.first_sample + len(block.voltage_v) * round(block.sample_period_s * 40_000)
+    return block.first_sample + length(block) * round(block.sample_period_s * 40_000)
+
+
+def length(block):
+    """How many samples a block holds, of all axes."""
+    return len(block.voltage_v) // max(1, len(block.axes))
 
 
 def holds(path, topic, sample):
     """Tell whether a recording holds a sample of a topic."""
     try:
-        return sample in read_recording(path, topic=topic).sample_index
+        return sample in read_recording(path, topic=topic, several_axes=True).sample_index
     except RecordingError:  # nothing of the topic
         return False
 
@@ -99,15 +106,17 @@ class StageClient(Client):
     ----------
     processes : Processes
         The nodes of the namespace.
+    axes : tuple of str
+        Of a stage that has several.
     blocks : list of SampleBlock
         Since the last `forget`.
     answer : callable or None
         Takes a block, returns the feedback voltage, or None for no answer.
     """
 
-    def __init__(self, namespace, processes):
+    def __init__(self, namespace, processes, axes=()):
         super().__init__(namespace)
-        self.processes = processes
+        self.processes, self.axes = processes, axes
         self.blocks = []
         self.answer = None
         self.run = None
@@ -197,9 +206,12 @@ class StageClient(Client):
     # Goals and services
 
     def play(self, voltage_v, sample_period_s=25e-6, repeats=1, **options):
-        """Play a waveform to its end; see ``Client.goal``."""
-        return self.goal("play_waveform", voltage_v=array.array("d", voltage_v),
-                         sample_period_s=sample_period_s, repeats=repeats, **options)
+        """Play a waveform to its end, that of one axis on all of them; see ``Client.goal``."""
+        if self.axes and np.ndim(voltage_v) == 1:
+            voltage_v = np.repeat(np.reshape(voltage_v, (-1, 1)), len(self.axes), axis=1)
+        return self.goal(
+            "play_waveform", voltage_v=array.array("d", np.ravel(voltage_v)),
+            sample_period_s=sample_period_s, repeats=repeats, axes=list(self.axes), **options)
 
     def send_goal(self, name, **fields):
         """Send a goal; return it without waiting."""
@@ -263,7 +275,7 @@ class StageClient(Client):
 
     def another_client(self):
         """Another client of the same stage; a context manager."""
-        return StageClient(self.node.get_namespace(), self.processes)
+        return StageClient(self.node.get_namespace(), self.processes, self.axes)
 
     # Samples
 
@@ -291,6 +303,13 @@ def patient_clients():
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def forks_that_count():
+    """Wait for the server of the forks, so that the time of a run has that of its nodes."""
+    yield
+    forkserver._forkserver._stop()
+
+
 @pytest.fixture(scope="session")
 def stage_client(domain):
     """Makes a client of a stage that a test has started by itself."""
@@ -309,7 +328,7 @@ class Nodes:
         self._ends = ExitStack()
         self._groups = 0
 
-    def start(self, *names, namespace="", connect=True, node_parameters=None,
+    def start(self, *names, namespace="", connect=True, node_parameters=None, axes=(),
               **stage_parameters):
         """Start a lockstep stage and other nodes in a namespace; return a client of the stage."""
         self._groups += 1
@@ -320,7 +339,7 @@ class Nodes:
             parameters = {"timing": "lockstep", "autostart": True, **PATIENT, **stage_parameters}
             processes.start(name, parameters if name == "stage"
                             else (node_parameters or {}).get(name), namespace or None)
-        client = self._ends.enter_context(StageClient(namespace, processes))
+        client = self._ends.enter_context(StageClient(namespace, processes, axes))
         client.until(lambda: {"client", "stage", *names} <= client.node_names())
         if connect:
             client.connect()
@@ -426,11 +445,13 @@ def told():
 
 @pytest.fixture(scope="session")
 def identification(whole_suite, tmp_path_factory, told):
-    """Of the stage /left, through the whole sequence; ``make long`` chooses the orders, too."""
-    orders = {} if os.environ.get("LONG_TESTS") else {"creep_pairs": 4, "modes": 2}
+    """Of the stage /left, through the whole sequence; by ``make long`` as a user asks for it."""
+    directory, orders = tmp_path_factory.mktemp("identification"), {}
+    if not os.environ.get("LONG_TESTS"):
+        write_short_probe(directory)
+        orders = {"creep_pairs": 4, "modes": 2}
     with Stage("/left", progress=lambda *progress: told.append(progress)) as stage:
-        return whole_suite.beside(
-            stage.identify, tmp_path_factory.mktemp("identification"), **orders)
+        return whole_suite.beside(stage.identify, directory, **orders)
 
 
 @pytest.fixture(scope="session")

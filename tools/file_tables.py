@@ -27,12 +27,14 @@ DOCUMENTS = {
     "weights": "piezo_controller.feedback.synthesis.weights_document:WeightsDocument",
     "learned": "piezo_controller.learning.learned_file:LearnedDocument",
     "calibration": "piezo_stage_driver.backends.calibration:Calibration",
+    "axes_calibration": "piezo_stage_driver.backends.calibration:AxesCalibration",
     "pi_gcs": "piezo_stage_driver.backends.pi_gcs_stage:PiSettings",
     "nv200": "piezo_stage_driver.backends.nv200_stage:Nv200Settings",
     "columns": "piezo_recorder.reading.columns:ColumnsDocument",
     "arrays": "piezo_recorder.reading.axes:ArraysDocument",
     "probe": "piezo_identification.experiments.probing.probe_file:ProbeDocument",
     "plant": "piezo_sim.plant.plant_file:PlantDocument",
+    "axes_plant": "piezo_sim.plant.plant_file:AxesPlantDocument",
 }
 SECTIONS = "fields of "
 HEAD = "| field | type | unit | range | meaning |\n|---|---|---|---|---|\n"

@@ -24,8 +24,8 @@ def generate_launch_description():
     return LaunchDescription([
         DeclareLaunchArgument("namespace", default_value="", description="Of all nodes."),
         DeclareLaunchArgument("profile", default_value="simulated_stage",
-                              description="Parameters of this package: simulated_stage, or "
-                              "hardware for low limits."),
+                              description="Parameters of this package: simulated_stage, "
+                              "simulated_axes for two axes, or hardware for low limits."),
         DeclareLaunchArgument("parameters", default_value=default,
                               description="Parameter file (YAML), in place of the profile's."),
         DeclareLaunchArgument("data_root", default_value=".",

@@ -73,7 +73,7 @@ def test_every_file_of_a_package_is_there(path):
 def test_profiles_are_files_of_the_package():
     text = LAUNCH_FILES[2].read_text()
     assert "'config', [LaunchConfiguration('profile'), '.yaml']" in ast.unparse(ast.parse(text))
-    for name in "simulated_stage", "hardware":
+    for name in "simulated_stage", "simulated_axes", "hardware":
         assert name in text
         assert (SOURCE / "piezo_bringup" / "config" / f"{name}.yaml").is_file()
 

@@ -84,8 +84,9 @@ def _description(told: Any) -> list[str]:
     return [
         f"backend {told.backend}, {told.timing}, {told.sample_rate_hz:g} Hz, feedback every "
         f"{told.samples_per_tick} samples",
-        f"voltage {told.minimum_voltage_v:g} to {told.maximum_voltage_v:g} V, at rest "
-        f"{told.rest_voltage_v:g} V, at most {told.slew_limit_v_per_s:g} V/s"]
+        *(f"{f'{axis.name} ' if told.axes else ''}voltage {axis.minimum_voltage_v:g} to "
+          f"{axis.maximum_voltage_v:g} V, at rest {axis.rest_voltage_v:g} V, at most "
+          f"{axis.slew_limit_v_per_s:g} V/s" for axis in told.axes or [told])]
 
 
 def _present(status: DiagnosticStatus) -> list[str]:

@@ -34,7 +34,7 @@ class _Run(_AtPath):
 
     def recording(self) -> Recording:
         """Read the samples: a `piezo_recorder.reading.recording.Recording`."""
-        return read_recording(self.path)
+        return read_recording(self.path, several_axes=True)
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ from piezo_client.results import (
     Played,
     Tracking,
 )
+from piezo_client.scans import Scanned, read_scan, scanned
 from piezo_ros.messages import Message, MessageType
 from piezo_ros.stage_runs.described_stage import DescribedStage
 from piezo_ros.stage_runs.recording_calls import RecorderNews, free_name
@@ -82,18 +83,21 @@ class Stage:
         return self.client.description(self._stage)
 
     def play(self, voltage_v: ArrayLike, sample_period_s: float | None = None, repeats: int = 1,
-             directory: AnyPath = "runs", name: str = "waveform") -> Played:
+             directory: AnyPath = "runs", name: str = "waveform",
+             axes: Sequence[str] = ()) -> Played:
         """Play a voltage and record it; what can no longer be recorded is stopped.
 
         Parameters
         ----------
-        voltage_v : array_like, shape (N,)
+        voltage_v : array_like, shape (N,) or (N, axes)
         sample_period_s : float, optional
             A whole multiple of the sample clock's, at most 1 s; by default that of the clock.
         directory : path-like
             Where the recording is made.
         name : str
             Of the recording, to which a number is added where it is taken.
+        axes : sequence of str
+            Names of the columns where there are several; by default all of the stage.
         """
         if sample_period_s is None:
             sample_period_s = 1.0 / self.description.sample_rate_hz
@@ -103,12 +107,32 @@ class Stage:
         recording, last_sample = self._news.about(path), 0
         try:
             last_sample = self._play("", voltage_v, sample_period_s, repeats,
-                                     lambda: recording.failure).last_sample
+                                     lambda: recording.failure, axes).last_sample
         finally:
             if not recording.failure:
                 self._call("recorder/stop_recording", StopRecording, last_sample=last_sample,
                            client=self._name)
         return Played(Path(path))
+
+    def scan(self, scan: AnyPath, periods: int = 2, directory: AnyPath = "runs",
+             name: str = "scan") -> Scanned:
+        """Play and record a path that `scan` has planned, and compare its last period.
+
+        Parameters
+        ----------
+        scan : path-like
+            Folder that `scan` wrote its voltages into.
+        periods : int
+            How often the path is followed; the first ones settle.
+        directory : path-like
+            Where the recording is made.
+        name : str
+            Of the recording, to which a number is added where it is taken.
+        """
+        planned = read_scan(scan)
+        played = self.play(planned.repeated_v(periods), planned.sample_period_s,
+                           directory=directory, name=name, axes=planned.axes)
+        return scanned(planned, played, periods)
 
     def settle(self, lowest_voltage_v: float | None = None, rest_s: int = 60) -> None:
         """Wipe out the past: go to the lowest voltage, then rest while the creep dies out.
@@ -116,13 +140,16 @@ class Stage:
         Parameters
         ----------
         lowest_voltage_v : float, optional
-            The lowest that the stage allows by default.
+            Of all axes; the lowest that the stage allows by default.
         rest_s : int
             Seconds of the stage's time.
         """
         stage = self.description
-        lowest_v = stage.minimum_voltage_v if lowest_voltage_v is None else lowest_voltage_v
-        self._play("settle, ", [lowest_v] + [stage.rest_voltage_v] * rest_s, 1.0)
+        ends_v = np.array([(axis.minimum_voltage_v if lowest_voltage_v is None
+                            else lowest_voltage_v, axis.rest_voltage_v)
+                           for axis in stage.axes or [stage]])
+        voltage_v = np.repeat(ends_v.T, (1, rest_s), axis=0)
+        self._play("settle, ", voltage_v if stage.axes else voltage_v[:, 0], 1.0)
 
     def run_experiment(self, name: str, directory: AnyPath = "") -> Experiment:
         """Run and record one experiment.
@@ -252,11 +279,18 @@ class Stage:
         self._call("reset", Trigger)
 
     def _play(self, step: str, voltage_v: ArrayLike, sample_period_s: float, repeats: int = 1,
-              why_stop: Callable[[], str] | None = None) -> PlayWaveform.Result:
+              why_stop: Callable[[], str] | None = None,
+              axes: Sequence[str] = ()) -> PlayWaveform.Result:
+        if np.ndim(voltage_v) > 1 and not axes:
+            axes = [axis.name for axis in self.description.axes]
+            if np.shape(voltage_v)[1:] != (len(axes),):
+                raise ValueError(f"voltage_v has the shape {np.shape(voltage_v)}, the stage the "
+                                 f"axes {', '.join(axes) or '(one without a name)'}: give a column "
+                                 "for each")
         return self.client.goal(
             "play_waveform", self._shown(step), why_stop=why_stop,
             sample_period_s=float(sample_period_s),
-            voltage_v=_doubles(voltage_v), repeats=repeats)
+            voltage_v=_doubles(voltage_v), repeats=repeats, axes=list(axes))
 
     def _call(self, name: str, service_type: MessageType, /, **fields: Any) -> Message:
         response = self.client.call(service_type, name, **fields)

@@ -14,7 +14,7 @@ from piezo_ros.starting import without_ros_arguments
 WAIT_S = 3.0
 """Nodes that run are seen within a second."""
 Commands: TypeAlias = "argparse._SubParsersAction[_Parser]"
-INPUTS = ("model", "file", "waveform", "controller", "data", "holdout", "recordings",
+INPUTS = ("model", "file", "waveform", "scan", "controller", "data", "holdout", "recordings",
           "extended_model")
 SHAPES = "harmonic", "triangle"
 IDENTIFY = "`./run piezo_client stage identify --output DIR`"
@@ -80,6 +80,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_identify(commands)
     _add_track(commands)
     _add_play(commands)
+    _add_scan(commands)
     _add_diagnose(commands)
     _add_accept(commands)
     for name, text in (
@@ -140,9 +141,18 @@ def _add_track(commands: Commands) -> None:
 def _add_play(commands: Commands) -> None:
     parser = _add(commands, "play", "play a voltage of your own and record it")
     parser.add_argument("waveform", type=Path, metavar="FILE",
-                        help="CSV time_s,voltage_v of uniform samples; a recording as CSV will do")
+                        help="CSV time_s,voltage_v of uniform samples, or x_voltage_v and so on of "
+                        "all axes; a recording as CSV will do")
     parser.add_argument("--repeats", type=int, default=1, metavar="NUMBER",
                         help="how often (default: %(default)s)")
+
+
+def _add_scan(commands: Commands) -> None:
+    parser = _add(commands, "scan", "play a planned path of several axes, and tell its error")
+    parser.add_argument("scan", type=Path, metavar="DIR",
+                        help="folder that `scan` wrote path.csv and begin.csv into")
+    parser.add_argument("--periods", type=int, default=2, metavar="NUMBER",
+                        help="how often it is followed; the last one counts (default: %(default)s)")
 
 
 def _add_diagnose(commands: Commands) -> None:

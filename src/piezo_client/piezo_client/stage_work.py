@@ -65,8 +65,10 @@ def _next_of(namespace: str, *arguments: object) -> str:
     return next_line("stage", "piezo_client", "stage", *of_stage, *arguments)
 
 
-def _check_of(recording: Path) -> str:
-    return next_line("stage", "piezo_identification", "check", "--data", recording)
+def _check_of(recorded: Path) -> str:
+    several = recorded.is_dir() and not (recorded / "metadata.yaml").exists()
+    return next_line("stage", "piezo_identification", "check", "--data",
+                     *(sorted(recorded.iterdir()) if several else [recorded]))
 
 
 def _experiment(stage: Stage, options: argparse.Namespace) -> list[str]:
@@ -118,10 +120,17 @@ def _shortfall(model: Path | None) -> str:
 
 
 def _play(stage: Stage, options: argparse.Namespace) -> list[str]:
-    voltage_v, sample_period_s = read_waveform(options.waveform)
-    played = stage.play(voltage_v, sample_period_s, options.repeats, options.output,
-                        options.waveform.stem)
+    waveform = read_waveform(options.waveform)
+    played = stage.play(waveform.voltage_v, waveform.sample_period_s, options.repeats,
+                        options.output, options.waveform.stem, waveform.axes)
     return [f"recorded {played.path}", _check_of(played.path)]
+
+
+def _scan(stage: Stage, options: argparse.Namespace) -> list[str]:
+    run = stage.scan(options.scan, options.periods, options.output)
+    return [str(run.summary()), f"recorded {run.path}",
+            next_line("stage", "piezo_identification", "simulate", "--model", "<MODEL>", "--data",
+                      run.path, "--output", options.output)]
 
 
 def _diagnose(stage: Stage, options: argparse.Namespace) -> list[str]:
@@ -173,6 +182,7 @@ def _status(stage: Stage, options: argparse.Namespace) -> list[str]:
 
 WORK: dict[str, Callable[[Stage, argparse.Namespace], list[str]]] = {
     "list": _list, "status": _status, "experiment": _experiment, "probe": _probe,
-    "identify": _identify, "track": _track, "play": _play, "diagnose": _diagnose, "accept": _accept,
+    "identify": _identify, "track": _track, "play": _play, "scan": _scan,
+    "diagnose": _diagnose, "accept": _accept,
     "settle": _settle, "stop": _stop, "reset": _reset}
 """By the subcommand: does what it is for, and returns the lines to print."""

@@ -61,6 +61,7 @@ def test_a_page_without_bokeh_has_its_static_pictures_alone(figure, monkeypatch)
     assert "<script" not in text and "<details" not in text and "data:text/csv" in text
 
 
+@pytest.mark.usefixtures("interactive_pages")
 def test_the_closer_look_holds_the_same_curves_and_loads_nothing(figure, page_parts):
     pytest.importorskip("bokeh")
     item = interactive_item(figure)

@@ -28,6 +28,8 @@ class SampleCount:
     ----------
     sample_rate_hz : float
         Rate of the stage's sample clock.
+    axes : int
+        Of the stage: a sample has a value of each.
 
     Attributes
     ----------
@@ -39,15 +41,16 @@ class SampleCount:
         Index on the sample clock behind the last block.
     """
 
-    def __init__(self, sample_rate_hz: float = DEFAULT_SAMPLE_RATE_HZ):
-        self._sample_rate_hz = sample_rate_hz
+    def __init__(self, sample_rate_hz: float = DEFAULT_SAMPLE_RATE_HZ, axes: int = 1):
+        self._sample_rate_hz, self._axes = sample_rate_hz, axes
         self.samples = 0
         self.missing = 0
         self.end: int | None = None
 
     def add(self, data: bytes) -> None:
         """Count one serialised SampleBlock (bytes)."""
-        first, period_s, samples = block_span(data)
+        first, period_s, values = block_span(data)
+        samples = values // self._axes
         if self.end is not None:
             self.missing += max(0, first - self.end)
         self.samples += samples
@@ -70,12 +73,13 @@ def block_span(data: bytes) -> tuple[int, float, int]:
     -------
     first_sample : int
     sample_period_s : float
-    samples : int
+    values : int
+        Voltages: one a sample and axis.
     """
     order = "<" if data[1] & 1 else ">"
     frame_id_length, = struct.unpack_from(order + "I", data, 12)
     # After the frame id CDR aligns to 8 bytes, counted from behind its own 4-byte header.
     offset = 4 + -(-(12 + frame_id_length) // 8) * 8
-    first_sample, sample_period_s, _tick, samples = struct.unpack_from(
+    first_sample, sample_period_s, _tick, values = struct.unpack_from(
         order + "QdQI", data, offset)
-    return first_sample, sample_period_s, samples
+    return first_sample, sample_period_s, values

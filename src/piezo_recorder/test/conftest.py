@@ -26,15 +26,15 @@ class SampleBlocks:
             TYPE_NAME, text, self.typestore.hash_rihs01(TYPE_NAME))
 
     def serialise(self, first_sample, voltage_v, displacement_um, sample_period_s=2.5e-5,
-                  flags=Flag.PLAYING, frame_id="stage"):
+                  flags=Flag.PLAYING, frame_id="stage", axes=()):
         types = self.typestore.types
         stamp = types["builtin_interfaces/msg/Time"](0, 0)
         header = types["std_msgs/msg/Header"](stamp, frame_id)
         block = types[TYPE_NAME](
             header=header, first_sample=first_sample, sample_period_s=sample_period_s,
-            tick=first_sample // 40, voltage_v=np.asarray(voltage_v, float),
-            displacement_um=np.asarray(displacement_um, float), flags=int(flags),
-            missed_feedback=0)
+            tick=first_sample // 40, voltage_v=np.ravel(voltage_v).astype(float),
+            displacement_um=np.ravel(displacement_um).astype(float), flags=int(flags),
+            missed_feedback=0, axes=list(axes))
         return bytes(self.typestore.serialize_cdr(block, TYPE_NAME))
 
     def write(self, path, topics, sample_rate_hz=None, attachments=()):

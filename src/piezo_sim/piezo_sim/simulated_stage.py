@@ -6,16 +6,20 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from piezo_common.arrays import FloatArray
-from piezo_sim.plant.plant import Plant
+from piezo_sim.plant.plant import AxesPlant, Plant
 from piezo_sim.plant.plant_effect import Surroundings
-from piezo_sim.plant.plant_file import PlantConfig, read_plant
+from piezo_sim.plant.plant_file import AxesPlantConfig, PlantConfig, read_any_plant
 from piezo_stage_driver.backends.backend import BackendFault
+
+SEEDS_APART = 2**31
+"""Between the seeds of two axes; those of a stage lie below it."""
 
 
 class SimulatedStage:
-    """A simulated stage that plays voltages and measures displacements.
+    """A simulated stage that plays voltages and measures displacements, of one axis or several.
 
     Every `open` starts anew from the same rest: coming from the lowest voltage, long at the rest
     voltage. The same seed and the same voltages give the same displacements to the bit, however the
@@ -23,21 +27,23 @@ class SimulatedStage:
 
     Parameters
     ----------
-    plant : path-like or PlantConfig, optional
-        Plant file, the name of a plant that comes with this package (`plant_file.PLANTS`), or what
-        was read; by default the stage of thesis chapter 4.
+    plant : path-like, PlantConfig or AxesPlantConfig, optional
+        Plant file, the name of a plant that comes with this package (`named_plants`), or what was
+        read; by default the stage of thesis chapter 4.
     seed : int
         Seed of everything random, not negative.
     sample_rate_hz : float
         Sample clock.
-    rest_voltage_v : float
-        Voltage at which the stage has rested.
+    rest_voltage_v : float or sequence of float
+        Voltage at which the stage has rested; of all axes, or of each.
 
     Attributes
     ----------
     sample_rate_hz : float
         Sample clock.
-    true_displacement_um : ndarray, shape (N,)
+    axes : tuple of str
+        Names of several axes; empty for one.
+    true_displacement_um : ndarray, shape (N,) or (N, axes)
         Displacement without sensor at the instants of the last exchange.
     on_truth : callable
         Takes it after each exchange; does nothing unless it is set.
@@ -52,8 +58,9 @@ class SimulatedStage:
 
     name = "simulated"
 
-    def __init__(self, plant: str | Path | PlantConfig | None = None, seed: int = 0,
-                 sample_rate_hz: float = 40000.0, rest_voltage_v: float = 0.0) -> None:
+    def __init__(self, plant: str | Path | PlantConfig | AxesPlantConfig | None = None,
+                 seed: int = 0, sample_rate_hz: float = 40000.0,
+                 rest_voltage_v: ArrayLike = 0.0) -> None:
         if seed < 0:
             raise ValueError(f"seed is {seed}; give an integer that is not negative.")
         if not 0.0 < sample_rate_hz < float("inf"):
@@ -61,17 +68,25 @@ class SimulatedStage:
         self.sample_rate_hz = sample_rate_hz
         self.true_displacement_um = np.empty(0)
         self.on_truth: Callable[[FloatArray], object] = lambda displacement_um: None
-        self._config = plant if isinstance(plant, PlantConfig) else read_plant(plant)
-        self._surroundings = Surroundings(1.0 / sample_rate_hz, rest_voltage_v, seed)
-        self._plant: Plant | None = None
+        config = (plant if isinstance(plant, PlantConfig | AxesPlantConfig)
+                  else read_any_plant(plant))
+        self.axes = tuple(config.axes) if isinstance(config, AxesPlantConfig) else ()
+        self._shape = (len(self.axes),) if self.axes else ()
+        rests_v = np.broadcast_to(np.asarray(rest_voltage_v, dtype=float), self._shape or (1,))
+        surroundings = [Surroundings(1.0 / sample_rate_hz, float(rest_v), seed + SEEDS_APART * axis)
+                        for axis, rest_v in enumerate(rests_v)]
+        self._start: Callable[[], Plant | AxesPlant] = lambda: (
+            AxesPlant(config, surroundings) if isinstance(config, AxesPlantConfig)
+            else Plant(config, surroundings[0]))
+        self._plant: Plant | AxesPlant | None = None
         self._failed = False
         # Compiles what is not compiled yet, so that no exchange has to wait for it.
-        Plant(self._config, self._surroundings).respond(np.zeros(1))
+        self._start().respond(np.zeros((1, *self._shape)))
 
     def open(self) -> None:
         """Put the stage to rest and start the noise from the seed."""
         self._failed = False
-        self._plant = Plant(self._config, self._surroundings)
+        self._plant = self._start()
         self.true_displacement_um = np.empty(0)
 
     def exchange(self, voltage_v: FloatArray) -> FloatArray:
@@ -79,18 +94,18 @@ class SimulatedStage:
 
         Parameters
         ----------
-        voltage_v : array_like, shape (N,)
+        voltage_v : array_like, shape (N,) or (N, axes)
             Commanded voltages; outside the amplifier's range they are clipped.
 
         Returns
         -------
-        displacement_um : ndarray, shape (N,)
+        displacement_um : ndarray, shape (N,) or (N, axes)
             displacement_um[n] is measured at instant n, before voltage_v[n] acts.
 
         Raises
         ------
         ValueError
-            If a voltage is not finite or the array is not one-dimensional.
+            If a voltage is not finite, or the array is not one of all axes.
         RuntimeError
             If the stage is not open, or has failed since.
         BackendFault
@@ -102,12 +117,15 @@ class SimulatedStage:
         if self._plant is None:
             raise RuntimeError("the simulated stage is not open; call open() first.")
         voltage_v = np.ascontiguousarray(voltage_v, dtype=np.float64)
-        if voltage_v.ndim != 1:
-            raise ValueError(f"voltage_v has the shape {voltage_v.shape}; give one dimension.")
+        if voltage_v.shape[1:] != self._shape or not voltage_v.ndim:
+            wanted = f"a column for {' and '.join(self.axes)}" if self.axes else "one dimension"
+            raise ValueError(f"voltage_v has the shape {voltage_v.shape}; give {wanted}.")
         # Their squares tell sooner that all are finite than a look at each.
-        if not (math.isfinite(voltage_v @ voltage_v) or np.isfinite(voltage_v).all()):
-            first = int(np.argmin(np.isfinite(voltage_v)))
-            raise ValueError(f"voltage_v[{first}] is {voltage_v[first]}; give finite voltages.")
+        flat_v = voltage_v.ravel()
+        if not (math.isfinite(flat_v @ flat_v) or np.isfinite(flat_v).all()):
+            first = np.argwhere(~np.isfinite(voltage_v))[0].tolist()
+            raise ValueError(
+                f"voltage_v{first} is {voltage_v[tuple(first)]}; give finite voltages.")
         try:
             displacement_um, self.true_displacement_um = self._plant.respond(voltage_v)
         except BackendFault:

@@ -26,17 +26,17 @@ class Card:
 
     Attributes
     ----------
-    held_v : float
-        At the output.
-    played_v : list of float
+    held_v : float or ndarray
+        At the output, of each channel where there are several.
+    played_v : list
         Every sample that the clock took.
-    single_v : list of float
+    single_v : list
         Every single write.
     """
 
-    def __init__(self, clock_hz=40000.0, um_per_v=1.0):
+    def __init__(self, clock_hz=40000.0, um_per_v=1.0, channels=1):
         self.clock_hz, self.um_per_v = clock_hz, um_per_v
-        self.held_v = 0.0
+        self.held_v = 0.0 if channels == 1 else np.zeros(channels)
         self.played_v, self.single_v = [], []
         self.waiting_v, self.measured_v = [], []
         self.output_runs = self.input_runs = False
@@ -69,6 +69,7 @@ class Card:
 
         return SimpleNamespace(
             Task=BoundTask, Reader=Reader, Writer=Writer, Error=Error, DaqError=DaqError,
+            AxesReader=AxesReader, AxesWriter=AxesWriter,
             constants=SimpleNamespace(
                 AcquisitionType=SimpleNamespace(CONTINUOUS="continuous"),
                 RegenerationMode=SimpleNamespace(DONT_ALLOW_REGENERATION="none"),
@@ -81,6 +82,7 @@ class Task:
     def __init__(self, card, name):
         self.card, self.name = card, name
         self.kind = self.source = None
+        self.channels, self.ranges_v = [], []
         card.open_tasks += 1
         self.ai_channels = SimpleNamespace(add_ai_voltage_chan=self._add_input)
         self.ao_channels = SimpleNamespace(add_ao_voltage_chan=self._add_output)
@@ -90,9 +92,12 @@ class Task:
 
     def _add_input(self, physical_channel, terminal_config, min_val, max_val):
         self.kind = "input"
+        self.channels.append(physical_channel)
 
     def _add_output(self, physical_channel, min_val, max_val):
-        self.kind, self.range_v = "output", (min_val, max_val)
+        self.kind = "output"
+        self.channels.append(physical_channel)
+        self.ranges_v.append((min_val, max_val))
 
     def _set_clock(self, rate, source="", sample_mode=None, samps_per_chan=1000):
         self.source, self.timing.samp_clk_rate = source, self.card.clock_hz
@@ -110,14 +115,17 @@ class Task:
             self.card.input_runs = True
 
     def write(self, data, auto_start):
-        self.check(np.array([data]))
+        assert isinstance(data, float if len(self.channels) == 1 else list)
+        self.check(np.reshape(data, (len(self.channels), 1)))
         assert auto_start and not self.card.output_runs
-        self.card.held_v = data
-        self.card.single_v.append(data)
+        self.card.held_v = data if isinstance(data, float) else np.array(data)
+        self.card.single_v.append(self.card.held_v)
 
     def check(self, data_v):
-        if data_v.min() < self.range_v[0] or data_v.max() > self.range_v[1]:
-            raise DaqError("Requested value is not a supported value for this property.", -200077)
+        for of_channel_v, (lowest_v, highest_v) in zip(data_v, self.ranges_v, strict=True):
+            if of_channel_v.min() < lowest_v or of_channel_v.max() > highest_v:
+                raise DaqError(
+                    "Requested value is not a supported value for this property.", -200077)
 
     def close(self):
         self.card.open_tasks -= 1
@@ -132,6 +140,7 @@ class Reader:
 
     def __init__(self, task_in_stream):
         self._card = task_in_stream.task.card
+        assert len(task_in_stream.task.channels) == 1
 
     def read_many_sample(self, data, number_of_samples_per_channel, timeout):
         card = self._card
@@ -141,8 +150,24 @@ class Reader:
         card.be_late(max(0, number_of_samples_per_channel - len(card.measured_v)))
         if card.fault and card.fault.error_code == -200279:
             raise card.fault
-        data[:] = card.measured_v[:number_of_samples_per_channel]
+        self.fill(data, card.measured_v[:number_of_samples_per_channel])
         del card.measured_v[:number_of_samples_per_channel]
+
+    @staticmethod
+    def fill(data, measured_v):
+        assert data.ndim == 1
+        data[:] = measured_v
+
+
+class AxesReader(Reader):
+    """As ``nidaqmx.stream_readers.AnalogMultiChannelReader``: data of shape (channels, samples)."""
+
+    def __init__(self, task_in_stream):
+        self._card, self._channels = task_in_stream.task.card, task_in_stream.task.channels
+
+    def fill(self, data, measured_v):
+        assert data.shape == (len(self._channels), len(measured_v)) and data.flags.c_contiguous
+        data[:] = np.transpose(measured_v)
 
 
 class Writer:
@@ -153,8 +178,22 @@ class Writer:
         self._task = task_out_stream.task
 
     def write_many_sample(self, data, timeout):
-        assert data.dtype == np.float64 and data.ndim == 1
-        self._task.check(data)
+        assert data.dtype == np.float64
+        self._task.check(self.by_channel(data))
         if self._task.card.fault:
             raise self._task.card.fault
-        self._task.card.waiting_v.extend(data)
+        self._task.card.waiting_v.extend(data.T)
+
+    @staticmethod
+    def by_channel(data):
+        assert data.ndim == 1
+        return data[None]
+
+
+class AxesWriter(Writer):
+    """As ``nidaqmx.stream_writers.AnalogMultiChannelWriter``: data of shape (channels, samples)."""
+
+    @staticmethod
+    def by_channel(data):
+        assert data.ndim == 2 and data.flags.c_contiguous
+        return data

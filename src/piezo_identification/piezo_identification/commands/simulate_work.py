@@ -65,7 +65,10 @@ def simulate_file(options: argparse.Namespace) -> None:
 
 def _predict(identified: IdentifiedModel, path: Path, directory: Path) -> None:
     """Write the displacement under a voltage that was never played."""
-    voltage_v, period_s = read_waveform(path)
+    voltage_v, period_s, axes = read_waveform(path)
+    if axes:
+        raise ValueError(f"{path} has the axes {', '.join(axes)}, the model one: give the voltage "
+                         "of one axis")
     displacement_um = identified.predict(voltage_v, period_s)
     directory.mkdir(parents=True, exist_ok=True)
     written = directory / "predicted.csv"

@@ -44,7 +44,7 @@ class Experiment:
     ----------
     name : str
         Name under which it is asked for.
-    voltage_v : ndarray, shape (N,)
+    voltage_v : ndarray, shape (N,) or (N, axes)
         One run of the waveform, each value held for `sample_period_s`.
     sample_period_s : float
         Whole multiple of the sample clock's period.
@@ -52,6 +52,8 @@ class Experiment:
         How often the waveform is played.
     description : str
         One line for people.
+    settling_repeats : int
+        How many of the repeats settle: those behind them are equal periods, if it is not 0.
     """
 
     name: str
@@ -59,16 +61,18 @@ class Experiment:
     sample_period_s: float
     repeats: int
     description: str
+    settling_repeats: int = 0
 
     @property
     def duration_s(self) -> float:
         """Return the time that all repeats take, without the ramps from and to rest."""
-        return self.voltage_v.size * self.sample_period_s * self.repeats
+        return len(self.voltage_v) * self.sample_period_s * self.repeats
 
     def parameters(self) -> dict[str, float]:
         """Return what a recording should keep of the experiment."""
+        settling = {"settling_repeats": self.settling_repeats} if self.settling_repeats else {}
         return {"sample_period_s": self.sample_period_s, "repeats": self.repeats,
-                "samples": self.voltage_v.size}
+                "samples": len(self.voltage_v), **settling}
 
 
 def creep(
@@ -97,7 +101,7 @@ def creep(
         If the waveform leaves the range or exceeds the slew limit.
     """
     voltage_v = _square_wave(limits, period_s, sample_period_s, swing_v)
-    return _fitting(
+    return fitting(
         limits, Experiment("creep", voltage_v, sample_period_s, periods,
                            f"square wave of {period_s:g} s between two levels")
     )
@@ -125,7 +129,7 @@ def dynamics(
     """
     sample_period_s = 1.0 / limits.sample_rate_hz
     voltage_v = _square_wave(limits, period_s, sample_period_s, swing_v)
-    return _fitting(
+    return fitting(
         limits, Experiment("dynamics", voltage_v, sample_period_s, round(duration_s / period_s),
                            f"square wave of {1e3 * period_s:g} ms between two levels")
     )
@@ -159,7 +163,7 @@ def hysteresis(
         np.arange(level_count * samples) / samples,
         stair_amplitudes(level_count, limits.span_v), 1.0)
     voltage_v = limits.voltage_min_v + np.append(stairs_v, 0.0)
-    return _fitting(
+    return fitting(
         limits, Experiment("hysteresis", voltage_v, sample_period_s, 1,
                            f"{level_count} harmonics of rising amplitude over the whole range")
     )
@@ -190,7 +194,7 @@ def validation(
         If the waveform leaves the range or exceeds the slew limit.
     """
     voltage_v = _arcs_and_tones(limits, VALIDATION_TURNS, tones, arc_s, tones_s)
-    return _fitting(
+    return fitting(
         limits, Experiment("validation", voltage_v, 1.0 / limits.sample_rate_hz, 1,
                            f"slow arcs of unseen amplitudes, then tones {_band(tones)}")
     )
@@ -220,7 +224,7 @@ def multisine(
         If the waveform leaves the range or exceeds the slew limit.
     """
     voltage_v = _arcs_and_tones(limits, MULTISINE_TURNS, tones, arc_s, tones_s)
-    return _fitting(
+    return fitting(
         limits, Experiment("multisine", voltage_v, 1.0 / limits.sample_rate_hz, 1,
                            f"{len(tones)} tones {_band(tones)} around mid-range")
     )
@@ -245,7 +249,7 @@ def diagnostic(limits: StageLimits = USUAL_LIMITS, repeats: int = 4) -> Experime
         If the waveform leaves the range or exceeds the slew limit.
     """
     voltage_v = diagnostic_block(limits)
-    return _fitting(
+    return fitting(
         limits, Experiment("diagnostic", voltage_v, 1.0 / limits.sample_rate_hz, repeats,
                            "rest, loops, loops ever faster, steps and tones, repeated")
     )
@@ -276,7 +280,7 @@ def distortion(
     if periods < 3:
         raise ValueError(f"experiment 'distortion' has {periods} periods: give at least 3, of "
                          "which the first settles and the others tell the noise")
-    return _fitting(
+    return fitting(
         limits, Experiment("distortion", distortion_period(limits, swing, period_s, highest_hz),
                            1.0 / limits.sample_rate_hz, periods,
                            "odd tones around mid-range, some left out, repeated"))
@@ -326,7 +330,7 @@ def named_experiment(
     if not isinstance(experiment, Experiment) or experiment.name != name:
         raise ValueError(f"what is registered as the experiment '{name}' makes something else: "
                          "let it return an Experiment of this name")
-    return _fitting(limits, experiment)
+    return fitting(limits, experiment)
 
 
 def _square_wave(
@@ -370,7 +374,7 @@ def _band(tones: Sequence[Sequence[float]]) -> str:
     return f"from {min(frequencies_hz):g} to {max(frequencies_hz):g} Hz"
 
 
-def _fitting(limits: StageLimits, experiment: Experiment) -> Experiment:
+def fitting(limits: StageLimits, experiment: Experiment) -> Experiment:
     """Return the experiment; refuse it if the stage would not play it unchanged."""
     if experiment.voltage_v.ndim != 1 or not np.isfinite(experiment.voltage_v).all() or (
             experiment.voltage_v.size == 0):

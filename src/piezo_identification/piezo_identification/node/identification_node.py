@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from piezo_interfaces.action import Diagnose, Identify, PlayWaveform, RunExperiment
-from piezo_interfaces.msg import SampleBlock, StageDescription
+from piezo_interfaces.msg import SampleBlock, StageAxis, StageDescription
 from rclpy.lifecycle import LifecycleNode
 
 from piezo_common.budget import Budget
@@ -33,6 +33,7 @@ from piezo_identification.experiments.relay_feedback import (
     RelayRun,
     relay_oscillation,
 )
+from piezo_identification.experiments.several_axes import axes_experiments
 from piezo_identification.identification.identify import IdentificationCancelled, identify
 from piezo_identification.recording_check.suitability import misfits
 from piezo_models.model_file import save_model
@@ -42,7 +43,12 @@ from piezo_ros.requests.calls import ActionCaller, CallFailed, Cancelled, GoalAb
 from piezo_ros.requests.goals import GoalServers, Progress
 from piezo_ros.spinning import autostart, run_node
 from piezo_ros.stage_runs.described_stage import DescribedStage
-from piezo_ros.stage_runs.recording_calls import Attachment, RecorderCaller, RunRecording
+from piezo_ros.stage_runs.recording_calls import (
+    Attachment,
+    RecorderCaller,
+    RunRecording,
+    free_name,
+)
 from piezo_ros.stage_runs.run_account import RunAccount, declare_run_limits
 from piezo_ros.stage_runs.stage_tracking import StageTracker
 
@@ -88,7 +94,10 @@ class IdentificationNode(LifecycleNode):
     def _run_experiment(self, goal: RunExperiment.Goal, result: RunExperiment.Result,
                         progress: Progress) -> None:
         directory = self._writable(goal)
-        stage = self._stage.wait(progress.check)
+        stage = self._stage.wait(progress.check, several_axes=goal.experiment != NAME)
+        if stage.axes:
+            self._run_axes_experiments(goal, stage, directory, result, progress)
+            return
         if goal.experiment == NAME:
             document = self._probe(stage, directory, result, lambda step, fraction: progress.report(
                 fraction, stage=step), progress, goal.unrecorded)
@@ -104,6 +113,32 @@ class IdentificationNode(LifecycleNode):
         if isinstance(experiment, RelayExperiment) and not recording.failure:
             oscillation = relay_oscillation(read_recording(result.recording), experiment)
             result.summary += f"\n{oscillation.summary}"
+
+    def _run_axes_experiments(self, goal: RunExperiment.Goal, stage: StageDescription,
+                              directory: Path, result: RunExperiment.Result,
+                              progress: Progress) -> None:
+        """Run the experiments of one name for all axes; several are recorded into one folder."""
+        experiments = axes_experiments(goal.experiment, {
+            axis.name: _limits(stage, axis) for axis in stage.axes})
+        if len(experiments) > 1:
+            directory = self._data_root.writable(directory / free_name(directory, goal.experiment))
+            _make(directory)
+        whole_s, done_s = sum(each.duration_s for each in experiments), 0.0
+        result.summary = "\n".join(f"{each.description}, {each.duration_s:g} s"
+                                   for each in experiments)
+        notes = []
+        for experiment in experiments:
+            def report(step: str, fraction: float, experiment: Experiment = experiment,
+                       done_s: float = done_s) -> None:
+                progress.report((done_s + fraction * experiment.duration_s) / whole_s,
+                                stage=f"{experiment.name}: {step}")
+            note, recording = self._record(
+                experiment, stage, directory, result, report, progress, goal.unrecorded)
+            notes += [note, recording.note]
+            done_s += experiment.duration_s
+        if len(experiments) > 1:
+            result.recording = str(directory)
+        result.message = "; ".join(filter(None, notes))
 
     def _fitted(self, name: str, stage: StageDescription,
                 directory: Path) -> Experiment | RelayExperiment:
@@ -159,16 +194,17 @@ class IdentificationNode(LifecycleNode):
             if isinstance(experiment, RelayExperiment):
                 note = self._relay(experiment, report, progress, recording)
             else:
-                note = self._play(experiment, report, progress, recording)
+                note = self._play(experiment, [axis.name for axis in stage.axes], report, progress,
+                                  recording)
         progress.check()
         return note, recording
 
-    def _play(self, experiment: Experiment, report: Report, progress: Progress,
+    def _play(self, experiment: Experiment, axes: list[str], report: Report, progress: Progress,
               recording: RunRecording) -> str:
         """Play a waveform on the stage and wait for its end."""
         try:
             played = self._player.run(
-                PlayWaveform.Goal(voltage_v=experiment.voltage_v.tolist(),
+                PlayWaveform.Goal(voltage_v=experiment.voltage_v.ravel().tolist(), axes=axes,
                                   sample_period_s=experiment.sample_period_s,
                                   repeats=experiment.repeats,
                                   client=self.get_fully_qualified_name()),
@@ -326,12 +362,13 @@ class IdentificationNode(LifecycleNode):
         return self._data_root.writable(goal.directory or self._directory)
 
 
-def _limits(stage: StageDescription) -> StageLimits:
-    """Return what experiments are made for, as the stage describes it."""
+def _limits(stage: StageDescription, axis: StageAxis | None = None) -> StageLimits:
+    """Return what experiments are made for, as the stage describes it, or one of its axes."""
+    own = axis or stage
     return StageLimits(
-        stage.minimum_voltage_v, stage.maximum_voltage_v, stage.slew_limit_v_per_s,
-        stage.sample_rate_hz, stage.rest_voltage_v, stage.samples_per_tick,
-        stage.minimum_displacement_um, stage.maximum_displacement_um)
+        own.minimum_voltage_v, own.maximum_voltage_v, own.slew_limit_v_per_s,
+        stage.sample_rate_hz, own.rest_voltage_v, stage.samples_per_tick,
+        own.minimum_displacement_um, own.maximum_displacement_um)
 
 
 def _described(experiment: Experiment | RelayExperiment, stage: StageDescription) -> str:

@@ -106,6 +106,8 @@ class MonitorNode(LifecycleNode):
         if not (self._active and self._model_path and described):
             return
         try:
+            if self._stage.too_many_axes:
+                raise ValueError(self._stage.too_many_axes)
             identified = load_model(self._model_path)
             self._monitor = StageMonitor(
                 identified.model, described.sample_rate_hz, self._settings, self._kept_s,

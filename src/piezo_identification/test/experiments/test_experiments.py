@@ -86,7 +86,7 @@ def test_a_step_above_the_slew_limit_is_made_smaller():
 def test_the_step_back_between_repeats_counts_for_the_slew_limit():
     ramp = experiments.Experiment("ramp", np.linspace(0.0, 100.0, 1000), 1e-3, 2, "")
     with pytest.raises(ValueError, match="slew"):
-        experiments._fitting(StageLimits(), ramp)
+        experiments.fitting(StageLimits(), ramp)
 
 
 def test_an_unknown_experiment_is_refused_with_the_names_there_are():

@@ -232,7 +232,8 @@ class Recorder(LifecycleNode):
         sample_rate_hz = described.sample_rate_hz
         writer = RecordingWriter(self._path(request), sample_rate_hz)
         session = RecordingSession(
-            writer, self._definitions, sample_rate_hz, Presence(self, request.client),
+            writer, self._definitions, sample_rate_hz, max(1, len(described.axes)),
+            Presence(self, request.client),
             {topic: [offered_profile(publisher.qos_profile)
                      for publisher in self.get_publishers_info_by_topic(topic)]
              for topic in self._definitions})

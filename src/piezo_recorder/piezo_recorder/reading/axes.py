@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Recordings of two or three axes: tables with columns for each of them, and arrays."""
+"""Recordings of two or three axes: those of a stage, tables with columns for each, and arrays."""
 
 import hashlib
+import json
 import re
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
@@ -16,7 +17,12 @@ from numpy.typing import ArrayLike
 from piezo_common.schema import Document, Number, Part, Positive, SchemaError, entry, load_document
 from piezo_recorder.reading.columns import ColumnsDocument, SignalColumn
 from piezo_recorder.reading.memory import IN_MEMORY, recordings_in
-from piezo_recorder.reading.reader import read_recordings
+from piezo_recorder.reading.reader import (
+    axes_of_messages,
+    holds_messages,
+    read_recording,
+    read_recordings,
+)
 from piezo_recorder.reading.recording import Recording, RecordingError
 from piezo_recorder.reading.tables.array_files import damage_told
 from piezo_recorder.reading.tables.file_kinds import read_tables
@@ -28,6 +34,8 @@ FORMAT = "piezo_axes_arrays"
 HEAD_BYTES = 1 << 16
 """The labels of a table stand within them."""
 ZIP_MAGIC = b"PK\x03\x04"
+PARAMETERS = "parameters.json"
+"""Attachment of an experiment's recording that tells its repeats."""
 
 _VOLTAGE = re.compile(r"([a-z][a-z0-9]*)_voltage_v")
 """Label of the voltage of an axis: its short lower-case name stands before the unit."""
@@ -109,16 +117,23 @@ class ArraysDocument(Document):
         "Numbers of the realisations to read, from 1; all by default.", default=[])
 
 
+def axes_with_voltage(labels: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the axes of which a table has the voltage, in its order."""
+    return tuple(match[1] for match in map(_VOLTAGE.fullmatch, labels) if match)
+
+
 def axes_of_labels(labels: Sequence[str]) -> tuple[str, ...]:
     """Return the names of the axes of which a table has both columns, in its order."""
-    found = [match[1] for match in map(_VOLTAGE.fullmatch, labels) if match]
-    return tuple(axis for axis in found if f"{axis}_displacement_um" in labels)
+    return tuple(axis for axis in axes_with_voltage(labels) if f"{axis}_displacement_um" in labels)
 
 
 def is_of_axes(path: str | PathLike[str]) -> bool:
     """Tell whether a file is a recording of several axes, or a description of such arrays."""
     path = Path(path)
-    if not path.is_file() or path.suffix.lower() == ".mcap":
+    try:
+        if holds_messages(path):
+            return bool(axes_of_messages(path))
+    except RecordingError:  # said by who reads it
         return False
     with open(path, "rb") as file:
         head = file.read(HEAD_BYTES)
@@ -138,9 +153,11 @@ def read_axes(path: str | PathLike[str]) -> list[AxesRecording]:
     Parameters
     ----------
     path : str or Path
-        A table with columns such as ``time_s,x_voltage_v,y_voltage_v,x_displacement_um,
-        y_displacement_um`` in any format that is read of one axis, or the description of arrays
-        (YAML), see `ArraysDocument`. A column that fits no axis is left.
+        A recording of a stage of several axes, of which the way to the first sample of what it
+        played and back is left out; a table with columns such as ``time_s,x_voltage_v,
+        y_voltage_v,x_displacement_um,y_displacement_um`` in any format that is read of one axis;
+        or the description of arrays (YAML), see `ArraysDocument`. A column that fits no axis is
+        left.
 
     Raises
     ------
@@ -162,10 +179,49 @@ def read_axes(path: str | PathLike[str]) -> list[AxesRecording]:
     path = Path(path)
     if path.suffix.lower() in (".yaml", ".yml"):
         return _described(path)
+    if holds_messages(path):
+        return [axes_recording_of(read_recording(path, several_axes=True))]
     labels = [label for table in read_tables(path, lambda table: [], no_progress)
               for label in table.columns]
     return _joined(str(path), axes_of_labels(labels),
                    lambda columns: read_recordings(path, columns=columns))
+
+
+def axes_recording_of(recording: Recording) -> AxesRecording:
+    """Return what a stage of several axes played, from the first sample of waveforms to the last.
+
+    Where the recording tells that the waveform was repeated, and how many repeats settle, only the
+    equal periods behind these are returned.
+
+    Raises
+    ------
+    RecordingError
+        If samples are missing.
+    """
+    if not recording.axes:
+        raise RecordingError(f"{recording.path} is of one axis: give a recording of several")
+    played, part = np.flatnonzero(recording.playing), recording
+    if played.size:
+        row = np.arange(len(recording.sample_index))
+        part = recording.select((row >= played[0]) & (row <= played[-1]))
+    if part.gaps:
+        raise RecordingError(f"{recording.path} lacks samples: record it again")
+    settling, periods = _repeats_told(recording.attachments)
+    first, equal = 0, periods - settling
+    if settling and not len(part.voltage_v) % periods:
+        first = len(part.voltage_v) // periods * settling
+    return _with_hash(AxesRecording(
+        recording.path, recording.axes, part.sample_period_s, part.voltage_v[first:],
+        part.displacement_um[first:], equal if first else 0, notes=tuple(recording.notes)))
+
+
+def _repeats_told(attachments: Mapping[str, bytes]) -> tuple[int, int]:
+    """Return how many repeats settle, and how many there are; 0 and 1 where that is not told."""
+    try:
+        told = json.loads(attachments.get(PARAMETERS, b"{}"))
+        return int(told.get("settling_repeats", 0)), int(told.get("repeats", 1))
+    except (ValueError, TypeError, AttributeError):
+        return 0, 1
 
 
 def axes_recordings_in(data: Mapping[str, ArrayLike], name: str = IN_MEMORY) -> list[AxesRecording]:

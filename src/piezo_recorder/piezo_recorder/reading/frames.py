@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Recordings as pandas frames and xarray datasets, where these libraries are installed."""
 
+from collections.abc import Iterable
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
-UNITS = {"time_s": "s", "voltage_v": "V", "displacement_um": "um"}
+UNITS = {"voltage_v": "V", "displacement_um": "um"}
 """Of further columns of a table only the label tells the unit."""
 
 
@@ -26,7 +27,7 @@ def to_frame(recording: Recording) -> "pandas.DataFrame":
     pandas.DataFrame
         One row a sample, indexed by ``time_s``, with the columns ``sample_index``, ``voltage_v``,
         ``displacement_um``, ``flags``, ``reference_um`` where a run was recorded, and those of a
-        CSV file beside. Its ``attrs`` hold ``units``
+        CSV file beside; of several axes, ``x_voltage_v`` and so on. Its ``attrs`` hold ``units``
         by column, ``source`` and ``sample_rate_hz``.
 
     Raises
@@ -54,7 +55,7 @@ def to_frame(recording: Recording) -> "pandas.DataFrame":
                              "or use the arrays of read_recording.") from None
     frame = pandas.DataFrame(
         _columns_of(recording), index=pandas.Index(recording.time_s, name="time_s"))
-    frame.attrs = {"units": dict(UNITS), **_origin_of(recording)}
+    frame.attrs = {"units": {"time_s": "s", **_units_of(frame)}, **_origin_of(recording)}
     return frame
 
 
@@ -89,8 +90,8 @@ def to_xarray(recording: Recording) -> "xarray.Dataset":
     dataset = xarray.Dataset(
         {name: ("time_s", values) for name, values in columns.items()},
         attrs=_origin_of(recording))
-    for name, unit in UNITS.items():
-        dataset[name].attrs = {"units": unit, "long_name": name.partition("_")[0]}
+    for name, unit in {"time_s": "s", **_units_of(columns)}.items():
+        dataset[name].attrs = {"units": unit, "long_name": name.rpartition("_")[0]}
     dataset["flags"].attrs = {
         "flag_masks": np.array([flag.value for flag in Flag], dtype=np.uint32),
         "flag_meanings": " ".join(str(flag.name).lower() for flag in Flag)}
@@ -131,10 +132,18 @@ def read_frame(path: str | PathLike[str], **options: Any) -> "pandas.DataFrame":
 
 
 def _columns_of(recording: Recording) -> dict[str, np.ndarray]:
-    return {"sample_index": recording.sample_index, "voltage_v": recording.voltage_v,
-            "displacement_um": recording.displacement_um, "flags": recording.flags,
+    return {"sample_index": recording.sample_index,
+            **{f"{axis}_{name}" if axis else name: column for name in UNITS
+               for axis, column in zip(recording.axes or ("",),
+                                       np.atleast_2d(getattr(recording, name).T), strict=True)},
+            "flags": recording.flags,
             **({"reference_um": recording.reference_um} if recording.reference_um.size else {}),
             **recording.columns}
+
+
+def _units_of(columns: Iterable[str]) -> dict[str, str]:
+    return {label: unit for label in columns for name, unit in UNITS.items()
+            if label == name or label.endswith(f"_{name}")}
 
 
 def _origin_of(recording: Recording) -> dict[str, Any]:

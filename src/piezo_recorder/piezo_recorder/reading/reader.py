@@ -3,6 +3,7 @@
 
 import hashlib
 import shlex
+from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -38,7 +39,7 @@ MOST_NAMED = 20
 
 def read_recording(path: str | PathLike[str], topic: str | None = None,
                    sample_rate_hz: float | None = None, columns: ColumnsDocument = GUESSED,
-                   progress: Progress = no_progress) -> Recording:
+                   progress: Progress = no_progress, several_axes: bool = False) -> Recording:
     """Read a recording: a rosbag2 directory, an MCAP file, or a file of another program.
 
     Parameters
@@ -56,6 +57,8 @@ def read_recording(path: str | PathLike[str], topic: str | None = None,
         file beside the data may tell it as well, and the rest is guessed.
     progress : callable
         Called with what is done and which part of it (0 to 1).
+    several_axes : bool
+        Whether a recording of a stage of several axes is read, too, which is refused otherwise.
 
     Returns
     -------
@@ -77,7 +80,8 @@ def read_recording(path: str | PathLike[str], topic: str | None = None,
     >>> read_recording("mine.csv")
     <Recording mine.csv: 500 samples every 0.001 s, 0 to 10 V, 0 to 20 um>
     """
-    return only_recording(path, read_recordings(path, topic, sample_rate_hz, columns, progress))
+    return only_recording(
+        path, read_recordings(path, topic, sample_rate_hz, columns, progress, several_axes))
 
 
 def only_recording(path: str | PathLike[str], found: list[Recording]) -> Recording:
@@ -92,7 +96,8 @@ def only_recording(path: str | PathLike[str], found: list[Recording]) -> Recordi
 
 def read_recordings(path: str | PathLike[str], topic: str | None = None,
                     sample_rate_hz: float | None = None, columns: ColumnsDocument = GUESSED,
-                    progress: Progress = no_progress) -> list[Recording]:
+                    progress: Progress = no_progress,
+                    several_axes: bool = False) -> list[Recording]:
     """Read all recordings of a file, of which those of other programs may have several.
 
     They are told apart by a column that numbers them, by groups of the file, by a header that is
@@ -109,17 +114,41 @@ def read_recordings(path: str | PathLike[str], topic: str | None = None,
     [250, 250]
     """
     path = Path(path)
+    if not holds_messages(path):
+        file, = data_files(path)
+        return read_table_recordings(file, columns, progress)
+    recording = _read_mcap(path, topic, sample_rate_hz)
+    if recording.axes and not several_axes:
+        raise RecordingError(
+            f"{path} has the axes {', '.join(recording.axes)}, and one axis is wanted: give it to "
+            "what takes several, such as check, identify and simulate")
+    return [recording]
+
+
+def holds_messages(path: Path) -> bool:
+    """Tell a recording of ours, its MCAP file or its folder, from the files of other programs."""
     if path.is_dir() or path.suffix.lower() == ".mcap":
-        return [_read_mcap(path, topic, sample_rate_hz)]
+        return True
     file, = data_files(path)
-    if _is_mcap(file):
-        return [_read_mcap(path, topic, sample_rate_hz)]
-    return read_table_recordings(file, columns, progress)
-
-
-def _is_mcap(path: Path) -> bool:
-    with open(path, "rb") as stream:
+    with open(file, "rb") as stream:
         return stream.read(len(MCAP_MAGIC)) == MCAP_MAGIC
+
+
+def axes_of_messages(path: Path) -> tuple[str, ...]:
+    """Return the names of the axes of a recording of ours; none where it is of one.
+
+    Raises
+    ------
+    RecordingError
+        If there is no file.
+    """
+    contents = _Contents()
+    for file in data_files(path):
+        contents.read(file, until=contents.has_samples)
+    for blocks in contents.blocks.values():
+        if blocks and contents.schema is not None:
+            return _axes_of(_decode(path, contents.schema, blocks[:1], "sample block")[0])
+    return ()
 
 
 def sha256_of(path: str | PathLike[str]) -> str:
@@ -220,7 +249,10 @@ class _Contents:
         self.sample_rate_hz: float | None = None
         self.complete = True
 
-    def read(self, path: Path) -> None:
+    def has_samples(self) -> bool:
+        return any(self.blocks.values())
+
+    def read(self, path: Path, until: Callable[[], bool] = lambda: False) -> None:
         with open(path, "rb") as stream:
             reader = RecordReader(stream, validate_crcs=True)
             schemas: dict[int, mcap.records.Schema] = {}
@@ -229,6 +261,8 @@ class _Contents:
                 for record in reader.records:
                     check_cancelled()
                     self._add(record, schemas, channels)
+                    if until():
+                        return
             # Whatever the parser stumbles over in damaged bytes.
             except Exception as error:
                 check_cancelled()  # a read that was given up is no damage
@@ -340,7 +374,12 @@ def _decode_blocks(path: Path, schema: mcap.records.Schema, blocks: list[bytes])
 
 def _join(path: Path, topic: str, blocks: list[Any], sample_rate_hz: float,
           contents: _Contents) -> Recording:
-    counts = np.array([len(block.voltage_v) for block in blocks])
+    axes = _axes_of(blocks[0])
+    if any(_axes_of(block) != axes for block in blocks):
+        raise RecordingError(f"{path}: on {topic} the names of the axes change: "
+                             "record one stage at a time")
+    shape = (-1, len(axes)) if axes else (-1,)
+    counts = np.array([len(block.voltage_v) // max(1, len(axes)) for block in blocks])
     first = np.array([block.first_sample for block in blocks], dtype=np.int64)
     periods_s = np.array([block.sample_period_s for block in blocks])
     strides = _strides(path, periods_s, sample_rate_hz)
@@ -353,12 +392,18 @@ def _join(path: Path, topic: str, blocks: list[Any], sample_rate_hz: float,
         sample_index=sample_index,
         reference_um=_reference(path, contents, sample_index),
         sample_periods_s=np.repeat(strides / sample_rate_hz, counts),
-        voltage_v=np.concatenate([block.voltage_v for block in blocks]),
-        displacement_um=np.concatenate([block.displacement_um for block in blocks]),
+        voltage_v=np.concatenate([block.voltage_v for block in blocks]).reshape(shape),
+        displacement_um=np.concatenate([block.displacement_um for block in blocks]).reshape(shape),
         flags=np.repeat(np.array([block.flags for block in blocks], dtype=np.uint32), counts),
         gaps=_gaps(path, topic, first, ends),
         attachments=contents.attachments,
-        complete=contents.complete)
+        complete=contents.complete,
+        axes=axes)
+
+
+def _axes_of(block: Any) -> tuple[str, ...]:
+    """Return the names of the axes of a block; older ones know of none."""
+    return tuple(getattr(block, "axes", ()))
 
 
 def _strides(path: Path, periods_s: np.ndarray, sample_rate_hz: float) -> np.ndarray:

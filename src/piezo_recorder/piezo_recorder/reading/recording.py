@@ -58,6 +58,8 @@ class Recording:
         Which of several recordings of one file; empty where there is one.
     sha256 : str
         Hash of samples that came from no file; empty where `path` is one.
+    axes : tuple of str
+        Names, where the stage has several: voltage and displacement then have the shape (N, axes).
     """
 
     path: str
@@ -76,6 +78,7 @@ class Recording:
     jitter_s: float = 0.0
     title: str = ""
     sha256: str = ""
+    axes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return text_of(self)
@@ -89,6 +92,9 @@ class Recording:
 
     def plot(self) -> "Figure":
         """Draw the signals over time and the loop; see `recording_view.draw_recording`."""
+        if self.axes:
+            raise RecordingError(f"{self.path} has the axes {', '.join(self.axes)}: draw one of "
+                                 f"them, as by of_axis({self.axes[0]!r}).plot().")
         return draw_recording(self)
 
     def to_frame(self) -> "pandas.DataFrame":
@@ -136,6 +142,12 @@ class Recording:
         row = np.arange(len(self.sample_index))
         return [self.select((row >= start) & (row < end))
                 for start, end in zip(bounds[:-1], bounds[1:], strict=True)] if edges else [self]
+
+    def of_axis(self, axis: str) -> "Recording":
+        """Return one of several axes as a recording of its own."""
+        at = self.axes.index(axis)
+        return replace(self, axes=(), title=f"{self.title} {axis}".lstrip(),
+                       voltage_v=self.voltage_v[:, at], displacement_um=self.displacement_um[:, at])
 
     def has(self, flag: int) -> np.ndarray:
         """Return the mask of the samples that have all bits of ``flag``, shape (N,)."""

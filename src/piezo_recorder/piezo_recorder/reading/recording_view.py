@@ -30,7 +30,7 @@ def text_of(recording: "Recording") -> str:
     period = f"{kinds[0]:.4g} s" if kinds.size == 1 else f"{kinds[0]:.4g} to {kinds[-1]:.4g} s"
     gaps = f", {len(recording.gaps)} gaps" if recording.gaps else ""
     title = f" {recording.title}" if recording.title else ""
-    return (f"<Recording {recording.path}{title}: {recording.voltage_v.size} samples every "
+    return (f"<Recording {recording.path}{title}: {len(recording.sample_index)} samples every "
             f"{period}, {_range(recording.voltage_v)} V, "
             f"{_range(recording.displacement_um)} um{gaps}>")
 
@@ -40,7 +40,7 @@ def summary_of(recording: "Recording") -> SummaryTable:
     periods_s = np.unique(recording.sample_periods_s)
     duration_s = float(recording.time_s[-1] + recording.sample_periods_s[-1])
     rows: list[tuple[str | float | None, ...]] = [
-        ("samples", recording.voltage_v.size, None, ""),
+        ("samples", len(recording.sample_index), None, ""),
         ("duration", duration_s, None, "s"),
         ("sample period", float(periods_s[0]), float(periods_s[-1]), "s"),
         ("sample rate", float(1.0 / periods_s[-1]), float(1.0 / periods_s[0]), "Hz"),

@@ -45,7 +45,7 @@ def report(recording: Recording) -> list[str]:
 
 def report_file(options: argparse.Namespace) -> int:
     """Print the account of the recording of the options; return 1 where samples are missing."""
-    recording = read_recording(options.recording)
+    recording = read_recording(options.recording, several_axes=True)
     print("\n".join(report(recording)))
     print_next(options, "piezo_identification", "check", "--data", options.recording)
     return GAPS_STATUS if recording.gaps else 0

@@ -3,11 +3,13 @@
 
 import io
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_common.regular_file import UnreadableFile, open_regular
+from piezo_recorder.reading.axes import axes_with_voltage
 
 LARGEST_BYTES = 1_000_000_000
 """Some minutes of the sample clock; a table without line ends is read at once."""
@@ -16,13 +18,24 @@ UNEVEN = 1e-3
 """Largest deviation of a row's instant, in sample periods; a table in microseconds rounds less."""
 
 
-def read_waveform(path: Path) -> tuple[FloatArray, float]:
-    """Read the columns ``time_s`` and ``voltage_v`` of a CSV file.
+class StoredWaveform(NamedTuple):
+    """A voltage to play.
 
-    Returns
-    -------
-    voltage_v : ndarray, shape (N,)
+    Attributes
+    ----------
+    voltage_v : ndarray, shape (N,) or (N, axes)
     sample_period_s : float
+    axes : tuple of str
+        Names, where there are several.
+    """
+
+    voltage_v: FloatArray
+    sample_period_s: float
+    axes: tuple[str, ...] = ()
+
+
+def read_waveform(path: Path) -> StoredWaveform:
+    """Read the columns ``time_s`` and ``voltage_v``, or those of several axes, of a CSV file.
 
     Raises
     ------
@@ -43,15 +56,19 @@ def read_waveform(path: Path) -> tuple[FloatArray, float]:
     except ValueError as error:
         raise ValueError(f"{path} is no table of numbers: {str(error).splitlines()[0]}; give a "
                          "CSV file with the columns time_s,voltage_v") from None
-    for name in ("time_s", "voltage_v"):
-        if name not in (table.dtype.names or ()):
+    labels = table.dtype.names or ()
+    axes = axes_with_voltage(labels)
+    voltages = [f"{axis}_voltage_v" for axis in axes] or ["voltage_v"]
+    for name in ("time_s", *voltages):
+        if name not in labels:
             raise ValueError(f"{path} has no column {name}: give a CSV file with the columns "
                              "time_s,voltage_v")
-    time_s, voltage_v = np.atleast_1d(table["time_s"]), np.atleast_1d(table["voltage_v"])
-    if time_s.size < 2 or not np.isfinite([time_s, voltage_v]).all():
+    time_s, *by_axis = (np.atleast_1d(table[name]) for name in ("time_s", *voltages))
+    if time_s.size < 2 or not np.isfinite([time_s, *by_axis]).all():
         raise ValueError(f"{path} needs two rows or more, with a number in each field: complete it")
     period_s = float((time_s[-1] - time_s[0]) / (time_s.size - 1))
     uniform_s = time_s[0] + period_s * np.arange(time_s.size)
     if period_s <= 0.0 or np.abs(time_s - uniform_s).max() > UNEVEN * period_s:
         raise ValueError(f"{path} is not sampled uniformly: give its rows at equal intervals")
-    return voltage_v, float(f"{period_s:.9g}")
+    return StoredWaveform(np.column_stack(by_axis) if axes else by_axis[0],
+                          float(f"{period_s:.9g}"), axes)

@@ -23,6 +23,8 @@ class RecordingSession:
         By topic.
     sample_rate_hz : float
         Rate of the sample clock.
+    axes : int
+        Of the stage.
     client : Presence
         Of the node it is made for.
     quality_profiles : dict of str to sequence of dict
@@ -30,7 +32,7 @@ class RecordingSession:
     """
 
     def __init__(self, writer: RecordingWriter, definitions: Mapping[str, MessageDefinition],
-                 sample_rate_hz: float, client: Any,
+                 sample_rate_hz: float, axes: int, client: Any,
                  quality_profiles: Mapping[str, Sequence[dict[str, Any]]]):
         self.writer = writer
         self.client = client
@@ -41,7 +43,7 @@ class RecordingSession:
             topic: writer.add_topic(topic, definition, quality_profiles[topic])
             for topic, definition in definitions.items()}
         self._counts = {
-            topic: SampleCount(sample_rate_hz) for topic, definition in definitions.items()
+            topic: SampleCount(sample_rate_hz, axes) for topic, definition in definitions.items()
             if definition.type_name == sample_block.TYPE_NAME}
 
     @property

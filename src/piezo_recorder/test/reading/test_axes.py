@@ -10,7 +10,9 @@ from piezo_recorder.reading.axes import (
     is_of_axes,
     read_axes,
 )
+from piezo_recorder.reading.reader import read_recording
 from piezo_recorder.reading.recording import RecordingError
+from piezo_recorder.sample_block import SampleCount
 
 TIME_S = np.arange(50) / 1000.0
 
@@ -121,3 +123,80 @@ def test_an_axis_that_lacks_values_is_refused():
     table["y_displacement_um"][-1] = np.nan
     with pytest.raises(RecordingError, match="an axis lacks values"):
         axes_recordings_in(table)
+
+
+def bag_of_axes(sample_blocks, path, samples=400, slow=False, names=("x", "y"),
+                attachments=()):
+    """Write a recording of a stage of two axes; return its voltages and displacements."""
+    voltage_v, displacement_um = np.random.default_rng(4).uniform(0.0, 50.0, (2, samples, 2))
+    playing = [sample_blocks.serialise(
+        (40 if slow else 1) * first, voltage_v[first:first + 40], displacement_um[first:first + 40],
+        1e-3 if slow else 2.5e-5, axes=names) for first in range(0, samples, 40)]
+    rest = sample_blocks.serialise((40 if slow else 1) * samples, np.zeros((40, 2)),
+                                   np.zeros((40, 2)), flags=0, axes=names)
+    sample_blocks.write(path, {"/stage/samples": [*playing, rest]}, 40_000.0, attachments)
+    return voltage_v, displacement_um
+
+
+@pytest.mark.parametrize("inside", ["", "run_0.mcap"])
+def test_recording_of_a_stage_is_read_to_the_bit(tmp_path, sample_blocks, inside):
+    voltage_v, displacement_um = bag_of_axes(sample_blocks, tmp_path / "run")
+    path = tmp_path / "run" / inside
+    assert is_of_axes(path)
+    recording, = read_axes(path)
+    assert recording.axes == ("x", "y") and recording.sample_period_s == 2.5e-5
+    assert np.array_equal(recording.voltage_v, voltage_v)
+    assert np.array_equal(recording.displacement_um, displacement_um)
+
+
+def test_samples_of_a_slow_waveform_are_taken_without_the_rest_behind_it(tmp_path, sample_blocks):
+    voltage_v, _ = bag_of_axes(sample_blocks, tmp_path / "run", slow=True)
+    recording, = read_axes(tmp_path / "run")
+    assert recording.sample_period_s == 1e-3
+    assert np.array_equal(recording.voltage_v, voltage_v)
+
+
+def test_recording_of_several_axes_is_refused_by_name_where_one_is_wanted(tmp_path, sample_blocks):
+    voltage_v, _ = bag_of_axes(sample_blocks, tmp_path / "run")
+    with pytest.raises(RecordingError, match="run has the axes x, y, and one axis is wanted"):
+        read_recording(tmp_path / "run")
+    recording = read_recording(tmp_path / "run", several_axes=True)
+    assert recording.voltage_v.shape == (440, 2) and len(recording.sample_index) == 440
+    assert np.array_equal(recording.of_axis("y").voltage_v[:400], voltage_v[:, 1])
+    with pytest.raises(RecordingError, match=r"as by of_axis\('x'\)\.plot"):
+        recording.plot()
+    assert list(recording.to_frame())[1:5] == [
+        "x_voltage_v", "y_voltage_v", "x_displacement_um", "y_displacement_um"]
+
+
+def test_recording_whose_axes_change_or_that_lacks_samples_is_refused(tmp_path, sample_blocks):
+    blocks = [sample_blocks.serialise(40 * k, np.zeros((40, 2)), np.zeros((40, 2)), axes=names)
+              for k, names in enumerate([("x", "y"), ("x", "z")])]
+    sample_blocks.write(tmp_path / "other", {"/stage/samples": blocks})
+    with pytest.raises(RecordingError, match="the names of the axes change"):
+        read_axes(tmp_path / "other")
+    sample_blocks.write(tmp_path / "gap", {"/stage/samples": [blocks[0], sample_blocks.serialise(
+        200, np.zeros((40, 2)), np.zeros((40, 2)), axes=("x", "y"))]})
+    with pytest.raises(RecordingError, match="gap lacks samples: record it again"):
+        read_axes(tmp_path / "gap")
+
+
+def test_count_of_samples_of_several_axes_is_that_of_the_clock(sample_blocks):
+    count = SampleCount(axes=2)
+    for first in (0, 60):
+        count.add(sample_blocks.serialise(first, np.zeros((40, 2)), np.zeros((40, 2)),
+                                          axes=("x", "y")))
+    assert (count.samples, count.missing, count.end) == (80, 20, 100)
+
+
+@pytest.mark.parametrize(("told", "periods", "samples"), [
+    (b'{"repeats": 5, "settling_repeats": 2}', 3, 240), (b'{"repeats": 5}', 0, 400),
+    (b'{"repeats": 3, "settling_repeats": 1}', 0, 400), (b"[]", 0, 400), (b"damaged", 0, 400),
+])
+def test_periods_that_settled_are_taken_where_the_recording_tells_of_them(
+        tmp_path, sample_blocks, told, periods, samples):
+    voltage_v, _ = bag_of_axes(sample_blocks, tmp_path / "run",
+                               attachments=[("parameters.json", told)])
+    recording, = read_axes(tmp_path / "run")
+    assert recording.periods == periods
+    assert np.array_equal(recording.voltage_v, voltage_v[400 - samples:])

@@ -11,10 +11,12 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from piezo_recorder.reading.reader import read_recording, sha256_of
 from piezo_recorder.reading.recording import RecordingError
 from piezo_recorder.sample_block import TYPE_NAME, Flag
+from piezo_recorder.writing.message_definition import MessageDefinition
 from piezo_recorder.writing.writer import RecordingWriter
 
 TOPIC = "/stage/samples"
@@ -37,6 +39,25 @@ def test_samples_are_read_back_to_the_bit(tmp_path, sample_blocks, ten_blocks):
         assert recording.gaps == []
         assert recording.complete
         assert recording.attachments == {"model.json": b'{"a": 1}'}
+
+
+def test_recording_made_before_stages_had_several_axes_is_read(tmp_path, sample_blocks):
+    older = get_typestore(Stores.ROS2_JAZZY)
+    older.register(get_types_from_msg(
+        re.sub(r"^string\[\] axes.*\n", "", MESSAGE_FILE.read_text(), flags=re.M), TYPE_NAME))
+    assert "axes" not in older.types[TYPE_NAME].__annotations__
+    header = older.types["std_msgs/msg/Header"](
+        older.types["builtin_interfaces/msg/Time"](0, 0), "stage")
+    block = older.types[TYPE_NAME](
+        header=header, first_sample=0, sample_period_s=2.5e-5, tick=1, voltage_v=np.arange(40.0),
+        displacement_um=np.arange(40.0), flags=16, missed_feedback=0)
+    text, _ = older.generate_msgdef(TYPE_NAME, ros_version=2)
+    with RecordingWriter(tmp_path / "run") as writer:
+        channel = writer.add_topic(TOPIC, MessageDefinition(
+            TYPE_NAME, text, older.hash_rihs01(TYPE_NAME)))
+        writer.write(channel, bytes(older.serialize_cdr(block, TYPE_NAME)), 0)
+    recording = read_recording(tmp_path / "run")
+    assert recording.axes == () and np.array_equal(recording.voltage_v, np.arange(40.0))
 
 
 def test_rosbags_decodes_it_from_the_embedded_definition(tmp_path, sample_blocks, ten_blocks):

@@ -64,18 +64,31 @@ class DescribedStage:
             for name, value in self._given.items()
             if self._heard is not None and value != (told := getattr(self._heard, name)))
 
-    def wait(self, check: Callable[[], None]) -> StageDescription:
+    @property
+    def too_many_axes(self) -> str:
+        """Why a node that takes one axis cannot use the stage; empty where it can."""
+        axes = self._heard.axes if self._heard is not None else []
+        if not axes:
+            return ""
+        return (f"{self._node.get_name()} takes a stage of one axis, this one has the axes "
+                f"{', '.join(axis.name for axis in axes)}: play and record waveforms of all of "
+                "them, and identify from the recordings")
+
+    def wait(self, check: Callable[[], None], several_axes: bool = False) -> StageDescription:
         """Return what the stage says of itself; wait for one that has just been started.
 
         Parameters
         ----------
         check : callable
             Called now and then; ends the wait by an exception.
+        several_axes : bool
+            Whether a stage of several axes will do, which is refused otherwise.
 
         Raises
         ------
         CallFailed
-            If nobody serves the stage, it is not configured, or a parameter contradicts it.
+            If nobody serves the stage, it is not configured or has too many axes, or a parameter
+            contradicts it.
         """
         begin_s, asked_s, state = time.monotonic(), -math.inf, None
         waiting = Waiting(self._node, self._state.srv_name)
@@ -91,6 +104,8 @@ class DescribedStage:
             time.sleep(POLL_S)
         if self.contradiction:
             raise CallFailed(self.contradiction)
+        if self.too_many_axes and not several_axes:
+            raise CallFailed(self.too_many_axes)
         return description
 
     def check_unchanged(self, description: StageDescription) -> None:

@@ -13,6 +13,7 @@ from rclpy.publisher import Publisher
 from piezo_common.arrays import FloatArray
 from piezo_ros.parameters import declare
 from piezo_sim.paced import PacedStage
+from piezo_sim.plant.plant_file import AxesPlantConfig, read_any_plant
 from piezo_sim.simulated_stage import SimulatedStage
 from piezo_stage_driver.backends.backend import StageBackend
 from piezo_stage_driver.engine.blocks import Block
@@ -66,7 +67,7 @@ class SimulatedStageNode(StageNode):
         message = SampleBlock(
             first_sample=self._truth_first_sample,
             sample_period_s=self._engine.sample_period_s,
-            tick=block.tick, flags=block.flags,
+            tick=block.tick, flags=block.flags, axes=self._outputs.axes,
             voltage_v=array.array("d", voltage_v.tobytes()),
             displacement_um=array.array("d", displacement_um.tobytes()))
         assert self._ground_truth is not None  # made when the stage was activated
@@ -78,8 +79,10 @@ def create_simulated_stage(node: SimulatedStageNode) -> StageBackend:
     seed = declare(node, "seed", 1, "Seed of the sensor noise.", 0, 2**31 - 1)
     plant = declare(node, "plant", "", "Plant file (YAML), or the name of a plant that comes with "
                     "the simulator; empty for the default plant.")
+    config = read_any_plant(plant or None)
+    axes = tuple(config.axes) if isinstance(config, AxesPlantConfig) else ()
     stage = SimulatedStage(
-        plant or None, seed, node.settings.sample_rate_hz, node.settings.rest_voltage_v)
+        config, seed, node.settings.sample_rate_hz, node.settings.rest_v(axes))
     stage.on_truth = node.take_truth
     # Both lack `lead_samples`, which a backend may.
     return cast(StageBackend, stage if node.settings.lockstep else PacedStage(stage))

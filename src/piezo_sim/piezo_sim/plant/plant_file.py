@@ -2,6 +2,7 @@
 """Strict reading of a plant file: every parameter with value, unit and source."""
 
 import dataclasses
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -43,6 +44,7 @@ from piezo_sim.effects.output_converter import OutputConverter
 from piezo_sim.effects.parallel_mode import ParallelMode
 from piezo_sim.effects.power_law_creep import PowerLawCreep
 from piezo_sim.effects.self_heating import SelfHeating
+from piezo_sim.effects.serial_stage import SerialStage
 from piezo_sim.effects.slewing_amplifier import SlewingAmplifier
 from piezo_sim.effects.soft_backlash import SoftBacklash
 from piezo_sim.effects.soft_saturation import SoftSaturation
@@ -52,12 +54,14 @@ from piezo_sim.effects.switching_delay import SwitchingDelay
 from piezo_sim.effects.thermal_drift import ThermalDrift
 from piezo_sim.effects.transducer_curve import TransducerCurve
 from piezo_sim.effects.transport_delay import TransportDelay
+from piezo_sim.effects.xy_flexure import XYFlexure
 from piezo_sim.faults.device_failure import DeviceFailure
 from piezo_sim.faults.sensor_faults import NoisySensor, OffScaleSensor, SilentSensor, StuckSensor
 from piezo_sim.plant.amplifier import VoltageAmplifier
 from piezo_sim.plant.continuous_preisach import PreisachHysteresis
 from piezo_sim.plant.linear_effects import Creep, ElectricLag, VibrationMode
-from piezo_sim.plant.named_plants import PLANTS
+from piezo_sim.plant.mechanism import Mechanics
+from piezo_sim.plant.named_plants import AXES_PLANTS, PLANTS
 from piezo_sim.plant.plant_effect import Effect, PlantConfigError
 from piezo_sim.plant.sensor import DisplacementSensor
 
@@ -117,6 +121,9 @@ FAULTS = {
     for fault in (StuckSensor, SilentSensor, OffScaleSensor, NoisySensor, DeviceFailure)
 }
 
+MECHANICS: dict[str, type[Mechanics]] = {kind.name: kind for kind in (XYFlexure, SerialStage)}
+"""What moves several axes together."""
+
 
 @dataclass(frozen=True)
 class PlantConfig:
@@ -137,12 +144,24 @@ class PlantConfig:
     sensor: tuple[Effect, ...]
 
 
-class PlantDocument(Document):
-    """The plant file: effects in the order in which the signal passes them."""
+@dataclass(frozen=True)
+class AxesPlantConfig:
+    """Effects of a plant of several axes.
 
-    TITLE: ClassVar[str] = "plant file"
-    SYNTAX: ClassVar[str] = "yaml"
-    RENEW: ClassVar[str] = "add it"
+    Attributes
+    ----------
+    axes : dict of str to PlantConfig
+        By name: `stage` leads to the free stroke of the axis' actuator, `sensor` from what it sees.
+    mechanics : piezo_sim.plant.mechanism.Mechanics
+        From the strokes of all axes to their positions, and to what the sensors see.
+    """
+
+    axes: dict[str, PlantConfig]
+    mechanics: Mechanics
+
+
+class PlantSections(Part):
+    """Effects in the order in which the signal passes them."""
 
     amplifier: list[dict[str, Any]] = entry(
         "From the commanded voltage to the applied voltage (V); each entry names its `effect`, "
@@ -152,6 +171,29 @@ class PlantDocument(Document):
         shortest=1)
     sensor: list[dict[str, Any]] = entry(
         "From the true to the measured displacement (um); entries as above.", shortest=1)
+
+
+class PlantDocument(PlantSections, Document):
+    """The plant file of one axis."""
+
+    TITLE: ClassVar[str] = "plant file"
+    SYNTAX: ClassVar[str] = "yaml"
+    RENEW: ClassVar[str] = "add it"
+
+
+class AxesPlantDocument(Document):
+    """The plant file of several axes."""
+
+    TITLE: ClassVar[str] = "plant file"
+    SYNTAX: ClassVar[str] = "yaml"
+    RENEW: ClassVar[str] = "add it"
+
+    axes: dict[str, PlantSections] = entry(
+        "Sections of each axis, by its short lower-case name. `stage` leads to the free stroke of "
+        "its actuator (um), `sensor` from what it sees to what is measured.",
+        shortest=2, longest=3)
+    mechanics: dict[str, Any] = entry(
+        "What all axes move together, as an entry of a section: `xy_flexure` or `serial_stage`.")
 
 
 class Parameter(Part):
@@ -194,12 +236,28 @@ def effect_schema(kind: type[Effect]) -> type[Part]:
 
 
 def read_plant(path: str | Path | None = None) -> PlantConfig:
-    """Read a plant file.
+    """Read a plant file of one axis; see `read_any_plant`.
 
     Parameters
     ----------
     path : path-like, optional
         YAML file, or one of the names `PLANTS`; by default the plant ``default``.
+    """
+    plant = read_any_plant(path)
+    if isinstance(plant, AxesPlantConfig):
+        raise PlantConfigError(f"{path}: the plant has the axes {', '.join(plant.axes)}; "
+                               f"give one of one axis, such as {', '.join(PLANTS)}.")
+    return plant
+
+
+def read_any_plant(path: str | Path | None = None) -> PlantConfig | AxesPlantConfig:
+    """Read a plant file of one axis or several.
+
+    Parameters
+    ----------
+    path : path-like, optional
+        YAML file, or one of the names `PLANTS` and `AXES_PLANTS`; by default the plant
+        ``default``.
 
     Raises
     ------
@@ -207,33 +265,50 @@ def read_plant(path: str | Path | None = None) -> PlantConfig:
         If the file cannot be read, or a section, effect or parameter is unknown, missing, without
         unit or source, not finite, or impossible.
     """
-    name = "default" if path is None else str(path)
-    if name in PLANTS:
-        return parse_plant((resources.files("piezo_sim") / PLANTS[name]).read_text("utf-8"))
+    name, named = "default" if path is None else str(path), PLANTS | AXES_PLANTS
+    if name in named:
+        return parse_plant((resources.files("piezo_sim") / named[name]).read_text("utf-8"))
     try:
         return parse_plant(read_bounded_text(name))
     except UnreadableFile as error:
         raise PlantConfigError(f"{path}: the plant file {error}; give a file or one of "
-                               f"{', '.join(PLANTS)}.") from None
+                               f"{', '.join(named)}.") from None
     except PlantConfigError as error:
         raise PlantConfigError(f"{path}: {error}") from None
 
 
-def parse_plant(text: str) -> PlantConfig:
-    """Parse the text of a plant file; see `read_plant`."""
+def parse_plant(text: str) -> PlantConfig | AxesPlantConfig:
+    """Parse the text of a plant file; see `read_any_plant`."""
     try:
-        document = parsed(PlantDocument, text)
-        return PlantConfig(**{
-            section: tuple(_effect(f"{section}[{index}]", content)
-                           for index, content in enumerate(contents))
-            for section, contents in document})
+        if re.search(r"^axes:", text, re.MULTILINE):
+            return _of_axes(parsed(AxesPlantDocument, text))
+        return _of_sections(parsed(PlantDocument, text), "")
     except SchemaError as error:
         raise PlantConfigError(f"{error}.") from None
 
 
-def _effect(where: str, content: dict[str, Any]) -> Effect:
+def _of_sections(sections: PlantSections, where: str) -> PlantConfig:
+    return PlantConfig(**{
+        section: tuple(_effect(f"{where}{section}[{index}]", content, _known_effects())
+                       for index, content in enumerate(contents))
+        for section, contents in sections})
+
+
+def _of_axes(document: AxesPlantDocument) -> AxesPlantConfig:
+    for axis in document.axes:
+        if not re.fullmatch("[a-z][a-z0-9]*", axis):
+            raise SchemaError(f"axes has the name {quoted(axis)}",
+                              "give short lower-case names such as x")
+    mechanics: Any = _effect("mechanics", document.mechanics, MECHANICS)
+    if mechanics.axes != len(document.axes):
+        raise SchemaError(f"mechanics {mechanics.name} moves {mechanics.axes} axes, and axes has "
+                          f"{len(document.axes)}", "give as many")
+    return AxesPlantConfig({axis: _of_sections(sections, f"axes.{axis}.")
+                            for axis, sections in document.axes.items()}, mechanics)
+
+
+def _effect(where: str, content: dict[str, Any], known: Mapping[str, type[Effect]]) -> Effect:
     name = content.get("effect")
-    known = _known_effects()
     if not isinstance(name, str) or name not in known:
         raise SchemaError(f"{where}.effect names an unknown effect (found {quoted(name)})",
                           f"known are {', '.join(known)}")

@@ -6,11 +6,12 @@ from importlib import resources
 import pytest
 import yaml
 
+from piezo_sim.plant.named_plants import AXES_PLANTS, PLANTS
 from piezo_sim.plant.plant_effect import PlantConfigError
 from piezo_sim.plant.plant_file import (
     BEAM_EFFECTS,
     EFFECTS,
-    PLANTS,
+    MECHANICS,
     effect_schema,
     parse_plant,
     read_plant,
@@ -70,14 +71,23 @@ def test_the_beam_shares_no_form_with_the_default_plant():
     assert names - BEAM_EFFECTS.keys() - shared == {"thermal_drift", "distributed_lag"}
 
 
-@pytest.mark.parametrize("plant", PLANTS)
+def entries_of(content):
+    """Yield the entries of the effects of a plant file, of all its axes."""
+    for part in content.get("axes", {"": content}).values():
+        yield from (entry for section in part.values() for entry in section)
+    if "mechanics" in content:
+        yield content["mechanics"]
+
+
+@pytest.mark.parametrize("plant", PLANTS | AXES_PLANTS)
 def test_every_figure_of_a_plant_has_its_unit_and_a_source_that_says_something(plant):
-    content = yaml.safe_load((resources.files("piezo_sim") / PLANTS[plant]).read_text())
-    figures = [(entry["effect"], name, figure) for section in content.values()
-               for entry in section for name, figure in entry.items() if name != "effect"]
+    file = (PLANTS | AXES_PLANTS)[plant]
+    content = yaml.safe_load((resources.files("piezo_sim") / file).read_text())
+    figures = [(entry["effect"], name, figure) for entry in entries_of(content)
+               for name, figure in entry.items() if name != "effect"]
     assert len(figures) >= 20
     for effect, name, figure in figures:
-        kind = {**EFFECTS, **BEAM_EFFECTS}[effect]
+        kind = {**EFFECTS, **BEAM_EFFECTS, **MECHANICS}[effect]
         assert name in effect_schema(kind).model_fields
         assert len(figure["source"]) > 4, f"{effect}: {name}"
 

@@ -27,7 +27,7 @@ class BackendFault(RuntimeError):
 
 
 class StageBackend(Protocol):
-    """An amplifier and a displacement sensor on one sample clock.
+    """Amplifiers and displacement sensors of one axis or several, on one sample clock.
 
     The stage node calls ``open``, then ``exchange`` again and again from one thread, then
     ``close``. After a `BackendFault` of ``exchange`` it calls ``close`` once and nothing else,
@@ -41,6 +41,9 @@ class StageBackend(Protocol):
 
     An attribute ``name : str`` tells other nodes what drives the stage; the name of the class does
     where it is missing.
+
+    A backend of two or three axes names them by an attribute ``axes : tuple of str``; it exchanges
+    a column for each, all of one sample at the same instant. Names are short and lower-case.
 
     A backend that can only play whole waveforms, as one with a waveform memory does, says so by an
     attribute ``longest_program_samples : int``, with as many ``lead_samples``: it is then asked for
@@ -74,12 +77,12 @@ class StageBackend(Protocol):
 
         Parameters
         ----------
-        voltage_v : ndarray, shape (n,)
+        voltage_v : ndarray, shape (n,) or (n, axes)
             Each is held for one sample period.
 
         Returns
         -------
-        displacement_um : ndarray, shape (n,)
+        displacement_um : ndarray, of the same shape
             Sample i is taken at the instant at which ``voltage_v[i]`` is applied, and so does
             not yet respond to it; with a lead, the voltage given ``lead_samples`` before it.
             What is measured before the first voltage is applied does not count.

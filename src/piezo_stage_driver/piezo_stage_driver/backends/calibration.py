@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Calibration file of a stage behind a data acquisition card."""
 
+import re
 from os import PathLike
 from typing import ClassVar, TypeVar
 
 import numpy as np
 from pydantic import model_validator
 
-from piezo_common.schema import Document, Number, SchemaError, entry, load_document, violation
+from piezo_common.regular_file import UnreadableFile
+from piezo_common.schema import Document, Number, Part, SchemaError, entry, parsed, violation
+from piezo_common.schema.checking import quoted
+from piezo_common.text_file import read_bounded_text
 
 # Of NI-DAQmx.
 TERMINALS = ("DEFAULT", "DIFF", "RSE", "NRSE", "PSEUDO_DIFF")
@@ -20,8 +24,8 @@ class CalibrationError(ValueError):
     """A calibration file that cannot be used; the message says where and what to do."""
 
 
-class Calibration(Document):
-    """From volts at the card to volts at the stage and to um.
+class AxisCalibration(Part):
+    """From volts at the card to volts at the stage and to um, of one axis.
 
     Attributes
     ----------
@@ -41,14 +45,7 @@ class Calibration(Document):
         Displacement for 0 V at the card.
     input_minimum_v, input_maximum_v : float
         Range of the card's input.
-    lead_ticks : int
-        How far the output is written ahead: what the computer may be late without a stop, and
-        what every answer and every stop is later.
     """
-
-    TITLE: ClassVar[str] = "calibration file"
-    SYNTAX: ClassVar[str] = "yaml"
-    RENEW: ClassVar[str] = "add it"
 
     output_channel: str = entry("Physical channel of the card that drives the amplifier.")
     input_channel: str = entry("Physical channel of the card that reads the sensor.")
@@ -61,11 +58,9 @@ class Calibration(Document):
     sensor_offset_um: Number = entry("Displacement for 0 V at the card.", unit="um")
     input_minimum_v: Number = entry("Lowest input of the card.", unit="V")
     input_maximum_v: Number = entry("Highest input of the card.", unit="V")
-    lead_ticks: int = entry("How many ticks ahead the output is written.",
-                            at_least=1, at_most=1_000_000_000)
 
     @model_validator(mode="after")
-    def _check_together(self) -> "Calibration":
+    def _check_together(self) -> "AxisCalibration":
         if self.terminal_configuration not in TERMINALS:
             raise violation(f"is none of {', '.join(TERMINALS)}", "give one of them",
                             "terminal_configuration")
@@ -105,8 +100,63 @@ class Calibration(Document):
         return self.sensor_um_per_v * card_v + self.sensor_offset_um
 
 
-def load_calibration(path: str | PathLike[str]) -> Calibration:
-    """Read a calibration file (YAML); every entry of `Calibration` must be in it.
+class Calibration(AxisCalibration, Document):
+    """The calibration of a stage of one axis.
+
+    Attributes
+    ----------
+    lead_ticks : int
+        How far the output is written ahead: what the computer may be late without a stop, and
+        what every answer and every stop is later.
+    """
+
+    TITLE: ClassVar[str] = "calibration file"
+    SYNTAX: ClassVar[str] = "yaml"
+    RENEW: ClassVar[str] = "add it"
+
+    lead_ticks: int = entry("How many ticks ahead the output is written.",
+                            at_least=1, at_most=1_000_000_000)
+
+    @property
+    def by_axis(self) -> dict[str, AxisCalibration]:
+        """Return the only axis, without a name."""
+        return {"": self}
+
+
+class AxesCalibration(Document):
+    """The calibration of a stage of several axes on one card."""
+
+    TITLE: ClassVar[str] = "calibration file"
+    SYNTAX: ClassVar[str] = "yaml"
+    RENEW: ClassVar[str] = "add it"
+
+    axes: dict[str, AxisCalibration] = entry(
+        "Channels and factors of each axis, by its short lower-case name.", shortest=2, longest=3)
+    lead_ticks: int = entry("How many ticks ahead the output is written.",
+                            at_least=1, at_most=1_000_000_000)
+
+    @model_validator(mode="after")
+    def _check_axes(self) -> "AxesCalibration":
+        first = next(iter(self.axes.values()))
+        for axis, own in self.axes.items():
+            if not re.fullmatch("[a-z][a-z0-9]*", axis):
+                raise violation(f"has the name {quoted(axis)}", "give short ones such as x", "axes")
+            if own.device != first.device:
+                raise violation(f"is on {own.device}, another axis on {first.device}",
+                                "use channels of one card", f"axes.{axis}.input_channel")
+        for name in ("output_channel", "input_channel"):
+            if len({getattr(own, name) for own in self.axes.values()}) < len(self.axes):
+                raise violation(f"name one {name} twice", "give each its own", "axes")
+        return self
+
+    @property
+    def by_axis(self) -> dict[str, AxisCalibration]:
+        """Return the axes by their names."""
+        return self.axes
+
+
+def load_calibration(path: str | PathLike[str]) -> Calibration | AxesCalibration:
+    """Read a calibration file (YAML) of one axis, or of several where it has `axes`.
 
     Raises
     ------
@@ -114,6 +164,11 @@ def load_calibration(path: str | PathLike[str]) -> Calibration:
         If the file cannot be read, or an entry is unknown, missing or impossible.
     """
     try:
-        return load_document(Calibration, path)
+        text = read_bounded_text(path)
+        if re.search(r"^axes:", text, re.MULTILINE):
+            return parsed(AxesCalibration, text)
+        return parsed(Calibration, text)
+    except UnreadableFile as error:
+        raise CalibrationError(f"{path}: {error}; give a {Calibration.TITLE}") from None
     except SchemaError as error:
         raise CalibrationError(f"{path}: {error}") from None

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Find a backend by its name: ours, and those that other packages announce."""
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 from piezo_common.registered import registered
 from piezo_stage_driver.backends.backend import StageBackend
@@ -21,6 +23,8 @@ class BackendSettings:
         For a backend that must bring the amplifier to rest by itself.
     exchange_timeout_s : float
         How long the node waits for one exchange.
+    own : callable
+        Returns the voltages and the ramp rate that an axis has of its own, see `of_axis`.
     """
 
     file: str
@@ -31,6 +35,11 @@ class BackendSettings:
     rest_voltage_v: float
     ramp_rate_v_per_s: float
     exchange_timeout_s: float = 2.0
+    own: Callable[[str], Mapping[str, Any]] = field(default=lambda axis: {}, compare=False)
+
+    def of_axis(self, axis: str) -> "BackendSettings":
+        """Return the settings with the voltages and the ramp rate of one of several axes."""
+        return replace(self, **self.own(axis))
 
 
 def create_backend(name: str, settings: BackendSettings) -> StageBackend:

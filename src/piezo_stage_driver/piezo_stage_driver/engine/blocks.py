@@ -19,7 +19,10 @@ SAMPLES_PER_BLOCK = 40
 
 @dataclass(frozen=True)
 class Block:
-    """Hold the samples that are published together, see ``piezo_interfaces/SampleBlock``."""
+    """Hold the samples that are published together, see ``piezo_interfaces/SampleBlock``.
+
+    They have the shape (n,), or (n, axes) where the stage has several.
+    """
 
     first_sample: int
     sample_period_s: float
@@ -73,7 +76,7 @@ class BlockCollector:
 
         Parameters
         ----------
-        voltage_v, displacement_um : ndarray, shape (n,)
+        voltage_v, displacement_um : ndarray, shape (n,) or (n, axes)
         ends : bool
             Whether what follows belongs into another block.
         feedback_v : float, optional
@@ -112,4 +115,4 @@ class BlockCollector:
         samples = parts[0] if len(parts) == 1 else np.concatenate(parts)
         if self.decimation == 1:
             return samples
-        return samples.reshape(-1, self.decimation).mean(axis=1)
+        return samples.reshape(-1, self.decimation, *samples.shape[1:]).mean(axis=1)

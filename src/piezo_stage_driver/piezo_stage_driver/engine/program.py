@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from piezo_stage_driver.engine.sources import FadeOver, Hold, Source
+from piezo_stage_driver.engine.sources import FadeOver, Hold, Source, Volts
 
 
 class StageRefusal(ValueError):
@@ -63,7 +63,7 @@ class Program:
         """Return the samples left of the whole; infinite until a stop."""
         return max(0.0, self._samples - self._done_samples)
 
-    def phase(self, voltage_v: float) -> Phase:
+    def phase(self, voltage_v: Volts) -> Phase:
         """Return the present phase, or one that holds this voltage."""
         return self._phases[0] if self._phases else Phase("rest", Hold(voltage_v), math.inf, 0)
 

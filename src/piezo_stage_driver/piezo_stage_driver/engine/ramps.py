@@ -3,28 +3,31 @@
 
 import math
 
+import numpy as np
+
 from piezo_stage_driver.engine.blocks import FLAG_RAMPING
 from piezo_stage_driver.engine.program import Phase
-from piezo_stage_driver.engine.sources import Ramp
+from piezo_stage_driver.engine.sources import Ramp, Volts
 from piezo_stage_driver.engine.ticks import Ticks
 
 
 class Ramps:
-    """Make ramps of one rate."""
+    """Make ramps of one rate, or of one for each axis: the axis that takes longest decides."""
 
-    def __init__(self, rate_v_per_s: float, ticks: Ticks):
+    def __init__(self, rate_v_per_s: Volts, ticks: Ticks):
         self._rate_v_per_s, self._ticks = rate_v_per_s, ticks
 
     @property
-    def v_per_tick(self) -> float:
+    def v_per_tick(self) -> Volts:
         """Tell how far a ramp goes in one tick (V)."""
         return self._rate_v_per_s * self._ticks.sample_period_s * self._ticks.samples_per_tick
 
-    def samples(self, start_v: float, end_v: float) -> int:
+    def samples(self, start_v: Volts, end_v: Volts) -> int:
         """Return how many samples of the clock a ramp takes."""
-        return math.ceil(abs(end_v - start_v) / self._rate_v_per_s / self._ticks.sample_period_s)
+        longest_s = np.max(np.abs(np.subtract(end_v, start_v)) / self._rate_v_per_s)
+        return math.ceil(longest_s / self._ticks.sample_period_s)
 
-    def phase(self, name: str, start_v: float, end_v: float, pending: int = 0,
+    def phase(self, name: str, start_v: Volts, end_v: Volts, pending: int = 0,
               decimation: int = 1) -> Phase:
         """Return a ramp as a phase that ends with a whole tick and a whole published sample.
 

@@ -1,10 +1,22 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where the voltage of the next samples comes from."""
+"""Where the voltage of the next samples comes from.
+
+Samples have the shape (n,), or (n, axes) where the stage has several: voltages are then those of
+all axes, shape (axes,).
+"""
 
 from collections import deque
 from typing import Protocol
 
 import numpy as np
+
+Volts = float | np.ndarray
+"""A voltage, or one of each axis, shape (axes,), where the stage has several."""
+
+
+def held(voltage_v: Volts, samples: int) -> np.ndarray:
+    """Return samples of one voltage, shape (samples,) or (samples, axes)."""
+    return np.full((samples, *np.shape(voltage_v)), voltage_v)
 
 
 class Source(Protocol):
@@ -23,12 +35,12 @@ class Hold:
 
     exhausted = False
 
-    def __init__(self, voltage_v: float):
+    def __init__(self, voltage_v: Volts):
         self._voltage_v = voltage_v
 
     def take(self, count: int) -> np.ndarray:
         """Return the next samples, shape (count,), in V."""
-        return np.full(count, self._voltage_v)
+        return held(self._voltage_v, count)
 
 
 class Ramp:
@@ -36,7 +48,7 @@ class Ramp:
 
     exhausted = False
 
-    def __init__(self, start_v: float, end_v: float, samples: int):
+    def __init__(self, start_v: Volts, end_v: Volts, samples: int):
         self._start_v, self._end_v, self._samples = start_v, end_v, samples
         self._at = 0
 
@@ -45,7 +57,8 @@ class Ramp:
         position = np.arange(self._at + 1, self._at + 1 + count)
         self._at += count
         share = np.minimum(position / max(self._samples, 1), 1.0)
-        return (1.0 - share) * self._start_v + share * self._end_v
+        return np.multiply.outer(1.0 - share, self._start_v) + np.multiply.outer(
+            share, self._end_v)
 
 
 class Waveform:

@@ -4,6 +4,7 @@
 import math
 import secrets
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,7 @@ from piezo_stage_driver.engine.sources import Feedforward, Waveform
 from piezo_stage_driver.engine.ticks import Ticks
 from piezo_stage_driver.safety.guard_set import GuardSet
 from piezo_stage_driver.safety.guards import StopLatch
-from piezo_stage_driver.safety.limits import FeedbackLimits, VoltageLimits
+from piezo_stage_driver.safety.limits import FeedbackLimits, Limits, VoltageLimits
 
 if TYPE_CHECKING:
     from piezo_stage_driver.engine.stage_engine import StageEngine
@@ -52,7 +53,7 @@ class StageCommands:
         What one answer may ask for.
     """
 
-    def __init__(self, engine: "StageEngine", limits: VoltageLimits, ticks: Ticks, ramps: Ramps,
+    def __init__(self, engine: "StageEngine", limits: Limits, ticks: Ticks, ramps: Ramps,
                  latch: StopLatch, guards: GuardSet,
                  feedback_limits: FeedbackLimits | None = None):
         self._engine, self._limits, self._ticks, self._ramps = engine, limits, ticks, ramps
@@ -64,18 +65,22 @@ class StageCommands:
         self._begun_s = -math.inf
 
     def play(self, voltage_v: npt.ArrayLike, sample_period_s: float, repeats: int = 1,
-             hold_at_end: bool = False, client: str = "") -> tuple[int, int]:
+             hold_at_end: bool = False, client: str = "",
+             axes: Sequence[str] = ()) -> tuple[int, int]:
         """Begin to play a waveform, after an approach from the present voltage.
 
         Parameters
         ----------
-        voltage_v : ndarray, shape (n,)
+        voltage_v : array_like, shape (n,) or (n * axes,)
+            Where the stage has several axes, a value of each, sample by sample.
         sample_period_s : float
             Whole multiple of the clock's period, at most 1 s.
         hold_at_end : bool
             Stay at the last voltage instead of returning to rest.
         client : str
             Who asks; told to others who are refused meanwhile.
+        axes : sequence of str
+            Names of all axes where the stage has several, in its order.
 
         Returns
         -------
@@ -87,7 +92,7 @@ class StageCommands:
         LimitError, StageRefusal
         """
         self._require_ready()
-        voltage_v = np.array(voltage_v, dtype=float)
+        voltage_v = self._by_sample(np.array(voltage_v, dtype=float), axes)
         hold_samples = self._ticks.samples_per_value(sample_period_s)
         if repeats < 1:
             raise StageRefusal("repeats is 0: play the waveform at least once")
@@ -127,6 +132,7 @@ class StageCommands:
         ------
         LimitError, StageRefusal
         """
+        limits = self._limits_of_one_axis("load_feedforward")
         once_voltage_v = np.array(once_voltage_v, dtype=float)
         if self._engine.longest_program_samples is not None:
             raise StageRefusal("the backend plays stored waveforms only, and cannot be led sample "
@@ -137,13 +143,12 @@ class StageCommands:
                 raise StageRefusal("there is no streamed feedforward to append to: "
                                    "load one without a repeated part first")
             self._require_loaded(feedforward_id)
-            self._limits.check(once_voltage_v, self._ticks.sample_period_s,
-                               self._feedforward.last_v)
+            limits.check(once_voltage_v, self._ticks.sample_period_s, self._feedforward.last_v)
             self._feedforward.append(once_voltage_v)
             return self._feedforward_id
         self._require_ready()
         feedforward = Feedforward(once_voltage_v, np.array(period_voltage_v, dtype=float))
-        self._limits.check(feedforward.sequence_v, self._ticks.sample_period_s)
+        limits.check(feedforward.sequence_v, self._ticks.sample_period_s)
         self._feedforward, self._law = feedforward, None
         # Drawn, so that a stage that was started again gives none of its numbers a second time.
         self._feedforward_id = secrets.randbits(63) + 1
@@ -154,10 +159,11 @@ class StageCommands:
 
         Raises
         ------
-        FeedbackLawError
+        FeedbackLawError, StageRefusal
         """
+        self._limits_of_one_axis("load_feedback")
         return CheckedLaw(law, self._ticks.samples_per_tick, self._engine.lead_ticks,
-                          self._engine.rest_voltage_v, self._feedback_limits)
+                          float(self._engine.rest_voltage_v), self._feedback_limits)
 
     def load_feedback(self, law: CheckedLaw, feedforward_id: int = 0) -> None:
         """Take the law that ``start_tracking`` evaluates beside the feedforward loaded before.
@@ -191,11 +197,12 @@ class StageCommands:
 
         Raises
         ------
-        LimitError, FeedbackLawError
+        LimitError, FeedbackLawError, StageRefusal
         """
+        limits = self._limits_of_one_axis("replace_feedforward")
         feedforward = Feedforward(np.array(once_voltage_v, dtype=float),
                                   np.array(period_voltage_v, dtype=float))
-        self._limits.check(feedforward.sequence_v, self._ticks.sample_period_s)
+        limits.check(feedforward.sequence_v, self._ticks.sample_period_s)
         return Replacement(feedforward, None if law is None else self.checked(law))
 
     def replace_feedforward(self, replacement: Replacement) -> int:
@@ -262,14 +269,15 @@ class StageCommands:
         ------
         LimitError, StageRefusal
         """
+        limits = self._limits_of_one_axis("start_tracking")
         self._require_ready()
         if self._feedforward is None:
             raise StageRefusal("no feedforward is loaded: call load_feedforward first")
         self._require_loaded(feedforward_id)
         if self._feedforward.forgotten:
             raise StageRefusal("the streamed feedforward has been played: load it again")
-        self._limits.check_start(
-            self._feedforward.first_v, self._engine.voltage_v, self._ramps.v_per_tick)
+        limits.check_start(self._feedforward.first_v, float(self._engine.voltage_v),
+                           float(self._ramps.v_per_tick))
         beginning = self._engine.tick, self._engine.lead_ticks, self._feedback_limits
         added: FeedbackHold | OnboardFeedback | None = None
         if onboard:
@@ -318,10 +326,31 @@ class StageCommands:
             While the voltage still returns to rest, or where it was stopped later.
         """
         engine = self._engine
-        if not engine.idle or engine.stop_cause and engine.voltage_v != engine.rest_voltage_v:
+        if not engine.idle or engine.stop_cause and not engine.has_returned:
             raise StageRefusal("the stage still returns to rest: reset it afterwards")
         self._latch.reset(asked_s)
         self._guards.begin()
+
+    def _by_sample(self, voltage_v: np.ndarray, axes: Sequence[str]) -> np.ndarray:
+        """Return voltages as samples of all axes, shape (n, axes); (n,) where there is one."""
+        own = self._engine.axes
+        if tuple(axes) != own:
+            raise StageRefusal(
+                f"the waveform is of {_axes_text(axes)}, the stage has {_axes_text(own)}: give a "
+                "voltage of each, sample by sample, and their names in this order")
+        if not own:
+            return voltage_v
+        if voltage_v.size % len(own):
+            raise StageRefusal(f"the waveform has {voltage_v.size} voltages for {len(own)} axes: "
+                               "give as many of each")
+        return voltage_v.reshape(-1, len(own))
+
+    def _limits_of_one_axis(self, service: str) -> VoltageLimits:
+        """Return the limits; refuse what takes no stage of several axes yet."""
+        if not isinstance(self._limits, VoltageLimits):
+            raise StageRefusal(f"{service} takes a stage of one axis, this one has "
+                               f"{_axes_text(self._engine.axes)}: play a waveform of all of them")
+        return self._limits
 
     def _require_room(self, samples: float, voltage_v: np.ndarray, hold_at_end: bool) -> None:
         """Refuse what does not fit into the memory of a backend that plays whole waveforms."""
@@ -362,3 +391,7 @@ class StageCommands:
             left = f", {left_s:.2g} s left" if math.isfinite(left_s) else ", until it is stopped"
             raise StageRefusal(f"the stage is busy ({engine.phase_name}{client}{left}): "
                                "wait, or cancel that first")
+
+
+def _axes_text(axes: Sequence[str]) -> str:
+    return f"the axes {', '.join(axes)}" if axes else "one axis without a name"

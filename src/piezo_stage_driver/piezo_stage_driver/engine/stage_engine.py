@@ -2,7 +2,6 @@
 """The stage, tick by tick: what it plays, what it adds, when it stops."""
 
 from collections import deque
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -20,12 +19,12 @@ from piezo_stage_driver.engine.feedback_hold import FeedbackHold
 from piezo_stage_driver.engine.onboard_feedback import OnboardFeedback
 from piezo_stage_driver.engine.program import Phase, Program
 from piezo_stage_driver.engine.ramps import Ramps
-from piezo_stage_driver.engine.sources import Source
+from piezo_stage_driver.engine.sources import Source, Volts, held
 from piezo_stage_driver.engine.stage_commands import StageCommands
 from piezo_stage_driver.engine.ticks import Ticks
-from piezo_stage_driver.safety.guard_set import GuardSet
-from piezo_stage_driver.safety.guards import FeedbackOscillation, SensorGuard, StopLatch
-from piezo_stage_driver.safety.limits import FeedbackLimits, VoltageLimits
+from piezo_stage_driver.safety.guard_set import GuardSet, SensorGuards
+from piezo_stage_driver.safety.guards import FeedbackOscillation, StopLatch
+from piezo_stage_driver.safety.limits import FeedbackLimits, Limits
 
 LONGEST_STRETCH_SAMPLES = 16000
 WAVEFORM_STRETCH_SAMPLES = 200
@@ -46,8 +45,8 @@ class StageEngine:
         More answers missed in a row stop the stage.
     longest_stretch_samples : int
         How far to run between two looks at the commands while a waveform plays.
-    sensor_guards : sequence
-        Examine every stretch of samples; see `guards`.
+    sensor_guards : sequence, or dict of str to sequence
+        Examine every stretch of samples; see `GuardSet`.
     feedback_guard : FeedbackOscillation, optional
         Examines every answer before it acts.
     latch : StopLatch, optional
@@ -72,11 +71,12 @@ class StageEngine:
         Of what a backend plays that takes whole waveforms only; None for any other.
     """
 
-    def __init__(self, backend: StageBackend, limits: VoltageLimits, rest_voltage_v: float = 0.0,
-                 ramp_rate_v_per_s: float = 2000.0, samples_per_tick: int = 40,
+    def __init__(self, backend: StageBackend, limits: Limits,
+                 rest_voltage_v: Volts = 0.0, ramp_rate_v_per_s: Volts = 2000.0,
+                 samples_per_tick: int = 40,
                  max_missed_feedback: int = 5,
                  longest_stretch_samples: int = LONGEST_STRETCH_SAMPLES,
-                 sensor_guards: Sequence[SensorGuard] = (),
+                 sensor_guards: SensorGuards = (),
                  feedback_guard: FeedbackOscillation | None = None, latch: StopLatch | None = None,
                  feedback_limits: FeedbackLimits | None = None, samples_per_block: int = 1):
         limits.check_rest(rest_voltage_v)
@@ -89,8 +89,9 @@ class StageEngine:
         self._latch = latch or StopLatch()
         self._ticks = Ticks(backend.sample_rate_hz, samples_per_tick)
         # A ramp that the slew limit held back would end before it is at rest.
-        self._ramps = Ramps(min(ramp_rate_v_per_s, limits.slew_v_per_s), self._ticks)
+        self._ramps = Ramps(np.minimum(ramp_rate_v_per_s, limits.slew_v_per_s), self._ticks)
         self.sample_period_s = self._ticks.sample_period_s
+        self.axes: tuple[str, ...] = getattr(backend, "axes", ())
         self.voltage_v = rest_voltage_v
         self.next_sample = 0
         self.client = ""
@@ -98,7 +99,7 @@ class StageEngine:
         # board added.
         lead_ticks = getattr(backend, "lead_samples", 0) // samples_per_tick
         self._ahead = deque[tuple[np.ndarray, int, float | None]](
-            [(np.full(samples_per_tick, rest_voltage_v), 0, None)] * lead_ticks)
+            [(held(rest_voltage_v, samples_per_tick), 0, None)] * lead_ticks)
         self.lead_ticks = lead_ticks
         self.longest_program_samples = getattr(backend, "longest_program_samples", None)
         watch_stop = getattr(backend, "watch_stop", None)
@@ -130,8 +131,13 @@ class StageEngine:
         """Tell whether the amplifier is at rest, what is written ahead included."""
         # A copy, which is made at once: the loop's thread goes on while another one asks.
         ahead = tuple(self._ahead)
-        return self.idle and self.voltage_v == self.rest_voltage_v and all(
+        return self.idle and self.has_returned and all(
             (voltage_v == self.rest_voltage_v).all() for voltage_v, _, _ in ahead)
+
+    @property
+    def has_returned(self) -> bool:
+        """Tell whether the last voltage is that of rest, on every axis."""
+        return bool(np.all(self.voltage_v == self.rest_voltage_v))
 
     @property
     def seconds_to_rest(self) -> float:
@@ -202,7 +208,7 @@ class StageEngine:
         self._blocks.decimation = decimation
         self._guards.begin()
 
-    def ramp(self, name: str, end_v: float, decimation: int) -> Phase:
+    def ramp(self, name: str, end_v: Volts, decimation: int) -> Phase:
         """Return the phase that leads from the present voltage to another (V)."""
         return self._ramps.phase(
             name, self.voltage_v, end_v, self._blocks.pending_samples, decimation)
@@ -231,7 +237,7 @@ class StageEngine:
 
     def return_to_rest(self) -> None:
         """End the present program by a ramp to the rest voltage, unless that is done."""
-        if self.phase_name == "return" or self.idle and self.voltage_v == self.rest_voltage_v:
+        if self.phase_name == "return" or self.idle and self.has_returned:
             return
         self._feedback = None
         self._program.hold_at_end = False
@@ -335,7 +341,8 @@ class StageEngine:
     def _count_played(self, voltage_v: np.ndarray,
                       flags: int) -> tuple[np.ndarray, int, float | None]:
         """Count samples; return the voltages, flags and feedback that were measured with them."""
-        self.voltage_v = float(voltage_v[-1])
+        last_v = voltage_v[-1]
+        self.voltage_v = last_v.copy() if self.axes else float(last_v)
         self.next_sample += len(voltage_v)
         feedback = self._feedback
         self._ahead.append((voltage_v, flags, feedback.voltage_v

@@ -4,6 +4,7 @@
 import array
 import time
 
+import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from piezo_interfaces.msg import AppliedFeedback, SampleBlock, StageDescription
@@ -32,11 +33,14 @@ class StageOutputs:
     ----------
     epoch_ns : int
         ROS time of sample 0.
+    axes : list of str
+        Names, where the stage has several.
     """
 
     def __init__(self, node: Node, settings: StageSettings) -> None:
         self._node, self._settings = node, settings
         self.epoch_ns = 0
+        self.axes: list[str] = []
         self.quality = SAMPLES if settings.lockstep else PACED_SAMPLES
         self._samples = node.create_publisher(SampleBlock, "samples", self.quality)
         self._applied_feedback = node.create_publisher(
@@ -50,6 +54,7 @@ class StageOutputs:
 
     def describe(self, description: StageDescription) -> None:
         """Tell what the stage is and allows, also to who asks later, until it is withdrawn."""
+        self.axes = [axis.name for axis in description.axes]
         self._description = self._node.create_publisher(
             StageDescription, "stage/description", DESCRIPTION)
         self._description.publish(description)
@@ -78,6 +83,7 @@ class StageOutputs:
         self.publish_samples(self._samples, SampleBlock(
             first_sample=block.first_sample, sample_period_s=block.sample_period_s,
             tick=block.tick, flags=block.flags, missed_feedback=block.missed_feedback,
+            axes=self.axes,
             voltage_v=array.array("d", block.voltage_v.tobytes()),
             displacement_um=array.array("d", block.displacement_um.tobytes())))
         if block.feedback_v is not None:
@@ -117,8 +123,9 @@ class StageOutputs:
                 < self._settings.sample_rate_hz):
             return
         self._samples_since_joint_state = 0
-        message = JointState(name=[self._settings.joint_name],
-                             position=[float(block.displacement_um[-1]) * 1e-6])
+        joint = self._settings.joint_name
+        message = JointState(name=[f"{joint}_{axis}" for axis in self.axes] or [joint],
+                             position=np.ravel(block.displacement_um[-1] * 1e-6).tolist())
         message.header.stamp = self.stamp(next_sample)
         self._joint_states.publish(message)
 

@@ -3,6 +3,7 @@
 
 from collections.abc import Callable
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 
@@ -57,7 +58,8 @@ class StageReports:
         self._outputs.publish_diagnostics(level, message, {ACTIVE: active} if loop is None else {
             ACTIVE: active, "phase": loop.engine.phase_name if active else "not active",
             "client": loop.engine.client, "seconds_left": f"{loop.engine.seconds_left:.3f}",
-            "voltage_v": f"{loop.engine.voltage_v:.4f}", "next_sample": loop.engine.next_sample,
+            "voltage_v": " ".join(f"{volt:.4f}" for volt in np.ravel(loop.engine.voltage_v)),
+            "next_sample": loop.engine.next_sample,
             "missed_feedback": loop.engine.missed_feedback, **loop.supervisor.described,
             **self.latency.described("answers", "longest_answer_ms"), **self._pace(loop)})
 

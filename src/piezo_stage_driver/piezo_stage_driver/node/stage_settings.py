@@ -2,22 +2,26 @@
 """The parameters of the stage node, and what is made of them."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
-from piezo_interfaces.msg import StageDescription
+import numpy as np
+from piezo_interfaces.msg import StageAxis, StageDescription
 from rclpy.node import Node
 
 from piezo_ros.parameters import declare
 from piezo_stage_driver.backends.backend import StageBackend
 from piezo_stage_driver.backends.registry import BackendSettings
+from piezo_stage_driver.engine.sources import Volts
 from piezo_stage_driver.engine.stage_engine import LONGEST_STRETCH_SAMPLES, StageEngine
 from piezo_stage_driver.safety.guards import (
     FeedbackOscillation,
+    SensorGuard,
     SensorNoise,
     SensorRange,
     SensorResponse,
     StopLatch,
 )
-from piezo_stage_driver.safety.limits import FeedbackLimits, VoltageLimits
+from piezo_stage_driver.safety.limits import AxesLimits, FeedbackLimits, VoltageLimits
 from piezo_stage_driver.safety.supervisor import StageSupervisor
 
 # Of the parameters: what `StageDescription` tells under the same names.
@@ -26,6 +30,39 @@ DESCRIBED = (
     "rest_voltage_v", "slew_limit_v_per_s", "ramp_rate_v_per_s", "max_feedback_v",
     "max_feedback_step_v", "max_missed_feedback", "minimum_displacement_um",
     "maximum_displacement_um")
+
+NARROWEST = {
+    "minimum_voltage_v": max, "maximum_voltage_v": min, "slew_limit_v_per_s": min,
+    "ramp_rate_v_per_s": min, "minimum_displacement_um": max, "maximum_displacement_um": min}
+"""Which limit of several axes holds for all of them."""
+
+
+class AxisSettings(NamedTuple):
+    """The parameters that each axis may have of its own, as in ``x.maximum_voltage_v``."""
+
+    minimum_voltage_v: float
+    maximum_voltage_v: float
+    rest_voltage_v: float
+    slew_limit_v_per_s: float
+    ramp_rate_v_per_s: float
+    minimum_displacement_um: float
+    maximum_displacement_um: float
+    max_sensor_noise_um: float
+    stuck_voltage_v: float
+    stuck_displacement_um: float
+
+    @property
+    def limits(self) -> VoltageLimits:
+        """Return what voltage may reach the amplifier; LimitError where that is none."""
+        return VoltageLimits(
+            self.minimum_voltage_v, self.maximum_voltage_v, self.slew_limit_v_per_s)
+
+    @property
+    def guards(self) -> tuple[SensorGuard, ...]:
+        """Return guards of the sensor, which have examined nothing yet."""
+        return (SensorRange(self.minimum_displacement_um, self.maximum_displacement_um),
+                SensorResponse(self.stuck_voltage_v, self.stuck_displacement_um),
+                SensorNoise(self.max_sensor_noise_um))
 
 
 class StageSettings:
@@ -59,9 +96,13 @@ class StageSettings:
     joint_name: str
 
     def __init__(self, node: Node) -> None:
+        self._node = node
+        self._ranges: dict[str, tuple[str, float | None, float | None]] = {}
+
         def take(name: str, default: float | str, description: str,
                  minimum: float | None = None, maximum: float | None = None,
                  choices: Sequence[str] = ()) -> None:
+            self._ranges[name] = description, minimum, maximum
             setattr(self, name, declare(
                 node, name, default, description, minimum, maximum, choices=choices))
 
@@ -124,13 +165,27 @@ class StageSettings:
         """Whether stage time waits for the answers."""
         return self.timing == "lockstep"
 
+    def of_axes(self, axes: Sequence[str]) -> list[AxisSettings]:
+        """Return the settings of each axis, by default those of the stage; one without a name."""
+        return [AxisSettings(*(
+            declare(self._node, f"{axis}.{name}", getattr(self, name), *self._ranges[name])
+            if axis else getattr(self, name) for name in AxisSettings._fields))
+            for axis in axes or ("",)]
+
+    def rest_v(self, axes: Sequence[str]) -> Volts:
+        """Return the voltage at rest, of each axis where there are several."""
+        rests_v = np.array([own.rest_voltage_v for own in self.of_axes(axes)])
+        return rests_v if axes else float(rests_v[0])
+
     def for_backend(self, file: str) -> BackendSettings:
         """Return what a backend is told; ``file`` holds its own settings."""
         return BackendSettings(
             file=file, sample_rate_hz=self.sample_rate_hz, samples_per_tick=self.samples_per_tick,
             minimum_voltage_v=self.minimum_voltage_v, maximum_voltage_v=self.maximum_voltage_v,
             rest_voltage_v=self.rest_voltage_v, ramp_rate_v_per_s=self.ramp_rate_v_per_s,
-            exchange_timeout_s=self.exchange_timeout_s)
+            exchange_timeout_s=self.exchange_timeout_s,
+            own=lambda axis: {name: getattr(self.of_axes([axis])[0], name) for name in (
+                "minimum_voltage_v", "maximum_voltage_v", "rest_voltage_v", "ramp_rate_v_per_s")})
 
     def create_supervisor(self, backend: StageBackend, latch: StopLatch) -> StageSupervisor:
         """Return the supervisor of a backend.
@@ -149,10 +204,17 @@ class StageSettings:
 
     def description(self, backend: StageBackend) -> StageDescription:
         """Return what other nodes are told of the stage over a backend."""
+        names = getattr(backend, "axes", ())
+        settings = self.of_axes(names)
+        described = {name: getattr(self, name) for name in DESCRIBED} | {
+            name: narrowest(getattr(own, name) for own in settings)
+            for name, narrowest in NARROWEST.items()}
+        fields = StageAxis.get_fields_and_field_types().keys() - {"name"}
         return StageDescription(
             backend=getattr(backend, "name", type(backend).__name__),
-            lead_ticks=self._lead_ticks(backend),
-            **{name: getattr(self, name) for name in DESCRIBED})
+            lead_ticks=self._lead_ticks(backend), **described,
+            axes=[StageAxis(name=axis, **{name: getattr(own, name) for name in fields})
+                  for axis, own in zip(names, settings, strict=False)])
 
     def _lead_ticks(self, backend: StageBackend) -> int:
         return getattr(backend, "lead_samples", 0) // self.samples_per_tick
@@ -165,16 +227,19 @@ class StageSettings:
         LimitError
             If the limits contradict each other.
         """
+        axes: tuple[str, ...] = getattr(backend, "axes", ())
+        one, *_ = settings = self.of_axes(axes)
+        by_axis = dict(zip(axes, settings, strict=False))
         return StageEngine(
             backend,
-            VoltageLimits(self.minimum_voltage_v, self.maximum_voltage_v, self.slew_limit_v_per_s),
-            self.rest_voltage_v, self.ramp_rate_v_per_s, self.samples_per_tick,
-            self.max_missed_feedback,
+            AxesLimits({axis: own.limits for axis, own in by_axis.items()}) if axes
+            else one.limits,
+            self.rest_v(axes),
+            np.array([own.ramp_rate_v_per_s for own in settings]) if axes
+            else one.ramp_rate_v_per_s,
+            self.samples_per_tick, self.max_missed_feedback,
             LONGEST_STRETCH_SAMPLES if self.lockstep else self.samples_per_tick,
-            sensor_guards=(
-                SensorRange(self.minimum_displacement_um, self.maximum_displacement_um),
-                SensorResponse(self.stuck_voltage_v, self.stuck_displacement_um),
-                SensorNoise(self.max_sensor_noise_um)),
+            sensor_guards={axis: own.guards for axis, own in by_axis.items()} or one.guards,
             feedback_guard=FeedbackOscillation(self.max_feedback_oscillation_v),
             latch=latch,
             feedback_limits=FeedbackLimits(

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Every guard of a stage, examined together."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from piezo_stage_driver.safety.guards import FeedbackOscillation, SensorGuard, Stretch
+from piezo_stage_driver.safety.sample_kernels import columns
+
+SensorGuards = Sequence[SensorGuard] | Mapping[str, Sequence[SensorGuard]]
 
 
 class GuardSet:
@@ -13,20 +16,24 @@ class GuardSet:
 
     Parameters
     ----------
-    sensor_guards : sequence of SensorGuard
-        Examine every stretch of samples.
+    sensor_guards : sequence of SensorGuard, or dict of str to such sequences
+        Examine every stretch of samples; where the stage has several axes, those of each by its
+        name, in the order of the columns.
     feedback_guard : FeedbackOscillation, optional
         Examines every answer before it acts.
     """
 
-    def __init__(self, sensor_guards: Sequence[SensorGuard] = (),
+    def __init__(self, sensor_guards: SensorGuards = (),
                  feedback_guard: FeedbackOscillation | None = None):
-        self._sensor_guards, self._feedback_guard = sensor_guards, feedback_guard
+        self._by_axis = (sensor_guards if isinstance(sensor_guards, Mapping)
+                         else {"": sensor_guards})
+        self._feedback_guard = feedback_guard
 
     def begin(self) -> None:
         """Forget what was examined so far; called when a program begins."""
-        for guard in self._sensor_guards:
-            guard.begin()
+        for guards in self._by_axis.values():
+            for guard in guards:
+                guard.begin()
         if self._feedback_guard is not None:
             self._feedback_guard.begin()
 
@@ -36,8 +43,17 @@ class GuardSet:
 
     def examine_samples(self, voltage_v: np.ndarray, displacement_um: np.ndarray,
                         samples_per_tick: int) -> str:
-        """Say what is wrong with samples of whole ticks, shape (n,); empty if nothing is."""
-        stretch = Stretch.of(voltage_v, displacement_um, samples_per_tick)
-        # Each guard sees every stretch, whatever another one finds.
-        causes = [guard.examine(stretch) for guard in self._sensor_guards]
+        """Say what is wrong with samples of whole ticks; empty if nothing is.
+
+        Parameters
+        ----------
+        voltage_v, displacement_um : ndarray, shape (n,) or (n, axes)
+        """
+        causes = []
+        for (axis, guards), of_axis_v, of_axis_um in zip(
+                self._by_axis.items(), columns(voltage_v), columns(displacement_um), strict=True):
+            stretch = Stretch.of(of_axis_v, of_axis_um, samples_per_tick)
+            # Each guard sees every stretch, whatever another one finds.
+            causes += [f"{axis}: {cause}" if cause and axis else cause
+                       for cause in [guard.examine(stretch) for guard in guards]]
         return next(filter(None, causes), "")

@@ -2,7 +2,12 @@
 """What voltage may reach the amplifier."""
 
 import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import reduce
+from operator import or_
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -10,15 +15,34 @@ import numpy.typing as npt
 from piezo_stage_driver.safety.sample_kernels import (
     FLAG_RANGE_LIMITED,
     FLAG_SLEW_LIMITED,
+    columns,
     hold_within,
 )
 
-__all__ = ["FLAG_RANGE_LIMITED", "FLAG_SLEW_LIMITED", "FeedbackLimits", "LimitError",
-           "VoltageLimits"]
+__all__ = ["FLAG_RANGE_LIMITED", "FLAG_SLEW_LIMITED", "AxesLimits", "FeedbackLimits",
+           "LimitError", "Limits", "VoltageLimits"]
 
 
 class LimitError(ValueError):
     """A voltage that the stage must not play."""
+
+
+class Limits(Protocol):
+    """What the stage enforces under every client: `VoltageLimits`, or `AxesLimits`."""
+
+    @property
+    def slew_v_per_s(self) -> Any:
+        """Return the slew limit, of each axis where there are several (V/s)."""
+
+    def check_rest(self, rest_voltage_v: Any) -> None:
+        """Refuse a rest voltage outside the range, by a `LimitError`."""
+
+    def check(self, voltage_v: np.ndarray, sample_period_s: float, previous_v: Any = None) -> None:
+        """Refuse voltages that leave the range or jump, by a `LimitError`."""
+
+    def apply(self, voltage_v: np.ndarray, previous_v: Any,
+              sample_period_s: float) -> tuple[np.ndarray, int]:
+        """Return voltages held within the limits, and the flags where these took effect."""
 
 
 @dataclass(frozen=True)
@@ -125,6 +149,60 @@ class VoltageLimits:
         """
         return hold_within(np.asarray(voltage_v, dtype=float), previous_v, self.minimum_v,
                            self.maximum_v, self.slew_v_per_s * sample_period_s * (1 + 1e-9))
+
+
+class AxesLimits:
+    """The limits of several axes: each is held within its own, and named where it leaves them.
+
+    The methods are those of `VoltageLimits`, for voltages of all axes in the order of the names,
+    shape (n, axes), or (axes,) where those take one voltage.
+
+    Parameters
+    ----------
+    by_axis : dict of str to VoltageLimits
+    """
+
+    def __init__(self, by_axis: Mapping[str, VoltageLimits]) -> None:
+        self._by_axis = dict(by_axis)
+
+    @property
+    def slew_v_per_s(self) -> np.ndarray:
+        """Return the slew limit of each axis, shape (axes,)."""
+        return np.array([limits.slew_v_per_s for limits in self._by_axis.values()])
+
+    def check_rest(self, rest_voltage_v: np.ndarray) -> None:
+        """Refuse a rest voltage outside the range, by a `LimitError`."""
+        for (axis, limits), rest_v in zip(self._by_axis.items(), rest_voltage_v, strict=True):
+            with _named(axis):
+                limits.check_rest(rest_v)
+
+    def check(self, voltage_v: np.ndarray, sample_period_s: float,
+              previous_v: np.ndarray | None = None) -> None:
+        """Refuse voltages that leave the range or jump, by a `LimitError`."""
+        if voltage_v.shape[1:] != (len(self._by_axis),):
+            raise LimitError(f"the voltages have the shape {voltage_v.shape}: give a column for "
+                             f"{' and '.join(self._by_axis)}")
+        for at, (axis, limits) in enumerate(self._by_axis.items()):
+            with _named(axis):
+                limits.check(voltage_v[:, at], sample_period_s,
+                             None if previous_v is None else previous_v[at])
+
+    def apply(self, voltage_v: np.ndarray, previous_v: np.ndarray,
+              sample_period_s: float) -> tuple[np.ndarray, int]:
+        """Hold voltages within the limits; the flags are those of any axis."""
+        limited_v, flags = zip(*(
+            limits.apply(of_axis_v, last_v, sample_period_s) for limits, of_axis_v, last_v in zip(
+                self._by_axis.values(), columns(voltage_v), previous_v, strict=True)), strict=True)
+        return np.column_stack(limited_v), reduce(or_, flags)
+
+
+@contextmanager
+def _named(axis: str) -> Iterator[None]:
+    """Put the name of an axis in front of what is refused."""
+    try:
+        yield
+    except LimitError as refused:
+        raise LimitError(f"{axis}: {refused}") from None
 
 
 @dataclass(frozen=True)

@@ -82,6 +82,11 @@ def fourth_difference(values: FloatArray) -> float:
     return total / (values.size - 4)
 
 
+def columns(samples: FloatArray) -> list[FloatArray]:
+    """Return the samples of each axis, shape (n,), contiguous: as the kernels are compiled for."""
+    return [samples] if samples.ndim == 1 else list(np.ascontiguousarray(samples.T))
+
+
 def compile_kernels() -> None:
     """Compile what is not compiled yet, so that no tick has to wait for it."""
     values = np.zeros(5)

@@ -26,6 +26,7 @@ class BackendSession:
     def __init__(self, backend: StageBackend, clock: Callable[[], float]):
         self._backend, self._clock = backend, clock
         self.sample_rate_hz = backend.sample_rate_hz
+        self.axes = getattr(backend, "axes", ())
         self.lead_samples = getattr(backend, "lead_samples", 0)
         self.longest_program_samples = getattr(backend, "longest_program_samples", None)
         self._lock = threading.Lock()
@@ -70,7 +71,7 @@ class BackendSession:
         fault: BackendFault | None = None
         displacement_um = np.empty(0)
         try:
-            displacement_um = self._checked(self._backend.exchange(voltage_v), len(voltage_v))
+            displacement_um = self._checked(self._backend.exchange(voltage_v), voltage_v.shape)
         except BackendFault as raised:
             fault = raised
         except Exception as error:  # whatever it is, the backend must not be driven on
@@ -108,10 +109,10 @@ class BackendSession:
             self._backend.close()
 
     @staticmethod
-    def _checked(displacement_um: object, samples: int) -> np.ndarray:
+    def _checked(displacement_um: object, shape: tuple[int, ...]) -> np.ndarray:
         displacement_um = np.asarray(displacement_um, dtype=float)
-        if displacement_um.shape != (samples,):
+        if displacement_um.shape != shape:
             raise BackendFault(
                 f"the backend returned displacements of shape {displacement_um.shape} for "
-                f"{samples} voltages", at_rest=False)
+                f"voltages of shape {shape}", at_rest=False)
         return displacement_um

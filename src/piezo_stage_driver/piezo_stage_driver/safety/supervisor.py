@@ -331,7 +331,7 @@ class StageSupervisor:
             if self.engine.at_rest:
                 self._close()
         elif self.cause:
-            if self.engine.voltage_v == self.engine.rest_voltage_v:
+            if self.engine.has_returned:
                 self._go(Event.REST_LATCHED)
         else:
             self._go(Event.REST)

@@ -93,6 +93,77 @@ def test_computer_that_is_late_by_less_than_the_lead_disturbs_nothing(card, stag
     assert np.allclose(played_v, voltage_v[:len(played_v)] / 10.0, rtol=0, atol=1e-12)
 
 
+def axes_calibration(tmp_path, **changes):
+    """Write the calibration of two axes, the second with an amplifier of half the gain."""
+    one = yaml.safe_load(EXAMPLE.read_text())
+    lead_ticks = one.pop("lead_ticks")
+    x, y = one, one | {"output_channel": "Dev1/ao1", "input_channel": "Dev1/ai1",
+                       "amplifier_gain": 5.0, "sensor_um_per_v": 20.0} | changes
+    path = tmp_path / "axes.yaml"
+    path.write_text(yaml.safe_dump({"axes": {"x": x, "y": y}, "lead_ticks": lead_ticks}))
+    return path
+
+
+def of_y(axis):
+    return {"minimum_voltage_v": -10.0, "maximum_voltage_v": 50.0, "rest_voltage_v": 5.0,
+            "ramp_rate_v_per_s": 500.0} if axis == "y" else {}
+
+
+@pytest.fixture
+def two_axes(tmp_path):
+    card = Card(channels=2)
+    stage = NidaqmxStage(
+        load_calibration(axes_calibration(tmp_path)), settings(own=of_y), card.driver())
+    stage.open()
+    return card, stage
+
+
+def test_axes_of_one_card_are_exchanged_together_and_scaled_each_by_its_own(two_axes):
+    card, stage = two_axes
+    assert stage.axes == ("x", "y")
+    voltage_v = np.column_stack([np.linspace(0.0, 90.0, 4000), np.linspace(5.0, 45.0, 4000)])
+    for at in range(0, 4000, 40):
+        stage.exchange(voltage_v[at:at + 40])
+    lead = LEAD_TICKS * 40
+    assert np.allclose(card.played_v[:lead], [0.0, 1.0])  # at rest: 0 V, and 5 V by a gain of 5
+    played_v = np.array(card.played_v[lead:])
+    assert np.allclose(played_v, voltage_v[:len(played_v)] / [10.0, 5.0], rtol=0, atol=1e-12)
+    # The stand-in shows the voltage of the card one sample later.
+    measured_um = stage.exchange(voltage_v[-40:])
+    assert measured_um.shape == (40, 2)
+    assert np.allclose(measured_um, np.array(card.played_v[-41:-1]) * [10.0, 20.0])
+
+
+def test_card_that_runs_out_ramps_all_axes_to_their_rest_each_at_its_rate(two_axes):
+    card, stage = two_axes
+    for _ in range(2 * LEAD_TICKS):
+        stage.exchange(np.tile([50.0, 30.0], (40, 1)))
+    card.be_late(LEAD_TICKS * 40 + 1)
+    with pytest.raises(BackendFault, match="the output ran out of samples"):
+        stage.exchange(np.tile([50.0, 30.0], (40, 1)))
+    ramp_v = np.array(card.single_v) * [10.0, 5.0]
+    assert np.allclose(ramp_v[[0, -1]], [[50.0, 30.0], [0.0, 5.0]])
+    steps_v = np.abs(np.diff(ramp_v, axis=0)).max(axis=0)
+    assert np.all(steps_v <= np.array([2.0, 0.5]) + 1e-9) and card.open_tasks == 0
+
+
+def test_voltages_of_one_axis_beyond_the_card_are_refused_with_its_name(tmp_path):
+    with pytest.raises(ValueError, match="y: the card reaches -10 to 50 V at the stage"):
+        NidaqmxStage(load_calibration(axes_calibration(tmp_path)), settings(), Card(
+            channels=2).driver())
+
+
+@pytest.mark.parametrize(("changes", "sentence"), [
+    ({"input_channel": "Dev2/ai1", "output_channel": "Dev2/ao1"},
+     r"axes\.y\.input_channel is on Dev2, another axis on Dev1; use channels of one card"),
+    ({"output_channel": "Dev1/ao0"}, "axes name one output_channel twice; give each its own"),
+    ({"amplifier_gain": 0.0}, r"axes\.y\.amplifier_gain is 0; measure it"),
+])
+def test_impossible_calibration_of_axes_is_refused_in_one_sentence(tmp_path, changes, sentence):
+    with pytest.raises(CalibrationError, match=sentence):
+        load_calibration(axes_calibration(tmp_path, **changes))
+
+
 @pytest.mark.parametrize(("late_samples", "sentence"), [
     (LEAD_TICKS * 40 + 1, r"the output ran out of samples: .* \(NI-DAQmx -200290\)"),
     (40_001, r"the output ran out of samples"),
@@ -225,6 +296,8 @@ def test_stand_in_has_the_signatures_of_the_package():
     driver = load_driver()
     for ours, theirs in ((Reader.read_many_sample, driver.Reader.read_many_sample),
                          (Writer.write_many_sample, driver.Writer.write_many_sample),
+                         (Reader.read_many_sample, driver.AxesReader.read_many_sample),
+                         (Writer.write_many_sample, driver.AxesWriter.write_many_sample),
                          (Task.write, driver.Task.write)):
         assert inspect.signature(ours).parameters.keys() <= (
             inspect.signature(theirs).parameters.keys())

@@ -14,14 +14,18 @@ import numpy as np
 from piezo_stage_driver.engine.stage_engine import StageEngine
 from piezo_stage_driver.safety import sample_kernels as kernels
 from piezo_stage_driver.safety.guards import SensorNoise, SensorRange, SensorResponse
-from piezo_stage_driver.safety.limits import VoltageLimits
+from piezo_stage_driver.safety.limits import AxesLimits, VoltageLimits
 
 
 class Backend:
     sample_rate_hz = 40_000.0
 
     def exchange(self, voltage_v):
-        return np.zeros(len(voltage_v))
+        return np.zeros(voltage_v.shape)
+
+
+class Axes(Backend):
+    axes = "x", "y"
 
 
 def compiled():
@@ -31,9 +35,11 @@ def compiled():
 
 kernels.compile_kernels()
 before = compiled()
-engine = StageEngine(Backend(), VoltageLimits(0.0, 100.0, 1e6), sensor_guards=(
-    SensorRange(-1.0, 1.0), SensorResponse(), SensorNoise(1.0)))
-engine.advance()
+limits = VoltageLimits(0.0, 100.0, 1e6)
+guards = (SensorRange(-1.0, 1.0), SensorResponse(), SensorNoise(1.0))
+StageEngine(Backend(), limits, sensor_guards=guards).advance()
+StageEngine(Axes(), AxesLimits({"x": limits, "y": limits}), np.zeros(2), np.full(2, 2000.0),
+            sensor_guards={"x": guards, "y": guards}).advance()
 print(before, compiled())
 """
 

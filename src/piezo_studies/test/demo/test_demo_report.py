@@ -137,14 +137,6 @@ def test_the_report_refers_to_nothing_outside_itself(report, page_parts):
     assert "@import" not in report
 
 
-def test_curves_of_the_report_can_be_looked_at_more_closely(report):
-    pytest.importorskip("bokeh")
-    shown = [attributes["alt"] for tag, attributes in Page(report).tags if tag == "img"]
-    items = re.findall(r'<div></div><script type="application/gzip">(.*?)</script>', report)
-    assert len(items) == len(shown) - 1  # of all but the density
-    assert report.count("<summary>look closer") == len(items)
-
-
 def test_the_second_part_tells_both_before_and_after(report):
     rows = re.findall(r"<tr>(.*?)</tr>", report, re.S)
     cells = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in rows]

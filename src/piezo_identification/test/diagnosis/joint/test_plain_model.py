@@ -95,6 +95,7 @@ def test_there_is_none_where_the_given_model_leaves_far_less():
     assert plain_model(model_with_loops(), [recording(1)], NOISE_UM) is None
 
 
+@pytest.mark.long
 def test_a_spring_that_loops_stand_for_is_named_and_predicts_larger_motion():
     given = model_with_loops()
     diagnosis = diagnose(given, [recording(1)])

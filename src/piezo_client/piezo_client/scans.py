@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A path that `scan` has planned, played on the stage, and how well the axes followed it."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from piezo_client.paths import AnyPath
+from piezo_client.results import Played
+from piezo_common.arrays import FloatArray
+from piezo_common.summary_table import SummaryTable
+from piezo_recorder.reading.axes import read_axes
+from piezo_recorder.reading.waveform_file import read_waveform
+
+PERIOD_FILE, BEGIN_FILE = "path.csv", "begin.csv"
+"""What `scan` writes: one period to be repeated, and the way from the operating point into it."""
+
+
+@dataclass(frozen=True, eq=False)
+class StoredScan:
+    """The voltages of a planned path, and the positions that it asks for.
+
+    Attributes
+    ----------
+    axes : tuple of str
+    sample_period_s : float
+    begin_voltage_v : (B, n) array
+    voltage_v, position_um : (N, n) array
+        Of one period.
+    """
+
+    axes: tuple[str, ...]
+    sample_period_s: float
+    begin_voltage_v: FloatArray
+    voltage_v: FloatArray
+    position_um: FloatArray
+
+    def repeated_v(self, periods: int) -> FloatArray:
+        """Return the voltages to play, the way into the path and some periods of it, (T, n)."""
+        return np.concatenate([self.begin_voltage_v, *[self.voltage_v] * periods])
+
+
+def read_scan(directory: AnyPath) -> StoredScan:
+    """Read the voltages that `scan` wrote into a folder.
+
+    Raises
+    ------
+    ValueError
+        If a file is missing, or the two do not belong together.
+    """
+    folder = Path(directory)
+    period, = read_axes(folder / PERIOD_FILE)
+    begin = read_waveform(folder / BEGIN_FILE)
+    if begin.axes != period.axes:
+        raise ValueError(f"{folder}: {BEGIN_FILE} and {PERIOD_FILE} have not the same axes: "
+                         "plan the scan again")
+    return StoredScan(period.axes, begin.sample_period_s, begin.voltage_v, period.voltage_v,
+                      period.displacement_um)
+
+
+@dataclass(frozen=True)
+class Scanned(Played):
+    """A path that was played.
+
+    Attributes
+    ----------
+    path : Path
+        Of the recording.
+    scan : StoredScan
+    displacement_um : (N, n) array
+        Measured in the last period.
+    """
+
+    scan: StoredScan
+    displacement_um: FloatArray
+
+    @property
+    def offset_um(self) -> FloatArray:
+        """Return the mean of the displacement less that of the path, (n,)."""
+        offset_um: FloatArray = (self.displacement_um - self.scan.position_um).mean(axis=0)
+        return offset_um
+
+    @property
+    def error_um(self) -> FloatArray:
+        """Return the displacement less the path, without the offset, (N, n)."""
+        return self.displacement_um - self.scan.position_um - self.offset_um
+
+    @property
+    def error_percent(self) -> FloatArray:
+        """Return the RMS error (2.32) without the offset, over the travel of the axis, (n,).
+
+        Of an axis that rests it is that over the largest travel.
+        """
+        travel_um = np.ptp(self.scan.position_um, axis=0)
+        travel_um = np.where(travel_um > 0.0, travel_um, travel_um.max())
+        percent: FloatArray = 100.0 * np.std(self.error_um, axis=0) / travel_um
+        return percent
+
+    def summary(self) -> SummaryTable:
+        """Return the error of each axis as a table."""
+        return SummaryTable(
+            f"Last period of {self.path}",
+            ("", "travel, um", "error, %", "largest error, um", "offset, um"),
+            [(axis, *map(float, numbers)) for axis, *numbers in zip(
+                self.scan.axes, np.ptp(self.scan.position_um, axis=0), self.error_percent,
+                np.abs(self.error_um).max(axis=0), self.offset_um, strict=True)],
+            ("error: RMS by the sensor over the travel (2.32), offset removed",))
+
+
+def scanned(scan: StoredScan, played: Played, periods: int) -> Scanned:
+    """Return how the last of the periods was followed.
+
+    Raises
+    ------
+    ValueError
+        If the recording does not hold the whole scan.
+    """
+    recording = played.recording()
+    displacement_um = recording.displacement_um[recording.playing]
+    end = len(scan.begin_voltage_v) + periods * len(scan.voltage_v)
+    if recording.gaps or len(displacement_um) < end:
+        raise ValueError(f"{played.path} does not hold the whole scan: play it again")
+    return Scanned(played.path, scan, displacement_um[end - len(scan.voltage_v):end])

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A planned path is read as it was written, and its last period is compared with what was asked."""
+
+import dataclasses
+from contextlib import nullcontext
+from pathlib import Path
+from unittest.mock import MagicMock
+
+import numpy as np
+import pytest
+
+from piezo_client import stage_command, stage_work
+from piezo_client.results import Played
+from piezo_client.scans import BEGIN_FILE, PERIOD_FILE, Scanned, read_scan, scanned
+from piezo_recorder.reading.recording import Recording
+from piezo_recorder.sample_block import Flag
+
+SAMPLES, BEGIN, PERIOD_S = 80, 30, 1e-4
+PHASE = 2.0 * np.pi * np.arange(SAMPLES) / SAMPLES
+VOLTAGE_V = np.column_stack([50.0 + 10.0 * np.cos(PHASE), 40.0 + 5.0 * np.sin(PHASE)])
+POSITION_UM = 0.2 * VOLTAGE_V
+
+
+def write(path, columns):
+    np.savetxt(path, np.column_stack(list(columns.values())), "%.9g", ",",
+               header=",".join(columns), comments="")
+
+
+@pytest.fixture
+def folder(tmp_path):
+    write(tmp_path / PERIOD_FILE, {
+        "time_s": PERIOD_S * np.arange(SAMPLES), "x_voltage_v": VOLTAGE_V[:, 0],
+        "y_voltage_v": VOLTAGE_V[:, 1], "x_displacement_um": POSITION_UM[:, 0],
+        "y_displacement_um": POSITION_UM[:, 1], "pixel": np.zeros(SAMPLES)})
+    begin_v = 50.0 + (VOLTAGE_V[0] - 50.0) * np.linspace(0.0, 1.0, BEGIN)[:, None]
+    write(tmp_path / BEGIN_FILE, {"time_s": PERIOD_S * np.arange(BEGIN),
+                                  "x_voltage_v": begin_v[:, 0], "y_voltage_v": begin_v[:, 1]})
+    return tmp_path
+
+
+def recorded(scan, periods, error_um, ramp=7):
+    """Return a recording of a scan that is followed with an error, between two ramps."""
+    played_um = np.concatenate([np.zeros((BEGIN, 2)), *[scan.position_um] * (periods - 1),
+                                scan.position_um + error_um])
+    displacement_um = np.pad(played_um, ((ramp, ramp), (0, 0)))
+    flags = np.full(len(displacement_um), Flag.RAMPING, dtype=np.uint32)
+    flags[ramp:-ramp] = Flag.PLAYING
+    count = len(flags)
+    return Recording("run", 10_000.0, np.arange(count), np.full(count, PERIOD_S),
+                     np.zeros((count, 2)), displacement_um, flags, axes=("x", "y"))
+
+
+@dataclasses.dataclass(frozen=True)
+class Kept(Played):
+    """A run whose recording need not be read."""
+
+    kept: Recording
+
+    def recording(self):
+        return self.kept
+
+
+def test_planned_path_is_read_as_it_was_written(folder):
+    scan = read_scan(folder)
+    assert scan.axes == ("x", "y") and scan.sample_period_s == PERIOD_S
+    assert np.allclose(scan.voltage_v, VOLTAGE_V, rtol=1e-8)
+    assert np.allclose(scan.position_um, POSITION_UM, rtol=1e-8)
+    assert np.array_equal(scan.repeated_v(3)[BEGIN + SAMPLES:BEGIN + 2 * SAMPLES], scan.voltage_v)
+    assert len(scan.repeated_v(3)) == BEGIN + 3 * SAMPLES
+
+
+def test_error_is_that_of_the_last_period_without_its_offset(folder):
+    scan = read_scan(folder)
+    error_um = np.column_stack([0.3 + 0.04 * np.sqrt(2.0) * np.sin(3.0 * PHASE),
+                                np.full(SAMPLES, -0.1)])
+    run = scanned(scan, Kept(Path("run"), recorded(scan, 2, error_um)), 2)
+    assert run.offset_um == pytest.approx([0.3, -0.1])
+    assert run.error_percent == pytest.approx([1.0, 0.0], abs=1e-6)  # 0.04 um of 4 um
+    table = str(run.summary())
+    assert "x" in table and "offset removed" in table
+
+
+def test_command_prints_the_error_of_each_axis_and_what_may_follow(folder, monkeypatch, capsys):
+    scan = read_scan(folder)
+    run = scanned(scan, Kept(Path("run"), recorded(scan, 2, 0.0)), 2)
+    stage = MagicMock(scan=lambda *given: run if given == (folder, 2, Path("runs")) else None)
+    monkeypatch.setattr(stage_work.signal, "signal", lambda *_: None)
+    monkeypatch.setattr(stage_work, "Stage", lambda *_: nullcontext(stage))
+    assert stage_command.main(["scan", str(folder), "--output", "runs"]) == 0
+    told = capsys.readouterr().out
+    assert str(run.summary()) in told and "recorded run" in told
+    assert "next: ./run piezo_identification simulate --model <MODEL> --data run" in told
+
+
+def test_axis_that_rests_is_compared_with_the_largest_travel(folder):
+    scan = dataclasses.replace(read_scan(folder), position_um=POSITION_UM * [1.0, 0.0])
+    run = Scanned(Path("run"), scan, scan.position_um + [0.0, 1.0] * np.sin(PHASE)[:, None])
+    assert run.error_percent[1] == pytest.approx(100.0 * np.sqrt(0.5) / 4.0)
+
+
+def test_recording_without_the_whole_scan_is_refused(folder):
+    scan = read_scan(folder)
+    with pytest.raises(ValueError, match="run does not hold the whole scan: play it again"):
+        scanned(scan, Kept(Path("run"), recorded(scan, 2, 0.0)), 3)
+
+
+def test_files_of_two_scans_are_refused(folder):
+    write(folder / BEGIN_FILE, {"time_s": [0.0, PERIOD_S], "x_voltage_v": [0.0, 0.0],
+                                "z_voltage_v": [0.0, 0.0]})
+    with pytest.raises(ValueError, match=r"begin\.csv and path\.csv have not the same axes"):
+        read_scan(folder)

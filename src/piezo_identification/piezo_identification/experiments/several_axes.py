@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The experiments of a stage of several axes: each axis alone in turn, or all of them at once."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from piezo_identification.experiments.catalogue import Experiment, fitting, named_experiment
+from piezo_identification.experiments.relay_feedback import RelayExperiment
+from piezo_identification.experiments.stage_limits import StageLimits
+
+MULTISINE_RMS = 0.03
+"""RMS of each axis' voltage over its range: of 140 V it is 4 V, with peaks of up to 20 V."""
+
+SETTLING_REPEATS, KEPT_REPEATS = 2, 2
+"""Periods of a realisation: the creep after the approach fades in the first, two tell the noise."""
+
+BLOCKS = 2
+"""Sets of as many realisations as axes: one more than determines a response tells its scatter."""
+
+SEED = 1
+"""Of the phases, so that a stage is played the same each time."""
+
+
+def axes_experiments(name: str, limits: Mapping[str, StageLimits]) -> list[Experiment]:
+    """Make the experiments of one name for a stage of several axes.
+
+    Parameters
+    ----------
+    name : str
+        ``multisine``: all axes at once, by orthogonal random phases. ``validation``: all at once, a
+        waveform that differs for each. The others of the catalogue: each axis alone in turn, while
+        the others rest.
+    limits : dict of str to StageLimits
+        What the stage allows, by axis.
+
+    Returns
+    -------
+    list of Experiment
+        With voltages (N, axes); their names begin with `name`.
+
+    Raises
+    ------
+    ValueError
+        See `named_experiment`; or the experiment acts in feedback.
+    """
+    if name == "multisine":
+        return orthogonal_multisines(limits)
+    designed = {axis: named_experiment(name, own) for axis, own in limits.items()}
+    each: dict[str, Experiment] = {}
+    for axis, experiment in designed.items():
+        if isinstance(experiment, RelayExperiment):
+            raise ValueError(f"experiment '{name}' acts in feedback, which takes a stage of one "
+                             f"axis: this one has {', '.join(limits)}")
+        each[axis] = experiment
+    if name == "validation":
+        return [_together(each, limits)]
+    return [_alone(axis, experiment, limits) for axis, experiment in each.items()]
+
+
+def orthogonal_multisines(
+    limits: Mapping[str, StageLimits], period_s: float = 0.8, highest_hz: float = 3000.0,
+) -> list[Experiment]:
+    """Design multisines that move all axes at once, at the sample clock.
+
+    Of as many realisations as axes, the spectra of the axes are orthogonal at every line: the
+    entries of the response come out as if each axis had moved alone, with the power of all
+    (Dobrowiecki and Schoukens, Automatica 43, 2007).
+
+    Parameters
+    ----------
+    period_s, highest_hz : float
+        One over the distance of the lines, and the highest excited one.
+
+    Raises
+    ------
+    ValueError
+        If a waveform leaves the range of an axis, or exceeds its slew limit.
+    """
+    axes = len(limits)
+    first = next(iter(limits.values()))
+    # Whole ticks, so that a period ends with a tick.
+    samples = round(period_s * first.sample_rate_hz / first.samples_per_tick
+                    ) * first.samples_per_tick
+    lines_hz = np.fft.rfftfreq(samples, 1.0 / first.sample_rate_hz)
+    played = (lines_hz > 0.0) & (lines_hz < min(highest_hz, 0.4 * first.sample_rate_hz))
+    rng = np.random.default_rng(SEED)
+    turned = np.exp(2j * np.pi * np.outer(np.arange(axes), np.arange(axes)) / axes)
+    middle_v, span_v = (np.array([getattr(own, name) for own in limits.values()])
+                        for name in ("middle_v", "span_v"))
+    found: list[Experiment] = []
+    for _ in range(BLOCKS):
+        phases = np.where(played[:, None], np.exp(2j * np.pi * rng.random((lines_hz.size, axes))),
+                          0.0)
+        for turns in turned:
+            waves = np.fft.irfft(phases * turns, samples, axis=0)
+            voltage_v = middle_v + MULTISINE_RMS * span_v * waves / np.std(waves, axis=0)
+            found.append(_fitting(Experiment(
+                f"multisine_{len(found) + 1}", voltage_v, 1.0 / first.sample_rate_hz,
+                SETTLING_REPEATS + KEPT_REPEATS,
+                f"all axes by lines of {1.0 / period_s:g} Hz up to {highest_hz:g} Hz",
+                SETTLING_REPEATS), limits))
+    return found
+
+
+def _alone(axis: str, experiment: Experiment, limits: Mapping[str, StageLimits]) -> Experiment:
+    """Return an experiment of one axis while the others rest."""
+    voltage_v = np.tile([own.rest_voltage_v for own in limits.values()],
+                        (len(experiment.voltage_v), 1))
+    voltage_v[:, list(limits).index(axis)] = experiment.voltage_v
+    return Experiment(f"{experiment.name}_{axis}", voltage_v, experiment.sample_period_s,
+                      experiment.repeats, f"{axis} alone: {experiment.description}")
+
+
+def _together(each: Mapping[str, Experiment], limits: Mapping[str, StageLimits]) -> Experiment:
+    """Return all axes at once, each later than the one before: none does what another does."""
+    first, last = next(iter(each.values())), len(each) - 1
+    step = len(first.voltage_v) // (2 * len(each))
+    voltage_v = np.column_stack([
+        np.pad(experiment.voltage_v, (number * step, (last - number) * step), "edge")
+        for number, experiment in enumerate(each.values())])
+    return _fitting(Experiment(
+        first.name, voltage_v, first.sample_period_s, first.repeats,
+        f"all axes, one after the other: {first.description}"), limits)
+
+
+def _fitting(experiment: Experiment, limits: Mapping[str, StageLimits]) -> Experiment:
+    """Return the experiment; refuse it, with the name of the axis, if that would not play it."""
+    fitted = []
+    for (axis, own), column in zip(limits.items(), experiment.voltage_v.T, strict=True):
+        try:
+            fitted.append(fitting(own, replace(experiment, voltage_v=column)).voltage_v)
+        except ValueError as refused:
+            raise ValueError(f"{axis}: {refused}") from None
+    return replace(experiment, voltage_v=np.column_stack(fitted))

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A stage of two axes: played, recorded, read, and stopped as a whole."""
+
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import pytest
+from piezo_interfaces.msg import SampleBlock
+from piezo_interfaces.srv import StartTracking
+from sensor_msgs.msg import JointState
+
+from piezo_client.client import GoalFailed
+from piezo_client.stage import Stage
+from piezo_recorder.reading.axes import read_axes
+from piezo_sim.simulated_stage import SimulatedStage
+
+AXES, SEED = ("x", "y"), 5
+
+
+@pytest.fixture(scope="module")
+def xy(nodes):
+    """The stage with a recorder, and a node that takes one axis."""
+    return nodes.start("recorder", "identification", namespace="/xy", axes=AXES, plant="xy",
+                       seed=SEED, **{"y.maximum_voltage_v": 80.0})
+
+
+def circle(samples=800):
+    phase = 2.0 * np.pi * np.arange(samples) / samples
+    return np.column_stack([40.0 + 30.0 * np.cos(phase), 40.0 + 30.0 * np.sin(phase)])
+
+
+def test_waveform_is_published_as_uploaded_and_answered_by_the_plant_to_the_bit(xy):
+    xy.restart()
+    result = xy.play(circle(), repeats=2)
+    samples = xy.samples(result.last_sample)
+    assert samples.gapless and all(tuple(block.axes) == AXES for block in samples.blocks)
+    assert np.array_equal(samples.since(result.first_sample, 1600), np.tile(circle(), (2, 1)))
+    assert np.array_equal(samples.flagged(SampleBlock.FLAG_PLAYING), np.tile(circle(), (2, 1)))
+    plant = SimulatedStage("xy", SEED)
+    plant.open()
+    assert np.array_equal(samples.displacement_um, plant.exchange(samples.voltage_v))
+
+
+def test_recording_holds_what_was_played_and_measured_of_both_axes(xy, tmp_path):
+    with Stage("/xy") as stage:
+        played = xy.beside(stage.play, circle(), 1e-4, directory=tmp_path)
+    recording, = read_axes(played)
+    assert recording.axes == AXES and recording.sample_period_s == 1e-4
+    assert np.allclose(recording.voltage_v, circle(), rtol=1e-13)
+    # 60 V, at 0.24 um/V of the less sensitive axis.
+    assert np.all(np.ptp(recording.displacement_um, axis=0) > 14.0)
+
+
+def test_planned_path_is_played_and_its_error_told_by_axis(xy, tmp_path):
+    table = {"time_s": 1e-4 * np.arange(800), **{
+        f"{axis}_{name}": factor * column for name, factor in (
+            ("voltage_v", 1.0), ("displacement_um", 0.28))
+        for axis, column in zip(AXES, circle().T, strict=True)}}
+    for file, rows, columns in (("path.csv", slice(None), list(table)),
+                                ("begin.csv", slice(0, 2), [*table][:3])):
+        np.savetxt(tmp_path / file, np.column_stack([table[name][rows] for name in columns]),
+                   delimiter=",", header=",".join(columns), comments="")
+    with Stage("/xy") as stage:
+        run = xy.beside(stage.scan, tmp_path, directory=tmp_path)
+    measured_um = run.recording().displacement_um
+    assert any(np.array_equal(run.displacement_um, measured_um[first:first + 800])
+               for first in range(len(measured_um) - 800))
+    assert np.all((0.1 < run.error_percent) & (run.error_percent < 15.0))
+    assert list(run.summary().rows[1][:2]) == ["y", pytest.approx(16.8)]
+
+
+def test_array_without_a_column_for_each_axis_is_refused_before_it_is_sent(xy, tmp_path):
+    with Stage("/xy") as stage, pytest.raises(ValueError, match="the axes x, y: give a column for"):
+        xy.beside(stage.play, np.zeros((10, 3)), directory=tmp_path)
+
+
+def test_limits_are_those_of_each_axis_and_described_as_such(xy):
+    with pytest.raises(GoalFailed, match=r"y: voltage sample 0 is 90 V, outside \[-20, 80\] V"):
+        xy.play(np.array([[90.0, 90.0]]))
+    with Stage("/xy") as stage:
+        described = stage.description
+    assert [(axis.name, axis.maximum_voltage_v) for axis in described.axes] == [
+        ("x", 120.0), ("y", 80.0)]
+    assert described.maximum_voltage_v == 80.0
+
+
+def test_each_axis_has_a_joint(xy):
+    states = []
+    xy.node.create_subscription(JointState, "joint_states", states.append, 10)
+    while not states:
+        xy.play(np.full((4000, 2), [40.0, 20.0]))
+        xy.spin_until(lambda: states, 0.2)
+    assert states[-1].name == ["stage_x", "stage_y"]
+    assert all(1e-6 < place < 2e-5 for place in states[-1].position)
+
+
+def test_fault_of_one_axis_brings_both_to_rest(nodes, tmp_path):
+    plant = tmp_path / "deaf.yaml"
+    text = (resources.files("piezo_sim") / "xy.yaml").read_text(encoding="utf-8")
+    before, sensor, after = text.rpartition("      - effect: displacement_sensor\n")
+    plant.write_text(before + "      - effect: silent_sensor\n" + "".join(
+        f'        {name}: {{value: {value}, unit: s, source: "of the test"}}\n'
+        for name, value in (("begin_s", 0.06), ("end_s", 100.0))) + sensor + after)
+    stage = nodes.start(namespace="/deaf", connect=False, axes=AXES, plant=str(plant))
+    with pytest.raises(GoalFailed, match="y: the sensor's reading is not a number"):
+        while True:
+            stage.play(circle(4000))
+    samples = stage.samples()
+    assert np.array_equal(samples.voltage_v[-1], [0.0, 0.0])
+    with pytest.raises(GoalFailed, match="the stage is stopped"):
+        stage.play(circle())
+
+
+def test_what_takes_one_axis_refuses_by_name(xy, tmp_path):
+    loaded = xy.load(np.zeros(40))
+    assert not loaded.success and "takes a stage of one axis, this one has the axes x, y" in (
+        loaded.message)
+    assert "start_tracking takes a stage of one axis" in xy.call(
+        StartTracking, "start_tracking").message
+    with pytest.raises(GoalFailed, match="identification takes a stage of one axis, this one has"):
+        xy.identify(tmp_path)
+
+
+def test_experiments_move_all_axes_and_are_read_as_periods_that_settled(xy, tmp_path):
+    folder = xy.run_experiment("multisine", tmp_path).recording
+    recordings = [each for path in sorted(Path(folder).iterdir()) for each in read_axes(path)]
+    assert len(recordings) == 4 and {each.periods for each in recordings} == {2}
+    first_v, second_v = np.split(recordings[0].voltage_v, 2)
+    assert len(first_v) == 32_000 and np.array_equal(first_v, second_v)
+    first_um, second_um = np.split(recordings[0].displacement_um, 2)
+    assert np.all(np.std(first_um - second_um, axis=0) < 0.05 * np.std(first_um, axis=0))
