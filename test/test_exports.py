@@ -49,11 +49,12 @@ EXAMPLES = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS | doctest.NORMALIZ
 WITHOUT_EXAMPLE = {
     "plot_residuals",  # a diagnosis of recordings takes long; docs/from_python.md has one
     "load_model", "load_axes_model", "save_axes_model",  # as those of piezo_offline
+    "repair",  # it takes a recording of a recorder that was killed
 }
 
 
 @pytest.mark.filterwarnings("ignore:implausible")
-@pytest.mark.parametrize("name", ["piezo_models", "piezo_offline"])
+@pytest.mark.parametrize("name", ["piezo_models", "piezo_offline", "piezo_recorder"])
 def test_every_exported_function_has_an_example_that_runs(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     package, names = importlib.import_module(name), {}

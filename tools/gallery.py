@@ -15,7 +15,7 @@ from piezo_offline.piezo_command import main as piezo
 ROOT = Path(__file__).parents[1]
 PICTURES = ROOT / "docs" / "pictures" / "gallery"
 WIDTH, COLOURS = 960, 64
-"""Of a picture: enough for a page, at a tenth of the bytes."""
+"""Of a picture: enough for a page of the site, at a third of the bytes."""
 
 OF_PAGES = {
     "loops": ("report.html", "Hysteresis loops"),

@@ -8,6 +8,7 @@ import pytest
 from piezo_controller.feedback.controller_file import load_stabilising_controller, save_controller
 from piezo_controller.feedback.design_choices import FEEDBACKS
 from piezo_controller.feedback.feedback_design import UnstableLoop
+from piezo_controller.feedback.onboard_law import onboard_law
 from piezo_controller.feedback.sample_rate.named_feedbacks import (
     ERRORS,
     comparison_figure,
@@ -16,7 +17,10 @@ from piezo_controller.feedback.sample_rate.named_feedbacks import (
 )
 from piezo_controller.feedback.sample_rate.perturbed_loops import PerturbedLoops
 from piezo_controller.feedback.sample_rate.repetitive import Repetitive
+from piezo_controller.feedforward.periodic import plan_feedforward
+from piezo_controller.references.reference import Reference, sample_reference
 from piezo_models.cascade import StageModel
+from piezo_models.feedback_law.law_check import check_law
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
@@ -50,13 +54,16 @@ def test_all_have_the_same_margin_and_damping_beats_pi(light, designed):
     assert gained["pi"] < 1.0 < 5.0 < gained["integral-resonant"]
 
 
-def test_a_file_keeps_a_law_that_the_model_accepts(light, designed, tmp_path):
+def test_a_file_keeps_a_law_that_the_stage_accepts(light, designed, tmp_path):
+    reference = Reference("harmonic", (100.0,), (10.0,), (), 50.0)
+    plan = plan_feedforward(sample_reference(reference), light, duration_s=0.1)
     for controller in designed.values():
         save_controller(tmp_path / "controller.json", controller)
         loaded = load_stabilising_controller(
             tmp_path / "controller.json", light, PERIOD_S, PERIOD_S)
         np.testing.assert_array_equal(loaded.A, controller.A)
         assert (loaded.delay_ticks, loaded.sample_period_s) == (0, PERIOD_S)
+        check_law(onboard_law(loaded, light, plan, PERIOD_S, 20.0, True), samples_per_tick=40)
 
 
 def test_table_and_picture_have_each_feedback(light, designed):
