@@ -6,7 +6,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 unexport PYTHONDONTWRITEBYTECODE
 in_environment := source install/setup.bash &&
 
-.PHONY: help setup demo test test-repeat mutants style quick long coverage kernels soak bench paced reproduce high-bandwidth published-reference changes recipe measured recording-kinds other-makes diagnose-suite twins calibration docs constants api clean
+.PHONY: help setup demo test test-repeat mutants style quick long coverage kernels soak bench paced reproduce high-bandwidth published-reference changes recipe measured recording-kinds other-makes diagnose-suite twins calibration constants tables gallery docs clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 18
@@ -18,7 +18,7 @@ demo: ## identify and control the simulated stage, or that of PLANT (beam); repo
 	@./run piezo_studies demo $(if $(PLANT),--plant "$(PLANT)")
 
 test: setup ## check the style, then run the unit and the integration tests
-	@$(in_environment) tools/style && tools/tests
+	@$(in_environment) tools/tests
 
 style: setup ## check code, docstrings, layers, types and spelling
 	@tools/style
@@ -94,7 +94,7 @@ twins: setup ## decide between effects that resemble each other, by one recordin
 calibration: setup ## diagnose 100 short recordings of a seed; writes their calibration to docs/diagnosis.md
 	@$(in_environment) .venv/bin/python -m piezo_studies.diagnosis_calibration --cases 100 --seed 901 --page docs/diagnosis.md
 
-docs: setup ## write the tables and the picture in docs that are made from the sources
+tables: setup ## write the tables and the picture in docs that are made from the sources
 	@$(in_environment) .venv/bin/python tools/error_table.py
 	@$(in_environment) .venv/bin/python tools/stage_table.py
 	@$(in_environment) .venv/bin/python tools/import_graph.py
@@ -104,12 +104,15 @@ docs: setup ## write the tables and the picture in docs that are made from the s
 constants: setup ## list the numbers that identification and diagnosis decide by; writes docs/constants.md
 	@$(in_environment) .venv/bin/python tools/constants_table.py
 
-api: setup ## make the API pages of the docstrings; start at build/api/index.html
-	@tools/apart api
-	@rm -rf docs/api/generated build/api  # nothing stays of modules that are gone
-	@$(in_environment) PYTHONPATH=$$(echo .venv-api/lib/python*/site-packages):$$PYTHONPATH \
-		.venv/bin/python -m sphinx --quiet --fail-on-warning --keep-going docs/api build/api
-	@echo "written: build/api/index.html"
+gallery: setup ## draw the pictures of docs/gallery.md from runs/demo, which make demo leaves
+	@$(in_environment) .venv/bin/python tools/gallery.py runs/demo
+
+docs: tables ## make the site of the pages and the API; start at build/docs/index.html
+	@tools/apart docs
+	@rm -rf docs/api/generated build/docs  # nothing stays of modules that are gone
+	@$(in_environment) PYTHONPATH=$$(echo .venv-docs/lib/python*/site-packages):$$PYTHONPATH \
+		.venv/bin/python -m sphinx --quiet --fail-on-warning --keep-going docs build/docs
+	@echo "written: build/docs/index.html"
 
 clean: ## remove the environment and everything built
 	rm -rf .venv .venv-* build docs/api/generated install log

@@ -4,6 +4,7 @@
 import base64
 import csv
 import fcntl
+import gc
 import html
 import importlib.util
 import io
@@ -27,6 +28,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from piezo_common import report_page, side_by_side
+from piezo_common.interactive_picture import interactive_item
 from piezo_ros.discovery import prepare_discovery
 
 LONG = bool(os.environ.get("LONG_TESTS"))
@@ -114,6 +116,11 @@ def pytest_collection_modifyitems(config, items):
     if left_out:
         config.hook.pytest_deselected(items=left_out)
         items[:] = [item for item in items if item not in set(left_out)]
+
+
+def pytest_collection_finish():
+    """Let the garbage collector leave alone what lasts as long as the process."""
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -305,15 +312,20 @@ def picture_faults():
 def without_pictures(monkeypatch):
     """Leave every picture empty: to draw takes longer than what many tests look at."""
     monkeypatch.setattr(Figure, "savefig", lambda figure, *given, **options: None)
-    monkeypatch.setattr(report_page, "interactive_item", lambda figure: None)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session", autouse=True)
 def static_pages():
     """Leave what Bokeh draws out of pages: it takes as long as the pictures."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(report_page, "interactive_item", lambda figure: None)
         yield
+
+
+@pytest.fixture
+def interactive_pages(monkeypatch):
+    """Let pages have what Bokeh draws."""
+    monkeypatch.setattr(report_page, "interactive_item", interactive_item)
 
 
 @pytest.fixture

@@ -10,9 +10,9 @@ import sys
 import time
 from pathlib import Path
 
-from endless_probe import write_endless_probe
 from piezo_interfaces.msg import Reference, SampleBlock
 from piezo_interfaces.srv import StopRecording
+from probes import write_endless_probe
 from rclpy.serialization import deserialize_message
 from stage_model import write_model
 from std_srvs.srv import Trigger

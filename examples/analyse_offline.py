@@ -23,6 +23,6 @@ print(read_frame(path)[["voltage_v", "displacement_um"]].describe())
 system = to_control(load_model(model_file).model)
 magnitude, _, _ = control.frequency_response(system, 2.0 * np.pi * np.array([1.0, 100.0, 1000.0]))
 print(f"gain at 1, 100 and 1000 Hz: {np.round(magnitude, 3)}")
-creep, dynamics, gain = from_control(system)
+creep, dynamics, gain, delay_s = from_control(system)
 print(f"modes at {np.round(dynamics.mode_frequencies_rad_per_s)} rad/s, "
       f"creep poles at {np.round(creep.poles_rad_per_s, 4)} rad/s")

@@ -7,6 +7,7 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from itertools import count, pairwise
+from multiprocessing import forkserver
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +32,7 @@ from piezo_ros.quality import FEEDBACK, SAMPLES
 from piezo_studies.forked_processes import ForkedProcesses
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
-from endless_probe import write_endless_probe
+from probes import write_endless_probe, write_short_probe
 
 TIMEOUT_S = 300.0
 PATIENT = {"lockstep_timeout_s": 60.0, "exchange_timeout_s": 60.0,
@@ -302,6 +303,13 @@ def patient_clients():
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def forks_that_count():
+    """Wait for the server of the forks, so that the time of a run has that of its nodes."""
+    yield
+    forkserver._forkserver._stop()
+
+
 @pytest.fixture(scope="session")
 def stage_client(domain):
     """Makes a client of a stage that a test has started by itself."""
@@ -437,11 +445,13 @@ def told():
 
 @pytest.fixture(scope="session")
 def identification(whole_suite, tmp_path_factory, told):
-    """Of the stage /left, through the whole sequence; ``make long`` chooses the orders, too."""
-    orders = {} if os.environ.get("LONG_TESTS") else {"creep_pairs": 4, "modes": 2}
+    """Of the stage /left, through the whole sequence; by ``make long`` as a user asks for it."""
+    directory, orders = tmp_path_factory.mktemp("identification"), {}
+    if not os.environ.get("LONG_TESTS"):
+        write_short_probe(directory)
+        orders = {"creep_pairs": 4, "modes": 2}
     with Stage("/left", progress=lambda *progress: told.append(progress)) as stage:
-        return whole_suite.beside(
-            stage.identify, tmp_path_factory.mktemp("identification"), **orders)
+        return whole_suite.beside(stage.identify, directory, **orders)
 
 
 @pytest.fixture(scope="session")

@@ -21,7 +21,7 @@ def test_an_effect_from_outside_is_found_and_kept_in_the_model_file(
         package_of_page, plain_model, save_csv, tmp_path):
     outside = package_of_page("adding_an_effect.md")
     save_model(tmp_path / "model.json", IdentifiedModel(plain_model, (-20.0, 120.0)))
-    voltage_v = validation(arc_s=0.03, tones_s=0.1).voltage_v
+    voltage_v = validation(arc_s=0.01, tones_s=0.1).voltage_v
     displacement_um = plain_model.simulate(voltage_v, 25e-6)
     phase = 2.0 * np.pi * displacement_um / 0.3165
     displacement_um += COSINE_UM * np.cos(phase) + SINE_UM * np.sin(phase)

@@ -90,14 +90,6 @@ def test_command_runs_an_experiment_and_says_where_its_recording_is(suite, tmp_p
     assert read_recording(tmp_path / "dynamics").gaps == []
 
 
-def test_command_says_a_refusal_in_one_line(suite, tmp_path):
-    command = start_command("experiment", "dance", "--output", tmp_path)
-    printed, told = suite.beside(command.communicate, timeout=300)
-    assert (command.returncode, printed) == (1, "")
-    assert told.count("\n") == 1
-    assert told.startswith("stage: run_experiment: ") and "dance" in told
-
-
 def test_command_that_is_interrupted_brings_the_stage_to_rest(suite, endless):
     command = start_command("experiment", "dynamics", "--output", endless)
     suite.until_any(lambda block: np.any(block.voltage_v))

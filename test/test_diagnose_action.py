@@ -30,7 +30,7 @@ def files(plain_model, save_csv, tmp_path_factory):
     paths = {"model": directory / "model.json"}
     save_model(paths["model"], IdentifiedModel(plain_model, (-20.0, 120.0)))
     for seed, name in enumerate(("data", "holdout")):
-        voltage_v = validation(arc_s=0.02, tones_s=0.2 + 0.1 * seed).voltage_v
+        voltage_v = validation(arc_s=0.01, tones_s=0.1 + 0.05 * seed).voltage_v
         displacement_um = replace(plain_model, effects=(MODE,)).simulate(voltage_v, 25e-6)
         displacement_um += NOISE_UM * np.random.default_rng(seed).normal(size=voltage_v.size)
         paths[name] = save_csv(directory / f"{name}.csv", 25e-6 * np.arange(voltage_v.size),

@@ -10,24 +10,24 @@ from action_msgs.msg import GoalStatus
 from piezo_client.client import GoalFailed
 from piezo_identification.analysis.nonlinear_distortion import distortion_of
 from piezo_identification.experiments.catalogue import EXPERIMENTS, named_experiment
+from piezo_identification.experiments.probing.probe_file import NAME, load_probe
 from piezo_identification.experiments.relay_feedback import relay_oscillation
 from piezo_recorder.reading.reader import read_recording
 
 
-def assert_recorded_as_designed(path, name):
-    """The recording holds every value of the named experiment, the truth and the parameters."""
+def assert_recorded_as_designed(path, designed):
+    """The recording holds every value of an experiment, the truth and the parameters."""
     recording = read_recording(path)
     assert recording.complete
     assert recording.gaps == []
     played = recording.select(recording.playing)
-    designed = named_experiment(name)
     assert played.sample_period_s == designed.sample_period_s
     # The last block may be filled up with the last value.
     designed_v = np.tile(designed.voltage_v, designed.repeats)
     assert np.allclose(played.voltage_v[:len(designed_v)], designed_v, rtol=1e-12, atol=1e-12)
     assert np.allclose(played.voltage_v[len(designed_v):], designed_v[-1])
     assert recording.voltage_v[-1] == 0.0
-    assert json.loads(recording.attachments["parameters.json"])["experiment"] == name
+    assert json.loads(recording.attachments["parameters.json"])["experiment"] == designed.name
 
     truth = read_recording(path, topic="ground_truth")
     fast = recording.sample_periods_s == recording.sample_periods_s.min()
@@ -41,7 +41,9 @@ def assert_recorded_as_designed(path, name):
 @pytest.mark.parametrize("name", EXPERIMENTS)
 def test_experiments_of_the_identification_are_recorded_as_designed(identification, name):
     path, = (path for path in identification.recordings if path.name == name)
-    assert_recorded_as_designed(path, name)
+    probe = path.with_name(NAME)
+    assert_recorded_as_designed(path, named_experiment(
+        name, parameters=load_probe(probe).fitted(name) if probe.exists() else {}))
 
 
 @pytest.mark.parametrize("name", [
@@ -52,7 +54,7 @@ def test_experiment_alone_is_recorded_as_designed_and_tells_how_far_it_is(suite,
     result = suite.run_experiment(name, tmp_path, on_feedback=told.append)
     assert result.recording == str(tmp_path / name)
     assert result.summary
-    assert_recorded_as_designed(result.recording, name)
+    assert_recorded_as_designed(result.recording, named_experiment(name))
     assert all(feedback.stage.startswith(f"{name}: ") for feedback in told)
     fractions = [feedback.fraction for feedback in told]
     assert fractions == sorted(fractions)
@@ -97,9 +99,8 @@ def test_place_where_nothing_can_be_recorded_is_refused_and_nothing_moves(suite,
 
 def test_second_goal_is_refused_while_one_runs_and_the_first_goes_on(suite, endless):
     goal = suite.begin("run_experiment", experiment="dynamics", directory=str(endless))
-    for name, fields in [("run_experiment", {"experiment": "creep"}), ("identify", {})]:
-        with pytest.raises(GoalFailed, match="rejected the goal: it is busy"):
-            suite.goal(name, directory=str(endless), **fields)
+    with pytest.raises(GoalFailed, match="rejected the goal: it is busy"):
+        suite.goal("identify", directory=str(endless))
     with pytest.raises(GoalFailed, match="the stage is busy"):
         suite.play([1.0])
     seen = len(suite.blocks)

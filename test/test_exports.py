@@ -2,7 +2,9 @@
 """The names that the packages export are there, and cost nothing until they are used."""
 
 import ast
+import doctest
 import importlib
+import inspect
 import subprocess
 import sys
 from pathlib import Path
@@ -41,3 +43,31 @@ def test_importing_a_package_loads_no_library_and_says_that_it_is_typed(name):
                           check=True)
     assert done.stdout.split() == []
     assert Path(importlib.import_module(name).__file__).with_name("py.typed").is_file()
+
+
+EXAMPLES = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
+WITHOUT_EXAMPLE = {
+    "plot_residuals",  # a diagnosis of recordings takes long; docs/from_python.md has one
+    "load_model", "load_axes_model", "save_axes_model",  # as those of piezo_offline
+    "repair",  # it takes a recording of a recorder that was killed
+}
+
+
+@pytest.mark.filterwarnings("ignore:implausible")
+@pytest.mark.parametrize("name", ["piezo_models", "piezo_offline", "piezo_recorder"])
+def test_every_exported_function_has_an_example_that_runs(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    package, names = importlib.import_module(name), {}
+    functions = [getattr(package, exported) for exported in package.__all__]
+    # In the order of a module, as those of steps go on from each other.
+    functions = sorted((each for each in functions if inspect.isfunction(each)),
+                       key=lambda each: (each.__module__, each.__code__.co_firstlineno))
+    without = set()
+    for function in functions:
+        (test,) = doctest.DocTestFinder(recurse=False).find(function, function.__name__)
+        if not test.examples:
+            without.add(function.__name__)
+        names |= vars(sys.modules[function.__module__])
+        test.globs = names
+        assert EXAMPLES.run(test, clear_globs=False).failed == 0
+    assert without <= WITHOUT_EXAMPLE

@@ -16,7 +16,7 @@ def tool():
 
 def test_tables_are_up_to_date(tool):
     text = (ROOT / "docs" / "files.md").read_text(encoding="utf-8")
-    assert tool["page"](text) == text, "run make docs"
+    assert tool["page"](text) == text, "run make tables"
 
 
 def test_table_tells_type_unit_range_and_meaning(tool):

@@ -46,3 +46,26 @@ def test_workflow_tests_every_python_that_is_asked_for():
     for template in ROOT.glob(".github/ISSUE_TEMPLATE/*.md"):
         _, head, body = template.read_text().split("---\n", 2)
         assert {"name", "about"} <= yaml.safe_load(head).keys() and body.strip()
+
+
+def test_paper_cites_what_its_bibliography_holds():
+    paper, bibliography = ((ROOT / "paper" / f"paper.{kind}").read_text() for kind in ("md", "bib"))
+    _, head, text = paper.split("---\n", 2)
+    assert yaml.safe_load(head)["bibliography"] == "paper.bib"
+    cited = set(re.findall(r"@([\w-]+)", text))
+    assert cited == set(re.findall(r"^@\w+\{([\w-]+),$", bibliography, re.M))
+    assert len(text.split()) <= 1000  # which the journal asks for
+
+
+def test_site_is_built_as_it_is_here_by_workflow_and_host():
+    assert "make docs" in str(read(".github/workflows/tests.yml")["jobs"]["site"]["steps"])
+    assert any("make docs" in each for each in read(".readthedocs.yaml")["build"]["commands"])
+
+
+def test_gallery_shows_every_picture_that_its_tool_draws():
+    drawn = re.findall(r'^    "(\w+)": \(|^    write\("(\w+)"',
+                       (ROOT / "tools" / "gallery.py").read_text(), re.M)
+    shown = re.findall(r"\(pictures/gallery/(\w+)\.png\)",
+                       (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8"))
+    assert sorted(first or second for first, second in drawn) == sorted(shown)
+    assert all((ROOT / "docs" / "pictures" / "gallery" / f"{name}.png").exists() for name in shown)

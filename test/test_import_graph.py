@@ -24,7 +24,7 @@ def imports():
 
 def test_list_of_the_picture_is_that_of_the_sources(imports, monkeypatch):
     monkeypatch.setattr(graph, "imports_between_rooms", lambda source: imports)
-    assert graph.main(["--check"]) == 0, "run make docs"
+    assert graph.main(["--check"]) == 0, "run make tables"
     lines = graph.LIST.read_text(encoding="utf-8").splitlines()
     listed, room = set(), ""
     for line in lines[2:]:

@@ -193,7 +193,6 @@ def paced(nodes):
 
 def test_run_whose_answers_came_late_fails_and_says_how_many(paced, fields):
     stage = paced
-    fields["duration_s"] = 4.0
     goal = stage.send_goal("track", **fields)
     stage.until_flagged(SampleBlock.FLAG_TRACKING)
     controller = stage.processes.process("controller")

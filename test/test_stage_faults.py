@@ -190,17 +190,17 @@ def test_emergency_stop_acts_in_the_very_next_tick(suite):
 
 
 @pytest.fixture(scope="module")
-def left_alone(nodes):  # the last tests here: a paced stage takes its time from all that follow
-    stage = nodes.start("recorder", "identification", namespace="/left_alone", timing="paced")
+def nodes_left_alone(nodes):
+    stage = nodes.start("recorder", "identification", namespace="/left_alone")
     return stage, Watcher(stage)
 
 
 @pytest.fixture
-def paced(left_alone):
-    """A paced stage with all that moves it, and its diagnostics; not stopped before and after."""
-    stage, _ = left_alone
+def left_alone(nodes_left_alone):
+    """A stage with all that moves it, and its diagnostics; not stopped before and after."""
+    stage, _ = nodes_left_alone
     stage.forget()
-    yield left_alone
+    yield nodes_left_alone
     stage.until(lambda: stage.trigger("reset").success)
 
 
@@ -211,9 +211,10 @@ def start_client(stage, name, work):
         [sys.executable, "-c", CLIENT, stage.node.get_namespace(), name, work], env=environment)
 
 
-@pytest.mark.parametrize("work", ["play", "track"])
-def test_client_that_is_killed_stops_the_stage(paced, work):
-    stage, watcher = paced
+@pytest.mark.parametrize("work", [
+    "play", pytest.param("track", marks=pytest.mark.long)])
+def test_client_that_is_killed_stops_the_stage(left_alone, work):
+    stage, watcher = left_alone
     client = start_client(stage, f"mortal_{work}", work)
     stage.until(lambda: stage.blocks and stage.blocks[-1].voltage_v[-1] == 60.0)
     with pytest.raises(GoalFailed, match=rf"the stage is busy .* for /left_alone/mortal_{work}"):
@@ -230,32 +231,20 @@ def test_client_that_is_killed_stops_the_stage(paced, work):
     assert np.allclose(np.diff(ramp_v[:1200]), -0.05)
 
 
-def test_full_disk_stops_the_run_and_says_so(paced, tmp_path):
-    stage, _ = paced
+def test_full_disk_stops_the_run_and_says_so(left_alone, endless):
+    stage, _ = left_alone
     recorder = stage.processes.process("recorder").pid
     # Room for one chunk: how much is written at once depends on how busy the computer is.
-    unlimited = resource.prlimit(recorder, resource.RLIMIT_FSIZE, (600_000, -1))
+    unlimited = resource.prlimit(recorder, resource.RLIMIT_FSIZE, (1_000_000, -1))
     try:
         with pytest.raises(GoalFailed, match="was closed early: File too large") as failure:
-            stage.run_experiment("dynamics", tmp_path)
+            stage.run_experiment("dynamics", endless)
     finally:
         resource.prlimit(recorder, resource.RLIMIT_FSIZE, unlimited)
     stage.until(lambda: stage.blocks[-1].voltage_v[-1] == 0.0)
     assert "was closed early: File too large" in stage.logs()
     recording = read_recording(failure.value.result.recording)
     assert recording.gaps == []
-    assert 0 < len(recording.voltage_v) < 80_000
+    assert len(recording.voltage_v) > 0
     # With room again the next one is whole.
-    assert stage.run_experiment("dynamics", tmp_path).success
-
-
-def test_experiment_whose_node_is_killed_ends_at_rest_with_a_whole_recording(paced, tmp_path):
-    stage, watcher = paced
-    stage.begin("run_experiment", experiment="creep", directory=str(tmp_path))
-    stage.processes.process("identification").send_signal(signal.SIGKILL)
-    message, _ = watcher.stopped()
-    assert message == "the client /left_alone/identification is gone"
-    closed = tmp_path / "creep" / "creep_0.mcap"
-    stage.until(lambda: closed.read_bytes().endswith(b"\x89MCAP0\r\n"))
-    stage.until(lambda: "its client /left_alone/identification is gone" in stage.logs())
-    assert read_recording(tmp_path / "creep").voltage_v[-1] == 0.0
+    assert stage.run_experiment("dynamics", endless / "next").success

@@ -12,9 +12,9 @@ from itertools import product
 import pytest
 
 TIMEOUT_S = 300.0
-# Each recorder that was killed once kept room in what the controller sends from: the law of a
-# model of real size then found none.
-KILLED_RECORDERS = [("lockstep", "track", "recorder", signal.SIGKILL)] * 3
+# Each recorder that was killed once kept room in what the controller sends from: behind two of them
+# the law of a model of real size found none.
+KILLED_RECORDERS = [("lockstep", "track", "recorder", signal.SIGKILL)] * 2
 # The rest differ from these in what they have in common with another one; where the time comes
 # from is of no matter to who notices that somebody is gone, and lockstep waits for nothing.
 OTHERS = [

@@ -58,7 +58,7 @@ def main(arguments=None):
     if not options.check:
         PAGE.write_text(text, encoding="utf-8")
     elif PAGE.read_text(encoding="utf-8") != text:
-        print("error_table: docs/errors.md is outdated: run make docs", file=sys.stderr)
+        print("error_table: docs/errors.md is outdated: run make tables", file=sys.stderr)
         return 1
     return 0
 

@@ -54,7 +54,7 @@ def main(arguments: list[str] | None = None) -> int:
     if not options.check:
         PAGE.write_text(after, encoding="utf-8")
     elif before != after:
-        print("file_tables: docs/files.md is outdated: run make docs", file=sys.stderr)
+        print("file_tables: docs/files.md is outdated: run make tables", file=sys.stderr)
         return 1
     return 0
 

@@ -53,7 +53,7 @@ def main(arguments: list[str] | None = None) -> int:
     if options.check:
         if LIST.is_file() and LIST.read_text(encoding="utf-8") == text:
             return 0
-        print("import_graph: docs/pictures/rooms.txt is outdated: run make docs", file=sys.stderr)
+        print("import_graph: docs/pictures/rooms.txt is outdated: run make tables", file=sys.stderr)
         return 1
     LIST.write_text(text, encoding="utf-8")
     draw(imports, rooms_of(ROOT / "src"))

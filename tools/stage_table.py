@@ -38,7 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
     if not options.check:
         PAGE.write_text(text, encoding="utf-8")
     elif PAGE.read_text(encoding="utf-8") != text:
-        print("stage_table: docs/stage_states.md is outdated: run make docs", file=sys.stderr)
+        print("stage_table: docs/stage_states.md is outdated: run make tables", file=sys.stderr)
         return 1
     return 0
 

@@ -8,6 +8,7 @@ from unittest.mock import MagicMock
 import pytest
 
 from piezo_client import stage_command, stage_work
+from piezo_client.client import ServiceFailed
 
 
 def test_interrupt_before_the_work_is_read_ends_in_one_line(monkeypatch, capsys):
@@ -48,6 +49,18 @@ def test_command_without_results_names_the_one_that_follows(
     assert stage_work.drive(options) == 0
     *_, last = capsys.readouterr().out.splitlines()
     assert last == f"next: ./run piezo_client stage {following}"
+
+
+def test_refusal_is_said_in_one_line(monkeypatch, capsys):
+    def refused(stage, options):
+        raise ServiceFailed("run_experiment: unknown experiment 'dance'")
+
+    monkeypatch.setattr(stage_work.signal, "signal", lambda *_: None)
+    monkeypatch.setattr(stage_work, "Stage", lambda *_: nullcontext())
+    monkeypatch.setitem(stage_work.WORK, "experiment", refused)
+    options = Namespace(command="experiment", namespace="", wait_s=1.0)
+    assert stage_work.drive(options) == 1
+    assert capsys.readouterr() == ("", "stage: run_experiment: unknown experiment 'dance'\n")
 
 
 def test_who_tracks_without_a_model_is_told_how_to_make_one(capsys):

@@ -19,6 +19,9 @@ from piezo_common.picture_style import thinned
 
 DIGITS = "{:.6g}"
 
+MOST_CELLS = 20_000
+"""Of a map; of more, every so manieth row and column."""
+
 
 @dataclass(frozen=True, eq=False)
 class Numbers:
@@ -90,6 +93,10 @@ def numbers_of(axes: Axes) -> Iterator[Numbers]:
             centres = 0.25 * (corners[1:, 1:] + corners[1:, :-1] + corners[:-1, 1:]
                               + corners[:-1, :-1])
             shown = ~np.ma.getmaskarray(values).reshape(centres.shape[:2])
+            every = slice(None, None, int(np.ceil(np.sqrt(shown.sum() / MOST_CELLS))) or 1)
+            kept = np.zeros_like(shown)
+            kept[every, every] = True
+            shown &= kept
             bar = area.colorbar.ax.get_ylabel() if area.colorbar else "value"
             yield Numbers("", {x_label: centres[..., 0][shown], y_label: centres[..., 1][shown],
                                bar: np.ma.getdata(values).reshape(shown.shape)[shown]})

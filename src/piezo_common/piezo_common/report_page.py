@@ -16,11 +16,13 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from piezo_common.interactive_picture import interactive_item, interactive_script
+from piezo_common.interactive_picture import interactive_item, interactive_script, packed
 from piezo_common.picture_data import picture_csv
 from piezo_common.picture_style import to_png
 
-PAGE_DOTS_PER_INCH = 140
+PAGE_DOTS_PER_INCH, PAGE_COLOURS = 140, 128
+"""Of a picture: so many colours that lines and maps look the same."""
+
 MOST_COLUMNS = 4
 """Tables of more columns show each row as a list where the screen is narrow."""
 
@@ -130,7 +132,7 @@ def pictured(name: str, figure: Figure, caption: str, tall: bool = False, wide: 
     closer : bool
         Whether looking closer matters: the page then has the curves to zoom, too.
     """
-    png = to_png(figure, PAGE_DOTS_PER_INCH)
+    png = to_png(figure, PAGE_DOTS_PER_INCH, PAGE_COLOURS)
     return Picture(name, caption, png, tall, wide, picture_csv(figure),
                    interactive_item(figure) if closer else None)
 
@@ -231,10 +233,9 @@ def _data_link(picture: Picture) -> str:
 def _closer(picture: Picture) -> str:
     if picture.closer is None:
         return ""
-    # A script element ends at the first of its closing tags, in a string or not.
-    item = json.dumps(picture.closer, separators=(",", ":")).replace("</", "<\\/")
+    item = packed(json.dumps(picture.closer, separators=(",", ":")))
     return ('<details class="closer"><summary>look closer: zoom, hover, hide curves</summary>'
-            f'<div></div><script type="application/json">{item}</script></details>')
+            f'<div></div><script type="application/gzip">{item}</script></details>')
 
 
 def _base64(data: bytes) -> str:

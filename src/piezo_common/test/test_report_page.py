@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A page holds its pictures' numbers, needs no network, and says what it says without scripts."""
 
+import base64
+import gzip
 import json
 import re
 
@@ -9,6 +11,7 @@ import pytest
 
 from piezo_common import interactive_picture
 from piezo_common.interactive_picture import interactive_item
+from piezo_common.picture_data import picture_csv
 from piezo_common.picture_style import MEASURED, MODELLED, label, new_figure, outline
 from piezo_common.report_page import Section, pictured, render_page
 
@@ -58,6 +61,7 @@ def test_a_page_without_bokeh_has_its_static_pictures_alone(figure, monkeypatch)
     assert "<script" not in text and "<details" not in text and "data:text/csv" in text
 
 
+@pytest.mark.usefixtures("interactive_pages")
 def test_the_closer_look_holds_the_same_curves_and_loads_nothing(figure, page_parts):
     pytest.importorskip("bokeh")
     item = interactive_item(figure)
@@ -67,8 +71,18 @@ def test_the_closer_look_holds_the_same_curves_and_loads_nothing(figure, page_pa
         pictured("P", figure, "Caption.", closer=True)])])
     assert page_parts(text).external == []
     assert not re.search(r"<script[^>]+src=|<link", text)
-    shown = re.search(r'<script type="application/json">(.*?)</script>', text, re.S)[1]
-    assert json.loads(shown)["root_id"]
+    shown = re.search(r'<div></div><script type="application/gzip">(.*?)</script>', text)[1]
+    assert json.loads(gzip.decompress(base64.b64decode(shown)))["root_id"]
+    assert len(text) < 700_000  # which is a third of Bokeh's script and a picture
+
+
+def test_numbers_of_a_large_map_are_those_of_every_so_manieth_cell():
+    figure = new_figure()
+    values = np.arange(400.0 * 300.0).reshape(400, 300)
+    figure.subplots().pcolormesh(values)
+    rows = picture_csv(figure).splitlines()
+    assert 10_000 < len(rows) <= 20_001
+    assert rows[1] == "0.5,0.5,0"
 
 
 def test_a_dense_line_keeps_its_lowest_and_highest_values():

@@ -4,7 +4,7 @@
 What these three do not explain is added as effects, each at its place in the cascade.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,12 @@ from numpy.typing import ArrayLike
 
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_common.summary_table import SummaryTable
-from piezo_models.effects.amplifier_lag import moves_from_part_to_part, parts_of_rows
+from piezo_models.effects.amplifier_lag import (
+    SettledLag,
+    as_rows_show,
+    moves_from_part_to_part,
+    parts_of_rows,
+)
 from piezo_models.effects.effect import Effect
 from piezo_models.hysteresis.first_rise import CYCLED, FirstRise
 from piezo_models.hysteresis.hysteretic_creep import HystereticCreep, HystereticCreepMemory
@@ -113,6 +118,11 @@ class StageModel:
         """Return the effects at one of `piezo_models.effects.effect.PLACES`."""
         return tuple(effect for effect in self.effects if effect.place == place)
 
+    def as_rows_show(self, sample_period_s: float) -> "StageModel":
+        """Return the model with those lags behind the hysteresis that settle within a row."""
+        effects = as_rows_show(self.effects, sample_period_s)
+        return self if effects == self.effects else replace(self, effects=effects)
+
     def linear(self) -> control.StateSpace:
         """Return the continuous state space from hysteresis output to displacement."""
         parts = [self.dynamics.state_space(self.effects_at("modes")), self.creep.state_space(),
@@ -174,16 +184,24 @@ class StageModel:
             self.hysteresis.simulate([rest_voltage_v], hysteresis)
         else:
             hysteresis = hysteresis.copy()
-        held = hysteresis.hysteresis_um if settled else 0.0
         hysteretic = None
         if self.hysteretic_creep is not None:
             extremes_v = hysteresis.extremes_v[: hysteresis.top + 1]
             hysteretic = self.hysteretic_creep.memory(extremes_v, settled)
-            held += self.hysteretic_creep.held_um(hysteretic)
-        if self.first_rise is not None and settled:
-            held += self.first_rise.simulate([hysteresis.voltage_v], highest_v)[0]
-        return StageMemory(hysteresis, equilibrium_state(self.linear(), held), hysteretic,
-                           highest_v=highest_v)
+        memory = StageMemory(hysteresis, np.empty(0), hysteretic, highest_v=highest_v)
+        memory.linear_state = equilibrium_state(
+            self.linear(), self._held_um(memory) if settled else 0.0)
+        return memory
+
+    def _held_um(self, memory: StageMemory) -> float:
+        """Return what the linear part got last."""
+        held_um = memory.hysteresis.hysteresis_um
+        if self.hysteretic_creep is not None and memory.hysteretic_creep is not None:
+            held_um += self.hysteretic_creep.held_um(memory.hysteretic_creep)
+        if self.first_rise is not None:
+            held_um += self.first_rise.simulate(
+                [memory.hysteresis.voltage_v], memory.highest_v)[0]
+        return float(held_um)
 
     def simulate(self, voltage_v: ArrayLike, sample_period_s: float,
                  memory: StageMemory | None = None) -> FloatArray:
@@ -211,13 +229,19 @@ class StageModel:
             of a model without hysteretic creep.
         """
         memory = self.memory() if memory is None else memory
-        parts = parts_of_rows(self.effects_at("voltage"), sample_period_s)
+        acting = self.as_rows_show(sample_period_s)
+        parts = parts_of_rows(acting.effects_at("voltage"), sample_period_s)
         part_s = sample_period_s / parts
-        linear = self.linear()
+        linear, state = self.linear(), memory.linear_state
+        for effect in reversed(acting.effects):
+            if isinstance(effect, SettledLag):
+                lag = effect.state_space()
+                linear = linear * lag
+                state = np.append(equilibrium_state(lag, self._held_um(memory)), state)
         if moves_from_part_to_part(parts):
             linear = answering_means(linear, part_s)
         system = zoh(linear, part_s)
-        applied_v = self.amplified(
+        applied_v = acting.amplified(
             np.repeat(np.asarray(voltage_v, dtype=float), parts), part_s, memory)
         hysteresis = self.hysteresis.simulate(applied_v, memory.hysteresis)
         hysteresis += self.hysteresis.line_beyond_um(applied_v)
@@ -231,5 +255,6 @@ class StageModel:
         if self.first_rise is not None and applied_v.size:
             hysteresis += self.first_rise.simulate(applied_v, memory.highest_v)
             memory.highest_v = max(memory.highest_v, float(applied_v.max()))
-        displacement, memory.linear_state = continue_linear(system, hysteresis, memory.linear_state)
+        displacement, state = continue_linear(system, hysteresis, state)
+        memory.linear_state = state[state.size - memory.linear_state.size :]
         return self.sensed(displacement[::parts], sample_period_s, memory)

@@ -4,11 +4,14 @@
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import control
 import numpy as np
 
+from piezo_common.arrays import ComplexArray
 from piezo_models.cascade import StageModel
+from piezo_models.effects.delay import Delay
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics, zoh
 
 
@@ -23,7 +26,7 @@ class ConversionSettings:
         solver leaves a rest of that kind.
     response_tolerance : float
         The parameters found must give the response of the system to this part of it, a thousandth
-        of what an identification attains.
+        of what an identification attains; roots of a delay are recognised to this part of them.
     """
 
     rounding: float = 1e-9
@@ -32,8 +35,29 @@ class ConversionSettings:
 
 SETTINGS = ConversionSettings()
 
+AT_ONCE = control.tf([1.0], [1.0])
+"""The delay of nothing."""
+
 IN_LINEAR = ("modes", "linear")
 """Places of the effects that `StageModel.linear` holds."""
+
+
+class LinearParts(NamedTuple):
+    """What a system of python-control is made of.
+
+    Attributes
+    ----------
+    gain : float
+        What remains when creep has unit high-frequency and dynamics unit DC gain: it belongs to
+        the hysteresis.
+    delay_s : float
+        Of the Pade approximation in the system; 0 without one.
+    """
+
+    creep: CreepDynamics
+    dynamics: ElectricVibrationDynamics
+    gain: float
+    delay_s: float
 
 
 class LeftOut(UserWarning):
@@ -58,6 +82,15 @@ def to_control(model: StageModel, sample_period_s: float | None = None, lags: bo
     -------
     control.StateSpace
         From ``hysteresis_um`` to ``displacement_um``.
+
+    Examples
+    --------
+    >>> from piezo_models import PreisachModel
+    >>> line = PreisachModel(0.0, 10.0, np.zeros((1, 1)), 0.0, np.array([2.0]))
+    >>> dynamics = ElectricVibrationDynamics(1e-3, (1257.0,), (0.02,))
+    >>> stage = StageModel(line, CreepDynamics(), dynamics)
+    >>> to_control(stage).poles().round(1)
+    array([  -25.1+1256.7j,   -25.1-1256.7j, -1000. +0.j ])
     """
     system = model.linear()
     beside = [effect for effect in model.effects if effect.place not in IN_LINEAR]
@@ -81,55 +114,61 @@ def with_linear_part(model: StageModel, system: control.StateSpace | control.Tra
     Parameters
     ----------
     system : control.StateSpace or control.TransferFunction
-        See `from_control`. The hysteresis takes its gain; effects at other places stay.
+        See `from_control`. The hysteresis takes its gain; effects at other places stay, but for a
+        delay where the system has one.
 
     Raises
     ------
     ValueError
         See `from_control`.
     """
-    creep, dynamics, gain = from_control(system)
+    parts = from_control(system)
     hysteresis = model.hysteresis
-    scaled = replace(hysteresis, offset_um=gain * hysteresis.offset_um,
-                     density_um_per_v2=gain * hysteresis.density_um_per_v2,
-                     reversible_um_per_v=gain * hysteresis.reversible_um_per_v)
-    return replace(model, hysteresis=scaled, creep=creep, dynamics=dynamics, effects=tuple(
-        effect for effect in model.effects if effect.place not in IN_LINEAR))
+    scaled = replace(hysteresis, offset_um=parts.gain * hysteresis.offset_um,
+                     density_um_per_v2=parts.gain * hysteresis.density_um_per_v2,
+                     reversible_um_per_v=parts.gain * hysteresis.reversible_um_per_v)
+    delay = (Delay(parts.delay_s),) if parts.delay_s else ()
+    stays = tuple(effect for effect in model.effects if effect.place not in IN_LINEAR
+                  and not (delay and isinstance(effect, Delay)))
+    return replace(model, hysteresis=scaled, creep=parts.creep, dynamics=parts.dynamics,
+                   effects=(*stays, *delay))
 
 
-def from_control(system: control.StateSpace | control.TransferFunction,
-                 ) -> tuple[CreepDynamics, ElectricVibrationDynamics, float]:
-    """Return the creep, dynamics and gain that a system of python-control is made of.
+def from_control(system: control.StateSpace | control.TransferFunction) -> LinearParts:
+    """Return the creep, dynamics, gain and delay that a system of python-control is made of.
 
     Real zeros are those of creep (4.4), each with one of the slowest real poles; the next real pole
     is the electric lag, complex pairs are modes and antiresonances (4.3). Two real poles too many
-    make an overdamped mode.
+    make an overdamped mode. Zeros on the right are taken where they belong to the Pade
+    approximation of a delay, of any order.
 
     Parameters
     ----------
     system : control.StateSpace or control.TransferFunction
-        Continuous, one input and one output, stable, without zeros on the right.
-
-    Returns
-    -------
-    creep : CreepDynamics
-    dynamics : ElectricVibrationDynamics
-    gain : float
-        What remains when creep has unit high-frequency and dynamics unit DC gain: it belongs to
-        the hysteresis.
+        Continuous, one input and one output, stable, without other zeros on the right.
 
     Raises
     ------
     ValueError
         If the system has no such parts.
+
+    Examples
+    --------
+    >>> import control
+    >>> lag_and_mode = control.tf([3.0], [0.001, 1.0]) * control.tf([1e6], [1.0, 200.0, 1e6])
+    >>> delay = control.tf(*control.pade(2e-5, 3))
+    >>> parts = from_control(delay * lag_and_mode)
+    >>> print(f"{parts.gain:.3f}, {parts.dynamics.time_constant_s:.4f} s, {parts.delay_s:.3g} s")
+    3.000, 0.0010 s, 2e-05 s
     """
     if (system.ninputs, system.noutputs) != (1, 1):
         raise ValueError(f"the system has {system.ninputs} inputs and {system.noutputs} outputs; "
                          "give one with a single input and output")
     if not system.isctime(strict=False):
         raise ValueError("the system is discrete; give the continuous one")
-    real_poles, modes = _sorted_roots(system.poles(), "pole")
-    real_zeros, antiresonances = _sorted_roots(system.zeros(), "zero")
+    delay_s, delay, poles, zeros = _delay_apart(system.poles(), system.zeros())
+    real_poles, modes = _sorted_roots(poles, "pole")
+    real_zeros, antiresonances = _sorted_roots(zeros, "zero")
     if len(real_zeros) > len(real_poles):
         raise ValueError(f"the system has {len(real_zeros)} real zeros and {len(real_poles)} real "
                          "poles; creep has one of each, give a pole for every zero")
@@ -140,7 +179,33 @@ def from_control(system: control.StateSpace | control.TransferFunction,
     creep = CreepDynamics(tuple(real_poles[:len(real_zeros)]), tuple(real_zeros))
     dynamics = ElectricVibrationDynamics(
         1.0 / lag[0] if lag else 0.0, *_columns(modes), *_columns(antiresonances))
-    return creep, dynamics, _gain(system, creep, dynamics)
+    return LinearParts(creep, dynamics, _gain(system, creep, dynamics, delay), delay_s)
+
+
+def _delay_apart(poles: ComplexArray, zeros: ComplexArray,
+                 ) -> tuple[float, control.TransferFunction, ComplexArray, ComplexArray]:
+    """Return the delay whose Pade approximation has the zeros on the right, and the other roots."""
+    right = zeros[zeros.real > 0.0]
+    order = right.size
+    if not order:
+        return 0.0, AT_ONCE, poles, zeros
+    # The sum of the roots of the approximation's numerator.
+    delay_s = float(order * (order + 1) / right.sum().real)
+    delay = control.tf(*control.pade(delay_s, order))
+    rest_of_poles, rest_of_zeros = _without(poles, delay.poles()), _without(zeros, delay.zeros())
+    if rest_of_poles is None or rest_of_zeros is None:
+        return 0.0, AT_ONCE, poles, zeros
+    return delay_s, delay, rest_of_poles, rest_of_zeros
+
+
+def _without(roots: ComplexArray, known: ComplexArray) -> ComplexArray | None:
+    """Return the roots without the known ones, or None if one of these is not among them."""
+    for root in known:
+        distance = np.abs(roots - root)
+        if not roots.size or distance.min() > SETTINGS.response_tolerance * abs(root):
+            return None
+        roots = np.delete(roots, distance.argmin())
+    return roots
 
 
 def _sorted_roots(roots: Iterable[complex], kind: str,
@@ -164,12 +229,12 @@ def _columns(pairs: Sequence[tuple[float, float]],
 
 
 def _gain(system: control.StateSpace | control.TransferFunction, creep: CreepDynamics,
-          dynamics: ElectricVibrationDynamics) -> float:
+          dynamics: ElectricVibrationDynamics, delay: control.TransferFunction) -> float:
     corners = np.array([*creep.poles_rad_per_s, *dynamics.mode_frequencies_rad_per_s, 1.0])
     rates = np.geomspace(corners.min() / 10.0, corners.max() * 10.0, 20)
     frequency_hz = rates / (2.0 * np.pi)
     found = creep.response(frequency_hz) * dynamics.response(frequency_hz)
-    ratio = system(1j * rates) / found
+    ratio = system(1j * rates) / (found * delay(1j * rates))
     gain = float(np.mean(ratio.real))
     if not np.all(np.abs(ratio - gain) <= SETTINGS.response_tolerance * abs(gain)):
         raise ValueError("the system's poles and zeros cannot be told apart well enough; "

@@ -26,6 +26,11 @@ def e_rms_percent(reference_um: ArrayLike, displacement_um: ArrayLike,
     ------
     ValueError
         If the lengths differ, or the reference is empty or constant.
+
+    Examples
+    --------
+    >>> round(e_rms_percent([0.0, 10.0, 20.0], [0.0, 10.0, 19.0]), 2)
+    2.89
     """
     reference, displacement = _pair(reference_um, displacement_um)
     error = reference - displacement
@@ -53,6 +58,13 @@ def e_y_percent(measured_um: ArrayLike, estimated_um: ArrayLike,
     ------
     ValueError
         If the lengths differ, or the measured displacement is empty or has no norm.
+
+    Examples
+    --------
+    >>> round(e_y_percent([0.0, 10.0, 20.0], [1.0, 11.0, 20.0]), 2)
+    5.77
+    >>> round(e_y_percent([0.0, 10.0, 20.0], [1.0, 11.0, 20.0], remove_offset=False), 2)
+    6.32
     """
     measured, estimated = _pair(measured_um, estimated_um)
     if remove_offset:
@@ -65,6 +77,11 @@ def e_r_percent(reference_um: ArrayLike, displacement_um: ArrayLike,
     """Return the norm of the tracking error in percent of that of the reference, eq. (4.23).
 
     It is `e_y_percent` of a reference and the displacement that followed it.
+
+    Examples
+    --------
+    >>> round(e_r_percent([0.0, 10.0, 20.0], [1.0, 11.0, 20.0]), 2)
+    5.77
     """
     return e_y_percent(reference_um, displacement_um, remove_offset)
 

@@ -31,6 +31,17 @@ def save_model(path: str | PathLike[str], identified: IdentifiedModel) -> None:
     ModelFileError
         If the model does not satisfy what `load_model` asks for, or the file cannot be written,
         or there is one that is no model file.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from piezo_models import (
+    ...     CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel)
+    >>> line = PreisachModel(0.0, 10.0, np.zeros((1, 1)), 0.0, np.array([2.0]))
+    >>> stage = StageModel(line, CreepDynamics(), ElectricVibrationDynamics())
+    >>> save_model("line.json", IdentifiedModel(stage, voltage_range_v=(0.0, 10.0)))
+    >>> load_model("line.json").voltage_range_v
+    (0.0, 10.0)
     """
     path = Path(path)
     document = document_of(identified)

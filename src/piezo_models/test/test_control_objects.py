@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from piezo_models.cascade import StageModel
 from piezo_models.control_objects import LeftOut, from_control, to_control, with_linear_part
 from piezo_models.effects.amplifier_lag import AmplifierLag
+from piezo_models.effects.delay import Delay
 from piezo_models.effects.voltage_clipping import VoltageClipping
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
@@ -29,7 +30,7 @@ def model(creep=CREEP, dynamics=DYNAMICS):
 
 
 def test_creep_and_dynamics_come_back_from_python_control():
-    creep, dynamics, gain = from_control(to_control(model()))
+    creep, dynamics, gain, delay_s = from_control(to_control(model()))
     assert creep.poles_rad_per_s == pytest.approx(CREEP.poles_rad_per_s, rel=1e-6)
     assert creep.zeros_rad_per_s == pytest.approx(CREEP.zeros_rad_per_s, rel=1e-6)
     assert dynamics.time_constant_s == pytest.approx(DYNAMICS.time_constant_s, rel=1e-6)
@@ -37,7 +38,7 @@ def test_creep_and_dynamics_come_back_from_python_control():
     assert dynamics.damping_ratios == pytest.approx((0.6853, 0.082), rel=1e-6)
     assert dynamics.antiresonance_frequencies_rad_per_s == pytest.approx((3900.0,), rel=1e-6)
     assert dynamics.antiresonance_damping_ratios == pytest.approx((0.1,), rel=1e-6)
-    assert gain == pytest.approx(1.0, rel=1e-6)
+    assert (gain, delay_s) == (pytest.approx(1.0, rel=1e-6), 0.0)
 
 
 @settings(max_examples=20, deadline=None)
@@ -45,7 +46,7 @@ def test_creep_and_dynamics_come_back_from_python_control():
        st.floats(0.1, 10.0))
 def test_any_damping_and_gain_keep_the_response(time_constant_s, frequency, damping, gain):
     given_part = ElectricVibrationDynamics(time_constant_s, (frequency,), (damping,))
-    creep, dynamics, found = from_control(gain * given_part.state_space())
+    creep, dynamics, found, _ = from_control(gain * given_part.state_space())
     frequency_hz = np.geomspace(1.0, 1e4, 15)
     response = found * creep.response(frequency_hz) * dynamics.response(frequency_hz)
     np.testing.assert_allclose(response, gain * given_part.response(frequency_hz), rtol=1e-5)
@@ -53,7 +54,7 @@ def test_any_damping_and_gain_keep_the_response(time_constant_s, frequency, damp
 
 def test_transfer_function_of_the_user_becomes_a_model():
     s = control.tf("s")
-    creep, dynamics, gain = from_control(3.0 * (s + 2.0) / (s + 1.0) / (0.001 * s + 1.0))
+    creep, dynamics, gain, _ = from_control(3.0 * (s + 2.0) / (s + 1.0) / (0.001 * s + 1.0))
     assert creep.poles_rad_per_s == pytest.approx([1.0])
     assert creep.zeros_rad_per_s == pytest.approx([2.0])
     assert dynamics.time_constant_s == pytest.approx(0.001)
@@ -102,6 +103,25 @@ def test_model_takes_a_linear_part_back():
     assert back.effects == lagging.effects
     assert back.dynamics.time_constant_s == pytest.approx(DYNAMICS.time_constant_s, rel=1e-6)
     assert back.hysteresis.density_um_per_v2 == pytest.approx(np.array([[0.02]]), rel=1e-6)
+
+
+@pytest.mark.parametrize("delay_s", [1e-6, 40e-6, 3e-3])
+def test_delay_comes_back_from_its_approximation(delay_s):
+    late = replace(model(), effects=(Delay(delay_s),))
+    parts = from_control(to_control(late))
+    assert parts.delay_s == pytest.approx(delay_s, rel=1e-6)
+    assert parts.creep.poles_rad_per_s == pytest.approx(CREEP.poles_rad_per_s, rel=1e-6)
+    assert parts.dynamics.mode_frequencies_rad_per_s == pytest.approx((2846.0, 4909.0), rel=1e-6)
+    back = with_linear_part(late, to_control(late))
+    assert [type(effect) for effect in back.effects] == [Delay]
+    frequency_hz = np.geomspace(1.0, 1e4, 15)
+    np.testing.assert_allclose(
+        back.response(frequency_hz), late.response(frequency_hz), rtol=1e-5)
+
+
+def test_all_pass_that_is_no_delay_is_refused():
+    with pytest.raises(ValueError, match="a zero at 5"):
+        from_control(control.tf([1.0, -12.0, 35.0], [1.0, 12.0, 35.0]))
 
 
 def test_matlab_gets_the_system_and_the_hysteresis(tmp_path):

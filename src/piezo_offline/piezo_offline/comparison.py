@@ -77,6 +77,21 @@ def compare(model_a: AnyModel, model_b: AnyModel, data: Any, *,
     ------
     ValueError
         If the recording cannot be read or is too short, or has several axes.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from piezo_models import (
+    ...     CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel)
+    >>> line = PreisachModel(0.0, 10.0, np.zeros((1, 1)), 0.0, np.array([2.0]))
+    >>> stiff, soft = (StageModel(line, CreepDynamics(), ElectricVibrationDynamics(lag_s))
+    ...                for lag_s in (0.0, 5e-3))
+    >>> time_s = 1e-3 * np.arange(500)
+    >>> voltage_v = 5.0 - 5.0 * np.cos(20.0 * time_s)
+    >>> compared = compare(stiff, soft, {
+    ...     "time_s": time_s, "voltage_v": voltage_v, "displacement_um": 2.0 * voltage_v})
+    >>> print([round(each.e_y_percent(), 1) for each in (compared.a, compared.b)])
+    [0.0, 11.0]
     """
     a, b = (simulate(model, data, columns=columns) for model in (model_a, model_b))
     if not (isinstance(a, Prediction) and isinstance(b, Prediction)):

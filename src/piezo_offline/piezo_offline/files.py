@@ -18,6 +18,13 @@ def load_model(path: str | PathLike[str]) -> IdentifiedModel | IdentifiedAxes:
     ------
     piezo_models.ModelFileError
         If the file is missing, is no model file of this version, or a field of it does not fit.
+
+    Examples
+    --------
+    >>> load_model("not_there.json")
+    Traceback (most recent call last):
+        ...
+    piezo_models.model_document.ModelFileError: not_there.json: cannot be read ...
     """
     return load_axes_model(path) if is_of_several_axes(path) else load_model_of_one_axis(path)
 
@@ -29,6 +36,17 @@ def save_model(path: str | PathLike[str], identified: IdentifiedModel | Identifi
     ------
     piezo_models.ModelFileError
         If the file cannot be written, or there is one that is no model file.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from piezo_models import (
+    ...     CreepDynamics, ElectricVibrationDynamics, IdentifiedModel, PreisachModel, StageModel)
+    >>> line = PreisachModel(0.0, 10.0, np.zeros((1, 1)), 0.0, np.array([2.0]))
+    >>> stage = StageModel(line, CreepDynamics(), ElectricVibrationDynamics())
+    >>> save_model("line.json", IdentifiedModel(stage, voltage_range_v=(0.0, 10.0)))
+    >>> load_model("line.json").voltage_range_v
+    (0.0, 10.0)
     """
     if isinstance(identified, IdentifiedAxes):
         save_axes_model(path, identified)

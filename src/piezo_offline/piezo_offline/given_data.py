@@ -76,6 +76,17 @@ def read(data: Any, columns: Any = (), name: Any = "") -> Recording:
     ------
     piezo_recorder.RecordingError
         If the data are missing, ambiguous or damaged; one line says where, and what to do.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> time_s = 1e-3 * np.arange(500)
+    >>> voltage_v = 5.0 - 5.0 * np.cos(20.0 * time_s)
+    >>> read(time_s, voltage_v, 2.0 * voltage_v)
+    <Recording data in memory: 500 samples every 0.001 s, 0 to 10 V, 0 to 20 um>
+    >>> labelled = {"t [ms]": 1e3 * time_s, "U [V]": voltage_v, "y [nm]": 2e3 * voltage_v}
+    >>> read(labelled).sample_period_s
+    0.001
     """
     if isinstance(data, Recording):
         return data

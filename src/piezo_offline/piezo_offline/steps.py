@@ -13,9 +13,11 @@ from piezo_controller.feedback.design_choices import (
     DEFAULT_WEIGHTS,
     DISTURBANCE_HZ,
     METHODS,
+    PEAK_SENSITIVITY,
     SAMPLE_RATE_HZ,
 )
 from piezo_controller.feedback.feedback_design import FeedbackController
+from piezo_controller.feedback.sample_rate.named_feedbacks import feedback_at_margin
 from piezo_controller.feedback.stage_design import design_for_stage
 from piezo_identification.axes.identify_axes import identify_several_axes
 from piezo_identification.axes.predict_axes import AxesPrediction, predict_several_axes
@@ -102,15 +104,26 @@ def identify(
     ------
     ValueError
         If a recording cannot be read or does not fit its purpose, or none is given.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> frequency_hz = np.geomspace(10.0, 1000.0, 60)
+    >>> s = 2j * np.pi * frequency_hz
+    >>> gain = 2.0 / (1.0 + 0.04 * s / 1257.0 + (s / 1257.0) ** 2)
+    >>> np.savetxt("response.csv", np.column_stack([frequency_hz, gain.real, gain.imag]),
+    ...            delimiter=",", comments="", header="frequency_hz,gain_re,gain_im")
+    >>> model = identify(dynamics="response.csv")
+    >>> print(np.round(model.model.dynamics.mode_frequencies_rad_per_s, 3))
+    [1257.]
     """
-    fitted = [each for name, data in (("creep", creep), ("dynamics", dynamics),
-                                      ("hysteresis", hysteresis))
-              for each in axes_recordings_of(data, name)]
-    if fitted:
+    of_axes = {name: axes_recordings_of(data, name) for name, data in (
+        ("creep", creep), ("dynamics", dynamics), ("hysteresis", hysteresis),
+        ("validation", validation))}
+    if of_axes["creep"] or of_axes["dynamics"] or of_axes["hysteresis"]:
         return identify_several_axes(
-            fitted, axes_recordings_of(validation, "validation"), pairs=modes,
-            note=note or (lambda text: None), progress=progress or (lambda what, part: None),
-            budget=Budget(budget_s))
+            **of_axes, pairs=modes, note=note or (lambda text: None),
+            progress=progress or (lambda what, part: None), budget=Budget(budget_s))
     given: dict[str, Any] = {}
     for name, data in (("creep", creep), ("dynamics", dynamics), ("hysteresis", hysteresis),
                        ("validation", validation)):
@@ -158,6 +171,15 @@ def simulate(model: AnyModel | IdentifiedAxes, data: Any, *, columns: Sequence[s
     ------
     ValueError
         If the recording cannot be read or is too short.
+
+    Examples
+    --------
+    >>> time_s = 1e-3 * np.arange(500)
+    >>> voltage_v = 5.0 - 5.0 * np.cos(20.0 * time_s)
+    >>> recording = {"time_s": time_s, "voltage_v": voltage_v, "displacement_um": 2.0 * voltage_v}
+    >>> prediction = simulate(model, recording)     # the model of `identify`
+    >>> print(f"{prediction.e_y_percent():.2f} %")
+    0.96 %
     """
     if not isinstance(model, IdentifiedModel | StageModel):
         opened = load_any_model(model) if isinstance(model, str | PathLike) else model
@@ -207,6 +229,15 @@ def diagnose(model: AnyModel, data: Any, holdout: Any = None, *, identified_from
     ------
     ValueError
         If a recording cannot be read or used.
+
+    Examples
+    --------
+    >>> late = gain * np.exp(-1e-4 * s)             # of `identify`, behind a delay of 0.1 ms
+    >>> np.savetxt("late.csv", np.column_stack([frequency_hz, late.real, late.imag]),
+    ...            delimiter=",", comments="", header="frequency_hz,gain_re,gain_im")
+    >>> verdict = diagnose(model, "late.csv")
+    >>> verdict.verdict, [effect["name"] for effect in verdict.effects]
+    ('explained', ['delay'])
     """
     opened = _opened(model)
     stage_model = opened if isinstance(opened, StageModel) else opened.model
@@ -263,6 +294,11 @@ def extend(model: IdentifiedModel | str | PathLike[str], verdict: Verdict, data:
     -------
     IdentifiedModel
         The given one where the verdict added nothing.
+
+    Examples
+    --------
+    >>> extend(model, verdict, "late.csv").model.effects     # those of `diagnose`
+    (Delay(delay_s=0.0001),)
     """
     identified = model if isinstance(model, IdentifiedModel) else load_model(model)
     response = response_in(data)
@@ -273,7 +309,8 @@ def extend(model: IdentifiedModel | str | PathLike[str], verdict: Verdict, data:
 def design(
     model: AnyModel, *, method: str = METHODS[0], weights: str | Path = DEFAULT_WEIGHTS,
     disturbance_hz: float = DISTURBANCE_HZ, samples_per_tick: int | None = None,
-    delay_ticks: int = 1, sample_rate_hz: float = SAMPLE_RATE_HZ,
+    delay_ticks: int = 1, sample_rate_hz: float = SAMPLE_RATE_HZ, feedback: str | None = None,
+    peak_sensitivity: float = PEAK_SENSITIVITY,
 ) -> FeedbackController:
     """Design the feedback for a model.
 
@@ -292,6 +329,12 @@ def design(
         1 where the controller answers the stage, 0 where the stage evaluates the law itself.
     sample_rate_hz : float
         Of the stage's sample clock.
+    feedback : str, optional
+        "h-infinity", "pi", "pid", "integral-resonant", "positive-position", "force-like" or
+        "repetitive": a law of every sample instead, for which of the others `disturbance_hz` and
+        `sample_rate_hz` count; see `feedback_at_margin`.
+    peak_sensitivity : float
+        The margin of that law.
 
     Returns
     -------
@@ -302,8 +345,21 @@ def design(
     ------
     ValueError
         If there is no such feedback; the message says why.
+
+    Examples
+    --------
+    >>> from piezo_models import (
+    ...     CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel)
+    >>> line = PreisachModel(0.0, 10.0, np.zeros((1, 1)), 0.0, np.array([2.0]))
+    >>> stage = StageModel(line, CreepDynamics(), ElectricVibrationDynamics(1e-3))
+    >>> controller = design(stage, method="pi")
+    >>> controller.report["method"], controller.report["order"]
+    ('pi', 1)
     """
     stage_model, digest = _identified(model)
+    if feedback is not None:
+        return feedback_at_margin(feedback, stage_model, disturbance_hz, peak_sensitivity,
+                                  1.0 / sample_rate_hz, digest)
     return design_for_stage(
         stage_model, weights, method, disturbance_hz=disturbance_hz,
         samples_per_tick=samples_per_tick, delay_ticks=delay_ticks,

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Start the suite's nodes as forks of one process that has imported their libraries once."""
 
+import gc
 import multiprocessing
 import os
 import subprocess
@@ -97,6 +98,7 @@ def _entry(name: str) -> Callable[[], None]:
 
 
 def _run(name: str, command: list[str], log: Path, environment: Mapping[str, str]) -> None:
+    gc.freeze()  # to look through the libraries would copy all of them
     os.setsid()
     file = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
     for stream in sys.stdout, sys.stderr:

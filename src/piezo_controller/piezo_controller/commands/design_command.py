@@ -7,18 +7,31 @@ from pathlib import Path
 
 from piezo_common.command_line import Command, add_report_option, check_output_file
 from piezo_controller.feedback.design_choices import (
+    ALL,
     DEFAULT_WEIGHTS,
     DISTURBANCE_HZ,
+    FEEDBACKS,
     METHODS,
+    PEAK_SENSITIVITY,
     SAMPLE_RATE_HZ,
     SCALINGS,
 )
+
+OF_A_TICK = ("method", "weights", "scaling", "full_order", "at_once", "delay_ticks",
+             "samples_per_tick")
+"""Options that a law of every sample has no use for."""
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", type=Path, required=True, help="model file")
     parser.add_argument("--method", choices=METHODS, default=METHODS[0],
                         help="how to design: %(choices)s")
+    parser.add_argument("--feedback", choices=(*FEEDBACKS, ALL),
+                        help="a law that answers every sample instead, for a stage that evaluates "
+                        "it by itself: %(choices)s, which are then compared")
+    parser.add_argument("--peak-sensitivity", type=float, default=PEAK_SENSITIVITY, metavar="MS",
+                        help="of --feedback: the margin of all of them, with all parameters off by "
+                        "5 %% (default: %(default)g)")
     parser.add_argument("--weights", default=DEFAULT_WEIGHTS,
                         help='weights of h_infinity: "default", "thesis" or a file (YAML)')
     parser.add_argument("--scaling", choices=SCALINGS, default=SCALINGS[0],
@@ -30,7 +43,8 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
                         help="computing time: 1 where the controller answers the stage, 0 where "
                         "the stage evaluates the feedback by itself (default: %(default)s)")
     parser.add_argument("--disturbance-hz", type=float, default=DISTURBANCE_HZ,
-                        help="bandwidth of the disturbances")
+                        help="bandwidth of the disturbances; with --feedback what is attenuated, "
+                        "and repeats (default: %(default)g)")
     parser.add_argument("--rate", metavar="HZ", type=float, default=SAMPLE_RATE_HZ,
                         help="sample clock of the stage (default: %(default)g)")
     parser.add_argument("--samples-per-tick", type=int,
@@ -46,6 +60,14 @@ def _check(options: argparse.Namespace) -> None:
         raise ValueError(f"--disturbance-hz is {options.disturbance_hz:g}: give a positive number")
     if not 0.0 < options.rate < float("inf"):
         raise ValueError(f"--rate is {options.rate:g}: give a positive number")
+    if not options.peak_sensitivity > 1:
+        raise ValueError(f"--peak-sensitivity is {options.peak_sensitivity:g}: every loop has a "
+                         "larger one; give a number above 1")
+    usual = COMMAND.parser()
+    given = [name for name in OF_A_TICK if getattr(options, name) != usual.get_default(name)]
+    if options.feedback and given:
+        raise ValueError(f"--{given[0].replace('_', '-')} is of the laws of a tick: leave it out "
+                         "with --feedback")
 
 
 COMMAND = Command(

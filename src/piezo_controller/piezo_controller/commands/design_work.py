@@ -10,13 +10,15 @@ from typing import Any
 import control
 from matplotlib.figure import Figure
 
-from piezo_common.command_line import print_next, write_report
+from piezo_common.command_line import print_next, print_progress, write_report
 from piezo_common.picture_style import to_png
 from piezo_controller.feedback.controller_file import save_controller
 from piezo_controller.feedback.controller_view import REPORT_ROWS
+from piezo_controller.feedback.design_choices import ALL, FEEDBACKS
 from piezo_controller.feedback.design_page import design_page
 from piezo_controller.feedback.feedback_design import (
     FeedbackController,
+    UnstableLoop,
     structured_singular_value,
 )
 from piezo_controller.feedback.loop_pictures import (
@@ -28,6 +30,12 @@ from piezo_controller.feedback.loop_pictures import (
     weights_figure,
 )
 from piezo_controller.feedback.robustness import Robustness, check_robustness, drawn_plants
+from piezo_controller.feedback.sample_rate.named_feedbacks import (
+    comparison_figure,
+    comparison_page,
+    comparison_table,
+    feedback_at_margin,
+)
 from piezo_controller.feedback.stage_design import StageDesign, design_for_stage
 from piezo_controller.feedback.synthesis.generalised_plant import design_plant, generalised_plant
 from piezo_controller.feedback.synthesis.h_infinity import is_stable
@@ -39,7 +47,7 @@ GAIN_SPREAD = 0.12
 DRAWN = 40
 """Models with errors whose responses are drawn."""
 
-ALONE = ("bode", "nyquist", "weights", "mu")
+ALONE = ("bode", "nyquist", "weights", "mu", "comparison")
 """Pictures that are written as files, too."""
 
 DOTS_PER_INCH = 120
@@ -48,6 +56,9 @@ DOTS_PER_INCH = 120
 def design_controller(options: argparse.Namespace) -> None:
     """Design the controller of the options; write it, print its margins and draw its loop."""
     model = announced_model(options.model).model
+    if options.feedback:
+        _design_named(options, model)
+        return
     design = design_for_stage(
         model, options.weights, options.method, options.scaling, options.disturbance_hz,
         options.samples_per_tick, options.at_once, not options.full_order, options.delay_ticks,
@@ -71,6 +82,40 @@ def design_controller(options: argparse.Namespace) -> None:
             controller.report, rows, robustness, figures, origin))
     print_next(options, "piezo_client", "stage", "track", "--model", options.model, "--controller",
                options.output, "--output", "runs")
+
+
+def _design_named(options: argparse.Namespace, model: StageModel) -> None:
+    """Design the feedback of a name, or all; write them, print and draw what they are worth."""
+    names = FEEDBACKS if options.feedback == ALL else (options.feedback,)
+    digest = sha256(options.model.read_bytes()).hexdigest()
+    controllers = {}
+    for number, name in enumerate(names):
+        print_progress(name, number / len(names))
+        try:
+            controllers[name] = feedback_at_margin(
+                name, model, options.disturbance_hz, options.peak_sensitivity, 1.0 / options.rate,
+                digest)
+        except UnstableLoop as error:
+            if options.feedback != ALL:
+                raise
+            print(f"{name}: {error}")
+    if not controllers:
+        raise UnstableLoop("no feedback has this margin: give a larger --peak-sensitivity")
+    output = options.output
+    paths = {name: output if options.feedback != ALL else
+             output.with_name(f"{output.stem}_{name.replace('-', '_')}{output.suffix}")
+             for name in controllers}
+    for name, controller in controllers.items():
+        save_controller(paths[name], controller)
+    print(comparison_table(controllers))
+    pictures = _save(output, {"comparison": comparison_figure(model, controllers)})
+    print(f"written: {', '.join(map(str, (*paths.values(), *pictures)))}")
+    if options.report:
+        write_report(output.with_name(f"{output.stem}_report.html"), comparison_page(
+            model, controllers, [f"model: `{options.model}`, SHA-256 {digest[:16]}"]))
+    best = max(controllers, key=lambda name: controllers[name].report["margin_db"])
+    print_next(options, "piezo_client", "stage", "track", "--model", options.model, "--controller",
+               paths[best], "--output", "runs")
 
 
 def _rows(report: dict[str, Any], design: StageDesign,

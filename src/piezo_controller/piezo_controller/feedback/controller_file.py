@@ -85,6 +85,20 @@ def save_controller(path: str | Path, controller: FeedbackController) -> None:
     ControllerFileError
         The file cannot be written, is there already and no controller file, or the controller
         holds a value that is not finite.
+
+    Examples
+    --------
+    >>> import control
+    >>> import numpy as np
+    >>> from piezo_controller.feedback.feedback_design import feedback_from_control
+    >>> from piezo_models import (
+    ...     CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel)
+    >>> line = PreisachModel(0.0, 10.0, np.zeros((1, 1)), 0.0, np.array([2.0]))
+    >>> stage = StageModel(line, CreepDynamics(), ElectricVibrationDynamics(1e-3))
+    >>> integrator = control.tf([0.05, 0.0], [1.0, -1.0], 1e-3)
+    >>> save_controller("integrator.json", feedback_from_control(integrator, stage))
+    >>> load_controller("integrator.json").sample_period_s
+    0.001
     """
     path = Path(path)
     matrices = {name: np.asarray(getattr(controller, name)).tolist() for name in "ABCD"}
@@ -112,6 +126,13 @@ def load_controller(path: str | PathLike[str]) -> FeedbackController:
     ControllerFileError
         The file is missing, is not a controller file of this version, or has a missing, unknown
         or invalid field.
+
+    Examples
+    --------
+    >>> load_controller("not_there.json")
+    Traceback (most recent call last):
+        ...
+    piezo_controller.feedback.controller_file.ControllerFileError: not_there.json: ...
     """
     try:
         document = load_document(ControllerDocument, path)

@@ -4,6 +4,16 @@
 METHODS = ("h_infinity", "pid", "pi")
 SCALINGS = ("constant", "dynamic")
 
+FEEDBACKS = ("h-infinity", "pi", "pid", "integral-resonant", "positive-position", "force-like",
+             "repetitive")
+"""Laws that answer every sample, by the words that people ask for them."""
+
+ALL = "all"
+"""These laws beside each other."""
+
+PEAK_SENSITIVITY = 2.0
+"""Of the worst stage: a gain margin of at least 2 and a phase margin of at least 29 degrees."""
+
 DEFAULT_WEIGHTS = "default"
 
 DISTURBANCE_HZ = 20.0

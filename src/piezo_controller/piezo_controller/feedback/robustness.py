@@ -8,7 +8,6 @@ import control
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_controller.feedback.loop_measures import loop_responses
 from piezo_controller.feedback.synthesis.generalised_plant import design_plant
 from piezo_controller.feedback.synthesis.h_infinity import is_stable
 from piezo_models.cascade import StageModel
@@ -62,6 +61,8 @@ def check_robustness(model: StageModel, controller: control.StateSpace, clock_pe
         See `design_plant`.
     """
     frequency_hz = np.geomspace(0.1, 0.5 / controller.dt, FREQUENCIES)
+    points = np.exp(2j * np.pi * frequency_hz * controller.dt)
+    fed_back = controller(points, squeeze=True)
     draws = _draws(model, samples)
     count = draws.shape[1]
 
@@ -70,18 +71,18 @@ def check_robustness(model: StageModel, controller: control.StateSpace, clock_pe
                        delay_ticks)
         if not is_stable(control.feedback(plant * controller, 1)):
             return np.inf
-        return np.abs(loop_responses(plant, controller, frequency_hz)[1]).max()
+        return np.abs(1 / (1 + plant(points, squeeze=True) * fed_back)).max()
 
     peaks = np.array([peak(errors) for errors in draws])
-    worst, errors = -np.inf, np.sign(draws[np.argmax(peaks)])
+    errors = np.sign(draws[np.argmax(peaks)])
+    worst = peak(errors)
     for _ in range(SWEEPS):
         for index in range(count):
             turned = errors.copy()
             turned[index] = -turned[index]
-            for candidate in (errors, turned):
-                value = peak(candidate)
-                if value > worst:
-                    worst, errors = value, candidate
+            value = peak(turned)
+            if value > worst:
+                worst, errors = value, turned
     return Robustness(samples, int(np.isinf(peaks).sum()), float(worst))
 
 

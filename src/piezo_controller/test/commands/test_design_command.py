@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 from piezo_common.command_line import Command
+from piezo_controller.commands import design_work
 from piezo_controller.commands.design_command import main
 from piezo_controller.feedback.controller_file import load_controller
 from piezo_controller.feedback.synthesis.weights import WeightsError, load_weights
@@ -24,13 +25,28 @@ def model_path(stage_model, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def designed(model_path, tmp_path_factory, picture_faults, static_pages):
+def designed(model_path, tmp_path_factory, picture_faults):
     """Run the command as it stands; return the path of its controller, and what it prints."""
     output = tmp_path_factory.mktemp("designed") / "controller.json"
     with redirect_stdout(StringIO()) as printed:
         faults = picture_faults(main, ["--model", str(model_path), "--output", str(output)])
     assert faults == []
     return output, printed.getvalue()
+
+
+def test_a_feedback_by_its_name_is_written_with_what_it_is_worth(model_path, tmp_path, capsys):
+    output = tmp_path / "pi.json"
+    assert main(["--model", str(model_path), "--feedback", "pi", "--output", str(output),
+                 "--no-report"]) == 0
+    controller = load_controller(output)
+    assert (controller.report["method"], controller.sample_period_s) == ("pi", 25e-6)
+    printed = capsys.readouterr().out
+    assert re.search(r"^pi +[\d.]+ .* 2(\.00\d*)? .* 1$", printed, re.M)
+    assert output.with_name("pi_comparison.png").read_bytes().startswith(b"\x89PNG")
+    assert printed.splitlines()[-1].endswith(f"--controller {output} --output runs")
+    assert main(["--model", str(model_path), "--feedback", "pi", "--method", "pid",
+                 "--output", str(output)]) == 2
+    assert "--method is of the laws of a tick" in capsys.readouterr().err
 
 
 def default_weights():
@@ -99,19 +115,22 @@ def test_other_methods_need_no_weights_and_have_no_picture_of_them(model_path, t
     assert "ultimate gain" in capsys.readouterr().out
 
 
-@pytest.mark.usefixtures("without_pictures")
-def test_options_reach_the_design(model_path, tmp_path):
+def test_options_reach_the_design(model_path, tmp_path, monkeypatch):
+    asked = []
+
+    def take(model, weights, *others):
+        asked.append((load_weights(weights).as_dict(), others[6]))
+        raise ValueError("this is enough")
+
+    monkeypatch.setattr(design_work, "design_for_stage", take)
     weights = default_weights()
     weights["performance"]["gain"] = 0.05
     weights_path = tmp_path / "weights.yaml"
     weights_path.write_text(yaml.safe_dump(weights))
     output = tmp_path / "controller.json"
     assert main(["--model", str(model_path), "--weights", str(weights_path),
-                 "--delay-ticks", "0", "--output", str(output), "--no-report"]) == 0
-    controller = load_controller(output)
-    assert controller.weights == weights
-    assert controller.report["delay_ticks"] == 0
-    assert controller.report["bandwidth_hz"] < 45
+                 "--delay-ticks", "0", "--output", str(output)]) == 2
+    assert asked == [(weights, 0)]
 
 
 def test_clock_of_another_stage_gives_the_same_feedback_rate(model_path, tmp_path, capsys):

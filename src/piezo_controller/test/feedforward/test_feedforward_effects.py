@@ -167,6 +167,7 @@ def test_open_loop_compensates_nothing(without_creep):
     np.testing.assert_allclose(plans[1].period_voltage_v, plans[0].period_voltage_v, atol=0.05)
 
 
+@pytest.mark.long
 def test_the_feedback_is_designed_for_the_extended_linear_part(stage_model, controller):
     extended = replace(stage_model, effects=(Creep((0.002, 0.003), (0.01, 0.5)), THIRD_MODE))
     report = design_feedback(extended, load_weights()).report

@@ -127,6 +127,7 @@ def _of_square_wave(
 ) -> ComponentResidual:
     time_s = part.time_s
     samples = samples_per_mean(part)
+    model = model.as_rows_show(part.sample_period_s)
     lags, _ = leading_lags(model.effects_at("displacement") + model.effects_at("sensor"), samples)
     system, behind_s = behind_lags(model.linear(), lags)
     first = first_settled(model.dynamics, time_s, model.effects)

@@ -11,7 +11,8 @@ from piezo_common.command_line import Command
 def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("table", metavar="TABLE", type=Path,
                         help="CSV with the columns model,data and if need be holdout, "
-                        "identified_from and name; a semicolon stands between several files")
+                        "identified_from, name, stage and recorded (a day or a time); a semicolon "
+                        "stands between several files")
     parser.add_argument("--scheduler", metavar="ADDRESS",
                         help="of a Dask scheduler, as tcp://host:8786; local processes by default")
     parser.add_argument("--output", metavar="DIR", type=Path, required=True,

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The evidence of a model with effects on several recordings, and its derivatives.
 
-With Gaussian errors of unknown variance in each recording r, and a prior of the model's changes x,
+With Gaussian errors of unknown variance in each recording r, and a prior of the model's changes x::
 
     -ln p = n / 2 sum_r ln(m_r + l_r^2) + |x|^2 / 2
 

@@ -121,8 +121,9 @@ class ModelRun:
     """
 
     def __init__(self, model: StageModel, recording: Recording) -> None:
-        self.model, self.part = model, played(recording)
+        self.part = played(recording)
         period_s = self.part.sample_period_s
+        self.model = model = model.as_rows_show(period_s)
         joined_v, lead = with_voltage_before(recording, self.part)
         self._samples = samples_per_mean(self.part)
         in_parts_v, parts = in_parts(

@@ -30,6 +30,7 @@ from piezo_identification.simulation.sampled_response import (
 )
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
+from piezo_models.effects.amplifier_lag import as_rows_show
 from piezo_models.hysteresis.first_rise import CYCLED
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_recorder.reading.recording import Recording
@@ -100,8 +101,8 @@ class SimulatedRecording:
         part = played(recording)
         self.read_late_s = read_late_s
         self.path = recording.path
-        self.model = model
         self.sample_period_s = part.sample_period_s
+        self.model = model.as_rows_show(self.sample_period_s)
         self.samples_per_mean = samples_per_mean(part)
         self.time_s = part.time_s - part.time_s[0]
         self.voltage_v = np.ascontiguousarray(part.voltage_v, dtype=float)
@@ -128,7 +129,7 @@ class SimulatedRecording:
         another, and is not sought once more for each.
         """
         other, given = copy(self), self.model
-        other.model = model
+        other.model = model = model.as_rows_show(self.sample_period_s)
         if not (model.hysteresis is given.hysteresis and model.first_rise is given.first_rise
                 and model.hysteretic_creep is given.hysteretic_creep
                 and model.effects_at("voltage") == given.effects_at("voltage")):
@@ -159,6 +160,7 @@ class SimulatedRecording:
         -------
         (N,) or (n,) array
         """
+        effects = as_rows_show(effects, self.sample_period_s)
         on_voltage = tuple(effect for effect in effects if effect.place == "voltage")
         in_series = tuple(
             effect for effect in effects

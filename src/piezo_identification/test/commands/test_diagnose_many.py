@@ -13,6 +13,8 @@ import pytest
 
 from piezo_identification.commands.diagnose_many_command import main
 from piezo_identification.diagnosis.many import diagnose_table, many_recordings
+from piezo_identification.diagnosis.many.fleet import histories
+from piezo_identification.diagnosis.many.many_page import many_page
 from piezo_identification.diagnosis.many.many_recordings import diagnose_rows, read_table
 from piezo_identification.diagnosis.report import results
 from piezo_models.cascade import StageModel
@@ -71,6 +73,8 @@ def test_what_is_done_is_not_done_again_and_a_bad_recording_is_named(
     assert "bad.csv has gaps" in page
     assert re.search("002_b.*explained.*delay.*0.970.*80.*11.*10", page, re.DOTALL)
     assert (tmp_path / "out" / "summary.csv").read_text().count("explained") == 2
+    assert told.out.splitlines()[-1].startswith(
+        f"next: ./run piezo_identification propose --model {tmp_path / 'model.json'} --verdict")
 
     diagnosed.clear()
     assert main(arguments) == 0
@@ -83,6 +87,28 @@ def test_what_is_done_is_not_done_again_and_a_bad_recording_is_named(
     assert sorted(diagnosed) == ["002_b", "broken"]
 
 
+def test_stages_of_a_fleet_stand_beside_each_other(tmp_path):
+    rows, told = [], []
+    for stage, recorded, verdict, rms_um in (
+            ("old", "2026-03-01", "none", 0.01), ("old", "2026-05-01", "explained", 0.05),
+            ("old", "2026-04-01", "unexplained", 0.03), ("new", "2026-03-02", "explained", 0.02),
+            ("new", "2026-05-02T10:11:12", "none", 0.01), ("", "", "explained", 0.9)):
+        lines = f"model,data,stage,recorded\nm,a,{stage},{recorded}\n"
+        (tmp_path / "table.csv").write_text(lines)
+        rows += read_table(tmp_path / "table.csv", tmp_path / "out")
+        told.append({"name": stage, "is_new": True, "verdict": {
+            **VERDICT, "verdict": verdict, "before": {"rms_um": rms_um}}})
+    old, new = histories(rows, told)
+    assert (old.stage, old.since.date().isoformat()) == ("old", "2026-04-01")
+    assert old.row() == ["old", "3", "2026-03-01", "2026-05-01", "explained", "delay",
+                         "2026-04-01", "10", "50"]
+    assert (new.stage, new.since) == ("new", None)
+    page = many_page(rows, told, [])
+    assert page.index("<h2>Stages</h2>") < page.index("<h2>Recordings</h2>")
+    assert "1 of 2 stages show something" in page
+    assert "<h2>Stages</h2>" not in many_page(rows[-1:], told[-1:], [])
+
+
 @pytest.mark.parametrize(("text", "sentence"), [
     ("model\nm\n", "lacks data"),
     ("model,data,colour\nm,a,red\n", "has colour"),
@@ -91,6 +117,7 @@ def test_what_is_done_is_not_done_again_and_a_bad_recording_is_named(
     ("model,data,name\nm,a,x\nm,b,x\n", "row 2 of .* as one before it"),
     ("model,data,name\nm,a,../x\n", "give the name of a folder"),
     ("model,data\n", "has no rows"),
+    ("model,data,recorded\nm,a,in May\n", "row 1 of .* was recorded 'in May': give a day"),
 ])
 def test_a_table_that_cannot_be_used_is_refused(tmp_path, text, sentence):
     (tmp_path / "table.csv").write_text(text)
@@ -146,6 +173,59 @@ def test_a_scheduler_that_goes_away_leaves_what_is_done(table, tmp_path, monkeyp
         gone.set()
     assert "verdict" in told[0]
     assert sentences(told).count("the scheduler is gone; start it, and begin again") == 2
+
+
+class OfAWorkerThatDies:
+    """A future, or a client of such: its result is lost and done again, or it is blamed."""
+
+    def __init__(self, number, states):
+        self._number, self._states = number, iter(states)
+
+    @property
+    def status(self):
+        self._now = next(self._states, "finished")
+        return self._now
+
+    def result(self):
+        return {"name": self._number}
+
+    def exception(self):
+        from distributed import KilledWorker
+
+        return KilledWorker("row", None, 3)
+
+    def release(self):
+        """Do nothing."""
+
+
+@pytest.mark.parametrize(("states", "alone", "expected"), [
+    (["pending", "lost", "lost", "pending"], [], {"name": 0}),
+    (["error"] * 9, [], {"name": 0}),
+    (["error"] * 9, ["error"] * 9, "the workers that tried it died"),
+], ids=["lost", "blamed", "killer"])
+def test_rows_of_a_worker_that_dies_are_done_again(
+        table, tmp_path, monkeypatch, states, alone, expected):
+    monkeypatch.setattr(many_recordings, "_wait_for_one", lambda waiting: None)
+    rows = read_table(table, tmp_path / "out")[:2]
+    left = [OfAWorkerThatDies(0, states), OfAWorkerThatDies(1, states),
+            OfAWorkerThatDies(0, alone), OfAWorkerThatDies(1, [])]
+
+    class Client:
+        def submit(self, work, row, pure):
+            return left.pop(0)
+
+        def nthreads(self):
+            return {"a worker": 1}
+
+        def cancel(self, futures):
+            assert futures == []
+
+    told = diagnose_rows(Client(), rows, lambda done: None)
+    if isinstance(expected, dict):
+        assert told == [expected, {"name": 1}]
+    else:
+        assert expected in told[0]["error"] and told[1] == {"name": 1}
+        assert many_recordings.KILLED not in told[0]
 
 
 @pytest.fixture

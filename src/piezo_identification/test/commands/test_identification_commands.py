@@ -16,8 +16,6 @@ from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.model_file import load_model
 from piezo_recorder.reading.reader import read_recording, sha256_of
 
-pytestmark = pytest.mark.usefixtures("static_pages")
-
 HEADER = "time_s,voltage_v,displacement_um"
 NAMES = ("creep", "dynamics", "hysteresis", "validation")
 GRID = ("--grid", 40, "--smoothing", 1e-10, "--translation-weight", 1e-10)
@@ -53,7 +51,7 @@ def options(files):
 
 
 @pytest.fixture(scope="module")
-def model_file(files, tmp_path_factory, static_pages):
+def model_file(files, tmp_path_factory):
     path = tmp_path_factory.mktemp("models") / "model.json"
     arguments = [*options(files), "--output", path, "--creep-pairs", 4, "--modes", 2, *FINE_GRID]
     assert identify_main([str(argument) for argument in arguments]) == 0

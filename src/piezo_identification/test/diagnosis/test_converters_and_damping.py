@@ -110,6 +110,7 @@ def test_damping_that_grows_with_the_amplitude_is_found(model):
     assert diagnosis.after["rms_um"] < 0.3 * diagnosis.before["rms_um"]
 
 
+@pytest.mark.long
 def test_the_equation_of_motion_is_solved():
     """Against an integrator: the load of the spring is the linear stage's displacement."""
     voltage_v = fast(2000)

@@ -107,6 +107,7 @@ def test_the_extended_model_is_better_on_another_recording(plant, of_mode, recor
     assert after < 0.3 * before
 
 
+@pytest.mark.long
 @pytest.mark.kernels
 def test_two_effects_are_found_one_after_the_other(plant, record):
     diagnosis = diagnose(plant, [record(PeriodicDisturbance(333.3, 0.05, 0.02), Delay(8e-5))])

@@ -220,6 +220,7 @@ def test_a_cubic_spring_is_found_and_holds_far_beyond_its_data(save, swinging):
     assert diagnosis.after["rms_um"] < 0.1 * diagnosis.before["rms_um"]
 
 
+@pytest.mark.long
 def test_all_parameters_of_the_model_are_fitted_beside_the_effects_found(save):
     """The linear part of a stage with a spring is wrong, as it was fitted without the spring."""
     wrong = line_model(0.097, ElectricVibrationDynamics(

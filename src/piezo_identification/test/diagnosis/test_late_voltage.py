@@ -21,6 +21,7 @@ PERIOD_S, SAMPLES, NOISE_UM, STEPS = 1e-3, 4000, 5e-3, 10
 MODE_RAD_PER_S, DAMPING_RATIO = 700.0, 0.1
 HIGHEST_V, GAIN_UM_PER_V, DENSITY_UM_PER_V2 = 60.0, 0.4, 2e-3
 LAG_S = 5e-3
+pytestmark = pytest.mark.usefixtures("without_ceiling")
 MODEL = StageModel(
     PreisachModel(-HIGHEST_V, HIGHEST_V, np.tril(np.full((6, 6), DENSITY_UM_PER_V2)), 0.0,
                   np.full(6, GAIN_UM_PER_V)),
@@ -79,9 +80,8 @@ def test_without_a_lag_the_model_lacks_nothing():
     assert diagnose(MODEL, [recording()]).verdict == "none"
 
 
-@pytest.mark.parametrize(("share", "name"), [
-    (1.0, "amplifier_lag"),
-    pytest.param(0.25, "voltage_relaxation", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize(("share", "name"), [(1.0, "amplifier_lag"), (0.25, "voltage_relaxation")])
 def test_a_lag_ahead_of_the_hysteresis_is_named_alone(share, name):
     diagnosis = diagnose(MODEL, [recording(of_late_voltage(share))])
     assert (diagnosis.verdict, names_of(diagnosis)) == ("explained", [name])
@@ -90,12 +90,12 @@ def test_a_lag_ahead_of_the_hysteresis_is_named_alone(share, name):
     assert found.get("share", 1.0) == pytest.approx(share, rel=0.02)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "behind"), [
     ("sensor_lag", lambda signal: through([1.0], [LAG_S, 1.0], signal, "foh")),
-    pytest.param("delay", lambda signal: np.concatenate([np.full(25, signal[0]), signal[:-25]]),
-                 marks=pytest.mark.long),
-    pytest.param("creep", lambda signal: signal + 0.05 * through(
-        [1.0], [0.3, 1.0], signal - signal[0], "foh"), marks=pytest.mark.long),
+    ("delay", lambda signal: np.concatenate([np.full(25, signal[0]), signal[:-25]])),
+    ("creep", lambda signal: signal + 0.05 * through(
+        [1.0], [0.3, 1.0], signal - signal[0], "foh")),
 ], ids=["sensor_lag", "delay", "creep"])
 def test_what_is_behind_the_hysteresis_is_not_taken_for_a_lag_ahead_of_it(name, behind):
     diagnosis = diagnose(MODEL, [recording(behind=behind)])
@@ -104,9 +104,9 @@ def test_what_is_behind_the_hysteresis_is_not_taken_for_a_lag_ahead_of_it(name, 
     assert not {"amplifier_lag", "voltage_relaxation"} & {*names_of(diagnosis)}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("was_there", "came"), [
-    (True, "before the identification"),
-    pytest.param(False, "after the identification", marks=pytest.mark.long)])
+    (True, "before the identification"), (False, "after the identification")])
 def test_when_a_share_of_the_voltage_became_late(was_there, came):
     """A model that was identified meanwhile has an electric lag of its mean delay instead."""
     ahead = of_late_voltage(0.25)

@@ -9,6 +9,7 @@ from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
+pytestmark = pytest.mark.long
 PERIOD_S, SAMPLES, NOISE_UM, GAIN_UM_PER_V = 1e-3, 4000, 0.044, 0.3
 LINE = StageModel(
     PreisachModel(-60.0, 60.0, np.zeros((1, 1)), -18.0, np.array([GAIN_UM_PER_V])),

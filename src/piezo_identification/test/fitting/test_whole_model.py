@@ -127,6 +127,7 @@ def test_an_amplifier_of_second_order_takes_the_place_of_a_lag(plant, play):
     assert np.std(fit.left_um[0][0]) < 1.1 * NOISE_UM < np.std(before.left_um[0][0])
 
 
+@pytest.mark.long
 def test_starts_have_the_loops_that_were_estimated_beside_them(plant, wrong, recordings):
     """A line that no prior bends into loops would keep every start from the truth."""
     loops = wrong.hysteresis

@@ -40,7 +40,7 @@ def test_jumps_tell_when_slow_rows_are_read_whatever_those_of_the_dynamics_do(
     assert creep_of([recording], found, True, 1)[1] == read_at
 
 
-@pytest.mark.parametrize("read_at", [0.0, 1.0])
+@pytest.mark.parametrize("read_at", [pytest.param(0.0, marks=pytest.mark.long), 1.0])
 def test_creep_that_another_logger_recorded_is_not_shifted(recorded, read_at):
     """The dynamics' rows seem to be read 0.48 of their short period late, or are at their end."""
     found = LinearDynamics(read_at_samples=read_at or 0.48)

@@ -79,6 +79,7 @@ def test_creep_alone_gives_a_model_with_its_hysteresis(foreign_stage, record):
     assert relative_error(model, stage, loops([80.0, 60.0], 300)) < 0.01
 
 
+@pytest.mark.long
 def test_fast_cycles_give_the_hysteresis_where_the_dynamics_are_known(foreign_stage, record):
     stage = foreign_stage((), 4e-4, 3000.0, 0.05)
     square = np.tile(np.repeat([20.0, 60.0], 150), 30).astype(float)

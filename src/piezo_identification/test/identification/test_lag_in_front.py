@@ -59,6 +59,7 @@ def loops():
     return recording(voltage_v, 0.1, stage.hysteresis_um(voltage_v))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("lag_s", "names"), [(3.3e-5, ["amplifier_lag"]), (0.0, [])])
 def test_identify_names_a_lag_in_front_only_where_there_is_one(lag_s, names):
     found = identify(hysteresis=loops(), dynamics=square_wave(lag_s), density=GRID,

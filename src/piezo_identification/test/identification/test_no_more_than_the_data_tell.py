@@ -5,6 +5,7 @@ A model of many modes and a hysteresis follows the levels that it was fitted to,
 """
 
 import numpy as np
+import pytest
 
 from piezo_identification import identify
 from piezo_identification.prediction import predict
@@ -55,6 +56,7 @@ def error_of_best_lags(fitted, unseen):
     return np.std(measured - gain * behind_lags(unseen, lag_s)) / np.std(measured)
 
 
+@pytest.mark.long
 def test_unseen_levels_are_predicted_as_well_as_by_the_best_two_lags():
     unseen = recording(2)
     prediction = predict(identify(dynamics=recording(1)).model, unseen)

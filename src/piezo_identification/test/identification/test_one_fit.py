@@ -2,6 +2,7 @@
 """What the separate steps were wrong about is mended by the one fit."""
 
 import numpy as np
+import pytest
 
 from piezo_identification.conditioning.outlier_samples import with_outliers_marked
 from piezo_identification.estimators.frequency_response.response_model import ANY_ORDER
@@ -10,6 +11,7 @@ from piezo_identification.identification.fitted_model import FittedModel
 from piezo_identification.identification.one_fit import fitted_together
 
 
+@pytest.mark.long
 def test_rows_that_were_taken_for_late_are_read_with_their_voltage(plant, play):
     """The separate steps read the fast rows a quarter of a period late, which the data refute."""
     recordings = {name: with_outliers_marked(each) for name, each in (

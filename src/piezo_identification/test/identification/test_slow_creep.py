@@ -37,13 +37,14 @@ def stage(foreign_stage):
 
 
 @pytest.mark.parametrize("waveform", [
-    "steps", "trapezoid", *(pytest.param(name, marks=pytest.mark.long)
-                            for name in ("staircase", "triangles"))])
+    "steps", *(pytest.param(name, marks=pytest.mark.long)
+               for name in ("trapezoid", "staircase", "triangles"))])
 def test_creep_is_found_from_any_slow_voltage(waveform, stage, record):
     estimate = estimate_slow_creep(record(stage, WAVEFORMS[waveform], PERIOD_S))
     assert error_of(estimate.model, stage) < 3e-3
 
 
+@pytest.mark.long
 def test_what_a_first_rise_leaves_is_not_taken_for_creep(independent_stage, recorded):
     """Steps of a stage never cycled, whose plays do not come back to where they began."""
     stage = independent_stage(creep_rates=(0.05, 0.8), creep_gains=(0.04, 0.03))

@@ -67,6 +67,7 @@ def dithered():
     return voltage_v
 
 
+@pytest.mark.long
 def test_what_a_slow_sweep_came_from_is_found(dithered, foreign_stage, record):
     """The amplitude grows, so loops that are not yet closed show how the first voltage came."""
     recording = record(foreign_stage((), 4e-4, 4660.0, 0.02), dithered, PERIOD_S, noise_um=0.001)

@@ -150,7 +150,9 @@ def test_slow_waveforms_move_the_model_along(plant, monitor):
     assert monitor.lost_samples == 0
 
 
-def test_the_process_of_an_explanation_leaves_its_result_or_why_there_is_none(tmp_path):
+def test_the_process_of_an_explanation_leaves_its_result_or_why_there_is_none(
+        tmp_path, monkeypatch):
+    monkeypatch.setattr(explaining.os, "nice", lambda increment: None)  # here it is this process
     work = partial(explaining._work, str(tmp_path / "no.json"), "no", str(tmp_path), 0.01)
     work()
     result = json.loads((tmp_path / explaining.RESULT).read_text())

@@ -9,6 +9,7 @@ import pytest
 
 import piezo_identification.simulation.simulated_recording as module
 from piezo_identification.experiments import catalogue as experiments
+from piezo_identification.simulation.model_run import ModelRun
 from piezo_identification.simulation.simulated_recording import (
     SETTINGS,
     SimulatedRecording,
@@ -114,6 +115,21 @@ def test_new_effects_follow_those_of_the_model_as_in_the_extended_model(
     beside = recording.with_model(replace(plant, effects=(own,))).simulate((new,))
     extended = recording.with_model(replace(plant, effects=(own, new))).simulate()
     np.testing.assert_array_equal(beside, extended)
+
+
+def test_a_lag_that_settles_within_a_row_is_that_of_the_whole_model(plant, play):
+    """The rows of a creep are 10 ms long, and those of the others are shorter than the lag."""
+    slow = replace(plant, effects=(AmplifierLag(1e-4),))
+    recording = play(experiments.creep(period_s=20.0), 1, stage=slow)
+    beside = SimulatedRecording(plant, recording)
+    within = beside.with_model(slow)
+    np.testing.assert_array_equal(beside.simulate((AmplifierLag(1e-4),)), within.simulate())
+    run = ModelRun(slow, recording)
+    apart_um = run.simulated_um(beside.past_v) - within.simulate()[run.settled]
+    initial = np.exp(-np.outer(
+        within.time_s[run.settled], [0.0, *plant.creep.poles_rad_per_s]))
+    sizes = np.linalg.lstsq(initial, apart_um, rcond=None)[0]
+    assert np.abs(apart_um - initial @ sizes).max() < 1e-6
 
 
 def test_how_far_a_stage_had_risen_is_not_sought_for_every_model(plant, play, monkeypatch):

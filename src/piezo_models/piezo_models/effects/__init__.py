@@ -81,5 +81,10 @@ def known_effects() -> dict[str, type[Effect]]:
     ------
     ValueError
         If two have one name, or one of another package cannot be imported.
+
+    Examples
+    --------
+    >>> known_effects()["delay"](delay_s=1e-4)
+    Delay(delay_s=0.0001)
     """
     return dict(registered(GROUP, {effect.name: effect for effect in EFFECTS}))

@@ -2,7 +2,7 @@
 """Lag of the amplifier and its leads, in front of the hysteresis."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import control
@@ -12,10 +12,10 @@ from piezo_models.effects.filtering import slowed
 from piezo_models.effects.lag import Lag
 from piezo_models.effects.sensor_lag import SensorLag
 
-SHORTEST, SHORT, LONGEST = 0.02, 0.25, 5.0
-"""Lags in front of the hysteresis, in rows, between which a row is simulated in parts: of one that
-is shorter the mean is enough, and a longer one hardly moves within a row. A short one has settled
-within the row."""
+SETTLED, SHORT, LONGEST = 0.087, 0.25, 5.0
+"""Lags in front of the hysteresis, in rows: one below the first has settled within the row but for
+1e-5, and acts as behind the hysteresis (`as_rows_show`). From there to the last a row is simulated
+in parts, of a short one in few: a longer one hardly moves within a row."""
 
 PARTS_OF_SHORT, PARTS_OF_LONG = 4, 8
 """Parts of a row for a short lag, and for one that goes on moving from part to part."""
@@ -41,6 +41,45 @@ class AmplifierLag(Lag):
         return slowed([1.0], [1.0, 1.0], self.time_constant_s)
 
 
+@dataclass(frozen=True)
+class SettledLag(Lag):
+    """A lag of the voltage as a linear system behind the hysteresis, whose output it delays.
+
+    What overshoots within the row is not remembered by the hysteresis.
+
+    Attributes
+    ----------
+    of : Lag
+        In front of the hysteresis.
+    """
+
+    name: ClassVar[str] = "settled_lag"
+    place: ClassVar[str] = "linear"
+
+    of: Lag = field(kw_only=True)
+
+    def __post_init__(self) -> None:
+        """Check nothing: the lag was checked."""
+
+    def state_space(self) -> control.StateSpace:
+        """Return the lag as a continuous system."""
+        system = self.of.lag()
+        assert system is not None
+        return system
+
+
+def as_rows_show(effects: Iterable[Effect], sample_period_s: float) -> tuple[Effect, ...]:
+    """Return effects, those lags behind the hysteresis that have settled within a row.
+
+    Only what rings within a row sees such a lag, and that by its phase, which a mean over the row
+    or a part of it does not have.
+    """
+    return tuple(
+        SettledLag(effect.time_constant_s, of=effect)
+        if isinstance(effect, Lag) and effect.place == "voltage"
+        and effect.time_constant_s <= SETTLED * sample_period_s else effect for effect in effects)
+
+
 def lag_behind_hysteresis(effects: Iterable[Effect]) -> tuple[Effect, ...]:
     """Return effects with the amplifier's lag behind the hysteresis, where a sine sees it, too."""
     return tuple(SensorLag(effect.time_constant_s) if isinstance(effect, AmplifierLag) else effect
@@ -54,13 +93,13 @@ def parts_of_rows(effects: Iterable[Effect], sample_period_s: float,
     Parameters
     ----------
     effects : iterable of Effect
-        On the voltage.
+        On the voltage, of `as_rows_show`.
     samples_per_mean : int
         Rows that are means of several samples stay whole.
     """
     rows = [effect.time_constant_s / sample_period_s for effect in effects
             if isinstance(effect, Lag)]
-    within = [each for each in rows if SHORTEST < each < LONGEST]
+    within = [each for each in rows if SETTLED < each < LONGEST]
     if not within or samples_per_mean > 1:
         return 1
     return PARTS_OF_LONG if max(within) > SHORT else PARTS_OF_SHORT

@@ -68,8 +68,8 @@ class AmplitudeDamping(Effect):
     """A mode is damped by the square of its speed, beside another linear damping.
 
     With the displacement x of the mode as the model has it and the mode G of frequency w, the
-    displacement y is the solution of y = x - G f, f = viscous y'/w + quadratic |y'| y' / (w^2 h),
-    with half the range h.
+    displacement y is the solution of y = x - G f, with half the range h and
+    ``f = viscous y'/w + quadratic |y'| y' / (w^2 h)``.
     """
 
     name: ClassVar[str] = "amplitude_damping"

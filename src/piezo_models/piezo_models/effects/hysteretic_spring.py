@@ -39,7 +39,7 @@ class HystereticSpring(Effect):
     displacement y is the solution of y = x - G f, f = linear y + viscous y'/w + z. The force z,
     over the stiffness of the linear spring, follows Bouc and Wen with half the range h and the
     exponent n:
-    z' = stiffness y' - (beta |y'| |z/h|^(n-1) z/h + gamma y' |z/h|^n).
+    ``z' = stiffness y' - (beta |y'| |z/h|^(n-1) z/h + gamma y' |z/h|^n)``.
     """
 
     name: ClassVar[str] = "hysteretic_spring"

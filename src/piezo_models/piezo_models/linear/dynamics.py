@@ -242,6 +242,13 @@ def zoh(system: control.StateSpace, sample_period_s: float) -> control.StateSpac
     ------
     ValueError
         If the system is discrete already, or the sample period is not positive.
+
+    Examples
+    --------
+    >>> import control
+    >>> lag = control.ss(-100.0, 100.0, 1.0, 0.0)
+    >>> print(f"{zoh(lag, 1e-3).A[0, 0]:.4f}")      # exp(-0.1)
+    0.9048
     """
     if not system.isctime(strict=False):
         raise ValueError("the system is discrete already; give the continuous one")
@@ -335,6 +342,13 @@ def simulate_linear(discrete_system: control.StateSpace, input: ArrayLike,
     Returns
     -------
     (N,) array
+
+    Examples
+    --------
+    >>> import control
+    >>> lag = zoh(control.ss(-100.0, 100.0, 1.0, 0.0), 1e-3)
+    >>> print(np.round(simulate_linear(lag, np.ones(4)), 4))
+    [0.     0.0952 0.1813 0.2592]
     """
     states = discrete_system.nstates
     state = np.zeros(states) if initial_state is None else initial_state

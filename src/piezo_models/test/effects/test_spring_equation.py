@@ -75,7 +75,8 @@ def errors_in_motion(parts, drive, w, time_s, viscous):
     return found_um - expected_um, expected_um, linear_um
 
 
-@pytest.mark.parametrize("viscous", [0.0, -0.06, 0.2])
+@pytest.mark.parametrize("viscous", [
+    0.2, *(pytest.param(viscous, marks=pytest.mark.long) for viscous in (0.0, -0.06))])
 @pytest.mark.parametrize(("phase", "samples", "tolerance"), [
     (0.72, 300, 5e-3), (0.05, 1500, 1e-4)])
 def test_in_motion_it_is_the_solution_of_the_equation_of_motion(

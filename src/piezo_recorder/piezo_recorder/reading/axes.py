@@ -163,6 +163,18 @@ def read_axes(path: str | PathLike[str]) -> list[AxesRecording]:
     ------
     RecordingError
         If the file, a column, a row or the sample period is not as it should be; one line.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> time_s = 1e-3 * np.arange(500)
+    >>> push_v = np.random.default_rng(0).normal(size=(500, 2))
+    >>> columns = {"time_s": time_s, "x_voltage_v": push_v[:, 0], "y_voltage_v": push_v[:, 1],
+    ...            "x_displacement_um": 2.0 * push_v[:, 0], "y_displacement_um": 3.0 * push_v[:, 1]}
+    >>> np.savetxt("axes.csv", np.column_stack(list(columns.values())), delimiter=",", comments="",
+    ...            header=",".join(columns))
+    >>> [each.axes for each in read_axes("axes.csv")]
+    [('x', 'y')]
     """
     path = Path(path)
     if path.suffix.lower() in (".yaml", ".yml"):
@@ -219,6 +231,17 @@ def axes_recordings_in(data: Mapping[str, ArrayLike], name: str = IN_MEMORY) -> 
     ------
     RecordingError
         See `read_axes`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> time_s = 1e-3 * np.arange(500)
+    >>> push_v = np.random.default_rng(0).normal(size=(500, 2))
+    >>> columns = {"time_s": time_s, "x_voltage_v": push_v[:, 0], "y_voltage_v": push_v[:, 1],
+    ...            "x_displacement_um": 2.0 * push_v[:, 0], "y_displacement_um": 3.0 * push_v[:, 1]}
+    >>> recording, = axes_recordings_in(columns)
+    >>> recording.axes
+    ('x', 'y')
     """
     return _joined(name, axes_of_labels(list(data)),
                    lambda columns: recordings_in(data, columns, name))
@@ -249,6 +272,14 @@ def axes_recordings_of_arrays(
     ------
     RecordingError
         If the arrays do not fit the dimensions and axes, or hold what is not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> push_v = np.random.default_rng(0).normal(size=(3, 500, 2))
+    >>> len(axes_recordings_of_arrays(push_v, 2.0 * push_v, 1000.0, ("x", "y"),
+    ...                               ("realisation", "sample", "channel")))
+    3
     """
     voltages_v, displacements_um = (np.asarray(each, dtype=float)
                                     for each in (voltage_v, displacement_um))

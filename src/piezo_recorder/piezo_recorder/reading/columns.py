@@ -66,6 +66,11 @@ def parse_columns(options: Sequence[str] | None) -> ColumnsDocument:
     ------
     RecordingError
         If a word is not of this form, or the file does not fit its schema.
+
+    Examples
+    --------
+    >>> parse_columns(["time=t[ms]", "voltage=monitor[20V]"]).voltage.factor
+    20.0
     """
     if not options:
         return GUESSED

@@ -34,6 +34,18 @@ def to_frame(recording: Recording) -> "pandas.DataFrame":
     ------
     RecordingError
         If pandas is not installed.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> time_s = 1e-3 * np.arange(500)
+    >>> voltage_v = 5.0 - 5.0 * np.cos(20.0 * time_s)
+    >>> from piezo_recorder import recording_of
+    >>> recording = recording_of(
+    ...     {"time_s": time_s, "voltage_v": voltage_v, "displacement_um": 2.0 * voltage_v})
+    >>> frame = to_frame(recording)
+    >>> frame.attrs["units"]["displacement_um"], recording_of(frame).voltage_v.size
+    ('um', 500)
     """
     try:
         import pandas
@@ -62,6 +74,11 @@ def to_xarray(recording: Recording) -> "xarray.Dataset":
     ------
     RecordingError
         If xarray is not installed.
+
+    Examples
+    --------
+    >>> to_xarray(recording)["voltage_v"].attrs["units"]      # that of `to_frame`
+    'V'
     """
     try:
         import xarray
@@ -100,6 +117,16 @@ def read_frame(path: str | PathLike[str], **options: Any) -> "pandas.DataFrame":
     ------
     RecordingError
         If the recording cannot be read, or pandas is not installed.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> time_s = 1e-3 * np.arange(500)
+    >>> voltage_v = 5.0 - 5.0 * np.cos(20.0 * time_s)
+    >>> np.savetxt("mine.csv", np.column_stack([time_s, voltage_v, 2.0 * voltage_v]),
+    ...            delimiter=",", comments="", header="time_s,voltage_v,displacement_um")
+    >>> read_frame("mine.csv").shape[0]
+    500
     """
     return to_frame(read_recording(path, **options))
 

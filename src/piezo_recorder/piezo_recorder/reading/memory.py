@@ -39,6 +39,14 @@ def recording_of(data: "Mapping[str, ArrayLike] | pandas.DataFrame | xarray.Data
     ------
     RecordingError
         As `recordings_in`, or where there are several recordings.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> time_s = 1e-3 * np.arange(500)
+    >>> voltage_v = 5.0 - 5.0 * np.cos(20.0 * time_s)
+    >>> recording_of({"time_s": time_s, "voltage_v": voltage_v, "displacement_um": 2.0 * voltage_v})
+    <Recording data in memory: 500 samples every 0.001 s, 0 to 10 V, 0 to 20 um>
     """
     found = recordings_in(data, columns, name)
     if len(found) > 1:
@@ -67,6 +75,15 @@ def recordings_in(data: "Mapping[str, ArrayLike] | pandas.DataFrame | xarray.Dat
     RecordingError
         If a signal is missing or ambiguous, columns have different lengths, a value is not
         finite, or the time does not rise evenly.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> time_s = 1e-3 * np.tile(np.arange(250), 2)           # begins anew
+    >>> voltage_v = 5.0 - 5.0 * np.cos(20.0 * time_s)
+    >>> found = recordings_in({"time_s": time_s, "voltage_v": voltage_v, "y [nm]": 2e3 * voltage_v})
+    >>> [each.voltage_v.size for each in found]
+    [250, 250]
     """
     labelled = _columns_of(data)
     own = labelled.keys() >= OF_OUR_FRAMES

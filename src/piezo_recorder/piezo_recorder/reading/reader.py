@@ -69,6 +69,16 @@ def read_recording(path: str | PathLike[str], topic: str | None = None,
     ------
     RecordingError
         If the file is missing, damaged, ambiguous, holds no samples, or several recordings.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> time_s = 1e-3 * np.arange(500)
+    >>> voltage_v = 5.0 - 5.0 * np.cos(20.0 * time_s)
+    >>> np.savetxt("mine.csv", np.column_stack([time_s, voltage_v, 2e3 * voltage_v]),
+    ...            delimiter=",", comments="", header="t [s],U [V],y [nm]")
+    >>> read_recording("mine.csv")
+    <Recording mine.csv: 500 samples every 0.001 s, 0 to 10 V, 0 to 20 um>
     """
     return only_recording(
         path, read_recordings(path, topic, sample_rate_hz, columns, progress, several_axes))
@@ -92,6 +102,16 @@ def read_recordings(path: str | PathLike[str], topic: str | None = None,
 
     They are told apart by a column that numbers them, by groups of the file, by a header that is
     repeated, or by a time that begins anew. See `read_recording`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> time_s = 1e-3 * np.tile(np.arange(250), 2)           # begins anew
+    >>> voltage_v = 5.0 - 5.0 * np.cos(20.0 * time_s)
+    >>> np.savetxt("two.csv", np.column_stack([time_s, voltage_v, 2.0 * voltage_v]),
+    ...            delimiter=",", comments="", header="time_s,voltage_v,displacement_um")
+    >>> [each.voltage_v.size for each in read_recordings("two.csv")]
+    [250, 250]
     """
     path = Path(path)
     if not holds_messages(path):
@@ -132,7 +152,15 @@ def axes_of_messages(path: Path) -> tuple[str, ...]:
 
 
 def sha256_of(path: str | PathLike[str]) -> str:
-    """Return the SHA-256 hash of a recording's data: of its MCAP or CSV file, hexadecimal."""
+    """Return the SHA-256 hash of a recording's data: of its MCAP or CSV file, hexadecimal.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> _ = Path("empty.csv").write_text("")
+    >>> sha256_of("empty.csv")[:16]
+    'e3b0c44298fc1c14'
+    """
     digest = hashlib.sha256()
     for file in data_files(Path(path)):
         with open(file, "rb") as stream:

@@ -4,6 +4,7 @@
 import io
 import sys
 import zipfile
+from datetime import datetime, time, timedelta
 
 import numpy as np
 import pandas
@@ -223,3 +224,25 @@ def test_sheet_is_read_below_its_labels(tmp_path):
     np.testing.assert_allclose(recording.voltage_v, VOLTAGE_V)
     np.testing.assert_allclose(recording.displacement_um, DISPLACEMENT_UM)
     assert recording.sample_period_s == pytest.approx(0.5e-3)
+
+
+@pytest.mark.parametrize("begin", [
+    datetime(2026, 3, 4, 23, 59, 59, 900_000), datetime(2026, 3, 4, 23, 59, 59, 900_000).time(),
+    timedelta(hours=30)], ids=["dates", "times of the day", "durations"])
+def test_times_of_a_sheet_are_seconds(tmp_path, begin):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.active.append(["Time", "U [V]", "pos [um]"])
+    for row, (voltage_v, displacement_um) in enumerate(
+            zip(VOLTAGE_V, DISPLACEMENT_UM, strict=True)):
+        later = timedelta(milliseconds=2 * row)
+        at = ((datetime.combine(datetime(2026, 3, 4), begin) + later).time()
+              if isinstance(begin, time) else begin + later)
+        book.active.append([at, voltage_v, displacement_um])
+    for cells in book.active.iter_rows(min_row=2, max_col=1):
+        if isinstance(begin, timedelta):
+            cells[0].number_format = "[h]:mm:ss.000"
+    book.save(tmp_path / "book.xlsx")
+    recording = read_recording(tmp_path / "book.xlsx")
+    np.testing.assert_allclose(recording.displacement_um, DISPLACEMENT_UM)
+    assert recording.sample_period_s == pytest.approx(2e-3)

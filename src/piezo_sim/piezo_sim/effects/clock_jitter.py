@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Converters that do not act at the ticks of the clock exactly.
 
-With the deviation tau from the tick, |normal| times the stated RMS and at most one period T, a
+With the deviation tau from the tick, ``|normal|`` times the stated RMS and at most one period T, a
 sample becomes s[n] + (s[n-1] - s[n]) tau / T. For a held voltage that is the mean over the period
 of an update that comes late by tau; for a displacement it is a straight line, read tau early.
 """

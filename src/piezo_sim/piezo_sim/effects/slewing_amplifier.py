@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Power amplifier of two poles in a feedback loop, whose first stage saturates.
 
+::
+
     dv/dt = z,   dz/dt = 2 zeta w (sat(w / (2 zeta) (u - v), S) - z)
 
-For small signals v'' + 2 zeta w v' + w^2 v = w^2 u; for large ones |dv/dt| stays below the slew
-rate S. The loop is advanced in steps of a fraction of a sample, each exact for the regime, linear
-or saturated, in which it begins; the output is the mean over the sample, to which what follows
-responds.
+For small signals v'' + 2 zeta w v' + w^2 v = w^2 u; for large ones ``|dv/dt|`` stays below the
+slew rate S. The loop is advanced in steps of a fraction of a sample, each exact for the regime,
+linear or saturated, in which it begins; the output is the mean over the sample, to which what
+follows responds.
 """
 
 from dataclasses import dataclass

@@ -53,10 +53,11 @@ margin of 3 dB, which is how far the closed loop falls at the edge of its band. 
 attenuate the disturbances in a narrow band, and spend no gain beside it: between the lines it
 attenuates as little as a slow loop does. It is the method of `design_at_sample_rate`. The other
 methods have few numbers, are searched by trial, and are there to be compared
-(`piezo_studies.high_bandwidth.searched_designs`). H-infinity has the weights of a four-block
-problem and constant scalings D of two uncertainties, the gain and the square of the light mode's
-frequency, which it takes for complex. Its rows are what the search found, not the best that the
-method can give. A row in brackets exceeds a bound, because the search found nothing within them.
+(`piezo_controller.feedback.sample_rate.searched_designs`). H-infinity has the weights of a
+four-block problem and constant scalings D of two uncertainties, the gain and the square of the
+light mode's frequency, which it takes for complex. Its rows are what the search found, not the best
+that the method can give. A row in brackets exceeds a bound, because the search found nothing within
+them.
 
 ![Margin to the demands against the error of the light mode](pictures/high_bandwidth.png)
 

@@ -12,12 +12,12 @@ import numpy as np
 
 from piezo_controller.feedback.controller_file import load_controller, save_controller
 from piezo_controller.feedback.feedback_design import FeedbackController, UnstableLoop
+from piezo_controller.feedback.sample_rate.classical_forms import FORMS
 from piezo_controller.feedback.sample_rate.demands import Demands
 from piezo_controller.feedback.sample_rate.fast_design import METHOD
+from piezo_controller.feedback.sample_rate.searched_designs import H_INFINITY, design_by
 from piezo_controller.feedback.synthesis.generalised_plant import hysteresis_gain_range
 from piezo_models.cascade import StageModel
-from piezo_studies.high_bandwidth.classical_candidates import CANDIDATES
-from piezo_studies.high_bandwidth.searched_designs import H_INFINITY, METHODS, design_by
 
 DEMANDS = Demands(noise_voltage_v=3.3, slow_sensitivity=4.0)
 """All methods are compared under weaker bounds than `design_at_sample_rate` has by default."""
@@ -27,9 +27,10 @@ LIGHT_MODE_ERRORS = (0.05, 0.10, 0.15, 0.20)
 OF_EVERY_STAGE = ((True, 0.20, METHOD),)
 """Designed to reach the demands with every stage, too, at the largest error."""
 
-TITLES = {METHOD: "fixed order with resonances at 50 Hz and 100 Hz",
-          H_INFINITY: "H-infinity", **{name: candidate.title
-                                       for name, candidate in CANDIDATES.items()}}
+TITLES = {METHOD: "fixed order with resonances at 50 Hz and 100 Hz", H_INFINITY: "H-infinity",
+          **{name: FORMS[name].title for name in (
+              "notch_pi", "integral_resonant", "positive_position", "inverse_pi")}}
+"""Of the methods that are compared."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ def compare(model: StageModel, take: Callable[[Compared], None], kept: Path,
     effort : float
         See `design_by`.
     """
-    for of_every_stage, error, method in (*product((False,), LIGHT_MODE_ERRORS, METHODS),
+    for of_every_stage, error, method in (*product((False,), LIGHT_MODE_ERRORS, TITLES),
                                           *OF_EVERY_STAGE):
         demands = replace(DEMANDS, of_every_stage=of_every_stage,
                           errors=replace(DEMANDS.errors, light_mode=error))

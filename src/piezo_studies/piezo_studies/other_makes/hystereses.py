@@ -101,7 +101,7 @@ def _blocks(voltage: FloatArray, stiffnesses: FloatArray, limits: FloatArray) ->
 
 @dataclass(frozen=True)
 class Duhem:
-    """The equation of Coleman and Hodgdon, s' = rate v' + slope |v'| (middle v - s).
+    """The equation of Coleman and Hodgdon, ``s' = rate v' + slope |v'| (middle v - s)``.
 
     Attributes
     ----------

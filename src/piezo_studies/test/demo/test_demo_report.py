@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 import base64
 import io
-import json
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -136,15 +135,6 @@ def test_the_report_refers_to_nothing_outside_itself(report, page_parts):
     assert not {tag for tag, _ in tags} & {"link", "iframe", "object", "embed"}
     assert all("src" not in attributes for tag, attributes in tags if tag == "script")
     assert "@import" not in report
-
-
-def test_curves_of_the_report_can_be_looked_at_more_closely(report):
-    pytest.importorskip("bokeh")
-    shown = [attributes["alt"] for tag, attributes in Page(report).tags if tag == "img"]
-    items = [json.loads(text) for text in re.findall(
-        r'<script type="application/json">(.*?)</script>', report, re.S)]
-    assert len(items) == len(shown) - 1  # of all but the density
-    assert report.count("<summary>look closer") == len(items)
 
 
 def test_the_second_part_tells_both_before_and_after(report):

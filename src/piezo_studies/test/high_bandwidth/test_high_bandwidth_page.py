@@ -7,8 +7,7 @@ from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_studies.high_bandwidth.page import draw, page, searched_table
-from piezo_studies.high_bandwidth.searched_designs import METHODS
-from piezo_studies.high_bandwidth.trade_off import LIGHT_MODE_ERRORS, Compared
+from piezo_studies.high_bandwidth.trade_off import LIGHT_MODE_ERRORS, TITLES, Compared
 
 
 def design(worst_peak_sensitivity, noise_voltage_v=3.0):
@@ -28,7 +27,7 @@ def compared():
     rows = {"h_infinity": design(3.99), "notch_pi": design(4.6),
             "integral_resonant": design(3.9, 5.0)}
     return [Compared(method, error, every_stage, rows.get(method))
-            for every_stage in (False, True) for error in LIGHT_MODE_ERRORS for method in METHODS]
+            for every_stage in (False, True) for error in LIGHT_MODE_ERRORS for method in TITLES]
 
 
 def test_what_exceeds_a_bound_stands_in_brackets(compared):

@@ -9,8 +9,14 @@ import pytest
 
 from piezo_controller.feedback.controller_file import load_stabilising_controller, save_controller
 from piezo_controller.feedback.multirate_feedback import MultirateFeedback
+from piezo_controller.feedback.sample_rate.classical_forms import FORMS
 from piezo_controller.feedback.sample_rate.demands import Demands
+from piezo_controller.feedback.sample_rate.light_mode_problem import (
+    SampleRateWeights,
+    light_mode_problem,
+)
 from piezo_controller.feedback.sample_rate.perturbed_loops import ModelErrors, PerturbedLoops
+from piezo_controller.feedback.sample_rate.searched_designs import METHODS, design_by
 from piezo_controller.feedback.synthesis.generalised_plant import hysteresis_gain_range
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
@@ -20,9 +26,6 @@ from piezo_models.linear.dynamics import (
     continue_linear,
     zoh,
 )
-from piezo_studies.high_bandwidth.classical_candidates import CANDIDATES
-from piezo_studies.high_bandwidth.light_mode_problem import SampleRateWeights, light_mode_problem
-from piezo_studies.high_bandwidth.searched_designs import METHODS, design_by
 from piezo_studies.high_bandwidth.trade_off import DEMANDS
 
 CLOCK_PERIOD_S = 25e-6
@@ -44,7 +47,7 @@ def model():
 def inverse_pi(model):
     """Return a controller of good numbers for a light mode that is known within 5 %."""
     numbers = (0.882, 0.208, 0.753, 0.977, 0.072, 0.737, 3.256, 0.21)
-    return CANDIDATES["inverse_pi"].controller(model, numbers, CLOCK_PERIOD_S)
+    return FORMS["inverse_pi"].controller(model, numbers, CLOCK_PERIOD_S)
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,6 @@
 """The command for measured data, on made-up files of the same layout."""
 
 import json
-import os
 
 import numpy as np
 import pytest
@@ -21,7 +20,6 @@ from piezo_studies.measured_devices.measured import (
 from piezo_studies.measured_devices.measured_command import main
 from piezo_studies.measured_devices.measured_sets import SETS
 
-LONG = bool(os.environ.get("LONG_TESTS"))
 CANTILEVER_DYNAMICS = ElectricVibrationDynamics(
     1e-4, (6030.0, 10_800.0), (0.033, 0.035), (7850.0,), (0.05,)
 )
@@ -80,15 +78,13 @@ def output(data, tmp_path_factory, picture_faults):
     with pytest.MonkeyPatch.context() as patch:
         # test_oscillators.py runs them; here they would take most of the time.
         patch.setattr(measured_work, "OSCILLATORS", {})
-        if not LONG:
-            for name in "scanner", "nanopositioner":
-                patch.delitem(measured_work.FINDINGS, name)
         # Of the stage above, which has fewer modes than the real one.
         patch.setattr(measured, "ORDER", ResponseOrder(creep_pairs=2, modes=2, antiresonances=1))
         assert picture_faults(main, ["--data", str(data), "--output", str(directory / "new")]) == []
     return directory / "new"
 
 
+@pytest.mark.long
 def test_every_set_is_predicted_where_it_was_not_fitted(output):
     rows = json.loads((output / "table.json").read_text())["rows"]
     assert [row["data"] for row in rows] == [
@@ -103,10 +99,11 @@ def test_every_set_is_predicted_where_it_was_not_fitted(output):
     assert frequency_hz == pytest.approx(6030.0 / (2.0 * np.pi), abs=1.0)
 
 
+@pytest.mark.long
 def test_poor_models_are_diagnosed_too(output):
     cantilever, *others = json.loads((output / "table.json").read_text())["findings"]
     scanners = others[1:]
-    assert len(others) == 3 * LONG
+    assert len(others) == 3
     assert cantilever["effects"][0] == "vibration_mode"
     # The static model lacks the electric lag, too, and no candidate is one.
     assert cantilever["after_percent"] < 0.6 * cantilever["before_percent"]
@@ -122,6 +119,7 @@ def test_a_response_that_remains_far_above_its_noise_is_not_called_explained(out
     assert nanopositioner["after_percent"] <= nanopositioner["before_percent"]
 
 
+@pytest.mark.long
 def test_there_is_a_picture_of_every_prediction(output):
     assert {path.name for path in output.glob("*.png")} == {
         "scanner_major_loops.png", "scanner_nested_loops.png", "cantilever_cycles.png",
@@ -132,10 +130,11 @@ def test_there_is_a_picture_of_every_prediction(output):
 def test_missing_sets_are_skipped_with_a_line_that_says_how_to_get_them(
         data, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(measured_work, "FINDINGS", {})
+    monkeypatch.setitem(measured_work.SETS, "nanopositioner", lambda data, output: [
+        measured.Figure("nanopositioner", "error", "all", "all", "%", np.nan, 1.0, 0.5)])
     only = tmp_path / "data"
     (only / NANOPOSITIONER).parent.mkdir(parents=True)
     (only / NANOPOSITIONER).write_bytes((data / NANOPOSITIONER).read_bytes())
-    monkeypatch.setattr(measured, "ORDER", ResponseOrder(creep_pairs=2, modes=2, antiresonances=1))
     assert main(["--data", str(only), "--output", str(tmp_path / "new")]) == 0
     skipped = [line for line in capsys.readouterr().out.splitlines() if line.startswith("skipped")]
     assert len(skipped) == len(SETS) - 1

@@ -26,6 +26,12 @@ COARSE, FINE, NEAR = 120, 240, 24
 """Frequencies over the whole band, about the modes, where the loops differ, and near a disturbance,
 where a controller may have a resonance."""
 
+OVER_PEAK, MOST_FINE = 3.0, 2000
+"""Frequencies over half the width of a light mode's peak, and how many there are at most."""
+
+AROUND = 3.0
+"""Ratio of the highest to the light mode's frequency, and of that to the lowest."""
+
 SLOW = 0.5
 """Of the frequency of the lowest disturbance: where no error is to grow."""
 
@@ -124,12 +130,15 @@ class PerturbedLoops:
                  coarse: int = COARSE) -> None:
         self.plants = list(_perturbed(model, errors, clock_period_s, delay_ticks))
         highest_hz = HIGHEST / clock_period_s
-        mode_hz = model.dynamics.mode_frequencies_rad_per_s[light_mode(model)] / (2 * np.pi)
+        light = light_mode(model)
+        mode_hz = model.dynamics.mode_frequencies_rad_per_s[light] / (2 * np.pi)
+        over_peaks = OVER_PEAK * 2 * np.log(AROUND) / model.dynamics.damping_ratios[light]
+        fine = min(max(FINE, round(over_peaks)), MOST_FINE)
         about = np.outer(disturbance_hz, 1 + disturbance_tolerance * ABOUT)
         self.frequency_hz = np.unique(np.concatenate([
             np.geomspace(LOWEST_HZ, highest_hz, coarse),
-            np.geomspace(mode_hz / 3, mode_hz * 3, FINE), *(_near(hz) for hz in disturbance_hz),
-            about.ravel()]))
+            np.geomspace(mode_hz / AROUND, mode_hz * AROUND, fine),
+            *(_near(hz) for hz in disturbance_hz), about.ravel()]))
         self.slow = self.frequency_hz <= SLOW * min(disturbance_hz)
         self.points = np.exp(2j * np.pi * self.frequency_hz * clock_period_s)
         self.responses = np.array([_response(plant, self.points) for plant in self.plants])

@@ -51,7 +51,8 @@ class Alternative:
         By the recordings so far; those too improbable to be listed have what is missing to one.
     information : (p, p) array
         Root of the information on the model's parameters, in prior widths, and then on the fitted
-        numbers of the effects: a change x of them costs |information x|^2 in standard deviations.
+        numbers of the effects: a change x of them costs ``|information x|^2`` in standard
+        deviations.
     """
 
     name: str

@@ -71,7 +71,7 @@ def plain_model(model: StageModel, recordings: Sequence[Recording],
     """
     if model.dynamics.is_static and not model.effects_at("modes"):
         return None
-    period_s = min(recording.sample_period_s for recording in recordings)
+    period_s = float(min(each.sample_periods_s.min() for each in recordings))
     bare = StageModel(_line(model, recordings), CreepDynamics(), loudest_mode(model, period_s))
     problem = WholeModel(bare, recordings, [0.0] * len(recordings))
     starts: list[tuple[StageModel, float | None]] = [(bare, None)]

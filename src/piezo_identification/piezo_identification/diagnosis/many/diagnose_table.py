@@ -4,10 +4,14 @@
 import argparse
 import csv
 import sys
+from collections.abc import Sequence
+from typing import Any
 
-from piezo_common.command_line import print_progress
+from piezo_common.command_line import print_next, print_progress
+from piezo_identification.diagnosis.many.fleet import histories
 from piezo_identification.diagnosis.many.many_page import HEADS, many_page, summary_row
 from piezo_identification.diagnosis.many.many_recordings import (
+    DiagnosisRow,
     cluster_client,
     diagnose_rows,
     errors_of,
@@ -27,15 +31,36 @@ def diagnose_table(options: argparse.Namespace) -> None:
             if client.cluster is not None:
                 client.cluster.close()
     page, table = options.output / "index.html", options.output / "summary.csv"
-    cells = [summary_row(result) for result in results if "verdict" in result]
-    page.write_text(many_page(results, [f"table {options.table}"]), encoding="utf-8")
+    cells = [[*summary_row(result), row.stage, row.recorded.isoformat() if row.recorded else ""]
+             for row, result in zip(rows, results, strict=True) if "verdict" in result]
+    page.write_text(many_page(rows, results, [f"table {options.table}"]), encoding="utf-8")
     with table.open("w", newline="", encoding="utf-8") as stream:
-        csv.writer(stream).writerows([HEADS, *cells])
+        csv.writer(stream).writerows([[*HEADS, "stage", "recorded"], *cells])
     for result in results:
         if "verdict" in result:
             name, verdict, effects, *_ = summary_row(result)
             again = "" if result["is_new"] else " (done before)"
             print(f"{name}: {verdict} {effects}".rstrip() + again)
+    for each in histories(rows, results):
+        if each.since is not None:
+            print(f"stage {each.stage} lacks something since {each.since.date()}")
     for sentence in errors_of(results):
         print(f"{options.prog}: {sentence}", file=sys.stderr)
     print(f"report: {page}")
+    _print_next(options, rows, results)
+
+
+def _print_next(options: argparse.Namespace, rows: Sequence[DiagnosisRow],
+                results: Sequence[dict[str, Any]]) -> None:
+    """Print what to type next: for the model that lacks most, or a feedback where none does."""
+    lacking = [(result["verdict"]["before"]["rms_um"], number)
+               for number, result in enumerate(results)
+               if "verdict" in result and result["verdict"]["verdict"] != "none"]
+    if not lacking:
+        print_next(options, "piezo_controller", "design", "--model", rows[0].model, "--output",
+                   options.output / "controller.json")
+        return
+    row = rows[max(lacking)[1]]
+    print_next(options, "piezo_identification", "propose", "--model", row.model, "--verdict",
+               row.directory / "verdict.json", "--data", *row.data, "--output",
+               row.directory / "next")

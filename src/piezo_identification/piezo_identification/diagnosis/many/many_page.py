@@ -6,19 +6,21 @@ from collections.abc import Sequence
 from typing import Any
 
 from piezo_common.report_page import Section, render_page
-from piezo_identification.diagnosis.many.many_recordings import errors_of
+from piezo_identification.diagnosis.many.fleet import fleet_section, histories
+from piezo_identification.diagnosis.many.many_recordings import DiagnosisRow, errors_of
 
 HEADS = ("name", "verdict", "effects", "most probable", "probability", "before (nm)", "after (nm)",
          "noise (nm)")
 
 
-def many_page(results: Sequence[dict[str, Any]], origin: Sequence[str]) -> str:
-    """Return the page of many diagnoses as HTML.
+def many_page(rows: Sequence[DiagnosisRow], results: Sequence[dict[str, Any]],
+              origin: Sequence[str]) -> str:
+    """Return the page of many diagnoses as HTML; that of a fleet begins with its stages.
 
     Parameters
     ----------
     results : sequence of dict
-        Of `diagnose_row`.
+        Of `diagnose_row`, in the order of the rows.
     origin : sequence of str
         Where they came from.
     """
@@ -28,7 +30,9 @@ def many_page(results: Sequence[dict[str, Any]], origin: Sequence[str]) -> str:
                       for entry in result["verdict"]["effects"])
     told = ", ".join(f"{count} {name}" for name, count in counts.most_common()) or "none"
     skipped = list(errors_of(results))
-    sections = [Section(
+    of_stages = histories(rows, results)
+    sections = [fleet_section(of_stages)] if of_stages else []
+    sections += [Section(
         "Recordings", [f"The report of each row is `report.html` in the folder of its name. "
                        f"{len(skipped)} could not be diagnosed."],
         [HEADS, *map(summary_row, verdicts)])]

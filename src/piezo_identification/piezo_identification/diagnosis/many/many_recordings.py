@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import suppress
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,15 +22,18 @@ from piezo_recorder.reading.reader import sha256_of
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-COLUMNS = ("model", "data", "holdout", "identified_from", "name")
 REQUIRED = ("model", "data")
+OPTIONAL = ("holdout", "identified_from", "name", "stage", "recorded")
+COLUMNS = (*REQUIRED, *OPTIONAL)
 BETWEEN = ";"
 """Stands between the files of one cell."""
 CONTENT = "content.json"
 """In the folder of a row: from what its results came."""
 CONNECT_S = 10
-LONELY_S = 30.0
-"""How long a scheduler may be without any worker: one that died is started again sooner."""
+LONELY_S = 120.0
+"""How long a scheduler may be without any worker: one that died is started again within a quarter
+of that, and a row may kill four in a row."""
+KILLED = "killed"
 ASKED_S = 0.5
 """How often it is asked whether there are workers."""
 
@@ -47,6 +51,10 @@ class DiagnosisRow:
     holdout : Path or None
     directory : Path
         For the results.
+    stage : str
+        Of a fleet; empty where the table does not say.
+    recorded : datetime or None
+        When the data were recorded.
     """
 
     name: str
@@ -55,6 +63,8 @@ class DiagnosisRow:
     holdout: Path | None
     identified_from: tuple[Path, ...]
     directory: Path
+    stage: str = ""
+    recorded: datetime | None = None
 
     def content(self) -> str:
         """Return the SHA-256 of all that the results depend on."""
@@ -72,16 +82,16 @@ def read_table(table: Path, output: Path) -> list[DiagnosisRow]:
     Parameters
     ----------
     table : Path
-        CSV with the columns model and data, and if need be holdout, identified_from and name.
-        Several files in a cell have a semicolon between them; relative paths count from the
-        table's folder.
+        CSV with the columns model and data, and if need be `OPTIONAL` ones. Several files in a
+        cell have a semicolon between them; relative paths count from the table's folder.
     output : Path
         In which each row gets a folder.
 
     Raises
     ------
     ValueError
-        If a column is missing or not known, a cell is empty, or two rows have the same name.
+        If a column is missing or not known, a cell is empty, two rows have the same name, or a
+        time of recording is none of ISO 8601.
     """
     try:
         with table.open(newline="", encoding="utf-8-sig") as stream:
@@ -94,7 +104,7 @@ def read_table(table: Path, output: Path) -> list[DiagnosisRow]:
     if missing or unknown:
         wrong = f"lacks {', '.join(missing)}" if missing else f"has {', '.join(unknown)}"
         raise ValueError(f"the header of {table} {wrong}: its columns are model and data, and if "
-                         "need be holdout, identified_from and name")
+                         f"need be {', '.join(OPTIONAL)}")
     rows = [_row(table, number, entry, output) for number, entry in enumerate(entries, start=1)]
     names = [row.name for row in rows]
     for number, name in enumerate(names, start=1):
@@ -121,8 +131,16 @@ def _row(table: Path, number: int, entry: dict[str, str | None], output: Path) -
     name = (entry.get("name") or "").strip() or f"{number:03}_{paths('data')[0].stem}"
     if name in (".", "..") or Path(name).name != name:
         raise ValueError(f"row {number} of {table} has the name {name}: give the name of a folder")
+    said = (entry.get("recorded") or "").strip()
+    try:
+        # Without a zone it is of this machine's.
+        recorded = datetime.fromisoformat(said).astimezone() if said else None
+    except ValueError:
+        raise ValueError(f"row {number} of {table} was recorded '{said}': give a day or a time as "
+                         "2026-03-04 or 2026-03-04T10:11:12") from None
     return DiagnosisRow(name, paths("model")[0], paths("data"), next(iter(paths("holdout")), None),
-                        paths("identified_from"), output.absolute() / name)
+                        paths("identified_from"), output.absolute() / name,
+                        (entry.get("stage") or "").strip(), recorded)
 
 
 def diagnose_row(row: DiagnosisRow) -> dict[str, Any]:
@@ -177,40 +195,73 @@ def diagnose_rows(client: "Client", rows: Sequence[DiagnosisRow],
         one. A row that no worker can do is an error of it: it kills workers again and again, the
         scheduler is gone, or it has no worker for `LONELY_S`.
     """
-    running = [client.submit(diagnose_row, row, pure=False) for row in rows]
-    told, lonely_since = 0, time.monotonic()
-    while any(future.status == "pending" for future in running):
-        if client.scheduler_info()["workers"]:
-            lonely_since = time.monotonic()
-        elif time.monotonic() - lonely_since > LONELY_S:
-            break
-        _wait_for_one(running)
-        for done in range(told + 1, sum(future.status != "pending" for future in running) + 1):
-            progress(done)
-            told = done
-    results = [future.result() if future.status == "finished" else
-               {"name": row.name, "is_new": True, "error": f"not diagnosed: {_why_not(future)}"}
-               for row, future in zip(rows, running, strict=True)]
-    client.cancel([future for future in running if future.status == "pending"])
+    results = _diagnose_together(client, rows, progress)
+    killed = [number for number, result in enumerate(results) if result.pop(KILLED, False)]
+    if len(killed) > 1:
+        # Dask blames all that a worker had; alone, only the row that kills it is blamed.
+        for number in killed:
+            result, = _diagnose_together(client, [rows[number]], lambda done: None)
+            result.pop(KILLED, False)
+            results[number] = result
     return results
 
 
-def _wait_for_one(running: "Sequence[Future[Any]]") -> None:
+def _diagnose_together(client: "Client", rows: Sequence[DiagnosisRow],
+                       progress: Callable[[int], None]) -> list[dict[str, Any]]:
+    """Diagnose rows; those after which workers died have `KILLED`."""
+    waiting = {number: client.submit(diagnose_row, row, pure=False)
+               for number, row in enumerate(rows)}
+    results: dict[int, dict[str, Any]] = {}
+    alone_since = time.monotonic()
+    while waiting and time.monotonic() - alone_since <= LONELY_S:
+        if client.nthreads():  # of each worker
+            alone_since = time.monotonic()
+        _wait_for_one(list(waiting.values()))
+        for number, future in list(waiting.items()):
+            # What a worker that died had done already is lost, and done again: so it is fetched.
+            if future.status == "finished":
+                with suppress(CancelledError):
+                    results[number] = future.result()
+            elif future.status in ("error", "cancelled"):
+                results[number] = _not_diagnosed(rows[number], _why_not(future), future)
+            if number in results:
+                del waiting[number]
+                future.release()
+                progress(len(results))
+    why = (f"the scheduler has had no worker for {LONELY_S:g} s; start one with `dask worker "
+           "ADDRESS`, and begin again")
+    client.cancel(list(waiting.values()))
+    return [results[number] if number in results else _not_diagnosed(row, why)
+            for number, row in enumerate(rows)]
+
+
+def _wait_for_one(waiting: "Sequence[Future[Any]]") -> None:
     """Wait until one more row is done, or it is time to ask for workers."""
     from distributed import wait
 
-    pending = [future for future in running if future.status == "pending"]
     # One that the scheduler lost is seen by its status.
     with suppress(TimeoutError, CancelledError):
-        wait(pending, timeout=ASKED_S, return_when="FIRST_COMPLETED")
+        wait(waiting, timeout=ASKED_S, return_when="FIRST_COMPLETED")
+
+
+def _not_diagnosed(row: DiagnosisRow, why: str,
+                   future: "Future[Any] | None" = None) -> dict[str, Any]:
+    return {"name": row.name, "is_new": True, "error": f"not diagnosed: {why}",
+            KILLED: future is not None and _has_killed(future)}
+
+
+def _has_killed(future: "Future[Any]") -> bool:
+    from distributed import KilledWorker
+
+    return future.status == "error" and isinstance(future.exception(), KilledWorker)
 
 
 def _why_not(future: "Future[Any]") -> str:
-    if future.status == "pending":
-        return (f"the scheduler has had no worker for {LONELY_S:g} s; start one with `dask worker "
-                "ADDRESS`, and begin again")
-    if future.status in ("cancelled", "lost"):
+    if future.status == "cancelled":
         return "the scheduler is gone; start it, and begin again"
+    if _has_killed(future):
+        return ("the workers that tried it died, as of too little memory: give them more, or a "
+                "shorter recording")
     return str(future.exception())
 
 

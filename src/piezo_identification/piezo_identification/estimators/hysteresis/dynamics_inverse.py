@@ -43,9 +43,9 @@ def remove_dynamics(
 ) -> FloatArray:
     """Return what enters the dynamics, as the values that are held from each sample on.
 
-    The inverse is the stable, non-causal one of Wiener: conj(D) / (|D|^2 + e^2). It acts on what a
-    line in the voltage leaves of the displacement; the response to the line is calculated, so that
-    the damping of high frequencies touches the small rest only.
+    The inverse is the stable, non-causal one of Wiener: ``conj(D) / (|D|^2 + e^2)``. It acts on
+    what a line in the voltage leaves of the displacement; the response to the line is calculated,
+    so that the damping of high frequencies touches the small rest only.
 
     Parameters
     ----------

@@ -34,6 +34,7 @@ def ceiling_beside(plant, recorded):
     return of
 
 
+@pytest.mark.long
 def test_noise_that_grows_with_the_voltage_cannot_be_predicted(ceiling_beside, recorded):
     """Its size repeats, but not its values."""
     draw = np.random.default_rng(5).normal(size=recorded.time_s.size)

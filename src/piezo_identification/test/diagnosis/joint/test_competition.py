@@ -145,7 +145,8 @@ def slow(recorded):
 
 
 @pytest.mark.parametrize(("was_there", "came"), [
-    (True, "before the identification"), (False, "after the identification")])
+    (True, "before the identification"),
+    pytest.param(False, "after the identification", marks=pytest.mark.long)])
 def test_a_mode_that_no_parameter_makes_up_for_is_told_when_it_came(was_there, came):
     # A model without the mode leaves it in both recordings if it was there all along.
     diagnosis = found(LINE, recording("1", 1, other_mode=True),

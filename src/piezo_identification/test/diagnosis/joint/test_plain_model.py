@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A mass on a stiffening spring, integrated by SciPy, which a model has made up for by loops."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -71,10 +73,29 @@ def test_a_line_and_a_mode_behind_a_smooth_voltage_are_found():
     assert error_um(found, recording(2, cubic_per_um2=0.0)) < 3.0 * NOISE_UM
 
 
+def behind_a_slow_approach(measured, rows=20, slower=10):
+    """Return a recording as the stage makes it, whose approach has a longer sample period."""
+    return replace(
+        measured, sample_index=np.r_[slower * np.arange(rows), slower * rows
+                                     + measured.sample_index],
+        sample_periods_s=np.r_[np.full(rows, slower * PERIOD_S), measured.sample_periods_s],
+        voltage_v=np.r_[np.zeros(rows), measured.voltage_v],
+        displacement_um=np.r_[np.zeros(rows), measured.displacement_um],
+        flags=np.r_[np.full(rows, Flag.PLAYING | Flag.RAMPING, dtype=np.uint32), measured.flags])
+
+
+def test_parts_of_a_recording_may_have_other_sample_periods():
+    linear = recording(1, cubic_per_um2=0.0)
+    left_um = error_um(model_with_loops(), linear)
+    found = plain_model(model_with_loops(), [behind_a_slow_approach(linear)], left_um)
+    assert found.dynamics.mode_frequencies_rad_per_s[0] == pytest.approx(MODE_RAD_PER_S, rel=1e-3)
+
+
 def test_there_is_none_where_the_given_model_leaves_far_less():
     assert plain_model(model_with_loops(), [recording(1)], NOISE_UM) is None
 
 
+@pytest.mark.long
 def test_a_spring_that_loops_stand_for_is_named_and_predicts_larger_motion():
     given = model_with_loops()
     diagnosis = diagnose(given, [recording(1)])

@@ -77,7 +77,7 @@ def test_hum_that_came_later_is_not_in_the_identification():
 
 @pytest.mark.parametrize(("outside", "effect"), [
     (hum, PeriodicDisturbance(HUM_HZ + 0.1, 0.0, HUM_UM, (0.0,), (0.01,))),
-    (drift, ThermalDrift(0.1, 0.0, 1.0, (0.0,) * 7, 3.0)),
+    pytest.param(drift, ThermalDrift(0.1, 0.0, 1.0, (0.0,) * 7, 3.0), marks=pytest.mark.long),
 ], ids=["hum", "drift"])
 def test_recordings_of_the_identification_have_none_left_and_the_derivatives_are_right(
         outside, effect):

@@ -75,7 +75,8 @@ def gone_astray(self, effects, later=(), begun=None, held=()):
 @pytest.mark.parametrize(("change", "joint_fit", "verdict", "likeliest"), [
     (unchanged, gone_astray, "none", "none"),
     (with_second_mode, JointProblem.fit, "explained", "vibration_mode"),
-    (with_second_mode, gone_astray, "explained", "vibration_mode"),
+    pytest.param(with_second_mode, gone_astray, "explained", "vibration_mode",
+                 marks=pytest.mark.long),
     (with_steps_of_its_own, gone_astray, "unexplained", "something_else"),
 ])
 def test_the_verdict_follows_from_the_probabilities(

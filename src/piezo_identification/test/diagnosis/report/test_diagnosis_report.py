@@ -23,7 +23,7 @@ def diagnosis(plant, play):
 
 
 @pytest.fixture(scope="module")
-def rendered(diagnosis, picture_faults, static_pages):
+def rendered(diagnosis, picture_faults):
     """Return the page, and what is wrong with its pictures."""
     pages = []
     faults = picture_faults(lambda: pages.append(render_report(

@@ -164,7 +164,8 @@ def lag_response(time_constant_s, roundness, frequency_hz=FREQUENCY_HZ):
     return 1.0 / (1.0 + slow + roundness * slow**2)
 
 
-@pytest.mark.parametrize("roundness", [0.0, 0.25, 0.4])
+@pytest.mark.parametrize("roundness", [
+    0.25, *(pytest.param(roundness, marks=pytest.mark.long) for roundness in (0.0, 0.4))])
 def test_the_shape_of_a_lag_is_found(roundness):
     diagnosis = diagnose_response(MODEL, measured(lag_response(8e-4, roundness)))
     found = diagnosis.effects[0]

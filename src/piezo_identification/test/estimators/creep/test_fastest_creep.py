@@ -38,7 +38,7 @@ def recording(fast_rad_per_s):
 
 @pytest.mark.parametrize("estimate", [estimate_creep, estimate_slow_creep])
 @pytest.mark.parametrize("rows", [
-    1.3, pytest.param(0.9, marks=pytest.mark.long), 0.4])
+    *(pytest.param(rows, marks=pytest.mark.long) for rows in (1.3, 0.9)), 0.4])
 def test_no_pole_is_faster_than_the_rows_tell(estimate, rows):
     """A time constant of more than a row is found, one of less than a row is not reported."""
     fast_rad_per_s = 1.0 / (rows * PERIOD_S)

@@ -44,6 +44,7 @@ def test_a_delay_is_not_taken_for_a_mode_and_its_deviation_agrees_with_its_verdi
     assert estimate.standard_deviations["time_constant_s"] < 0.1 * PERIOD_S
 
 
+@pytest.mark.long
 def test_the_deviation_of_a_delay_beside_a_lag_is_that_of_many_draws():
     def fitted(lag, seed):
         record = mean_period(recording(lag * PERIOD_S, seed), CreepDynamics())

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Drawn modes are found to the noise, and what is written is the best of what was tried."""
 
-import os
 from dataclasses import dataclass
 from functools import cache
 
@@ -20,7 +19,8 @@ from piezo_identification.estimators.poles.pole_responses import HeldInput
 PERIOD_S, SAMPLES, HELD = 1e-4, 12_000, 4
 NOISE = 1e-3  # over the RMS of the output
 TWINS = 1.02  # ratio of frequencies that are nearly the same
-DRAWS = range(3 if os.environ.get("LONG_TESTS") else 1)
+DRAWS = range(3)
+pytestmark = pytest.mark.long
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,6 @@ def test_nothing_is_written_that_is_worse_than_what_was_tried():
         assert left <= max(1.02 * estimate.residual_rms, 1.05 * noise), seed
 
 
-@pytest.mark.long
 @pytest.mark.xfail(strict=True, reason="1.42 of the noise is left of all rows, 1.02 in the trial")
 def test_what_is_written_is_no_worse_in_all_rows_than_in_those_of_the_trials():
     _, _, estimate, left = estimated(5)

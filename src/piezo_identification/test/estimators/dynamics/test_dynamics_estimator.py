@@ -104,6 +104,7 @@ def test_a_square_wave_that_halts_is_refused(play):
         estimate_dynamics(replace(recording, voltage_v=voltage_v), CreepDynamics())
 
 
+@pytest.mark.long
 def test_rounding_of_the_record_does_not_show_in_the_estimate(plant, play):
     # Over so short a record the decays of slow creep differ by hardly more than the rounding.
     creep = CreepDynamics((0.0035, 0.017, 0.11, 0.25, 1.2, 15.0), (0.0036, 0.0173, 0.115, 0.26,

@@ -20,6 +20,7 @@ PERIOD_S, COUNT = 5e-5, 16_000
 LAG_S = 4e-4
 MODES = ((620.0, 0.02, 0.92), (1450.0, 0.015, 0.08))
 NOISE = 2e-4
+pytestmark = pytest.mark.long
 
 
 def step_answer(time_s):
@@ -65,7 +66,7 @@ def edges_s(rows_of_period, duty, first_row):
 
 
 @pytest.mark.parametrize(("rows_of_period", "duty", "delay_rows"), [
-    pytest.param(602.625, 0.5, 0.0, id="edges at eighths", marks=pytest.mark.long),
+    pytest.param(602.625, 0.5, 0.0, id="edges at eighths"),
     pytest.param(411.3719, 0.43, 2.6, id="edges anywhere")])
 def test_what_follows_the_edges_of_a_free_running_generator_is_told_to_the_noise(
         rows_of_period, duty, delay_rows):
@@ -84,7 +85,6 @@ def test_what_follows_the_edges_of_a_free_running_generator_is_told_to_the_noise
     assert np.abs(found - truth).max() < 2e-3 * np.abs(truth).max()
 
 
-@pytest.mark.long
 def test_the_dynamics_under_a_free_running_generator_are_adequate():
     recording = record(edges_s(602.625, 0.5, 120.317))
     adequacy = identify(dynamics=recording).adequacy["dynamics"]

@@ -213,6 +213,7 @@ def test_eight_modes_of_a_structure_are_found():
     assert estimate.residual_rms < 1.2 * FOLDED_NOISE_UM
 
 
+@pytest.mark.long
 def test_a_spring_that_stiffens_makes_no_further_mode():
     stage = IndependentStage(4.9e-4, MODES, stiffening_per_um2=1e-5)
     estimate = estimated(stage)

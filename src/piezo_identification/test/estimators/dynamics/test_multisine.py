@@ -23,6 +23,7 @@ def test_six_tones_and_the_hysteresis_give_lag_and_both_modes(plant, recording):
     assert estimate.residual_rms == pytest.approx(0.009, rel=0.05)
 
 
+@pytest.mark.long
 def test_without_the_hysteresis_as_input_the_modes_are_off(plant, recording):
     """What makes the identified hysteresis worth its trouble."""
     line = PreisachModel(-20.0, 120.0, np.diag(np.ones(140)), -9.0)

@@ -51,6 +51,7 @@ def test_derivatives_are_those_of_the_responses(record):
     assert answer.by_delay == pytest.approx((late - early) / (2.0 * step), rel=1e-3, abs=1e-9)
 
 
+@pytest.mark.long
 def test_the_dynamics_of_a_long_record_are_found_to_the_noise(record):
     estimate = fit_output_error(record)
     assert estimate.residual_rms == pytest.approx(1e-4, rel=0.1)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 import numpy as np
+import pytest
 
 from piezo_identification.estimators.hysteresis.penalties import translation_operator
 from piezo_identification.estimators.hysteresis.smoothed_density import smoothed_density
@@ -24,6 +25,7 @@ def test_the_operator_finds_no_change_in_a_density_of_the_width_alone():
     assert np.count_nonzero(np.abs(operator @ density) > 0.5) == 2
 
 
+@pytest.mark.long
 def test_major_loops_then_tell_of_nested_ones():
     truth = PreisachModel(0.0, 150.0, equally_wide_loops(150), 2.0)
     major_v = np.abs((np.arange(2400) + 600) % 1200 - 600) / 4.0

@@ -50,6 +50,7 @@ def test_plays_are_found_and_predict_loops_that_they_were_not_fitted_to(bent):
     assert np.std(error_um) < 4e-3 * np.std(truth_um)
 
 
+@pytest.mark.long
 def test_from_the_curves_of_nearly_the_same_loops_a_search_takes_fewer_steps_to_the_same():
     voltage_v = loops_v([0.0, 100.0, *np.ravel([(5.0 * k, 100.0) for k in range(1, 19)]), 0.0])
     noise_um = 1e-3 * np.random.default_rng(0).standard_normal(voltage_v.size)

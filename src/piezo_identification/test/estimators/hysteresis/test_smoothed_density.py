@@ -133,10 +133,9 @@ def test_the_curvature_of_a_plane_density_is_zero():
     assert np.abs(curvature @ (alpha**2.0)).max() == pytest.approx(2.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("floor", "lowest_v", "highest_v"), [
-    (-0.003, 0.0, 50.0), pytest.param(0.002, -20.0, 120.0, marks=pytest.mark.long),
-    pytest.param(0.002, 0.0, 50.0, marks=pytest.mark.long),
-    pytest.param(-0.003, -20.0, 120.0, marks=pytest.mark.long)])
+    (-0.003, 0.0, 50.0), (0.002, -20.0, 120.0), (0.002, 0.0, 50.0), (-0.003, -20.0, 120.0)])
 def test_unseen_input_and_its_inverse_are_predicted(lowest_v, highest_v, floor):
     plant = truth(lowest_v, highest_v, floor)
     voltage_v = reversal_curves(lowest_v, highest_v, 70, 600)
@@ -222,8 +221,8 @@ def test_a_voltage_that_never_returns_is_refused():
         smoothed_density(voltage_v, voltage_v, np.linspace(0.0, 3.0, 6), smoothing_weight=1e-12)
 
 
-@pytest.mark.parametrize(("part", "most_um"), [
-    (0.0, 0.01), pytest.param(0.3, 0.02, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize(("part", "most_um"), [(0.0, 0.01), (0.3, 0.02)])
 def test_a_reversible_part_is_there_only_where_the_loops_ask_for_it(part, most_um):
     """Small loops are as wide as those of the stage, whether it has such a part or not."""
     levels_v = np.linspace(-20.0, 120.0, 701)

@@ -85,6 +85,7 @@ def test_without_time_to_choose_the_smoothing_is_the_usual_one(measured_um, erro
     assert error_of(found) < NOISE_UM
 
 
+@pytest.mark.long
 def test_of_the_same_loops_the_choice_is_confirmed_in_fewer_steps(measured_um):
     size, steps = VOLTAGE_V.size, list[int]()
     segment = HysteresisSegment(VOLTAGE_V, measured_um, np.arange(size), np.empty((size, 0)))
@@ -104,6 +105,7 @@ def test_of_the_same_loops_the_choice_is_confirmed_in_fewer_steps(measured_um):
         first.density_um_per_v2, abs=1e-3 * first.density_um_per_v2.max())
 
 
+@pytest.mark.long
 def test_a_transient_that_lies_in_one_part_does_not_decide_the_smoothing(measured_um, error_of):
     # The start decays within the first branches; what is left of it elsewhere is rounding.
     decay = np.exp(-np.outer(np.arange(VOLTAGE_V.size), [1.0 / 40.0, 1.0 / 900.0]))

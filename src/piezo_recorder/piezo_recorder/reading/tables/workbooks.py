@@ -3,17 +3,23 @@
 
 import zipfile
 from collections.abc import Iterable, Iterator
+from datetime import datetime, time, timedelta
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from piezo_common.arrays import FloatArray
 from piezo_recorder.reading.tables.array_files import Group, damage_told, read_npz, tables_of
+from piezo_recorder.reading.tables.cells import across_midnight, clock_seconds
 from piezo_recorder.reading.tables.libraries import library
 from piezo_recorder.reading.tables.table import Progress, Table
 
 WORKBOOK = "[Content_Types].xml"
 """Every workbook has it."""
+
+Clock = datetime | time | timedelta
+"""What openpyxl makes of a cell that is formatted as a time, rounded to milliseconds."""
 
 
 def read_zip(path: Path, progress: Progress) -> list[Table]:
@@ -47,18 +53,29 @@ def _group(title: str, rows: Iterable[tuple[Any, ...]]) -> Group:
         elif any(cell is not None for cell in row) and not numbers:
             labels = row
     group = Group(title)
-    for label, values in _columns(labels, numbers):
-        group.take(label, values)
+    for column in _columns(labels, numbers):
+        group.take(*column)
     return group
 
 
 def _columns(labels: tuple[Any, ...], rows: list[tuple[Any, ...]],
-             ) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield label and values of each column that holds numbers; nan where a cell holds none."""
+             ) -> Iterator[tuple[str, FloatArray, str]]:
+    """Yield label, values and unit of each column of numbers or times; nan in cells of neither."""
     for column in range(max(map(len, rows), default=0)):
         cells = [row[column] if column < len(row) else None for row in rows]
-        values = np.array([cell if isinstance(cell, int | float) else np.nan for cell in cells],
-                          dtype=float)
+        are_times = any(isinstance(cell, Clock) for cell in cells)
+        values = _seconds(cells) if are_times else np.array(
+            [cell if isinstance(cell, int | float) else np.nan for cell in cells], dtype=float)
         label = labels[column] if column < len(labels) else None
         if np.isfinite(values).any():
-            yield str(label if label is not None else column + 1), values
+            yield str(label if label is not None else column + 1), values, "s" * are_times
+
+
+def _seconds(cells: list[Any]) -> FloatArray:
+    """Return times in seconds, of dates since the midnight before the first."""
+    found = np.array([
+        (0.0, cell.total_seconds()) if isinstance(cell, timedelta)
+        else clock_seconds(str(cell)) for cell in cells])
+    midnights_s = found[:, 0]
+    seconds = midnights_s - midnights_s[np.isfinite(midnights_s)][0] + found[:, 1]
+    return across_midnight(seconds) if any(isinstance(cell, time) for cell in cells) else seconds

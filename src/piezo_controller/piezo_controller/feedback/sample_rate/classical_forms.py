@@ -21,7 +21,7 @@ LEAK = 1e-4
 
 
 @dataclass(frozen=True)
-class Candidate:
+class Form:
     """A form of feedback.
 
     Attributes
@@ -64,10 +64,22 @@ def _quadratic(frequency_rad_per_s: float, damping: float) -> list[float]:
     return [1 / frequency_rad_per_s**2, 2 * damping / frequency_rad_per_s, 1.0]
 
 
+def _pi(model: StageModel, numbers: FloatArray) -> control.StateSpace:
+    gain, integral = numbers
+    return _section([gain, integral * _light_frequency(model)], [1.0, 0.0])
+
+
+def _pid(model: StageModel, numbers: FloatArray) -> control.StateSpace:
+    gain, integral, lead, roll_off = numbers
+    mode = _light_frequency(model)
+    return (_pi(model, np.array([gain, integral]))
+            + _section([lead / mode, 0.0], [1 / (roll_off * mode), 1.0]))
+
+
 def _notch_and_pi(model: StageModel, numbers: FloatArray) -> control.StateSpace:
     gain, corner, zero_damping, pole_damping, roll_off = numbers
     mode = _light_frequency(model)
-    return (_section([gain, gain * corner * mode], [1.0, 0.0])
+    return (_pi(model, np.array([gain, gain * corner]))
             * _section(_quadratic(mode, zero_damping), _quadratic(mode, pole_damping))
             * _section([1.0], _quadratic(roll_off * mode, 0.7)))
 
@@ -85,11 +97,24 @@ def _integral_resonant(model: StageModel, numbers: FloatArray) -> control.StateS
             * _section([k], [1.0, pole * mode]))
 
 
+def _force_like(model: StageModel, numbers: FloatArray) -> control.StateSpace:
+    """Damp by the integral of a force that no sensor measures, and integrate around it.
+
+    A piezo pushes in proportion to what the displacement y lacks of the free expansion ``g u``. The
+    damping loop is integral force feedback (Fleming 2010) of ``g u - y``, whose integrator leaks,
+    ``-d / (s + l)``, so that the tracking loop ``-k_i / s`` keeps its hold at rest. Together they
+    are ``((k_i - d) s + k_i l) / (s (s + l + d))``: of the form of integral resonant control.
+    """
+    damping, integral, leak = _light_frequency(model) * numbers
+    return _section([integral - damping, integral * leak], [1.0, 0.0]) * _section(
+        [1.0], [1.0, leak + damping])
+
+
 def _positive_position(model: StageModel, numbers: FloatArray) -> control.StateSpace:
     """Damp by positive feedback through a resonance, with a PI around it."""
     mode = _light_frequency(model)
     damping_gain, resonance, filter_damping, gain, corner, roll_off = numbers
-    return (_section([gain, gain * corner * mode], [1.0, 0.0])
+    return (_pi(model, np.array([gain, gain * corner]))
             * _section([1.0], _quadratic(roll_off * mode, 0.7))
             - _section([damping_gain], _quadratic(resonance * mode, filter_damping)))
 
@@ -116,23 +141,30 @@ def _inverse_and_pi(model: StageModel, numbers: FloatArray) -> control.StateSpac
     return controller
 
 
-CANDIDATES = {
-    "notch_pi": Candidate(
+FORMS = {
+    "pi": Form("PI", ("gain", "integral"), ((1e-4, 3.0), (1e-4, 3.0)), (0.3, 0.15), _pi),
+    "pid": Form(
+        "PID", ("gain", "integral", "lead", "roll_off"),
+        ((1e-4, 3.0), (1e-4, 3.0), (1e-3, 10.0), (0.4, 10.0)), (0.3, 0.15, 0.1, 5.0), _pid),
+    "notch_pi": Form(
         "notch + PI",
         ("gain", "corner", "zero_damping", "pole_damping", "roll_off"),
         ((0.003, 3.0), (0.03, 4.0), (0.02, 1.0), (0.2, 3.0), (0.4, 10.0)),
         (0.1, 0.5, 0.1, 1.0, 5.0), _notch_and_pi),
-    "integral_resonant": Candidate(
+    "integral_resonant": Form(
         "integral resonant control",
         ("gain", "integral", "pole"),
         ((0.01, 5.0), (0.006, 2.5), (0.006, 6.0)), (0.3, 0.2, 0.1),
         _integral_resonant),
-    "positive_position": Candidate(
+    "force_like": Form(
+        "force-like feedback", ("damping", "integral", "leak"),
+        ((0.006, 6.0), (0.006, 2.5), (0.006, 6.0)), (0.1, 0.2, 0.1), _force_like),
+    "positive_position": Form(
         "positive position feedback + PI",
         ("damping_gain", "resonance", "filter_damping", "gain", "corner", "roll_off"),
         ((0.01, 3.0), (0.25, 2.5), (0.05, 2.0), (0.003, 3.0), (0.03, 4.0), (0.4, 10.0)),
         (0.2, 1.0, 0.5, 0.1, 0.5, 5.0), _positive_position),
-    "inverse_pi": Candidate(
+    "inverse_pi": Form(
         "inverted dynamics + PI",
         ("crossover", "corner", "lead", "light", "light_damping", "other_damping",
          "roll_off", "roll_damping"),
@@ -140,4 +172,4 @@ CANDIDATES = {
          (1.3, 10.0), (0.15, 1.0)),
         (0.88, 0.21, 0.75, 0.98, 0.07, 0.74, 3.3, 0.21), _inverse_and_pi),
 }
-"""All candidates by the method's name in a report."""
+"""All forms by the method's name in a report."""

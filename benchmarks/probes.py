@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Let the experiments of a directory last longer than anybody asks, on any machine."""
+"""Probe files, from which the experiments of a directory take their lengths."""
 
+from piezo_identification.experiments.catalogue import SWING_FRACTION, VALIDATION_TONES
 from piezo_identification.experiments.probing import probe_file
 from piezo_identification.experiments.stage_limits import USUAL_LIMITS
 
@@ -9,9 +10,28 @@ ENDLESS_S = 100_000.0
 
 
 def write_endless_probe(directory):
-    """Write the probe file that experiments recorded in this directory take their length from."""
+    """Let experiments last longer than anybody asks, on any machine."""
     tones = {"arc_s": 0.5, "tones_s": ENDLESS_S, "tones": [[100.0, 0.1]]}
     held_s = {"sample_period_s": 1e-3}
+    _write(directory, {
+        "creep": {"swing_v": 20.0, "period_s": 1.0, **held_s},
+        "dynamics": {"swing_v": 20.0, "period_s": 0.02, "duration_s": ENDLESS_S},
+        "hysteresis": {"level_count": 2, "harmonic_period_s": 1.0, **held_s},
+        "validation": tones, "multisine": tones, "relay": {"oscillation_s": ENDLESS_S}})
+
+
+def write_short_probe(directory):
+    """Let the experiments of an identification take a seventh of their time."""
+    swing_v = SWING_FRACTION * USUAL_LIMITS.span_v
+    tones = {"arc_s": 0.1, "tones_s": 0.3, "tones": [list(tone) for tone in VALIDATION_TONES]}
+    _write(directory, {
+        "creep": {"swing_v": swing_v, "period_s": 60.0, "sample_period_s": 0.01},
+        "dynamics": {"swing_v": swing_v, "period_s": 0.02, "duration_s": 0.5},
+        "hysteresis": {"level_count": 20, "harmonic_period_s": 1.0, "sample_period_s": 1e-3},
+        "validation": tones, "multisine": tones, "relay": {"oscillation_s": 1.0}})
+
+
+def _write(directory, experiments):
     document = probe_file.ProbeDocument.model_validate({
         "format": probe_file.FORMAT, "version": float(probe_file.VERSION),
         "limits": {name: getattr(USUAL_LIMITS, name) for name in probe_file.OF_THE_LIMITS},
@@ -21,11 +41,7 @@ def write_endless_probe(directory):
             "creep_share_per_decade": 0.0, "creep_time_s": 0.0, "creep_ended": True},
         "range": {"voltage_min_v": USUAL_LIMITS.voltage_min_v,
                   "voltage_max_v": USUAL_LIMITS.voltage_max_v},
-        "experiments": {
-            "creep": {"swing_v": 20.0, "period_s": 1.0, **held_s},
-            "dynamics": {"swing_v": 20.0, "period_s": 0.02, "duration_s": ENDLESS_S},
-            "hysteresis": {"level_count": 2, "harmonic_period_s": 1.0, **held_s},
-            "validation": tones, "multisine": tones, "relay": {"oscillation_s": ENDLESS_S}},
+        "experiments": experiments,
         "expected": {"creep_percent": 0.0, "dynamics_percent": 0.0, "hysteresis_percent": 0.0,
                      "model_percent": 0.0, "remarks": []}})
     probe_file.save_probe(directory / probe_file.NAME, document)

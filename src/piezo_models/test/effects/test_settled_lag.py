@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A lag in front of the hysteresis that has settled long before the next row."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lsim
+
+from piezo_models.cascade import StageModel
+from piezo_models.effects.amplifier_lag import SETTLED, AmplifierLag, SettledLag
+from piezo_models.effects.second_order_amplifier import SecondOrderAmplifier
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+
+ROW_S, FINE, LAG_S = 1e-3, 1000, 15e-6
+RATE, DAMPING = 25.5e3, 0.01
+
+
+def stage(effects=()):
+    """Return a stage whose mode rings some four times within a row."""
+    return StageModel(
+        PreisachModel(0.0, 100.0, np.tril(np.full((20, 20), 4e-3)), 0.0, np.full(20, 0.02)),
+        CreepDynamics((1.0,), (1.02,)), ElectricVibrationDynamics(0.0, (RATE,), (DAMPING,)),
+        effects=effects)
+
+
+def staircase_v():
+    up = np.arange(0.0, 60.0, 3.0)
+    return np.concatenate([np.zeros(20), up, np.full(30, 60.0), up[::-1], np.zeros(30)])
+
+
+def finely_simulated_um(effect, voltage_v):
+    """Return the displacement of rows of which each is a thousand steps of the whole cascade."""
+    held_v = np.repeat(voltage_v, FINE)
+    time_s = ROW_S / FINE * np.arange(held_v.size)
+    lag = effect.lag()
+    _, behind_v, _ = lsim((lag.A, lag.B, lag.C, lag.D), held_v, time_s, interp=False)
+    still = stage()
+    memory = still.memory(0.0)
+    moved_um = still.hysteresis.simulate(behind_v, memory.hysteresis)
+    linear = still.linear()
+    _, displacement_um, _ = lsim((linear.A, linear.B, linear.C, linear.D), moved_um, time_s,
+                                 X0=memory.linear_state, interp=False)
+    return displacement_um[::FINE]
+
+
+@pytest.mark.parametrize("effect", [
+    AmplifierLag(LAG_S), SecondOrderAmplifier(LAG_S, 0.5)], ids=["first", "second"])
+def test_what_rings_within_a_row_has_the_phase_of_the_lag(effect):
+    voltage_v = staircase_v()
+    true_um = finely_simulated_um(effect, voltage_v)
+    ringing_um = np.ptp(true_um[45:60] - true_um[60])
+    found_um = stage((effect,)).simulate(voltage_v, ROW_S)
+    assert np.abs(found_um - true_um).max() < 0.06 * ringing_um
+    at_once_um = stage().simulate(voltage_v, ROW_S)
+    assert np.abs(at_once_um - true_um).max() > 0.9 * ringing_um
+
+
+def test_parts_of_a_simulation_are_the_whole():
+    model = stage((AmplifierLag(LAG_S),))
+    voltage_v, memory = staircase_v(), model.memory(0.0)
+    whole_um = model.simulate(voltage_v, ROW_S, model.memory(0.0))
+    parts_um = [model.simulate(part_v, ROW_S, memory) for part_v in np.array_split(voltage_v, 7)]
+    assert np.concatenate(parts_um) == pytest.approx(whole_um, abs=1e-6)
+
+
+def test_only_a_lag_that_settles_within_the_row_acts_behind_the_hysteresis():
+    model = stage((AmplifierLag(LAG_S),))
+    assert model.as_rows_show(0.99 * LAG_S / SETTLED) is model
+    assert [type(effect) for effect in model.as_rows_show(ROW_S).effects] == [SettledLag]
+    without = replace(model, effects=())
+    assert without.as_rows_show(ROW_S) is without
