@@ -4,6 +4,7 @@
 from importlib import resources
 from pathlib import Path
 
+import control
 import numpy as np
 import pytest
 from piezo_interfaces.msg import SampleBlock
@@ -11,7 +12,9 @@ from piezo_interfaces.srv import StartTracking
 from sensor_msgs.msg import JointState
 
 from piezo_client.client import GoalFailed
+from piezo_client.scans import StoredScan, read_scan, write_scan
 from piezo_client.stage import Stage
+from piezo_models.axes.coupled import CoupledModel
 from piezo_recorder.reading.axes import read_axes
 from piezo_sim.simulated_stage import SimulatedStage
 
@@ -52,22 +55,33 @@ def test_recording_holds_what_was_played_and_measured_of_both_axes(xy, tmp_path)
     assert np.all(np.ptp(recording.displacement_um, axis=0) > 14.0)
 
 
-def test_planned_path_is_played_and_its_error_told_by_axis(xy, tmp_path):
-    table = {"time_s": 1e-4 * np.arange(800), **{
-        f"{axis}_{name}": factor * column for name, factor in (
-            ("voltage_v", 1.0), ("displacement_um", 0.28))
-        for axis, column in zip(AXES, circle().T, strict=True)}}
-    for file, rows, columns in (("path.csv", slice(None), list(table)),
-                                ("begin.csv", slice(0, 2), [*table][:3])):
-        np.savetxt(tmp_path / file, np.column_stack([table[name][rows] for name in columns]),
-                   delimiter=",", header=",".join(columns), comments="")
+@pytest.fixture
+def planned(tmp_path):
+    """A folder with a circle as `scan` writes it, without an inverse."""
+    write_scan(StoredScan(AXES, 1e-4, circle()[:2], circle(), 0.28 * circle()), tmp_path / "plan")
+    return tmp_path / "plan"
+
+
+def test_planned_path_is_played_and_its_error_told_by_axis(xy, tmp_path, planned):
     with Stage("/xy") as stage:
-        run = xy.beside(stage.scan, tmp_path, directory=tmp_path)
+        run = xy.beside(stage.scan, planned, directory=tmp_path)
     measured_um = run.recording().displacement_um
     assert any(np.array_equal(run.displacement_um, measured_um[first:first + 800])
                for first in range(len(measured_um) - 800))
     assert np.all((0.1 < run.error_percent) & (run.error_percent < 15.0))
     assert list(run.summary().rows[1][:2]) == ["y", pytest.approx(16.8)]
+
+
+def test_voltages_of_a_path_are_learned_run_by_run_and_kept(xy, tmp_path, planned):
+    s, frequency = control.tf("s"), 2.0 * np.pi * np.array([307.4, 364.9])
+    modes = [control.ss(0.25 * w**2 / (s**2 + 0.03 * w * s + w**2)) for w in frequency]
+    model = CoupledModel.from_control(control.sample_system(control.append(*modes), 1e-4), AXES)
+    with Stage("/xy") as stage:
+        first, _, third = xy.beside(
+            stage.learn_scan, planned, model, runs=3, directory=tmp_path)
+    assert max(third.error_percent) < 0.5 * max(first.error_percent)
+    kept = read_scan(tmp_path / "learned")
+    assert np.allclose(kept.voltage_v, third.scan.voltage_v, atol=1e-6)
 
 
 def test_array_without_a_column_for_each_axis_is_refused_before_it_is_sent(xy, tmp_path):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Two clients that load between each other's calls: neither plays what the other has loaded."""
+"""Clients that load between each other's calls or give up: nothing plays that nobody follows."""
 
 import array
 
@@ -9,6 +9,7 @@ from piezo_interfaces.msg import FeedbackLaw, SampleBlock, StateSpace
 from piezo_interfaces.srv import LoadFeedback, LoadFeedforward, StartTracking
 
 from piezo_ros.requests.calls import CallFailed, call_service
+from piezo_ros.stage_runs import stage_tracking
 from piezo_ros.stage_runs.stage_tracking import StageTracker
 
 OWN_V, OTHER_V = np.linspace(0.0, 10.0, 400), np.linspace(0.0, -10.0, 400)
@@ -86,3 +87,13 @@ def test_run_is_refused_where_another_client_loads_between_its_calls(stage, dist
     else:
         stage.beside(run)
         assert np.array_equal(played(stage), OWN_V)
+
+
+def test_run_that_is_given_up_as_the_stage_falls_silent_is_stopped(stage, monkeypatch):
+    monkeypatch.setattr(stage_tracking, "SILENCE_TIMEOUT_S", 0.5)
+    tracker = StageTracker(stage.node)
+    monkeypatch.setattr(tracker, "_publish", lambda tick, voltage_v: None)  # time stands still
+    with pytest.raises(CallFailed, match="sent no samples for 0.5 s"):
+        stage.beside(tracker.run, OWN_V, np.empty(0), 0, lambda block: 0.0, answering=True,
+                     cancelled=lambda: False, report=lambda: None)
+    assert stage.samples().voltage_v[-1] == 0.0

@@ -59,6 +59,20 @@ def read_scan(directory: AnyPath) -> StoredScan:
                       period.displacement_um)
 
 
+def write_scan(scan: StoredScan, directory: AnyPath) -> None:
+    """Write voltages and positions into a folder, as `scan` does, to be played by `read_scan`."""
+    folder = Path(directory)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, signals in ((PERIOD_FILE, {"voltage_v": scan.voltage_v,
+                                         "displacement_um": scan.position_um}),
+                          (BEGIN_FILE, {"voltage_v": scan.begin_voltage_v})):
+        columns = {"time_s": scan.sample_period_s * np.arange(len(signals["voltage_v"]))} | {
+            f"{axis}_{signal}": column for signal, values in signals.items()
+            for axis, column in zip(scan.axes, values.T, strict=True)}
+        np.savetxt(folder / name, np.column_stack(list(columns.values())), "%.9g", ",",
+                   header=",".join(columns), comments="")
+
+
 @dataclass(frozen=True)
 class Scanned(Played):
     """A path that was played.

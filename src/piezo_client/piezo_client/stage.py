@@ -7,7 +7,7 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,12 +27,18 @@ from piezo_client.results import (
     Played,
     Tracking,
 )
-from piezo_client.scans import Scanned, read_scan, scanned
+from piezo_client.scans import Scanned, StoredScan, read_scan, scanned, write_scan
 from piezo_ros.messages import Message, MessageType
 from piezo_ros.stage_runs.described_stage import DescribedStage
 from piezo_ros.stage_runs.recording_calls import RecorderNews, free_name
 
+if TYPE_CHECKING:
+    from piezo_models.axes.coupled import CoupledModel
+
 _numbers = itertools.count(1)
+
+LEARNED = "learned"
+"""Folder of the voltages that were learned."""
 
 
 class Stage:
@@ -129,7 +135,48 @@ class Stage:
         name : str
             Of the recording, to which a number is added where it is taken.
         """
-        planned = read_scan(scan)
+        return self._scan(read_scan(scan), periods, directory, name)
+
+    def learn_scan(self, scan: AnyPath, model: "AnyPath | CoupledModel", runs: int = 6,
+                   periods: int = 2, directory: AnyPath = "runs",
+                   name: str = "scan") -> list[Scanned]:
+        """Play a planned path again and again, each time with voltages learned from the last run.
+
+        It ends early where a run is no better than the one before. The voltages of the best run
+        are written into the folder ``learned``, to be played by `scan`.
+
+        Parameters
+        ----------
+        scan, periods, directory, name
+            See `scan`.
+        model : path-like or CoupledModel
+            Of the axes, at the sample period of the scan.
+        runs : int
+            How many at most.
+
+        Returns
+        -------
+        list of Scanned
+            In their order.
+        """
+        # The imports take a second, which who only plays need not wait for.
+        from piezo_client.scan_learning import learned
+        from piezo_models.axes.coupled import CoupledModel
+        from piezo_models.axes_model_file import load_axes_model
+
+        coupled = model if isinstance(model, CoupledModel) else load_axes_model(model).model
+        planned, done = read_scan(scan), []
+        for _ in range(runs):
+            done.append(self._scan(planned, periods, directory, name))
+            worst = [max(run.error_percent) for run in done[-2:]]
+            if worst[-1] > worst[0]:
+                break
+            planned = learned(done[-1], coupled)
+        best = min(done, key=lambda run: max(run.error_percent))
+        write_scan(best.scan, Path(directory) / free_name(directory, LEARNED))
+        return done
+
+    def _scan(self, planned: StoredScan, periods: int, directory: AnyPath, name: str) -> Scanned:
         played = self.play(planned.repeated_v(periods), planned.sample_period_s,
                            directory=directory, name=name, axes=planned.axes)
         return scanned(planned, played, periods)

@@ -153,6 +153,11 @@ def _add_scan(commands: Commands) -> None:
                         help="folder that `scan` wrote path.csv and begin.csv into")
     parser.add_argument("--periods", type=int, default=2, metavar="NUMBER",
                         help="how often it is followed; the last one counts (default: %(default)s)")
+    parser.add_argument("--learn", type=int, default=0, metavar="RUNS",
+                        help="play it so often at most, each time with voltages learned from the "
+                        "run before")
+    parser.add_argument("--model", type=Path, metavar="FILE",
+                        help="model of the axes, to learn with")
 
 
 def _add_diagnose(commands: Commands) -> None:

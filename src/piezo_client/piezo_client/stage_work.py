@@ -11,6 +11,7 @@ from pathlib import Path
 from piezo_client.client import GoalFailed
 from piezo_client.overview import stages_seen, status_lines
 from piezo_client.references import harmonic, triangle
+from piezo_client.scans import Scanned
 from piezo_client.stage import Stage
 from piezo_common.command_line import BAD_INPUT, INTERRUPTED, next_line
 from piezo_common.progress_line import ProgressLine
@@ -127,10 +128,22 @@ def _play(stage: Stage, options: argparse.Namespace) -> list[str]:
 
 
 def _scan(stage: Stage, options: argparse.Namespace) -> list[str]:
-    run = stage.scan(options.scan, options.periods, options.output)
-    return [str(run.summary()), f"recorded {run.path}",
-            next_line("stage", "piezo_identification", "simulate", "--model", "<MODEL>", "--data",
-                      run.path, "--output", options.output)]
+    if options.learn and options.model is None:
+        raise ValueError("learning divides the error by the response of a model: give --model")
+    runs = (stage.learn_scan(options.scan, options.model, options.learn, options.periods,
+                             options.output) if options.learn
+            else [stage.scan(options.scan, options.periods, options.output)])
+    run = min(runs, key=lambda each: max(each.error_percent))
+    return [*map(_errors_of, runs[:len(runs) if options.learn else 0]), str(run.summary()),
+            f"recorded {run.path}",
+            next_line("stage", "piezo_identification", "simulate", "--model",
+                      options.model or "<MODEL>", "--data", run.path, "--output", options.output)]
+
+
+def _errors_of(run: Scanned) -> str:
+    errors = (f"{axis} {percent:.4g} %" for axis, percent in zip(
+        run.scan.axes, run.error_percent, strict=True))
+    return f"{run.path.name}: error of {', '.join(errors)}"
 
 
 def _diagnose(stage: Stage, options: argparse.Namespace) -> list[str]:

@@ -92,6 +92,23 @@ def test_command_prints_the_error_of_each_axis_and_what_may_follow(folder, monke
     assert "next: ./run piezo_identification simulate --model <MODEL> --data run" in told
 
 
+def test_command_that_learns_prints_every_run_and_wants_a_model(folder, monkeypatch, capsys):
+    scan = read_scan(folder)
+    runs = [scanned(scan, Kept(Path(f"run_{number}"), recorded(scan, 2, error_um)), 2)
+            for number, error_um in enumerate((np.sin(PHASE)[:, None] * [0.4, 0.2], 0.0))]
+    stage = MagicMock(learn_scan=lambda *given: runs if given == (
+        folder, folder / PERIOD_FILE, 4, 2, Path("runs")) else [])
+    monkeypatch.setattr(stage_work.signal, "signal", lambda *_: None)
+    monkeypatch.setattr(stage_work, "Stage", lambda *_: nullcontext(stage))
+    command = ["scan", str(folder), "--output", "runs", "--learn", "4"]
+    assert stage_command.main(command) == 2
+    assert "stage: learning divides the error by the response" in capsys.readouterr().err
+    assert stage_command.main([*command, "--model", str(folder / PERIOD_FILE)]) == 0
+    told = capsys.readouterr().out
+    assert "run_0: error of x 7.071 %, y 7.071 %\nrun_1: error of x 0 %, y 0 %\n" in told
+    assert "recorded run_1" in told and "Last period of run_1" in told
+
+
 def test_axis_that_rests_is_compared_with_the_largest_travel(folder):
     scan = dataclasses.replace(read_scan(folder), position_um=POSITION_UM * [1.0, 0.0])
     run = Scanned(Path("run"), scan, scan.position_um + [0.0, 1.0] * np.sin(PHASE)[:, None])

@@ -23,15 +23,22 @@ from piezo_common.schema import (
     load_document,
     violation,
 )
+from piezo_models.axes.actuator import Actuator
 from piezo_models.axes.coupled import CoupledModel, Softening
 from piezo_models.axes.identified_axes import Coupling, IdentifiedAxes
+from piezo_models.linear.dynamics import CreepDynamics
 from piezo_models.model_document import (
     FORMAT,
+    CreepPart,
     Deviation,
+    HysteresisPart,
     ModelFileError,
     RecordingPart,
+    document_of_creep,
+    document_of_hysteresis,
 )
 from piezo_models.model_file import LARGEST_FILE_BYTES, write_document
+from piezo_models.model_reader import built_hysteresis
 
 VERSION = 2
 
@@ -67,6 +74,15 @@ class SofteningPart(Part):
     memory_s: Positive = entry("Time constant of the running RMS.", unit="s")
     range_v: list[NotNegative] = entry(
         "RMS voltages of the identification.", unit="V", shortest=2, longest=2)
+
+
+class ActuatorPart(Part):
+    """What stands in front of the modes on one axis."""
+
+    hysteresis: HysteresisPart | None = entry(
+        "Hysteresis. Its output over its mean slope is the voltage that it passes on; left out "
+        "where the voltage passes as it is.", default=None)
+    creep: CreepPart = entry("Creep of the voltage behind it.")
 
 
 class CouplingPart(Part):
@@ -105,7 +121,9 @@ class AxesDocument(Document):
         "Motion with the voltage of the same sample, the one before, and so on.", unit="um/V")
     softening: SofteningPart | None = entry(
         "What changes with the amplitude of the voltage.", default=None)
-    coupling: list[CouplingPart] = entry("The response at some frequencies.")
+    actuators: list[ActuatorPart] = entry(
+        "Hysteresis and creep of each axis; left out where no axis has any.", default=[])
+    coupling: list[CouplingPart] = entry("The response of the modes at some frequencies.")
     errors: dict[str, dict[str, Number]] = entry(
         "Errors of each axis on data that was not fitted, units in the names.")
     recordings: list[RecordingPart] = entry("Where the model came from.")
@@ -121,6 +139,8 @@ class AxesDocument(Document):
                                     f"modes[{number}].{name}")
             if mode.damping_ratio > 1.0:
                 raise violation("is more than 1", "give two real modes", f"modes[{number}]")
+        if len(self.actuators) not in (0, n):
+            raise violation(f"is not a list of {n} objects", "give one for each axis", "actuators")
         return self
 
 
@@ -162,6 +182,10 @@ def _document_of(identified: IdentifiedAxes) -> dict[str, Any]:
         for pole, residue, pole_off, off in zip(
             model.poles_rad_per_s, model.residues_um_per_v, identified.pole_deviations_rad_per_s,
             identified.residue_deviations_um_per_v, strict=True)]
+    actuators = {} if not model.actuators else {"actuators": [
+        {**({} if each.hysteresis is None else {
+            "hysteresis": document_of_hysteresis(each.hysteresis)}),
+         "creep": document_of_creep(each.creep)} for each in model.actuators]}
     softening = {} if model.softening is None else {"softening": {
         "elongation_re": model.softening.elongations.real.tolist(),
         "elongation_im": model.softening.elongations.imag.tolist(),
@@ -176,7 +200,7 @@ def _document_of(identified: IdentifiedAxes) -> dict[str, Any]:
         "delays_s": identified.delays_s.tolist(),
         "delay_deviations_s": [off_s if np.isfinite(off_s) else None
                                for off_s in identified.delay_deviations_s.tolist()],
-        "modes": modes, "direct_um_per_v": model.direct_um_per_v.tolist(), **softening,
+        "modes": modes, "direct_um_per_v": model.direct_um_per_v.tolist(), **softening, **actuators,
         "coupling": [
             {"frequency_hz": float(frequency_hz), "re_um_per_v": gain.real.tolist(),
              "im_um_per_v": gain.imag.tolist(), "deviation_re_um_per_v": off.real.tolist(),
@@ -203,7 +227,11 @@ def _built(document: AxesDocument) -> IdentifiedAxes:
         None if softening is None else Softening(
             _complex(softening.elongation_re, softening.elongation_im), np.array(softening.gain),
             softening.reference_v, softening.memory_s,
-            (softening.range_v[0], softening.range_v[1])))
+            (softening.range_v[0], softening.range_v[1])),
+        tuple(Actuator(
+            None if part.hysteresis is None else built_hysteresis(part.hysteresis),
+            CreepDynamics(tuple(part.creep.poles_rad_per_s), tuple(part.creep.zeros_rad_per_s)))
+            for part in document.actuators))
     coupling = Coupling(
         np.array([each.frequency_hz for each in document.coupling]),
         _complex([each.re_um_per_v for each in document.coupling],

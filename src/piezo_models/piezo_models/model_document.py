@@ -20,6 +20,8 @@ from piezo_common.schema import (
     entry,
     violation,
 )
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import CreepDynamics
 
 if TYPE_CHECKING:
     from piezo_models.identified_model import IdentifiedModel
@@ -247,8 +249,7 @@ class ModelDocument(Document):
 def document_of(identified: "IdentifiedModel") -> dict[str, Any]:
     """Return the document of an `IdentifiedModel`: objects, lists, text and plain numbers."""
     model = identified.model
-    hysteresis, dynamics = model.hysteresis, model.dynamics
-    density = hysteresis.density_um_per_v2
+    dynamics = model.dynamics
     effects = [
         {"name": effect.name, "parameters": _plain(effect.parameters())}
         for effect in model.effects
@@ -261,7 +262,6 @@ def document_of(identified: "IdentifiedModel") -> dict[str, Any]:
         "".join("01"[int(cell)] for cell in row[: i + 1])
         for i, row in enumerate(identified.visited)
     ]}
-    reversible = hysteresis.reversible_um_per_v
     hysteretic = model.hysteretic_creep
     hysteretic_creep = {} if hysteretic is None else {
         "hysteretic_creep": {
@@ -282,10 +282,7 @@ def document_of(identified: "IdentifiedModel") -> dict[str, Any]:
         "sample_periods_s": _plain(identified.sample_periods_s),
         "errors": _plain(identified.errors),
         "recordings": list(identified.recordings),
-        "creep": {
-            "poles_rad_per_s": list(model.creep.poles_rad_per_s),
-            "zeros_rad_per_s": list(model.creep.zeros_rad_per_s),
-        },
+        "creep": document_of_creep(model.creep),
         "dynamics": {
             "time_constant_s": dynamics.time_constant_s,
             "mode_frequencies_rad_per_s": list(dynamics.mode_frequencies_rad_per_s),
@@ -303,13 +300,25 @@ def document_of(identified: "IdentifiedModel") -> dict[str, Any]:
         **({"adequacy": _plain(identified.adequacy)} if identified.adequacy else {}),
         **visited,
         **({"unfinished": identified.unfinished} if identified.unfinished else {}),
-        "hysteresis": {
-            "voltage_min_v": hysteresis.voltage_min_v,
-            "voltage_max_v": hysteresis.voltage_max_v,
-            "offset_um": hysteresis.offset_um,
-            **({"reversible_um_per_v": reversible.tolist()} if reversible.any() else {}),
-            "density_um_per_v2": [row[: i + 1].tolist() for i, row in enumerate(density)],
-        },
+        "hysteresis": document_of_hysteresis(model.hysteresis),
+    }
+
+
+def document_of_creep(creep: CreepDynamics) -> dict[str, Any]:
+    """Return the part of a document that tells the creep."""
+    return {"poles_rad_per_s": list(creep.poles_rad_per_s),
+            "zeros_rad_per_s": list(creep.zeros_rad_per_s)}
+
+
+def document_of_hysteresis(hysteresis: PreisachModel) -> dict[str, Any]:
+    """Return the part of a document that tells the hysteresis."""
+    reversible, density = hysteresis.reversible_um_per_v, hysteresis.density_um_per_v2
+    return {
+        "voltage_min_v": hysteresis.voltage_min_v,
+        "voltage_max_v": hysteresis.voltage_max_v,
+        "offset_um": hysteresis.offset_um,
+        **({"reversible_um_per_v": reversible.tolist()} if reversible.any() else {}),
+        "density_um_per_v2": [row[: i + 1].tolist() for i, row in enumerate(density)],
     }
 
 

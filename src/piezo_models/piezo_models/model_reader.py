@@ -63,7 +63,7 @@ def built_model(document: ModelDocument) -> IdentifiedModel:
     low_v, high_v = document.voltage_range_v
     return IdentifiedModel(
         model=StageModel(
-            _built("hysteresis", _preisach, document.hysteresis),
+            _built("hysteresis", built_hysteresis, document.hysteresis),
             _built("creep", CreepDynamics, **dict(document.creep)),
             _built("dynamics", ElectricVibrationDynamics, **dict(document.dynamics)),
             None if hysteretic is None else _built(
@@ -107,7 +107,8 @@ def _infinite_where_untold(deviation: Deviation | Deviations) -> float | list[fl
     return math.inf if deviation is None else deviation
 
 
-def _preisach(part: HysteresisPart) -> PreisachModel:
+def built_hysteresis(part: HysteresisPart) -> PreisachModel:
+    """Return the hysteresis that a part of a document tells."""
     rows = part.density_um_per_v2
     density = np.zeros((len(rows), len(rows)))
     for i, row in enumerate(rows):

@@ -117,14 +117,13 @@ def identify(
     >>> print(np.round(model.model.dynamics.mode_frequencies_rad_per_s, 3))
     [1257.]
     """
-    fitted = [each for name, data in (("creep", creep), ("dynamics", dynamics),
-                                      ("hysteresis", hysteresis))
-              for each in axes_recordings_of(data, name)]
-    if fitted:
+    of_axes = {name: axes_recordings_of(data, name) for name, data in (
+        ("creep", creep), ("dynamics", dynamics), ("hysteresis", hysteresis),
+        ("validation", validation))}
+    if of_axes["creep"] or of_axes["dynamics"] or of_axes["hysteresis"]:
         return identify_several_axes(
-            fitted, axes_recordings_of(validation, "validation"), pairs=modes,
-            note=note or (lambda text: None), progress=progress or (lambda what, part: None),
-            budget=Budget(budget_s))
+            **of_axes, pairs=modes, note=note or (lambda text: None),
+            progress=progress or (lambda what, part: None), budget=Budget(budget_s))
     given: dict[str, Any] = {}
     for name, data in (("creep", creep), ("dynamics", dynamics), ("hysteresis", hysteresis),
                        ("validation", validation)):

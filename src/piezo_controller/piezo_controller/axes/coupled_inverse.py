@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Voltages whose periodic answer of a coupled model is a path: the inverse, line by line."""
+"""Voltages whose periodic answer of a coupled model is a path: the inverse, line by line.
+
+Modes and coupling first, then creep and hysteresis of each axis.
+"""
 
 from typing import NamedTuple
 
@@ -36,13 +39,16 @@ class Inverted(NamedTuple):
     Attributes
     ----------
     voltage_v : (N, n) array
+    drive_v : (N, n) array
+        Of the modes, behind hysteresis and creep.
     missed_um : (N, n) array
         Part of the path that the limit of the gain leaves out.
     amplitude_v : float
-        RMS of the voltages about the operating point, at which the model softened.
+        RMS of the drive about the operating point, at which the model softened.
     """
 
     voltage_v: FloatArray
+    drive_v: FloatArray
     missed_um: FloatArray
     amplitude_v: float
 
@@ -61,12 +67,12 @@ def invert_path(position_um: FloatArray, model: CoupledModel, inverse: str = "co
     position_um : (N, n) array
         One period, of all axes of the model.
     inverse : str
-        One of `INVERSES`.
+        One of `INVERSES`. With none, the voltage is the drive, hysteresis and creep or not.
 
     Raises
     ------
     ValueError
-        If the axes of the model cannot be told apart at rest.
+        If the axes of the model cannot be told apart at rest, or a hysteresis has no inverse.
     """
     found = _inverted(position_um - model.operating_displacement_um, model, inverse, gain_limit,
                       None)
@@ -89,11 +95,12 @@ def _corrected(wanted_um: FloatArray, model: CoupledModel, found: Inverted,
         if np.std(left_um) <= CORRECTED * np.std(wanted_um):
             break
         more = _inverted(left_um, model, "coupled", gain_limit, found.amplitude_v)
-        voltage_v = found.voltage_v + more.voltage_v - model.operating_voltage_v
+        drive_v = found.drive_v + more.drive_v - model.operating_voltage_v
+        voltage_v = _ahead_of_actuators(drive_v, model)
         still_um = wanted_um - repeated(voltage_v, model)
         if np.std(still_um) >= np.std(left_um):
             break
-        found, left_um = found._replace(voltage_v=voltage_v), still_um
+        found, left_um = found._replace(voltage_v=voltage_v, drive_v=drive_v), still_um
     return found
 
 
@@ -111,8 +118,18 @@ def _inverted(offset_um: FloatArray, model: CoupledModel, inverse: str, gain_lim
         voltage[at], missed[at] = _inverted_lines(
             lines[at], _response(model, frequency_hz, inverse, amplitude_v), at_rest, gain_limit)
     drive_v, missed_um = (np.fft.irfft(each, samples, axis=0) for each in (voltage, missed))
-    return Inverted(model.operating_voltage_v + drive_v, missed_um,
-                    float(np.sqrt(np.mean(drive_v**2))))
+    whole_v = model.operating_voltage_v + drive_v
+    voltage_v = whole_v if inverse == "none" else _ahead_of_actuators(whole_v, model)
+    return Inverted(voltage_v, whole_v, missed_um, float(np.sqrt(np.mean(drive_v**2))))
+
+
+def _ahead_of_actuators(drive_v: FloatArray, model: CoupledModel) -> FloatArray:
+    """Return the voltages by which a period of the drive is repeated, (N, n)."""
+    if not model.actuators:
+        return drive_v
+    return np.column_stack([
+        actuator.inverse_v(np.ascontiguousarray(column), model.sample_period_s)
+        for actuator, column in zip(model.actuators, drive_v.T, strict=True)])
 
 
 def spectral_square(lines: ComplexArray | FloatArray, samples: int) -> FloatArray:

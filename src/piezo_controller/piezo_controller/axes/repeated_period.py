@@ -48,7 +48,7 @@ def repeated(voltage_v: FloatArray, model: CoupledModel) -> FloatArray:
     Returns
     -------
     (N, n) array
-        In um, once the modes have settled.
+        In um, once modes and hysteresis have settled.
     """
     period_s, samples = model.sample_period_s, len(voltage_v)
     slowest = -np.max(model.poles_rad_per_s.real, initial=-1.0 / period_s)
@@ -56,6 +56,8 @@ def repeated(voltage_v: FloatArray, model: CoupledModel) -> FloatArray:
     if model.softening is not None:
         settle_s = max(settle_s, -np.log(SETTLED) * model.softening.memory_s)
     settle = round(min(settle_s, LONGEST_SETTLE_S) / period_s)
+    if any(each.hysteresis for each in model.actuators):
+        settle = max(settle, samples)  # a period wipes out what came before
     played_v = np.concatenate([faded_in(voltage_v, model, settle),
                                voltage_v[np.arange(-settle, samples) % samples]])
     return model.simulate(played_v)[-samples:]

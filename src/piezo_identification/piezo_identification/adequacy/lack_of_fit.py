@@ -36,6 +36,9 @@ class LackOfFitSettings:
     tolerance : float
         Part of the travel: a systematic error below it is of no account, as it is lost in rounding,
         in the grid of the density, and in the errors of the other components.
+    of_noise : float
+        Part of the noise of a sample: a systematic error below it adds an eighth to what a sample
+        is off, and many samples show it still.
     """
 
     significance: float = 1e-4
@@ -46,6 +49,7 @@ class LackOfFitSettings:
     fewest_for_a_spectrum: int = 1024
     drift_order: int = 2
     tolerance: float = 2e-5
+    of_noise: float = 0.5
 
 
 SETTINGS = LackOfFitSettings()
@@ -85,7 +89,8 @@ class LackOfFit:
     @property
     def is_adequate(self) -> bool:
         """Whether what is left is noise, or too little to matter."""
-        return not self.significant or self.systematic_rms_um <= self.tolerance_um
+        small_um = max(self.tolerance_um, SETTINGS.of_noise * self.noise_rms_um)
+        return not self.significant or self.systematic_rms_um <= small_um
 
 
 @dataclass(frozen=True, eq=False)

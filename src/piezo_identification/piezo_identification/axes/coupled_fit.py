@@ -37,20 +37,24 @@ class CoupledFit:
     left : list of (K, n) array of complex
         Motion that the model and transients do not explain, of each spectrum.
     misfit : float
-        Sum of the squares of what is left over its deviation.
+        Sum of the squares of what is left over its deviation, and of the changes of the hysteresis
+        over the widths of their prior.
     rows : int
         Real numbers that were fitted.
+    transients : int
+        Numbers of the transients, which were projected out.
     """
 
     numbers: CoupledNumbers
     left: list[ComplexArray]
     misfit: float
     rows: int
+    transients: int
 
     @property
     def count(self) -> int:
-        """Return how many numbers there are."""
-        return int(self.numbers.shared().size + self.numbers.own().size)
+        """Return how many numbers there are, those of the transients among them."""
+        return int(self.numbers.shared().size + self.numbers.own().size + self.transients)
 
 
 def linear_numbers(spectra: Sequence[Spectrum], steps: ComplexArray, taps: int) -> CoupledNumbers:
@@ -84,12 +88,13 @@ def equations_of_gains(
     """
     parts = []
     for spectrum in spectra:
-        basis = mode_basis(spectrum.z, steps)
+        basis = mode_basis(spectrum.z, steps, spectrum.held)
         whole = np.hstack([basis, delays(spectrum.z, taps)])
         own = (whole[:, :, None] * spectrum.drive[:, None, :]).reshape(len(whole), -1)
         motions = spectrum.motion[:, output, None] * spectrum.z[:, None] ** late
         ahead = replace(spectrum, ahead=spectrum.ahead + int(late.max()))
-        parts.append(_cleared(ahead, basis, output, np.hstack([own, motions])))
+        parts.append(_cleared(ahead, transient_basis(ahead, steps), output,
+                              np.hstack([own, motions])))
     rows = np.concatenate(parts)
     return rows[:, : -late.size], rows[:, -late.size:]
 
@@ -136,14 +141,14 @@ def refined(numbers: CoupledNumbers, spectra: Sequence[Spectrum], steps: int) ->
         At most so many; with 0 the start is only judged.
     """
     left = _left(numbers, spectra)
-    misfit, damping = _misfit(spectra, left), FIRST_DAMPING
+    misfit, damping = _misfit(numbers, spectra, left), FIRST_DAMPING
     amplitudes_v = {each.amplitude_v for each in spectra} if len(numbers.back) else set()
     for _ in range(steps):
         normal = _Normal(numbers, spectra, left)
         while True:
             tried = normal.stepped(damping)
             left_then = _left(tried, spectra)
-            then = _misfit(spectra, left_then) if all(
+            then = _misfit(tried, spectra, left_then) if all(
                 tried.is_stable(each) for each in amplitudes_v) else np.inf
             if then < misfit or damping > LARGEST_DAMPING:
                 break
@@ -155,16 +160,25 @@ def refined(numbers: CoupledNumbers, spectra: Sequence[Spectrum], steps: int) ->
         if gained < ENOUGH:
             break
     rows = 2 * sum(spectrum.motion.size for spectrum in spectra)
-    return CoupledFit(numbers, left, misfit, rows)
+    transients = sum(spectrum.motion.shape[1] * _transients(numbers, spectrum).shape[1]
+                     for spectrum in spectra if spectrum.transient)
+    return CoupledFit(numbers, left, misfit, rows, transients)
 
 
 def covariances(fit: CoupledFit, spectra: Sequence[Spectrum]) -> list[FloatArray]:
     """Return for each motion the covariance of its own numbers, with the shared ones behind them.
 
     It is scaled by the misfit where that is more than the deviations of the spectra make expected.
+    What a hysteresis lacks errs alike throughout a recording; so by how much the recordings pull
+    the numbers apart is added there (Liang and Zeger 1986).
     """
     scale = max(1.0, fit.misfit / (0.5 * max(fit.rows - fit.count, 1)))
-    return [scale * each for each in _Normal(fit.numbers, spectra, fit.left).covariances()]
+    normal = _Normal(fit.numbers, spectra, fit.left)
+    known = [scale * each for each in normal.covariances()]
+    if fit.numbers.actuators.changes.size:
+        known = [each + more for each, more in zip(
+            known, normal.covariances_of_recordings(), strict=True)]
+    return known
 
 
 class _Normal:
@@ -177,19 +191,28 @@ class _Normal:
         own = numbers.own().shape[1]
         self.squares = np.zeros((n, own + shared, own + shared))
         self.products = np.zeros((n, own + shared))
+        changes = numbers.actuators.changes
+        last = own + shared - numbers.actuators.vector().size
+        prior = slice(last, last + changes.size)
+        self.squares[0, prior, prior] = 0.5 * np.eye(changes.size)
+        self.products[0, prior] = -0.5 * changes
+        self.pulls: list[FloatArray] = []
         rows = n * sum(2 * each.z.size for each in spectra)
         together = max(1, int(rows / (ROWS_PER_NUMBER * (n * own + shared))))
         for spectrum, rest in zip(spectra, left, strict=True):
+            before = self.products.copy()
             if spectrum.transient:
                 self._add_recording(spectrum, rest)
             else:
                 self._add_thinned(spectrum, rest, together)
+            self.pulls.append(self.products - before)
 
     def _add_recording(self, spectrum: Spectrum, rest: ComplexArray) -> None:
         at = Linearised(self.numbers, spectrum)
         of_own, of_shared = at.own_slopes(), at.shared_slopes()
+        basis = _transients(self.numbers, spectrum)
         for output in range(rest.shape[1]):
-            rows = _cleared(spectrum, at.basis, output, np.hstack(
+            rows = _cleared(spectrum, basis, output, np.hstack(
                 [of_own, of_shared[output], rest[:, output, None]]))
             self.squares[output] += rows[:, :-1].T @ rows[:, :-1]
             self.products[output] += rows[:, :-1].T @ rows[:, -1]
@@ -212,33 +235,46 @@ class _Normal:
 
     def stepped(self, damping: float) -> CoupledNumbers:
         """Return the numbers after a damped step."""
-        own, shared = self.numbers.own(), self.numbers.shared()
-        inverses, border, pull = self._eliminated(damping)
-        step = np.linalg.lstsq(border, pull, rcond=1e-12)[0]
-        count = own.shape[1]
-        own_steps = np.array([
-            inverse @ (product[:count] - square[:count, count:] @ step)
-            for inverse, product, square in zip(
-                inverses, self.products, self.squares, strict=True)])
-        return self.numbers.with_numbers(shared + step, own + own_steps)
+        own_steps, step = self._solved(self._eliminated(damping), self.products)
+        return self.numbers.with_numbers(self.numbers.shared() + step,
+                                         self.numbers.own() + own_steps)
 
-    def _eliminated(self, damping: float) -> tuple[list[FloatArray], FloatArray, FloatArray]:
-        """Return inverses of the blocks, and the equations of the shared numbers that remain."""
+    def _solved(self, eliminated: tuple[list[FloatArray], FloatArray],
+                products: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the own numbers (n, count) and the shared ones that solve the equations."""
+        (inverses, border), count = eliminated, self.numbers.own().shape[1]
+        each_of = list(zip(inverses, products, self.squares, strict=True))
+        pull = sum(product[count:] - square[:count, count:].T @ inverse @ product[:count]
+                   for inverse, product, square in each_of)
+        step = np.linalg.lstsq(border, pull, rcond=1e-12)[0]
+        return np.array([inverse @ (product[:count] - square[:count, count:] @ step)
+                         for inverse, product, square in each_of]), step
+
+    def _eliminated(self, damping: float) -> tuple[list[FloatArray], FloatArray]:
+        """Return inverses of the blocks, and the matrix of the shared numbers that remains."""
         count = self.numbers.own().shape[1]
         shared = self.squares.shape[1] - count
-        border, pull, inverses = np.zeros((shared, shared)), np.zeros(shared), []
-        for square, product in zip(self.squares, self.products, strict=True):
+        border, inverses = np.zeros((shared, shared)), []
+        for square in self.squares:
             inverse = _inverse(square[:count, :count], damping)
             across = square[:count, count:]
             border += square[count:, count:] - across.T @ inverse @ across
-            pull += product[count:] - across.T @ inverse @ product[:count]
             inverses.append(inverse)
         total = sum(np.diag(square)[count:] for square in self.squares)
-        return inverses, border + damping * np.diag(total), pull
+        return inverses, border + damping * np.diag(total)
+
+    def covariances_of_recordings(self) -> list[FloatArray]:
+        """Return the covariances by how far each recording would move the numbers."""
+        eliminated = self._eliminated(0.0)
+        moved = [self._solved(eliminated, pull) for pull in self.pulls]
+        whole = [np.array([np.concatenate([own[output], shared]) for own, shared in moved])
+                 for output in range(len(self.squares))]
+        more = len(moved) / max(len(moved) - 1, 1)
+        return [more * each.T @ each for each in whole]
 
     def covariances(self) -> list[FloatArray]:
         """Return the covariance of each motion's own numbers with the shared ones."""
-        inverses, border, _ = self._eliminated(0.0)
+        inverses, border = self._eliminated(0.0)
         # A complex error of unit deviation has half of its square in each real row.
         of_shared, count = 0.5 * _inverse(border, 0.0), self.numbers.own().shape[1]
         covariances = []
@@ -265,7 +301,7 @@ def _left(numbers: CoupledNumbers, spectra: Sequence[Spectrum]) -> list[ComplexA
     for spectrum, motion in zip(spectra, numbers.motions(spectra), strict=True):
         rest = spectrum.motion - motion
         if spectrum.transient:
-            basis = mode_basis(spectrum.z, numbers.steps)
+            basis = _transients(numbers, spectrum)
             for output in range(rest.shape[1]):
                 cleared = _cleared(spectrum, basis, output, rest[:, output, None])[:, 0]
                 half = cleared.size // 2
@@ -275,19 +311,27 @@ def _left(numbers: CoupledNumbers, spectra: Sequence[Spectrum]) -> list[ComplexA
     return left
 
 
-def _misfit(spectra: Sequence[Spectrum], left: Sequence[ComplexArray]) -> float:
-    return float(sum(np.sum(np.abs(spectrum.weight * rest) ** 2)
-                     for spectrum, rest in zip(spectra, left, strict=True)))
+def _misfit(numbers: CoupledNumbers, spectra: Sequence[Spectrum],
+            left: Sequence[ComplexArray]) -> float:
+    # A complex error of unit deviation has half of its square in each real row.
+    return 0.5 * float(np.sum(numbers.actuators.changes**2)) + float(sum(
+        np.sum(np.abs(spectrum.weight * rest) ** 2)
+        for spectrum, rest in zip(spectra, left, strict=True)))
 
 
-def _cleared(spectrum: Spectrum, basis: ComplexArray, output: int,
+def _transients(numbers: CoupledNumbers, spectrum: Spectrum) -> ComplexArray:
+    """Return what is free beside the motion under the voltages of a recording, (K, columns)."""
+    return transient_basis(spectrum, numbers.steps, numbers.actuators.kept())
+
+
+def _cleared(spectrum: Spectrum, transients: ComplexArray, output: int,
              columns: ComplexArray) -> FloatArray:
     """Return weighted columns as real rows, with the transients of a recording projected out."""
     weight = spectrum.weight[:, output, None]
     rows = _real(weight * columns)
     if not spectrum.transient:
         return rows
-    orthogonal = np.linalg.qr(_real(weight * transient_basis(spectrum, basis)))[0]
+    orthogonal = np.linalg.qr(_real(weight * transients))[0]
     cleared: FloatArray = rows - orthogonal @ (orthogonal.T @ rows)
     return cleared
 

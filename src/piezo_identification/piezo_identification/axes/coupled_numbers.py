@@ -2,13 +2,15 @@
 """The numbers of a coupled model as a fit takes them, and how motions depend on them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
 
-from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
+from piezo_identification.axes.actuator_numbers import ActuatorNumbers, Driven
 from piezo_identification.axes.shared_poles import (
+    LEAST_STEP,
     delays,
     mode_basis,
     real_form,
@@ -40,6 +42,10 @@ class CoupledNumbers:
         Amplitude at which nothing softens.
     softening : (m,) array
         1 for the columns that may act back, 0 for the others.
+    actuators : ActuatorNumbers
+        Of hysteresis and creep in front of the modes.
+    slowest : float
+        Least size of a pole's logarithm: what is slower is creep.
     """
 
     steps: ComplexArray
@@ -49,6 +55,8 @@ class CoupledNumbers:
     back_gain: FloatArray
     reference_v: float
     softening: FloatArray
+    actuators: ActuatorNumbers = field(default_factory=ActuatorNumbers)
+    slowest: float = 0.0
 
     @property
     def logarithms(self) -> FloatArray:
@@ -60,7 +68,8 @@ class CoupledNumbers:
 
     def shared(self) -> FloatArray:
         """Return the numbers on which all motions depend."""
-        return np.concatenate([self.logarithms, self.back.ravel(), self.back_gain.ravel()])
+        return np.concatenate([self.logarithms, self.back.ravel(), self.back_gain.ravel(),
+                               self.actuators.vector()])
 
     def own(self) -> FloatArray:
         """Return the numbers of each motion, (n, count)."""
@@ -75,15 +84,27 @@ class CoupledNumbers:
         m, n, _ = self.gains.shape
         pairs = int(np.count_nonzero(self.steps.imag > 0.0))
         of_pairs = shared[: 2 * pairs].reshape(pairs, 2)
-        decays = np.minimum(np.concatenate([of_pairs[:, 0], shared[2 * pairs:m]]), -SLOWEST)
+        decays = np.clip(np.concatenate([of_pairs[:, 0], shared[2 * pairs:m]]),
+                         np.log(LEAST_STEP), -SLOWEST)
         turns = np.zeros(decays.size)
         turns[:pairs] = np.clip(of_pairs[:, 1], SLOWEST, np.pi - SLOWEST)
-        steps = np.exp(decays + 1j * turns)
+        logarithms = decays + 1j * turns
+        logarithms = logarithms * np.maximum(1.0, self.slowest / np.abs(logarithms))
+        steps = np.exp(logarithms)
         moved = own.reshape(n, -1, n).transpose(1, 0, 2)
-        back, gain = np.split(shared[m:], [self.back.size])
+        back, gain, actuators = np.split(shared[m:], np.cumsum([
+            self.back.size, self.back_gain.size]))
         return replace(self, steps=steps, gains=moved[:m], direct=moved[m:],
                        back=back.reshape(self.back.shape),
-                       back_gain=gain.reshape(self.back_gain.shape))
+                       back_gain=gain.reshape(self.back_gain.shape),
+                       actuators=self.actuators.with_vector(actuators))
+
+    def with_poles(self, kept: BoolArray) -> Self:
+        """Return the model with some of its poles alone, (poles,)."""
+        pairs = self.steps.imag > 0.0
+        columns = np.concatenate([np.repeat(kept[pairs], 2), kept[~pairs]])
+        return replace(self, steps=self.steps[kept], gains=self.gains[columns],
+                       back=self.back[:, columns], softening=self.softening[columns])
 
     def strengths(self, amplitude_v: float) -> FloatArray:
         """Return powers of the amplitude's distance from the reference, in parts of it."""
@@ -110,19 +131,21 @@ class Linearised:
     def __init__(self, numbers: CoupledNumbers, spectrum: Spectrum, lines: slice = slice(None),
                  ) -> None:
         self.numbers, n = numbers, spectrum.drive.shape[1]
-        self.z, self.drive = spectrum.z[lines], spectrum.drive[lines]
-        self.basis = mode_basis(self.z, numbers.steps)
+        self.z, self.held = spectrum.z[lines], spectrum.held
+        self.driven = Driven(numbers.actuators, spectrum, lines)
+        self.drive = self.driven.drive
+        self.basis = mode_basis(self.z, numbers.steps, self.held)
         self.strengths = numbers.strengths(spectrum.amplitude_v)
         self.taps = delays(self.z, len(numbers.direct))
         self.modal = np.tensordot(self.basis, numbers.gains, 1)
         self.gains_back = np.tensordot(self.strengths, numbers.back, 1)
         back = np.tensordot(self.basis, self.gains_back, 1)
         self.closing = np.linalg.inv(np.eye(n) + back)
-        pushed = self.drive - self.drive @ np.tensordot(self.strengths, numbers.back_gain, 1).T
-        self.force = np.einsum("kij,kj->ki", self.closing, pushed)
+        pushing = np.eye(n) - np.tensordot(self.strengths, numbers.back_gain, 1)
+        self.force = np.einsum("kij,kj->ki", self.closing, self.drive @ pushing.T)
         direct = np.tensordot(self.taps, numbers.direct, 1)
-        self.motion = np.einsum("kij,kj->ki", self.modal, self.force) + np.einsum(
-            "kij,kj->ki", direct, self.drive)
+        self.response = self.modal @ self.closing @ pushing + direct
+        self.motion = np.einsum("kij,kj->ki", self.response, self.drive)
 
     def pulls(self, pull: ComplexArray) -> tuple[FloatArray, FloatArray]:
         """Return the products of the slopes with a motion, summed over the lines.
@@ -141,12 +164,17 @@ class Linearised:
         of_modes = np.einsum("ki,mij,kj->km", pull.conj(), self.numbers.gains, self.force,
                              optimize=True)
         of_modes += np.einsum("kq,mqj,kj->km", through, self.gains_back, self.force, optimize=True)
-        of_poles = np.einsum("pkm,km->p", slopes_of_basis(self.z, self.numbers.steps), of_modes,
-                             optimize=True)
+        of_poles = np.einsum(
+            "pkm,km->p", slopes_of_basis(self.z, self.numbers.steps, self.held), of_modes,
+            optimize=True)
         of_back = np.einsum("s,kq,m,km,kj->smqj", self.strengths, through,
                             self.numbers.softening, self.basis, self.force, optimize=True)
         of_gain = np.einsum("s,kq,kj->sqj", self.strengths, through, self.drive, optimize=True)
-        return own, np.real(np.concatenate([of_poles, of_back.ravel(), of_gain.ravel()]))
+        axes, slopes = self.driven.slopes()
+        of_actuators = np.einsum("ki,kip,kp->p", pull.conj(), self.response[:, :, axes], slopes,
+                                 optimize=True)
+        return own, np.real(np.concatenate([
+            of_poles, of_back.ravel(), of_gain.ravel(), of_actuators]))
 
     def own_slopes(self) -> ComplexArray:
         """Return the slopes of a motion over its own numbers, (K, count): alike for all."""
@@ -156,7 +184,7 @@ class Linearised:
 
     def shared_slopes(self) -> ComplexArray:
         """Return the slopes of all motions over the shared numbers, (n, K, count)."""
-        slopes = slopes_of_basis(self.z, self.numbers.steps)
+        slopes = slopes_of_basis(self.z, self.numbers.steps, self.held)
         through = -self.modal @ self.closing
         changed = np.einsum("pkm,mij,kj->ikp", slopes, self.numbers.gains, self.force,
                             optimize=True)
@@ -166,5 +194,7 @@ class Linearised:
         of_modes = np.einsum("s,kiq,m,km,kj->iksmqj", self.strengths, through,
                              self.numbers.softening, self.basis, self.force, optimize=True)
         of_gain = np.einsum("s,kiq,kj->iksqj", self.strengths, through, self.drive, optimize=True)
+        axes, of_drive = self.driven.slopes()
+        of_actuators = self.response.transpose(1, 0, 2)[:, :, axes] * of_drive
         return np.concatenate([changed, of_modes.reshape(n, lines, -1),
-                               of_gain.reshape(n, lines, -1)], axis=2)
+                               of_gain.reshape(n, lines, -1), of_actuators], axis=2)

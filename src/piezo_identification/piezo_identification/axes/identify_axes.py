@@ -6,8 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_common.arrays import FloatArray
 from piezo_common.budget import Budget
+from piezo_identification.axes.actuator_numbers import ActuatorNumbers
+from piezo_identification.axes.all_together import (
+    FINAL_STEPS,
+    JUDGED_STEPS,
+    coupled_model,
+    fitted_together,
+    residues_of,
+    reweighted_fit,
+)
 from piezo_identification.axes.coupled_fit import (
     CoupledFit,
     covariances,
@@ -21,7 +30,6 @@ from piezo_identification.axes.sensor_delays import latencies, sensor_delays
 from piezo_identification.axes.spectra import (
     Spectrum,
     levels_of,
-    reweighted,
     spectra_of_level,
 )
 from piezo_models.axes.coupled import CoupledModel, Softening
@@ -35,22 +43,11 @@ MOST_PAIRS = 40
 WORSE_IN_A_ROW = 2
 """Orders without more evidence after which the search for the order ends."""
 
-JUDGED_STEPS, FINAL_STEPS = 3, 20
-"""Gauss-Newton steps of a model that is compared, and of the one that is kept."""
-
 MOST_POWERS = 2
 """Powers of the amplitude: domain walls give the first (Rayleigh), their saturation the second."""
 
 MEMORIES_S = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Time constants of the running RMS that are compared, three to a decade."""
-
-GENEROUS_PAIRS = 12
-"""Pairs of poles of the model whose remainder is taken as the noise of recordings that tell none:
-beyond the modes of a stage of three axes below its sample rate, and few against the lines."""
-
-REWEIGHTINGS = 3
-"""Of recordings without scatter, by what the refined model leaves; set on the simulated flexure,
-where the misfit then is that of the noise to 1 %, from a sixth of it."""
 
 COUPLING_FREQUENCIES = 20
 """Frequencies at which the model file tells the response, beside those of the modes."""
@@ -60,19 +57,25 @@ Progress = Callable[[str, float], object]
 
 
 def identify_several_axes(
-    recordings: Sequence[AxesRecording], validation: Sequence[AxesRecording] = (), *,
+    dynamics: Sequence[AxesRecording], validation: Sequence[AxesRecording] = (), *,
+    creep: Sequence[AxesRecording] = (), hysteresis: Sequence[AxesRecording] = (),
     pairs: int | None = None, note: Note = lambda text: None,
     progress: Progress = lambda what, part: None, budget: Budget | None = None,
 ) -> IdentifiedAxes:
-    """Identify modes, coupling and softening from recordings in which one axis or all move.
+    """Identify modes, coupling, softening, and hysteresis and creep of each axis.
+
+    In each recording one axis moves, or several do. Every axis must be driven in one of them.
 
     Parameters
     ----------
-    recordings : sequence of AxesRecording
-        Of the same axes and sample period. Every axis must be driven in one of them. Softening is
-        sought where there are several levels of more realisations of periods than axes.
+    dynamics : sequence of AxesRecording
+        Fast ones, of the same axes and sample period. Softening is sought where there are several
+        levels of more realisations of periods than axes.
     validation : sequence of AxesRecording
         What is not fitted: the errors are measured on it.
+    creep, hysteresis : sequence of AxesRecording
+        Slow ones, of the same sample period or longer ones. Hysteresis and creep are sought in
+        them; where one of the two is not given, in the other one.
     pairs : int, optional
         Pairs of poles; by evidence by default.
     note : callable
@@ -87,39 +90,68 @@ def identify_several_axes(
     RecordingError
         If the recordings do not belong together or leave an axis at rest.
     """
-    _check(recordings, validation)
+    recordings = [*dynamics, *creep, *hysteresis]
+    _check(recordings, dynamics, validation)
     budget = budget or Budget()
+    shortest_s = min(each.sample_period_s for each in recordings)
+    fast = list(dynamics) or [each for each in recordings if _is_of_period(each, shortest_s)]
+    fit, spectra, late = _fitted_modes(fast, pairs, note, progress, budget)
+    together = None
+    if creep or hysteresis:
+        progress("hysteresis, creep and modes together", 0.8)
+        together = fitted_together(
+            fit, late, {"dynamics": dynamics, "creep": creep, "hysteresis": hysteresis}, fast, note,
+            is_open=pairs is None)
+        alike = [each for each in recordings if _is_of_period(each, fast[0].sample_period_s)]
+        if together is None and len(alike) > len(fast):
+            fast = alike
+            fit, spectra, late = _fitted_modes(fast, pairs, note, progress, budget)
+    fit, spectra, model = together or (fit, spectra, coupled_model(fit.numbers, late, fast))
+    progress("memory", 0.9)
+    return _identified(fit, spectra, model, fast, recordings, validation, budget)
+
+
+def _is_of_period(recording: AxesRecording, sample_period_s: float) -> bool:
+    return abs(recording.sample_period_s / sample_period_s - 1.0) <= SAME_PERIOD
+
+
+def _fitted_modes(
+    recordings: Sequence[AxesRecording], pairs: int | None, note: Note, progress: Progress,
+    budget: Budget,
+) -> tuple[CoupledFit, list[Spectrum], np.ndarray]:
+    """Return modes and softening of fast recordings, and the latencies of the sensors."""
     progress("spectra", 0.0)
     levels = [spectra_of_level(level) for level in levels_of(recordings)]
     reference = _reference(levels)
     note(f"{len(recordings)} recordings of {', '.join(recordings[0].axes)} at "
          f"{len(levels)} levels, RMS " + ", ".join(
              f"{level[0].amplitude_v:.3g}" for level in levels) + " V")
-    late = latencies(reference)
-    levels = [[each.advanced(late) for each in level] for level in levels]
-    reference = [each.advanced(late) for each in reference]
-    without_scatter = any(each.transient or len(reference) < reference[0].drive.shape[1]
-                          for each in reference)
-    if without_scatter:
-        reference = _with_deviations(reference)
-        levels = [reference] if len(levels) == 1 else levels
-    start = _ordered(reference, pairs, note, progress, budget)
+    start = _ordered(reference, pairs, progress, budget)
+    late = latencies(reference, start)
+    if late.any():
+        levels = [[each.advanced(late) for each in level] for level in levels]
+        reference = [each.advanced(late) for each in reference]
+        start = _ordered(reference, pairs, progress, budget)
     fit, everything = _best_fit(reference, levels, start, note, progress, budget)
-    if without_scatter:
-        fit, everything = _reweighted(fit, everything)
-    progress("memory", 0.9)
-    return _identified(fit, everything, recordings, validation, late, budget)
+    if not all(_is_response(level) for level in levels):
+        fit, everything = reweighted_fit(fit, everything, is_open=pairs is None)
+    upper = fit.numbers.steps.imag > 0.0
+    note(f"{np.count_nonzero(upper)} modes and {np.count_nonzero(~upper)} real poles, shared by "
+         "all axes")
+    return fit, everything, late
 
 
-def _check(recordings: Sequence[AxesRecording], validation: Sequence[AxesRecording]) -> None:
+def _check(recordings: Sequence[AxesRecording], dynamics: Sequence[AxesRecording],
+           validation: Sequence[AxesRecording]) -> None:
     if not recordings:
         raise RecordingError("there is nothing to identify: give recordings of several axes")
-    first = recordings[0]
+    first = dynamics[0] if dynamics else min(recordings, key=lambda each: each.sample_period_s)
     for each in (*recordings, *validation):
         if each.axes != first.axes:
             raise RecordingError(f"{each.name} has the axes {', '.join(each.axes)}, and "
                                  f"{first.name} {', '.join(first.axes)}: give those of one stage")
-        if abs(each.sample_period_s / first.sample_period_s - 1.0) > SAME_PERIOD:
+        if not _is_of_period(each, first.sample_period_s) and (
+                each in dynamics or each.sample_period_s < first.sample_period_s):
             raise RecordingError(
                 f"{each.name} has a sample period of {each.sample_period_s:.6g} s, and "
                 f"{first.name} of {first.sample_period_s:.6g} s: give recordings of one rate")
@@ -144,29 +176,7 @@ def _is_response(level: Sequence[Spectrum]) -> bool:
         for axis, each in enumerate(level))
 
 
-def _with_deviations(spectra: Sequence[Spectrum]) -> list[Spectrum]:
-    """Return spectra whose deviations are what a model with more than enough poles leaves."""
-    for _ in range(2):  # the first one was fitted with deviations as the motion
-        *_, generous = growing(spectra, GENEROUS_PAIRS)
-        spectra = [reweighted(each, left)
-                   for each, left in zip(spectra, generous.left, strict=True)]
-    return list(spectra)
-
-
-def _reweighted(fit: CoupledFit,
-                spectra: Sequence[Spectrum]) -> tuple[CoupledFit, list[Spectrum]]:
-    """Return the fit whose deviations are what it leaves itself, with its spectra.
-
-    Beside light modes a model that is not refined leaves many times the noise, where the lines tell
-    most of their frequency.
-    """
-    for _ in range(REWEIGHTINGS):
-        spectra = [reweighted(each, left) for each, left in zip(spectra, fit.left, strict=True)]
-        fit = refined(fit.numbers, spectra, FINAL_STEPS)
-    return fit, list(spectra)
-
-
-def _ordered(reference: Sequence[Spectrum], pairs: int | None, note: Note, progress: Progress,
+def _ordered(reference: Sequence[Spectrum], pairs: int | None, progress: Progress,
              budget: Budget) -> CoupledFit:
     """Return the linear fit of the order with most evidence, or of a given one."""
     if pairs is not None:
@@ -183,9 +193,6 @@ def _ordered(reference: Sequence[Spectrum], pairs: int | None, note: Note, progr
         if budget.is_spent(0.5):
             budget.not_tried.append(f"more than {fit.numbers.steps.size} poles")
             break
-    upper = best.numbers.steps.imag > 0.0
-    note(f"{np.count_nonzero(upper)} modes and {np.count_nonzero(~upper)} real poles, shared by "
-         "all axes")
     return best
 
 
@@ -217,25 +224,17 @@ def _best_fit(
 
 
 def _identified(
-    fit: CoupledFit, spectra: Sequence[Spectrum], recordings: Sequence[AxesRecording],
-    validation: Sequence[AxesRecording], late: np.ndarray, budget: Budget,
+    fit: CoupledFit, spectra: Sequence[Spectrum], model: CoupledModel,
+    fast: Sequence[AxesRecording], recordings: Sequence[AxesRecording],
+    validation: Sequence[AxesRecording], budget: Budget,
 ) -> IdentifiedAxes:
-    first, numbers = recordings[0], fit.numbers
-    period_s, n = first.sample_period_s, len(first.axes)
-    samples = [len(each.voltage_v) for each in recordings]
-    poles = (np.log(numbers.steps) / period_s).astype(complex)
-    model = CoupledModel(
-        first.axes, period_s, poles, _residues(numbers, numbers.gains),
-        numbers.direct, late,
-        np.average([each.voltage_v.mean(axis=0) for each in recordings], axis=0, weights=samples),
-        np.average([each.displacement_um.mean(axis=0) for each in recordings], axis=0,
-                   weights=samples))
+    numbers, period_s, n = fit.numbers, model.sample_period_s, len(model.axes)
     if len(numbers.back):
         amplitudes_v = [spectrum.amplitude_v for spectrum in spectra]
         model = replace(model, softening=Softening(
-            np.array([_residues(numbers, back) for back in numbers.back]), numbers.back_gain,
+            np.array([residues_of(numbers, back) for back in numbers.back]), numbers.back_gain,
             numbers.reference_v, MEMORIES_S[-1], (min(amplitudes_v), max(amplitudes_v))))
-        model = _with_memory(model, recordings)
+        model = _with_memory(model, fast)
     known, columns = covariances(fit, spectra), numbers.gains.shape[0]
     gain_deviations = np.sqrt(np.array([
         np.diag(each)[: columns * n].reshape(columns, n) for each in known]).transpose(1, 0, 2))
@@ -243,7 +242,7 @@ def _identified(
     pairs = int(np.count_nonzero(numbers.steps.imag > 0.0))
     pole_deviations = (np.concatenate([
         off[0:2 * pairs:2] + 1j * off[1:2 * pairs:2], off[2 * pairs:]]) / period_s).astype(complex)
-    residue_deviations = _residues(numbers, gain_deviations)
+    residue_deviations = residues_of(numbers, gain_deviations)
     delays_s, delay_deviations_s = sensor_delays(model, residue_deviations)
     return IdentifiedAxes(
         model, np.array([[min(each.voltage_v[:, axis].min() for each in recordings),
@@ -253,12 +252,6 @@ def _identified(
         delay_deviations_s, errors_percent(model, validation) if validation else {},
         [{"path": each.name, "sha256": each.sha256} for each in recordings],
         unfinished=budget.sentence())
-
-
-def _residues(numbers: CoupledNumbers, gains: FloatArray) -> ComplexArray:
-    """Return the residues that gains of `mode_basis` stand for, one of each pair first."""
-    pairs = 2 * int(np.count_nonzero(numbers.steps.imag > 0.0))
-    return np.concatenate([gains[0:pairs:2] + 1j * gains[1:pairs:2], gains[pairs:].astype(complex)])
 
 
 def _with_memory(model: CoupledModel, recordings: Sequence[AxesRecording]) -> CoupledModel:
@@ -287,11 +280,12 @@ def _coupling(numbers: CoupledNumbers, known: Sequence[FloatArray],
         alone = Spectrum(z, np.tile(np.eye(n)[axis], (z.size, 1)).astype(complex),
                          np.zeros((z.size, n), complex), np.ones((z.size, n)),
                          numbers.reference_v, transient=False)
-        at = Linearised(numbers, alone)
+        at = Linearised(replace(numbers, actuators=ActuatorNumbers()), alone)
         own, shared = at.own_slopes(), at.shared_slopes()
         for output, covariance in enumerate(known):
             late = z[:, None] ** -int(model.latency_samples[output])
             slopes = late * np.hstack([own, shared[output]])
+            covariance = covariance[: slopes.shape[1], : slopes.shape[1]]
             deviation[:, output, axis] = (
                 _spread(slopes.real, covariance) + 1j * _spread(slopes.imag, covariance))
     return Coupling(frequency_hz, model.response(frequency_hz), deviation)

@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from piezo_common.arrays import ComplexArray
-from piezo_identification.axes.coupled_fit import CoupledFit, linear_numbers, refined
+from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_identification.axes.coupled_fit import CoupledFit, covariances, linear_numbers, refined
 from piezo_identification.axes.shared_poles import FIRST_DAMPING, relocated
 from piezo_identification.axes.spectra import Spectrum, smoothed
 from piezo_identification.fitting.model_weights import occam_penalty
@@ -52,6 +52,44 @@ def evidence_of(fit: CoupledFit) -> float:
     """
     likelihood = -0.5 * fit.rows * np.log(fit.misfit)
     return float(likelihood - occam_penalty(None, np.ones(fit.count), fit.rows, fit.rows))
+
+
+def significances(fit: CoupledFit, spectra: Sequence[Spectrum]) -> FloatArray:
+    """Return for each pole by how much the likelihood would fall without it, at least: (poles,).
+
+    That is by the Wald statistic of its gains in every motion, all other numbers free.
+    """
+    numbers = fit.numbers
+    pairs, n = int(np.count_nonzero(numbers.steps.imag > 0.0)), numbers.gains.shape[1]
+    columns = [*(np.arange(2 * pair, 2 * pair + 2) for pair in range(pairs)),
+               *(np.array([place]) for place in range(2 * pairs, len(numbers.gains)))]
+    found = np.zeros(len(columns))
+    for output, covariance in enumerate(covariances(fit, spectra)):
+        for pole, own in enumerate(columns):
+            gains = numbers.gains[own, output].ravel()
+            places = (own[:, None] * n + np.arange(n)).ravel()
+            found[pole] += 0.5 * gains @ np.linalg.lstsq(
+                covariance[np.ix_(places, places)], gains, rcond=1e-12)[0]
+    return found
+
+
+def without_weak_poles(fit: CoupledFit, spectra: Sequence[Spectrum], steps: int) -> CoupledFit:
+    """Return the fit from which poles were taken as long as that gains evidence.
+
+    The order is first sought with deviations that no refined model has left yet, and poles stand in
+    for what was not known. All are compared by the same deviations.
+    """
+    while fit.numbers.steps.size > 1:
+        found = significances(fit, spectra)
+        if found.min() > occam_penalty(None, np.ones(fit.count), fit.rows, fit.rows):
+            break  # more than all numbers cost
+        weakest = int(np.argmin(found))
+        kept = np.arange(fit.numbers.steps.size) != weakest
+        fewer = refined(fit.numbers.with_poles(kept), spectra, steps)
+        if evidence_of(fewer) <= evidence_of(fit):
+            break
+        fit = fewer
+    return fit
 
 
 def _fit(spectra: Sequence[Spectrum], steps: ComplexArray) -> CoupledFit:

@@ -6,10 +6,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.interpolate import interp1d
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.settling import AT_REST
 from piezo_models.axes.coupled import CoupledModel
+from piezo_models.hysteresis.pasts import PASTS
 from piezo_models.measures import e_y_percent
 from piezo_recorder.reading.axes import AxesRecording
 from piezo_recorder.reading.recording import RecordingError
@@ -64,48 +66,117 @@ class AxesPrediction:
         return figure
 
 
+@dataclass(frozen=True)
+class Circumstances:
+    """What a recording does not say of itself.
+
+    Attributes
+    ----------
+    pasts : tuple of str
+        For each axis the way by which its first voltage was reached, one of
+        `piezo_models.hysteresis.pasts.PASTS`.
+    is_held : bool
+        The voltage of a row is held until the next one; else the rows are samples of a voltage that
+        goes on between them, as where a fast recording was thinned.
+    """
+
+    pasts: tuple[str, ...]
+    is_held: bool
+
+
 def predict_several_axes(model: CoupledModel, recording: AxesRecording) -> AxesPrediction:
     """Return what a model predicts from the voltage of a recording, beside what it measured.
 
     A recording of periods is predicted as one that has repeated for long, and one whose first
     voltages are all the same from rest. Any other begins in motion: what the modes still ring by is
-    estimated from its displacement, as the offset is.
+    estimated from its displacement, as the offset is. So is what is left of earlier creep.
 
     Raises
     ------
     RecordingError
-        If the recording is of other axes or another sample period.
+        If the recording is of other axes or of a shorter sample period.
     """
     if recording.axes != model.axes:
         raise RecordingError(f"{recording.name} has the axes {', '.join(recording.axes)}, and the "
                              f"model {', '.join(model.axes)}: give a recording of these")
-    if abs(recording.sample_period_s / model.sample_period_s - 1.0) > SAME_PERIOD:
+    if recording.sample_period_s < (1.0 - SAME_PERIOD) * model.sample_period_s:
         raise RecordingError(
             f"{recording.name} has a sample period of {recording.sample_period_s:.6g} s, and the "
             f"model of {model.sample_period_s:.6g} s: resample it, or identify at its rate")
-    if recording.periods:
-        samples = len(recording.voltage_v) // recording.periods
-        mean_v = recording.voltage_v.reshape(recording.periods, samples, -1).mean(axis=0)
-        simulated_um = np.tile(model.simulate(mean_v, periodic=True), (recording.periods, 1))
-    else:
-        simulated_um = model.simulate(recording.voltage_v)
-        if np.any(np.ptp(recording.voltage_v[:AT_REST], axis=0) > 0.0):
-            simulated_um = simulated_um + _begun_um(model, recording.displacement_um - simulated_um)
+    displacement_um = simulated_um(model, recording, circumstances_of(model, recording))
+    if not recording.periods:
+        displacement_um = displacement_um + _fitted(
+            _decays(model, recording), recording.displacement_um - displacement_um)
     return AxesPrediction(
-        recording.axes, recording.sample_period_s * np.arange(len(simulated_um), dtype=float),
-        recording.voltage_v, recording.displacement_um, simulated_um)
+        recording.axes, recording.sample_period_s * np.arange(len(displacement_um), dtype=float),
+        recording.voltage_v, recording.displacement_um, displacement_um)
 
 
-def _begun_um(model: CoupledModel, left_um: FloatArray) -> FloatArray:
-    """Return the part of what is left that the modes ring by from before a recording, (N, n)."""
-    steps = np.exp(model.poles_rad_per_s * model.sample_period_s)
-    decays = steps ** np.arange(len(left_um))[:, None]
-    ringing = np.hstack([decays.real, decays.imag[:, steps.imag > 0.0]])
+def circumstances_of(model: CoupledModel, recording: AxesRecording) -> Circumstances:
+    """Return the circumstances of a recording: the pasts under which a model explains it best.
+
+    Rows that are read late look like a wider hysteresis, so that the voltage alone tells whether it
+    was held between them: it was not where it goes on from row to row.
+    """
+    is_held = rows_apart(model, recording) == 1.0 or not _goes_on(recording.voltage_v)
+    n = len(model.axes)
+    if recording.periods or not any(each.hysteresis for each in model.actuators):
+        return Circumstances(PASTS[:1] * n, is_held)
+    left = [np.std(recording.displacement_um - simulated_um(
+        model, recording, Circumstances((past,) * n, is_held)), axis=0) for past in PASTS]
+    return Circumstances(tuple(PASTS[best] for best in np.argmin(left, axis=0)), is_held)
+
+
+def _goes_on(voltage_v: FloatArray) -> bool:
+    """Tell whether a voltage changes by nearly the same from row to row."""
+    changes = np.diff(voltage_v, axis=0)
+    return bool(np.sum(changes[1:] * changes[:-1]) > 0.5 * np.sum(changes**2))
+
+
+def rows_apart(model: CoupledModel, recording: AxesRecording) -> float:
+    """Return the sample periods of the model between rows; 1 where they are one."""
+    rows = recording.sample_period_s / model.sample_period_s
+    return 1.0 if abs(rows - 1.0) <= SAME_PERIOD else rows
+
+
+def simulated_um(model: CoupledModel, recording: AxesRecording,
+                  circumstances: Circumstances) -> FloatArray:
+    """Return the displacement that a model simulates at the rows of a recording, (N, n)."""
+    rows = rows_apart(model, recording)
+    voltage_v, periods = recording.voltage_v, recording.periods or 1
+    if recording.periods:
+        voltage_v = voltage_v.reshape(periods, -1, len(model.axes)).mean(axis=0)
+    if circumstances.is_held:
+        model = model if rows == 1.0 else model.at_period(recording.sample_period_s)
+        displacement_um = model.simulate(voltage_v, bool(recording.periods), circumstances.pasts)
+    else:
+        between_v = interp1d(np.arange(len(voltage_v)), voltage_v, axis=0)
+        whole = max(1, round(rows))
+        fine_v = between_v(np.arange(whole * (len(voltage_v) - 1) + 1) / whole)
+        displacement_um = model.simulate(
+            fine_v, bool(recording.periods), circumstances.pasts)[::whole]
+    return np.tile(displacement_um, (periods, 1))
+
+
+def _decays(model: CoupledModel, recording: AxesRecording) -> FloatArray:
+    """Return what may be left from before a recording, (N, columns)."""
+    time_s = recording.sample_period_s * np.arange(len(recording.voltage_v))[:, None]
+    rates = [rate for each in model.actuators for rate in each.creep.poles_rad_per_s]
+    decays = np.exp(-time_s * rates)
+    if np.all(np.ptp(recording.voltage_v[:AT_REST], axis=0) == 0.0):
+        return decays
+    poles = model.poles_rad_per_s
+    ringing = np.exp(time_s * poles)
+    return np.hstack([decays, ringing.real, ringing.imag[:, poles.imag > 0.0]])
+
+
+def _fitted(courses: FloatArray, left_um: FloatArray) -> FloatArray:
+    """Return the part of what is left that follows some courses about their means, (N, n)."""
+    about = courses - courses.mean(axis=0)
     # Beside an offset, which no error has.
-    columns = np.hstack([ringing, np.ones((len(left_um), 1))])
-    gains = np.linalg.lstsq(columns, left_um, rcond=1e-9)[0]
-    begun_um: FloatArray = ringing @ gains[:-1]
-    return begun_um
+    gains = np.linalg.lstsq(np.hstack([about, np.ones((len(about), 1))]), left_um, rcond=1e-9)[0]
+    fitted_um: FloatArray = about @ gains[:-1]
+    return fitted_um
 
 
 def errors_percent(model: CoupledModel,

@@ -6,16 +6,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from piezo_common.arrays import ComplexArray, FloatArray
-from piezo_identification.axes.coupled_fit import equations_of_gains
-from piezo_identification.axes.order_search import TAPS, growing
+from piezo_identification.axes.coupled_fit import CoupledFit, equations_of_gains
+from piezo_identification.axes.order_search import TAPS
 from piezo_identification.axes.spectra import Spectrum
 from piezo_models.axes.coupled import CoupledModel
 
 MOST_LATE = 40
 """Samples by which a sensor may be late: 1 ms at 40 kHz."""
-
-PAIRS = 16
-"""Pairs of poles with which latencies are compared: all but the weakest modes of three axes."""
 
 ALIKE = 1.05
 """Ratio of what is left up to which two latencies explain a motion alike: modes that are not yet
@@ -28,19 +25,22 @@ POINTS_OF_SAMPLE = 50
 """Delays that are compared within a sample period; the best is interpolated."""
 
 
-def latencies(spectra: Sequence[Spectrum]) -> np.ndarray:
-    """Return the whole samples by which each sensor is late: the fewest that leave little."""
+def latencies(spectra: Sequence[Spectrum], fit: CoupledFit) -> np.ndarray:
+    """Return the whole samples by which each sensor is late: the fewest that leave little.
+
+    Parameters
+    ----------
+    fit : CoupledFit
+        Of some order. Its light modes alone are taken: others may stand for the delay.
+    """
     n, tried = spectra[0].motion.shape[1], np.arange(MOST_LATE)
-    late = np.zeros(n, dtype=int)
-    for _ in range(2):  # poles that are found beside late sensors are not yet those of the stage
-        *_, fit = growing([each.advanced(late) for each in spectra], PAIRS)
-        found = np.array([
-            _fewest(*equations_of_gains(spectra, fit.numbers.steps, TAPS, output, tried))
-            for output in range(n)])
-        if np.array_equal(found, late):
-            break
-        late = found
-    return late
+    steps = fit.numbers.steps
+    rates = np.log(steps)
+    light = steps[(steps.imag > 0.0) & (-rates.real < MOST_DAMPED * np.abs(rates))]
+    if not light.size:
+        light = steps
+    return np.array([_fewest(*equations_of_gains(spectra, light, TAPS, output, tried))
+                     for output in range(n)])
 
 
 def _fewest(rows: FloatArray, targets: FloatArray) -> int:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What recordings of several axes tell at the lines of their spectra."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +22,15 @@ EXCITED = 1e-2
 """Part of the largest line's voltage above which a line of a periodic voltage is played."""
 
 
+LOCAL_DEGREE, LOCAL_FREEDOM = 2, 8
+"""Degree of the polynomials that follow responses over neighbouring lines, the least that follows a
+bend, and lines beyond those that they take; the scatter of eight is known to a third."""
+
+MOST_LINES = 20_000
+"""Lines of a recording that are fitted, those of the largest drive: more take memory, and of a slow
+recording they tell the noise alone."""
+
+
 @dataclass(frozen=True, eq=False)
 class Spectrum:
     """Drive and motion at lines, of a recording or of the response of a level to one axis.
@@ -29,7 +38,7 @@ class Spectrum:
     Attributes
     ----------
     z : (K,) array of complex
-        On the unit circle.
+        On the unit circle: what turns a signal by the time for which a voltage is held.
     drive, motion : (K, n) array of complex
     weight : (K, n) array
         One over the standard deviation of each motion.
@@ -39,6 +48,11 @@ class Spectrum:
         The recording neither begins nor ends at rest, nor does it repeat.
     ahead : int
         Samples by which a motion was advanced at most: so many of its begin stand at its end.
+    held, rows : float
+        Sample periods of the model for which each voltage is held, and between two rows. They
+        differ where rows are samples of a voltage that goes on between them.
+    pieces : (K, p) array of complex, optional
+        What small changes of the hysteresis add to the drive of an axis.
     """
 
     z: ComplexArray
@@ -48,6 +62,14 @@ class Spectrum:
     amplitude_v: float
     transient: bool
     ahead: int = 0
+    held: float = 1.0
+    rows: float = 1.0
+    pieces: ComplexArray | None = None
+
+    @property
+    def row_z(self) -> ComplexArray:
+        """Return what turns a signal by the time between two rows."""
+        return np.exp(1j * np.angle(self.z) * (self.rows / self.held))
 
     @property
     def driven(self) -> tuple[int, ...]:
@@ -56,8 +78,9 @@ class Spectrum:
 
     def advanced(self, samples: np.ndarray) -> "Spectrum":
         """Return the spectrum with each sensor's latency taken off, in samples."""
-        return replace(self, motion=self.motion * self.z[:, None] ** samples,
-                       ahead=int(np.max(samples)))
+        held = np.round(samples / self.held)
+        return replace(self, motion=self.motion * self.z[:, None] ** held,
+                       ahead=int(np.ceil(np.max(held) * self.held / self.rows)))
 
 
 def levels_of(recordings: Sequence[AxesRecording]) -> list[list[AxesRecording]]:
@@ -85,7 +108,7 @@ def spectra_of_level(recordings: Sequence[AxesRecording]) -> list[Spectrum]:
                 and each.voltage_v.shape == first.voltage_v.shape for each in recordings)
     if alike and len(recordings) > n:
         return _linear_approximation(recordings)
-    return [_of_recording(each) for each in recordings]
+    return [spectrum_of(each) for each in recordings]
 
 
 def smoothed(power: FloatArray) -> FloatArray:
@@ -101,12 +124,57 @@ def reweighted(spectrum: Spectrum, left: ComplexArray) -> Spectrum:
     return replace(spectrum, weight=1.0 / np.maximum(deviation, np.finfo(float).tiny))
 
 
-def _of_recording(recording: AxesRecording) -> Spectrum:
-    """Return the spectrum of a recording, with deviations in proportion to its motion at first."""
-    z, _, (drive, motion) = _lines(recording)
+def spectrum_of(recording: AxesRecording, rows: float = 1.0, is_held: bool = True,
+                pieces_v: Iterable[FloatArray] = ()) -> Spectrum:
+    """Return the spectrum of a recording, with the deviations that neighbouring lines show.
+
+    Parameters
+    ----------
+    rows : float
+        Sample periods of the model between two rows.
+    is_held : bool
+        The voltage is held meanwhile.
+    pieces_v : iterable of (N,) array
+        What small changes of the hysteresis add to the drive of an axis.
+    """
+    z, lines, (drive, motion) = _lines(recording)
     drive, motion = drive.mean(axis=0), motion.mean(axis=0)
-    return reweighted(Spectrum(z, drive, motion, np.ones(motion.shape), recording.amplitude_v,
-                               transient=not recording.periods), motion)
+    kept = np.sort(np.argsort(np.linalg.norm(drive, axis=1))[-MOST_LINES:])
+    periods = recording.periods or 1
+    pieces = [np.fft.rfft(each.reshape(periods, -1).mean(axis=0))[lines[kept]]
+              for each in pieces_v]
+    held = rows if is_held else 1.0
+    spectrum = Spectrum(
+        np.exp(1j * np.angle(z[kept]) * (held / rows)), drive[kept], motion[kept],
+        np.ones((kept.size, motion.shape[1])), recording.amplitude_v,
+        transient=not recording.periods, held=held, rows=rows,
+        pieces=np.column_stack(pieces) if pieces else None)
+    return reweighted(spectrum, _rough_part(spectrum))
+
+
+def _rough_part(spectrum: Spectrum) -> ComplexArray:
+    """Return what is not smooth over a few lines of responses and transient, shape (K, n).
+
+    This is the local polynomial method (Pintelon and Schoukens, "System Identification", 2012,
+    section 7.2.2), scaled to the size of the noise.
+    """
+    drive = spectrum.drive[:, list(spectrum.driven)]
+    if spectrum.transient:
+        drive = np.column_stack([drive, np.ones(len(drive))])
+    numbers = (LOCAL_DEGREE + 1) * drive.shape[1]
+    lines = numbers + LOCAL_FREEDOM
+    if len(drive) < lines:
+        return spectrum.motion
+    first = np.clip(np.arange(len(drive)) - lines // 2, 0, len(drive) - lines)
+    local = first[:, None] + np.arange(lines)
+    away = ((local - np.arange(len(drive))[:, None]) / lines)[:, :, None]
+    columns = np.concatenate([drive[local] * away**degree for degree in range(LOCAL_DEGREE + 1)],
+                             axis=2)
+    orthogonal = np.linalg.qr(columns)[0]
+    motion = spectrum.motion[local]
+    left = motion - orthogonal @ (orthogonal.conj().transpose(0, 2, 1) @ motion)
+    rough: ComplexArray = np.sqrt(np.sum(np.abs(left) ** 2, axis=1) / LOCAL_FREEDOM) + 0j
+    return rough
 
 
 def _lines(recording: AxesRecording) -> tuple[ComplexArray, np.ndarray, list[ComplexArray]]:

@@ -44,7 +44,7 @@ def identify_axes_files(options: argparse.Namespace,
     Parameters
     ----------
     paths : dict of str to list of Path
-        By experiment. All but ``validation`` are fitted together.
+        By experiment; see `identify_several_axes`.
 
     Returns
     -------
@@ -54,13 +54,12 @@ def identify_axes_files(options: argparse.Namespace,
     for name in OF_ONE_AXIS:
         if getattr(options, name) is not None:
             raise ValueError(f"--{name.replace('_', '-')} is for one axis: leave it out")
-    fitted = _read(path for name, listed in paths.items() if name != "validation"
-                   for path in listed)
+    by_experiment = {name: _read(paths.get(name, ()))
+                     for name in ("dynamics", "validation", "creep", "hysteresis")}
     budget = budget_of(options)
     with progress_printed(budget) as progress:
         identified = identify_several_axes(
-            fitted, _read(paths.get("validation", ())), pairs=options.modes, note=print,
-            progress=progress, budget=budget)
+            **by_experiment, pairs=options.modes, note=print, progress=progress, budget=budget)
     save_axes_model(options.output, identified)
     print(identified.summary())
     print("e_y: norm of the difference over that of the measured displacement without its mean "

@@ -153,7 +153,7 @@ def _moved_systems(model: StageModel, about: StageModel,
 
 def piece_outputs_um(part: SimulatedRecording, about: StageModel) -> Iterator[FloatArray]:
     """Yield what one width of each change adds to the output of the hysteresis, each (N,)."""
-    return map(part.hysteresis_output_um, _pieces(about.hysteresis))
+    return map(part.hysteresis_output_um, pieces_of(about.hysteresis))
 
 
 def decay_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp], sizes: FloatArray,
@@ -334,7 +334,7 @@ def _behind_effects(effects: Sequence[Effect], part: SimulatedRecording, signal_
     return signal_um
 
 
-def _pieces(hysteresis: PreisachModel) -> list[PreisachModel]:
+def pieces_of(hysteresis: PreisachModel) -> list[PreisachModel]:
     """Return what one width of each change adds to the hysteresis."""
     surfaces, hats = _shapes(hysteresis)
     density, nothing = hysteresis.density_um_per_v2, 0.0 * hysteresis.reversible_um_per_v

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Two or three axes that share their modes, and soften as they are driven harder."""
+"""Two or three axes that share their modes, with hysteresis and creep in front of them."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Self
 
 import control
@@ -11,7 +12,9 @@ from scipy.linalg import block_diag, eig
 from scipy.signal import lfilter
 
 from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_models.axes.actuator import Actuator
 from piezo_models.axes.coupled_kernels import run_modes
+from piezo_models.hysteresis.pasts import PASTS
 
 LEAST_SEPARATION = 1e-10
 """Distance in the z plane below which poles are copies of one, a thousand times the rounding."""
@@ -78,7 +81,9 @@ class Softening:
 
 @dataclass(frozen=True, eq=False)
 class CoupledModel:
-    """Linear motion of several axes about an operating point: modes that all of them share.
+    """Motion of several axes about an operating point: modes that all of them share.
+
+    The voltage of each axis passes its actuator first, which makes of it the drive of the modes.
 
     Attributes
     ----------
@@ -96,7 +101,10 @@ class CoupledModel:
     latency_samples : (n,) array of int
         Whole samples by which each sensor is late.
     operating_voltage_v, operating_displacement_um : (n,) array
+        Drive and displacement about which the modes move.
     softening : Softening, optional
+    actuators : tuple of Actuator
+        Of each axis; empty where no axis has hysteresis or creep.
     """
 
     axes: tuple[str, ...]
@@ -108,6 +116,7 @@ class CoupledModel:
     operating_voltage_v: FloatArray
     operating_displacement_um: FloatArray
     softening: Softening | None = None
+    actuators: tuple[Actuator, ...] = ()
 
     def __post_init__(self) -> None:
         modes, n = self.poles_rad_per_s.size, len(self.axes)
@@ -122,6 +131,8 @@ class CoupledModel:
             shapes["softening.elongations"] = (
                 self.softening.elongations.shape, (parts, modes, n, n))
             shapes["softening.gain"] = (self.softening.gain.shape, (parts, n, n))
+        if self.actuators:
+            shapes["actuators"] = ((len(self.actuators),), (n,))
         for name, (found, wanted) in shapes.items():
             if found != wanted:
                 raise ValueError(f"{name} has the shape {found}; give {wanted}")
@@ -130,6 +141,8 @@ class CoupledModel:
 
     def __repr__(self) -> str:
         soft = ", softening" if self.softening else ""
+        soft += ", hysteresis" if any(each.hysteresis for each in self.actuators) else ""
+        soft += ", creep" if any(each.creep.poles_rad_per_s for each in self.actuators) else ""
         return (f"<CoupledModel of {', '.join(self.axes)}: {self.poles_rad_per_s.size} modes at "
                 f"{1.0 / self.sample_period_s:.6g} Hz{soft}>")
 
@@ -138,7 +151,7 @@ class CoupledModel:
         return np.where(self.poles_rad_per_s.imag > 0.0, 2.0, 1.0)
 
     def response(self, frequency_hz: ArrayLike, amplitude_v: float | None = None) -> ComplexArray:
-        """Return the response from every axis to every axis.
+        """Return the response of the modes, from the drive of every axis to every axis.
 
         Parameters
         ----------
@@ -179,7 +192,8 @@ class CoupledModel:
         return (np.tensordot(strengths, self.softening.elongations, 1),
                 np.tensordot(strengths, self.softening.gain, 1))
 
-    def simulate(self, voltage_v: ArrayLike, periodic: bool = False) -> FloatArray:
+    def simulate(self, voltage_v: ArrayLike, periodic: bool = False,
+                 pasts: Sequence[str] = ()) -> FloatArray:
         """Return the displacement under a voltage.
 
         Parameters
@@ -188,11 +202,39 @@ class CoupledModel:
             Each value held for a sample period. The stage has rested at the first one.
         periodic : bool
             The voltage has been repeated for long instead.
+        pasts : sequence of str, optional
+            See `drive_v`.
 
         Returns
         -------
         (N, n) array
             In um at the sample instants.
+
+        Raises
+        ------
+        ValueError
+            If the voltage has another shape or is not finite.
+        """
+        drive_v = self.drive_v(voltage_v, periodic, pasts) - self.operating_voltage_v
+        motion_um = self._run(drive_v, periodic) + sum(
+            _delayed(drive_v, age, periodic) @ tap.T
+            for age, tap in enumerate(self.direct_um_per_v))
+        late_um = np.column_stack([
+            _delayed(column, late, periodic)
+            for column, late in zip(motion_um.T, self.latency_samples, strict=True)])
+        return late_um + self.operating_displacement_um
+
+    def drive_v(self, voltage_v: ArrayLike, periodic: bool = False,
+                pasts: Sequence[str] = ()) -> FloatArray:
+        """Return the drive of the modes under a voltage, (N, n): hysteresis and creep of each axis.
+
+        Parameters
+        ----------
+        voltage_v, periodic
+            See `simulate`.
+        pasts : sequence of str, optional
+            For each axis the way by which its first voltage was reached, one of
+            `piezo_models.hysteresis.pasts.PASTS`; by default from the lowest one.
 
         Raises
         ------
@@ -205,14 +247,13 @@ class CoupledModel:
                              f"{len(self.axes)}), one column for each of {', '.join(self.axes)}")
         if not np.all(np.isfinite(voltages_v)):
             raise ValueError("a voltage is not finite; mend it or cut it out")
-        drive_v = voltages_v - self.operating_voltage_v
-        motion_um = self._run(drive_v, periodic) + sum(
-            _delayed(drive_v, age, periodic) @ tap.T
-            for age, tap in enumerate(self.direct_um_per_v))
-        late_um = np.column_stack([
-            _delayed(column, late, periodic)
-            for column, late in zip(motion_um.T, self.latency_samples, strict=True)])
-        return late_um + self.operating_displacement_um
+        if not self.actuators:
+            return voltages_v
+        return np.column_stack([
+            actuator.drive_v(column, self.sample_period_s, periodic, past)
+            for actuator, column, past in zip(
+                self.actuators, np.ascontiguousarray(voltages_v.T),
+                pasts or PASTS[:1] * len(self.axes), strict=True)])
 
     def _run(self, drive_v: FloatArray, periodic: bool) -> FloatArray:
         n, multiples = len(self.axes), self._multiples[:, None, None]
@@ -239,12 +280,47 @@ class CoupledModel:
         return motion_um
 
     def at_amplitude(self, amplitude_v: float) -> Self:
-        """Return the linear model to which this one softens at an amplitude."""
+        """Return the model without softening to which this one softens at an amplitude."""
         if self.softening is None:
             return self
-        return type(self).from_control(
+        return replace(type(self).from_control(
             self.to_control(amplitude_v), self.axes, self.operating_voltage_v,
-            self.operating_displacement_um)
+            self.operating_displacement_um), actuators=self.actuators)
+
+    def at_period(self, sample_period_s: float) -> Self:
+        """Return the model for voltages that are held for longer than its own sample period.
+
+        A sensor that is late by less sees the motion within the time for which a voltage is held.
+        """
+        held, late = sample_period_s / self.sample_period_s, self.latency_samples[None, :, None]
+        steps = np.exp(self.poles_rad_per_s * self.sample_period_s)[:, None, None]
+        lasting, within = np.abs(steps) ** held > SHORTEST_MEMORY**2, late < held
+        reached = 1.0 / (1.0 - steps)
+        states = np.where(lasting, reached * (1.0 - steps**held), 0.0)
+        # The state of a latency ago was reached from that at the row before.
+        seen = np.where(within & lasting, steps ** -np.where(lasting, late, 0), 1.0) * states
+        missed = np.where(within, reached * (1.0 - steps ** np.maximum(held - late, 0.0)) - seen,
+                          0.0)
+        more = np.einsum("k,kij->ij", self._multiples, (missed * self.residues_um_per_v).real)
+        taps = np.zeros((max(2, len(self.direct_um_per_v)), *more.shape))
+        taps[: len(self.direct_um_per_v)] = self.direct_um_per_v
+        taps[1] += more
+        softening = self.softening and replace(
+            self.softening, elongations=states * self.softening.elongations)
+        return replace(
+            self, sample_period_s=sample_period_s, residues_um_per_v=seen * self.residues_um_per_v,
+            direct_um_per_v=taps, softening=softening, latency_samples=np.where(
+                within.ravel(), 0, np.round(self.latency_samples / held)).astype(int))
+
+    def at_rest(self) -> Self:
+        """Return the model whose modes have come to rest by the next sample."""
+        none = self.poles_rad_per_s[:0]
+        reached = self._modal(np.ones(1, dtype=complex), self.residues_um_per_v)[0].real
+        taps = np.zeros((max(2, len(self.direct_um_per_v)), *reached.shape))
+        taps[: len(self.direct_um_per_v)] = self.direct_um_per_v
+        taps[1] += reached
+        return replace(self, poles_rad_per_s=none, residues_um_per_v=self.residues_um_per_v[:0],
+                       direct_um_per_v=taps, softening=None)
 
     def mode_near(self, frequency_hz: float, amplitude_v: float | None = None) -> complex:
         """Return the pole, in rad/s, of the highest resonance near a frequency.
@@ -271,7 +347,7 @@ class CoupledModel:
         return complex(poles[np.argmax(np.where(near, height, 0.0))])
 
     def to_control(self, amplitude_v: float | None = None) -> control.StateSpace:
-        """Return the model at an amplitude as a discrete system of python-control.
+        """Return the modes at an amplitude as a discrete system of python-control.
 
         Parameters
         ----------

@@ -14,13 +14,16 @@ from piezo_recorder.reading.tables.table import no_progress
 WORTH_A_LINE_BYTES = 30_000_000
 """Smaller files are read in about a second."""
 
-def read_all_given(path: str | PathLike[str], options: argparse.Namespace) -> list[Recording]:
+def read_all_given(path: str | PathLike[str], options: argparse.Namespace,
+                   several_axes: bool = False) -> list[Recording]:
     """Read all recordings of a file, and print what there is to say of them.
 
     Parameters
     ----------
     options : argparse.Namespace
         Of a parser with `add_columns_option`.
+    several_axes : bool
+        See `read_recording`.
 
     Raises
     ------
@@ -30,7 +33,8 @@ def read_all_given(path: str | PathLike[str], options: argparse.Namespace) -> li
     line = ProgressLine()
     found = read_recordings(
         path, columns=parse_columns(options.columns),
-        progress=line.show if _size(Path(path)) > WORTH_A_LINE_BYTES else no_progress)
+        progress=line.show if _size(Path(path)) > WORTH_A_LINE_BYTES else no_progress,
+        several_axes=several_axes)
     line.clear()
     for note in dict.fromkeys(note for recording in found for note in recording.notes):
         print(note)

@@ -132,11 +132,7 @@ def read_frame(path: str | PathLike[str], **options: Any) -> "pandas.DataFrame":
 
 
 def _columns_of(recording: Recording) -> dict[str, np.ndarray]:
-    return {"sample_index": recording.sample_index,
-            **{f"{axis}_{name}" if axis else name: column for name in UNITS
-               for axis, column in zip(recording.axes or ("",),
-                                       np.atleast_2d(getattr(recording, name).T), strict=True)},
-            "flags": recording.flags,
+    return {"sample_index": recording.sample_index, **recording.signals, "flags": recording.flags,
             **({"reference_um": recording.reference_um} if recording.reference_um.size else {}),
             **recording.columns}
 

@@ -110,6 +110,14 @@ class Recording:
         return to_xarray(self)
 
     @property
+    def signals(self) -> dict[str, np.ndarray]:
+        """Return voltage and displacement by their labels in a table, each of shape (N,)."""
+        return {f"{axis}_{name}" if axis else name: column
+                for name in ("voltage_v", "displacement_um")
+                for axis, column in zip(self.axes or ("",),
+                                        np.atleast_2d(getattr(self, name).T), strict=True)}
+
+    @property
     def time_s(self) -> np.ndarray:
         """Return the time since the first sample, shape (N,)."""
         return (self.sample_index - self.sample_index[0]) / self.sample_rate_hz

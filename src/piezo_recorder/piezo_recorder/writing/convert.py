@@ -33,8 +33,8 @@ def write_csv(recording: Recording, path: Path) -> None:
     FileExistsError
         If it is there already.
     """
-    columns = [recording.voltage_v, recording.displacement_um, *recording.columns.values()]
-    labels = ["time_s", "voltage_v", "displacement_um",
+    columns = [*recording.signals.values(), *recording.columns.values()]
+    labels = ["time_s", *recording.signals,
               *(f'"{name}"' if "," in name else name for name in recording.columns)]
     time_s = recording.time_s
     with open(path, "x", encoding="utf-8") as file:
@@ -77,9 +77,9 @@ def write_recording(recording: Recording, path: Path) -> None:
             block = types[TYPE_NAME](
                 header=header(stamp(*divmod(time_ns, 1_000_000_000)), "stage"),
                 first_sample=first, sample_period_s=float(recording.sample_periods_s[rows][0]),
-                tick=tick, voltage_v=np.asarray(recording.voltage_v[rows], float),
-                displacement_um=np.asarray(recording.displacement_um[rows], float),
-                flags=int(recording.flags[rows][0]), missed_feedback=0)
+                tick=tick, voltage_v=np.ravel(recording.voltage_v[rows]).astype(float),
+                displacement_um=np.ravel(recording.displacement_um[rows]).astype(float),
+                flags=int(recording.flags[rows][0]), missed_feedback=0, axes=list(recording.axes))
             writer.write(channel, bytes(typestore.serialize_cdr(block, TYPE_NAME)), time_ns)
 
 
@@ -97,7 +97,7 @@ def _blocks(recording: Recording) -> Iterator[slice]:
 def convert_file(options: argparse.Namespace) -> None:
     """Write the recordings of the file of the options as the new ones."""
     output: Path = options.output
-    found = read_all_given(options.recording, options)
+    found = read_all_given(options.recording, options, several_axes=True)
     for recording in found:
         # Titles come from the file: they may hold anything.
         title = re.sub(r"[^\w-]+", "_", recording.title)

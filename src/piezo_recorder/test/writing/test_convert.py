@@ -8,6 +8,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from piezo_recorder.commands.convert_command import main as convert_main
+from piezo_recorder.reading.axes import read_axes
 from piezo_recorder.reading.reader import read_recording
 from piezo_recorder.writing import convert
 from piezo_recorder.writing.message_definition import MessageDefinition
@@ -51,6 +52,19 @@ def test_converted_recording_is_read_back_as_it_was(tmp_path, table, name, capsy
     else:
         assert "not written: temperature" in said
         assert b"sha256" in after.attachments["conversion.json"]
+
+
+@pytest.mark.parametrize("name", ["new.csv", "new"])
+def test_converted_recording_of_two_axes_is_read_back_as_it_was(tmp_path, sample_blocks, name):
+    voltage_v, displacement_um = np.random.default_rng(6).uniform(0.0, 50.0, (2, 120, 2))
+    sample_blocks.write(tmp_path / "run", {"/stage/samples": [sample_blocks.serialise(
+        first, voltage_v[first:first + 40], displacement_um[first:first + 40], axes=("x", "y"))
+        for first in range(0, 120, 40)]}, 40_000.0)
+    assert convert_main([str(tmp_path / "run"), str(tmp_path / name)]) == 0
+    recording, = read_axes(tmp_path / name)
+    assert recording.axes == ("x", "y")
+    np.testing.assert_array_equal(recording.voltage_v, voltage_v)
+    np.testing.assert_array_equal(recording.displacement_um, displacement_um)
 
 
 def test_blocks_end_where_the_period_or_the_flags_change_and_nowhere_else(tmp_path, table):

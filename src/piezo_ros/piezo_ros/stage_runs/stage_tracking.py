@@ -209,6 +209,8 @@ class StageTracker:
             if self._blocks != blocks_before:
                 blocks_before, heard_s = self._blocks, now_s
             elif now_s - heard_s > SILENCE_TIMEOUT_S:
+                # A reader that hangs may hold it back; nobody would look after how it goes on.
+                self._stop.call_async(Trigger.Request())
                 raise CallFailed(f"the stage sent no samples for {SILENCE_TIMEOUT_S:g} s: "
                                  "look whether its node runs")
             if now_s - reported_s >= REPORT_PERIOD_S:

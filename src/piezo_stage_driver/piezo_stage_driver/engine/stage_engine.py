@@ -91,7 +91,7 @@ class StageEngine:
         # A ramp that the slew limit held back would end before it is at rest.
         self._ramps = Ramps(np.minimum(ramp_rate_v_per_s, limits.slew_v_per_s), self._ticks)
         self.sample_period_s = self._ticks.sample_period_s
-        self.axes: tuple[str, ...] = getattr(backend, "axes", ())
+        self.axes: tuple[str, ...] = tuple(getattr(backend, "axes", ()))
         self.voltage_v = rest_voltage_v
         self.next_sample = 0
         self.client = ""

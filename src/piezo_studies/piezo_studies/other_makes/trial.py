@@ -195,7 +195,7 @@ def modes_of(identified: IdentifiedModel) -> list[tuple[Estimated, Estimated]]:
             *(((numbers["frequency_rad_per_s"], deviations.get("frequency_rad_per_s")),
                (numbers["damping_ratio"], deviations.get("damping_ratio")))
               for name, numbers, deviations in effects_of(identified)
-              if name == "vibration_mode")]
+              if name in ("vibration_mode", "coupled_mode"))]
 
 
 def effects_of(identified: IdentifiedModel) -> Iterator[tuple[str, Any, Any]]:

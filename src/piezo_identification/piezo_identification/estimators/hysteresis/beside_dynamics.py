@@ -17,12 +17,11 @@ from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.estimators.estimate import dynamics_of_vector
 from piezo_identification.estimators.hysteresis.dynamics_inverse import held_response
 from piezo_identification.estimators.hysteresis.fast_loops import (
-    PASTS,
     FastLoops,
     LoopFit,
     LoopRegression,
-    past_voltages,
 )
+from piezo_models.hysteresis.pasts import PASTS, past_voltages
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
@@ -62,7 +61,7 @@ class BesideDynamics:
     delay_s : float
         Beside them.
     past : str
-        One of `fast_loops.PASTS`: that which explains the recordings best.
+        One of `pasts.PASTS`: that which explains the recordings best.
     """
 
     hysteresis: PreisachModel

@@ -21,6 +21,7 @@ from piezo_identification.estimators.hysteresis.equations import bending_operato
 from piezo_identification.estimators.hysteresis.everett_regression import everett_regression
 from piezo_identification.estimators.hysteresis.nonnegative import nonnegative_minimum
 from piezo_identification.estimators.hysteresis.penalties import bounded_operator
+from piezo_models.hysteresis.pasts import PASTS, past_voltages
 from piezo_models.hysteresis.preisach import PreisachModel
 
 CELLS = 12
@@ -37,13 +38,6 @@ MOST_ROWS = 6_000
 
 ROUNDING = 1e-13
 """Eigenvalue, of the largest one of scaled normal equations, that counts as zero."""
-
-PASTS = ("rising", "falling", "demagnetised")
-"""Ways by which the first voltage of a recording may have been reached: from the lowest one, from
-the highest, or in swings that became smaller and smaller."""
-
-SWINGS = 40
-"""A voltage that demagnetises swings so often."""
 
 LINES_OF_A_PEAK = 400
 """Parts of a spectrum over which it is averaged before its peaks are sought: noise has peaks at
@@ -225,27 +219,3 @@ class LoopRegression:
             frequency_hz: FloatArray = np.fft.rfftfreq(count, part.sample_period_s).astype(float)
             yield (part, spectrum, frequency_hz, count,
                    slice(part.first_kept, part.voltage_v.size, self._stride))
-
-
-def past_voltages(past: str, first_v: float, low_v: float, high_v: float) -> FloatArray:
-    """Return extremes of the voltage before a recording.
-
-    Parameters
-    ----------
-    past : str
-        One of `PASTS`.
-    first_v : float
-        Voltage with which the recording begins.
-    low_v, high_v : float
-        Between which the voltage goes.
-
-    Returns
-    -------
-    ndarray, shape (K,)
-    """
-    if past == "rising":
-        return np.array([low_v])
-    if past == "falling":
-        return np.array([low_v, high_v])
-    part = 1.0 - np.arange(SWINGS) / SWINGS
-    return first_v + part * np.where(np.arange(SWINGS) % 2, high_v - first_v, low_v - first_v)

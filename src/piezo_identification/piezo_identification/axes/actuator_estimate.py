@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Hysteresis and creep of each axis from slow recordings, by the estimators of one axis."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from piezo_common.arrays import FloatArray
+from piezo_identification.axes.predict_axes import circumstances_of, predict_several_axes
+from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
+from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
+from piezo_identification.estimators.hysteresis.density_fit import estimate_density
+from piezo_identification.estimators.hysteresis.play_fit import PlaySum
+from piezo_models.axes.actuator import Actuator
+from piezo_models.axes.coupled import CoupledModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_recorder.reading.axes import AxesRecording
+from piezo_recorder.reading.memory import recording_of
+from piezo_recorder.reading.recording import Recording
+
+ROUGH_LEVELS, ROUGH_SMOOTHING = 8, 1e-7
+"""Levels and smoothing of a hysteresis that only tells how much of a step is passed on."""
+
+STRAIGHT = PlaySum(np.zeros(2), np.zeros(3), np.zeros(0), np.zeros(0), 0.0)
+"""From which plays are sought where a coarse density was not smoothed about any: fast motion passes
+the small loops, in which plays are finer than cells."""
+
+
+def estimate_actuators(model: CoupledModel, creep: Sequence[AxesRecording],
+                       hysteresis: Sequence[AxesRecording], levels: int,
+                       near: Sequence[DensityEstimate | None] = (),
+                       ) -> tuple[tuple[Actuator, ...], tuple[DensityEstimate | None, ...]]:
+    """Estimate hysteresis and creep of each axis beside all else that a model has.
+
+    Parameters
+    ----------
+    model : CoupledModel
+        With actuators, or modes that were fitted without them.
+    creep, hysteresis : sequence of AxesRecording
+        That show them.
+    levels : int
+        Of the voltage, at most: two cells of the hysteresis from one to the next.
+    near : sequence of DensityEstimate or None, optional
+        Of each axis, beside a model that explained less.
+
+    Returns
+    -------
+    actuators : tuple of Actuator
+        Without hysteresis where a line is as good.
+    densities : tuple of DensityEstimate or None
+        None where an axis does not move.
+    """
+    found = [_estimated(model, axis, _moving(axis, creep), _moving(axis, hysteresis), levels,
+                        near[axis] if near else None)
+             for axis in range(len(model.axes))]
+    actuators, densities = zip(*found, strict=True)
+    return actuators, densities
+
+
+def _moving(axis: int, recordings: Sequence[AxesRecording]) -> list[AxesRecording]:
+    return [each for each in recordings if np.ptp(each.voltage_v[:, axis]) > 0.0]
+
+
+def _estimated(model: CoupledModel, axis: int, steps: Sequence[AxesRecording],
+               loops: Sequence[AxesRecording], levels: int, near: DensityEstimate | None,
+               ) -> tuple[Actuator, DensityEstimate | None]:
+    if not loops or not steps:
+        return Actuator(), None
+    if not model.actuators:
+        # What rings after a step is as large as what the hysteresis passes on of it.
+        model = _with_actuator(model, axis, Actuator())
+        rough = _density(model, axis, loops, ROUGH_LEVELS, smoothing=ROUGH_SMOOTHING)
+        model = _with_actuator(model, axis, Actuator(rough.model()))
+    creep = _creep([_alone(model, axis, each) for each in steps])
+    model = _with_actuator(model, axis, replace(model.actuators[axis], creep=creep))
+    if near is not None and not near.is_line:
+        near = replace(near, plays=near.plays or STRAIGHT)
+    density = _density(model, axis, loops, levels, near)
+    return Actuator(None if density.is_line else density.model(), creep), density
+
+
+def _with_actuator(model: CoupledModel, axis: int, actuator: Actuator) -> CoupledModel:
+    actuators = list(model.actuators or (Actuator(),) * len(model.axes))
+    actuators[axis] = actuator
+    return replace(model, actuators=tuple(actuators))
+
+
+def _creep(steps: Sequence[Recording]) -> CreepDynamics:
+    try:
+        found: CreepDynamics = estimate_slow_creep(steps).model
+    except ValueError:  # too fast or too short to show any
+        return CreepDynamics()
+    return found
+
+
+def _density(model: CoupledModel, axis: int, loops: Sequence[AxesRecording], levels: int,
+             near: DensityEstimate | None = None, smoothing: float | None = None,
+             ) -> DensityEstimate:
+    return estimate_density(
+        [_alone(model, axis, each) for each in loops], model.actuators[axis].creep,
+        ElectricVibrationDynamics(), most_levels=levels, smoothing_weight=smoothing, near=near)
+
+
+def _alone(model: CoupledModel, axis: int, recording: AxesRecording) -> Recording:
+    """Return the recording of one axis, without what its modes and other axes do."""
+    bare = replace(model, actuators=tuple(
+        replace(each, creep=CreepDynamics()) for each in model.actuators))
+    prediction = predict_several_axes(bare, recording)
+    passed_v = bare.drive_v(recording.voltage_v, pasts=circumstances_of(bare, recording).pasts)
+    passed_v = passed_v - passed_v.mean(axis=0)
+    gain = model.response(0.0)[0, axis, axis].real
+    left_um = (prediction.measured_um - prediction.simulated_um)[:, axis]
+    at_once_um: FloatArray = left_um + gain * passed_v[:, axis]
+    of_axes = np.linalg.lstsq(passed_v, at_once_um - at_once_um.mean(), rcond=None)[0]
+    of_axes[axis] = 0.0
+    return recording_of({
+        "time_s": prediction.time_s, "voltage_v": recording.voltage_v[:, axis],
+        "displacement_um": at_once_um - passed_v @ of_axes}, name=recording.name)

@@ -1,0 +1,275 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""One fit of hysteresis, creep and modes of several axes to all of their recordings."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_identification.axes.actuator_estimate import estimate_actuators
+from piezo_identification.axes.actuator_numbers import ActuatorNumbers
+from piezo_identification.axes.coupled_fit import CoupledFit, refined
+from piezo_identification.axes.coupled_numbers import CoupledNumbers
+from piezo_identification.axes.order_search import evidence_of, without_weak_poles
+from piezo_identification.axes.predict_axes import (
+    circumstances_of,
+    predict_several_axes,
+    rows_apart,
+    simulated_um,
+)
+from piezo_identification.axes.spectra import Spectrum, reweighted, spectrum_of
+from piezo_identification.estimators.estimate import creep_of_partial_fractions
+from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
+from piezo_identification.fitting.free_parameters import changed_model, pieces_of
+from piezo_models.axes.actuator import Actuator
+from piezo_models.axes.coupled import CoupledModel
+from piezo_models.axes.identified_axes import LIGHT
+from piezo_models.cascade import StageModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_recorder.reading.axes import AxesRecording
+
+FINAL_STEPS = 20
+"""Gauss-Newton steps of a model that is kept."""
+
+REWEIGHTINGS = 3
+"""Of recordings without scatter, by what the refined model leaves; set on the simulated flexure,
+where the misfit then is that of the noise to 1 %, from a sixth of it."""
+
+JUDGED_STEPS = 3
+"""Those of a model that is compared."""
+
+TRIED_RATES, LEAST_CREEP = 3, 1e-3
+"""Rates at which further creep is begun, evenly on a logarithmic scale between the longest
+recording and the slowest mode, and its part of the motion."""
+
+ROUGH_LEVELS, LEVELS = 12, 50
+"""Levels of the hysteresis in the first round, in which more would follow errors of the modes, and
+in the last."""
+
+SLOWEST_CREEP, FASTEST_CREEP, SLOWEST_POLE = 0.3, 0.03, 0.9
+"""Rates of creep: the least over that of the longest recording, as that of one axis; the largest
+over the lowest resonance, whose hysteresis and creep poles between would stand for. No pole is
+slower than the last part of it, so that a light mode may still move."""
+
+
+def with_drive(recording: AxesRecording, actuators: Sequence[Actuator]) -> AxesRecording:
+    """Return a recording with the drive of the modes in place of its voltage."""
+    if not actuators:
+        return recording
+    periods = recording.periods or 1
+    return replace(recording, voltage_v=np.column_stack([
+        np.tile(actuator.drive_v(
+            np.ascontiguousarray(column.reshape(periods, -1).mean(axis=0)),
+            recording.sample_period_s, bool(recording.periods)), periods)
+        for actuator, column in zip(actuators, recording.voltage_v.T, strict=True)]))
+
+
+def coupled_model(numbers: CoupledNumbers, late: np.ndarray, driven: Sequence[AxesRecording],
+                  actuators: tuple[Actuator, ...] = ()) -> CoupledModel:
+    """Return the model of some numbers, without softening.
+
+    Parameters
+    ----------
+    late : (n,) array of int
+        Latency of each sensor.
+    driven : sequence of AxesRecording
+        Fast ones, with the drive in place of their voltage.
+    """
+    first, samples = driven[0], [len(each.voltage_v) for each in driven]
+    poles = (np.log(numbers.steps) / first.sample_period_s).astype(complex)
+    return CoupledModel(
+        first.axes, first.sample_period_s, poles, residues_of(numbers, numbers.gains),
+        numbers.direct, late,
+        np.average([each.voltage_v.mean(axis=0) for each in driven], axis=0, weights=samples),
+        np.average([each.displacement_um.mean(axis=0) for each in driven], axis=0,
+                   weights=samples), actuators=actuators)
+
+
+def residues_of(numbers: CoupledNumbers, gains: FloatArray) -> ComplexArray:
+    """Return the residues that gains of `mode_basis` stand for, one of each pair first."""
+    pairs = 2 * int(np.count_nonzero(numbers.steps.imag > 0.0))
+    return np.concatenate([gains[0:pairs:2] + 1j * gains[1:pairs:2], gains[pairs:].astype(complex)])
+
+
+def reweighted_fit(fit: CoupledFit, spectra: Sequence[Spectrum],
+                   is_open: bool) -> tuple[CoupledFit, list[Spectrum]]:
+    """Return the fit whose deviations are what it leaves itself, with its spectra.
+
+    Beside light modes a model that is not refined leaves many times the noise, where the lines tell
+    most of their frequency.
+
+    Parameters
+    ----------
+    is_open : bool
+        Poles without evidence may be left out.
+    """
+    for _ in range(REWEIGHTINGS):
+        fit, spectra = _reweighted(fit, spectra)
+        if is_open:
+            fit = without_weak_poles(fit, spectra, JUDGED_STEPS)
+    return fit, list(spectra)
+
+
+def _reweighted(fit: CoupledFit,
+                spectra: Sequence[Spectrum]) -> tuple[CoupledFit, list[Spectrum]]:
+    spectra = [reweighted(each, left) for each, left in zip(spectra, fit.left, strict=True)]
+    return refined(fit.numbers, spectra, FINAL_STEPS), spectra
+
+
+def fitted_together(
+    fit: CoupledFit, late: np.ndarray, by_experiment: Mapping[str, Sequence[AxesRecording]],
+    fast: Sequence[AxesRecording], note: Callable[[str], object], is_open: bool,
+) -> tuple[CoupledFit, list[Spectrum], CoupledModel] | None:
+    """Fit modes, hysteresis and creep to all recordings.
+
+    There are two rounds. Each begins with hysteresis and creep as slow recordings show them beside
+    all else that is known by then: at first the modes as fitted without them.
+
+    Parameters
+    ----------
+    fit : CoupledFit
+        Of the modes alone.
+    by_experiment : mapping of str to sequence of AxesRecording
+        "dynamics", "creep" and "hysteresis".
+    fast : sequence of AxesRecording
+        Those of the shortest sample period.
+    note : callable
+        Called with what was found of each axis.
+    is_open : bool
+        Poles without evidence may be left out.
+
+    Returns
+    -------
+    fit : CoupledFit
+    spectra : list of Spectrum
+        That were fitted.
+    model : CoupledModel
+
+    None instead where no axis shows hysteresis or creep.
+    """
+    recordings = [each for listed in by_experiment.values() for each in listed]
+    loops = by_experiment["hysteresis"] or by_experiment["creep"]
+    steps = by_experiment["creep"] or by_experiment["hysteresis"]
+    lowest = _lowest_resonance(fit.numbers.steps)
+    # Slower ones stand for hysteresis and creep.
+    numbers = replace(fit.numbers.with_poles(np.abs(np.log(fit.numbers.steps)) >= lowest),
+                      slowest=SLOWEST_POLE * lowest)
+    model = coupled_model(numbers, late, fast)
+    longest_s = max(each.sample_period_s * len(each.voltage_v) for each in recordings)
+    densities: Sequence[DensityEstimate | None] = ()
+    for is_last, levels in ((False, ROUGH_LEVELS), (True, LEVELS)):
+        actuators, densities = estimate_actuators(model, steps, loops, levels, densities)
+        if not any(each.hysteresis or each.creep.poles_rad_per_s for each in actuators):
+            return None
+        numbers = replace(numbers, actuators=_numbers(actuators, model.sample_period_s, (
+            SLOWEST_CREEP * model.sample_period_s / longest_s, FASTEST_CREEP * lowest)))
+        model = coupled_model(numbers, late, _driven(fast, actuators), actuators)
+        spectra = [_spectrum(model, each).advanced(late) for each in recordings]
+        fit, spectra = _reweighted(refined(numbers, spectra, 0), spectra)
+        if is_last:
+            fit = _with_more_creep(fit, spectra) if is_open else fit
+            fit, spectra = reweighted_fit(fit, spectra, is_open)
+        numbers = fit.numbers
+        actuators = tuple(_changed(actuator, axis, numbers.actuators, model.sample_period_s)
+                          for axis, actuator in enumerate(actuators))
+        model = coupled_model(numbers, late, _driven(fast, actuators), actuators)
+    offsets_um = [np.mean(found.measured_um - found.simulated_um, axis=0) for found in (
+        predict_several_axes(model, each) for each in recordings)]
+    model = replace(model, operating_displacement_um=(
+        model.operating_displacement_um + np.mean(offsets_um, axis=0)))
+    for axis, actuator in zip(model.axes, actuators, strict=True):
+        shown = "hysteresis" if actuator.hysteresis else "no hysteresis"
+        note(f"{axis}: {shown}, {len(actuator.creep.poles_rad_per_s)} pairs of creep")
+    return fit, spectra, model
+
+
+def _lowest_resonance(steps: ComplexArray) -> float:
+    """Return the rate of the slowest light mode, over the sample rate; of any where none is."""
+    rates = np.log(steps)
+    light = (steps.imag > 0.0) & (-rates.real < LIGHT * np.abs(rates))
+    return float(np.abs(rates[light] if light.any() else rates).min())
+
+
+def _driven(fast: Sequence[AxesRecording],
+            actuators: Sequence[Actuator]) -> list[AxesRecording]:
+    return [with_drive(each, actuators) for each in fast]
+
+
+def _with_more_creep(fit: CoupledFit, spectra: Sequence[Spectrum]) -> CoupledFit:
+    """Return the fit to which creep was added, axis by axis, as long as that gains evidence."""
+    axes = [axis for axis in range(fit.left[0].shape[1])
+            if any(axis in spectrum.driven for spectrum in spectra)]
+    while axes:
+        more = [refined(replace(fit.numbers, actuators=fit.numbers.actuators.with_creep(
+            axes[0], rate, LEAST_CREEP)), spectra, JUDGED_STEPS)
+            for rate in np.geomspace(*fit.numbers.actuators.rates, TRIED_RATES + 2)[1:-1]]
+        best = max(more, key=evidence_of)
+        if evidence_of(best) > evidence_of(fit) and best.numbers.actuators.gains[-1] > 0.0:
+            fit = refined(best.numbers, spectra, FINAL_STEPS)
+        else:
+            axes.pop(0)
+    return fit
+
+
+def _numbers(actuators: Sequence[Actuator], period_s: float,
+             rates_between: tuple[float, float]) -> ActuatorNumbers:
+    pieces = [0 if each.hysteresis is None else len(pieces_of(each.hysteresis))
+              for each in actuators]
+    gains = [each.creep_gains for each in actuators]
+    rates = np.concatenate([np.array(each.creep.poles_rad_per_s) for each in actuators])
+    axes = np.arange(len(actuators))
+    return ActuatorNumbers(
+        np.repeat(axes, pieces), np.zeros(sum(pieces)),
+        np.repeat(axes, [each.size for each in gains]), np.log(rates * period_s),
+        np.concatenate(gains), rates_between)
+
+
+def _changed(actuator: Actuator, axis: int, numbers: ActuatorNumbers, period_s: float) -> Actuator:
+    """Return the actuator of an axis with the numbers of a fit."""
+    own = (numbers.creep_axes == axis) & (numbers.gains > 0.0)
+    creep, _ = creep_of_partial_fractions(np.exp(numbers.logarithms[own]) / period_s,
+                                          numbers.gains[own])
+    if actuator.hysteresis is None:
+        return replace(actuator, creep=creep)
+    alone = StageModel(actuator.hysteresis, CreepDynamics(), ElectricVibrationDynamics())
+    changed = changed_model(alone, numbers.changes[numbers.piece_axes == axis])
+    return Actuator(changed.hysteresis, creep)
+
+
+def _spectrum(model: CoupledModel, recording: AxesRecording) -> Spectrum:
+    """Return the spectrum of a recording behind the hysteresis, ahead of the creep.
+
+    What rings between the rows of a slow recording is taken off.
+    """
+    circumstances, periods = circumstances_of(model, recording), recording.periods or 1
+    columns = recording.voltage_v.reshape(periods, -1, len(model.axes)).mean(axis=0).T
+    passed, pieces = [], []
+    for actuator, voltage_v, past in zip(model.actuators, np.ascontiguousarray(columns),
+                                         circumstances.pasts, strict=True):
+        passed_v = actuator.passed_v(voltage_v, bool(recording.periods), past)
+        passed.append(np.tile(passed_v, periods))
+        if actuator.hysteresis is not None:
+            pieces += [np.tile(each, periods) for each in _pieces_v(
+                actuator, voltage_v, passed_v, bool(recording.periods), past)]
+    rows = rows_apart(model, recording)
+    displacement_um = recording.displacement_um
+    if circumstances.is_held and rows != 1.0:
+        slow = model.at_period(recording.sample_period_s)
+        displacement_um = displacement_um - sum(
+            sign * simulated_um(each, recording, circumstances)
+            for sign, each in ((1.0, slow), (-1.0, slow.at_rest())))
+    return spectrum_of(
+        replace(recording, voltage_v=np.column_stack(passed), displacement_um=displacement_um),
+        rows, circumstances.is_held, pieces)
+
+
+def _pieces_v(actuator: Actuator, voltage_v: FloatArray, passed_v: FloatArray, periodic: bool,
+              past: str) -> Iterator[FloatArray]:
+    """Yield what each change of the hysteresis adds to the voltage that it passes on."""
+    assert actuator.hysteresis is not None
+    for piece in pieces_of(actuator.hysteresis):
+        alone = Actuator(piece)
+        # The mean slope of the whole is one by definition, however a piece changes it.
+        part = alone.slope_um_per_v / actuator.slope_um_per_v
+        yield part * (alone.passed_v(voltage_v, periodic, past) - passed_v)

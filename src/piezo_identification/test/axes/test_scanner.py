@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Hysteresis and creep of each axis in front of shared modes, from slow and fast recordings."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from piezo_identification.axes.identify_axes import identify_several_axes
+from piezo_identification.axes.predict_axes import predict_several_axes
+from piezo_models.axes_model_file import load_axes_model, save_axes_model
+
+sys.path.insert(0, str(Path(__file__).parent))
+import flexure
+import scanner
+
+
+@pytest.fixture(scope="module")
+def identified():
+    tables = scanner.experiments(np.random.default_rng(1))
+    return identify_several_axes(**{
+        experiment: [flexure.recording(table, f"{experiment} {number}")
+                     for number, table in enumerate(listed)]
+        for experiment, listed in tables.items()})
+
+
+def slow_v(samples):
+    time_s = flexure.PERIOD_S * np.arange(samples)
+    swing = 35.0 * np.sin(4.0 * np.pi * time_s - np.pi / 2.0) + 15.0 * np.sin(10.0 * np.pi * time_s)
+    return np.column_stack([swing - swing[0] + 14.0,
+                            5.0 + np.abs(60.0 * np.sin(2.2 * np.pi * time_s))])
+
+
+def fast_v(samples):
+    rng = np.random.default_rng(5)
+    return 50.0 + np.column_stack([flexure.multisine_v(samples, rng, 8.0) for _ in range(2)])
+
+
+@pytest.mark.parametrize("unseen_v", [slow_v(10_000), fast_v(3000)], ids=["slow", "fast"])
+def test_unseen_motion_is_predicted_to_three_times_the_noise(identified, unseen_v):
+    table = scanner.table(unseen_v, np.random.default_rng(9))
+    prediction = predict_several_axes(identified.model, flexure.recording(table, "unseen"))
+    left_um = prediction.measured_um - prediction.simulated_um
+    assert np.all(np.std(left_um, axis=0) < 3.0 * flexure.NOISE_UM)
+
+
+def test_every_entry_of_the_coupling_is_found(identified):
+    low_v, high_v = identified.voltage_range_v[0]
+    turn_v = np.concatenate([np.linspace(low_v, high_v, 500), np.linspace(high_v, low_v, 500)])
+    rises_v = [np.ptp(scanner.passed_v(turn_v, axis)) / (high_v - low_v) for axis in range(2)]
+    coupling = identified.coupling
+    driven = coupling.frequency_hz < 2500.0
+    true = (flexure.response(coupling.frequency_hz) * rises_v)[driven]
+    error = np.abs(coupling.gain_um_per_v[driven] - true)
+    deviation = np.abs(coupling.deviation_um_per_v[driven])
+    assert np.all(error < np.maximum(0.1 * np.abs(true), 3.0 * 1.6449 * deviation))
+    low, high = (each[driven] for each in coupling.interval_90())
+    within = np.concatenate([(low.real <= true.real) & (true.real <= high.real),
+                             (low.imag <= true.imag) & (true.imag <= high.imag)])
+    assert np.mean(within[:, [0, 1], [1, 0]]) > 0.75, "between the axes"
+
+
+def test_the_order_is_that_of_the_modes(identified):
+    found = np.sort(np.abs(identified.model.poles_rad_per_s))
+    np.testing.assert_allclose(found, flexure.FREQUENCY_RAD_PER_S, rtol=1e-3)
+
+
+def test_the_creep_of_each_axis_is_found(identified):
+    # What creeps within 0.1 s does so on every way of the loops, as if it were hysteresis.
+    after_s = np.array([[0.1], [2.0]])
+    for actuator, lasting_s, parts in zip(identified.model.actuators, scanner.CREEP_S,
+                                          scanner.CREEP, strict=True):
+        rates = np.array(actuator.creep.poles_rad_per_s)
+        found = np.diff((1.0 - np.exp(-after_s * rates)) @ actuator.creep_gains)
+        true = np.diff((1.0 - np.exp(-after_s / lasting_s)) @ parts)
+        np.testing.assert_allclose(found, true, rtol=0.1)
+
+
+def test_where_no_hysteresis_is_shown_none_is_added():
+    rng = np.random.default_rng(3)
+    loops = flexure.recording(
+        flexure.table(scanner.along(0, scanner.loops_v(1500)), rng), "loops")
+    fast = [flexure.recording(table, f"fast {number}")
+            for number, table in enumerate(flexure.experiments(1024))]
+    assert not identify_several_axes(fast, hysteresis=[loops]).model.actuators
+
+
+def test_a_saved_model_predicts_alike(identified, tmp_path):
+    save_axes_model(tmp_path / "model.json", identified)
+    again = load_axes_model(tmp_path / "model.json").model
+    voltage_v = slow_v(1000)
+    np.testing.assert_allclose(again.simulate(voltage_v), identified.model.simulate(voltage_v),
+                               rtol=1e-9)

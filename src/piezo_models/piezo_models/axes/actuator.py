@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Hysteresis and creep of the actuator of one axis, in front of the modes that all axes share."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.signal import lfilter
+
+from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_models.hysteresis.pasts import PASTS, past_voltages
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import CreepDynamics
+
+
+@dataclass(frozen=True, eq=False)
+class Actuator:
+    """From the voltage of an axis to its drive, a voltage without hysteresis and creep.
+
+    Attributes
+    ----------
+    hysteresis : PreisachModel, optional
+        Its output over its mean slope is the voltage that it passes on: from one end of its range
+        to the other that changes by as much as the voltage. Beyond the range it follows the
+        voltage.
+    creep : CreepDynamics
+        Of the drive, behind the hysteresis.
+    """
+
+    hysteresis: PreisachModel | None = None
+    creep: CreepDynamics = CreepDynamics()
+
+    @property
+    def slope_um_per_v(self) -> float:
+        """Return the mean slope of the hysteresis over its range."""
+        if self.hysteresis is None:
+            return 1.0
+        low_um, high_um = self.hysteresis.output_range_um
+        return (high_um - low_um) / (self.hysteresis.voltage_max_v - self.hysteresis.voltage_min_v)
+
+    def passed_v(self, voltage_v: FloatArray, periodic: bool = False,
+                 past: str = PASTS[0]) -> FloatArray:
+        """Return the voltage that the hysteresis passes on.
+
+        Parameters
+        ----------
+        voltage_v : (N,) array
+        periodic : bool
+            The voltage has been repeated before.
+        past : str
+            One of `PASTS`, by which the first voltage was reached.
+        """
+        hysteresis = self.hysteresis
+        if hysteresis is None:
+            return voltage_v
+        memory = hysteresis.memory()
+        hysteresis.simulate(past_voltages(past, voltage_v[0], hysteresis.voltage_min_v,
+                                          hysteresis.voltage_max_v), memory)
+        if periodic:
+            hysteresis.simulate(voltage_v, memory)
+        risen_um = hysteresis.simulate(voltage_v, memory) - hysteresis.offset_um
+        return (hysteresis.voltage_min_v + risen_um / self.slope_um_per_v
+                + voltage_v - self._within(voltage_v))
+
+    def drive_v(self, voltage_v: FloatArray, sample_period_s: float, periodic: bool = False,
+                past: str = PASTS[0]) -> FloatArray:
+        """Return the drive of the modes under a voltage; the creep is over at its beginning."""
+        passed_v = self.passed_v(voltage_v, periodic, past)
+        drive_v = passed_v.copy()
+        for gain, rate in zip(self.creep_gains, self.creep.poles_rad_per_s, strict=True):
+            kept = np.exp(-rate * sample_period_s)
+            before_v = passed_v[0]
+            if periodic:
+                decayed_v = lfilter([1.0 - kept], [1.0, -kept], passed_v)
+                before_v = decayed_v[-1] / (1.0 - kept ** passed_v.size)
+            drive_v += gain * lfilter([1.0 - kept], [1.0, -kept], passed_v,
+                                      zi=[kept * before_v])[0]
+        return drive_v
+
+    @property
+    def creep_gains(self) -> FloatArray:
+        """Return what the creep behind each pole comes to, over what moves at once."""
+        poles, zeros = (np.array(values, dtype=float) for values in (
+            self.creep.poles_rad_per_s, self.creep.zeros_rad_per_s))
+        apart = poles[None, :] - poles[:, None] + np.diag(poles)
+        gains: FloatArray = np.prod(zeros[None, :] - poles[:, None], axis=1) / np.prod(
+            apart, axis=1)
+        return gains
+
+    def creep_response(self, frequency_hz: ArrayLike, sample_period_s: float) -> ComplexArray:
+        """Return the response of the creep from sample to sample.
+
+        A drive that is held has crept by the end of the sample: at any sample period, the modes
+        are fast beside the creep.
+        """
+        z = np.exp(2j * np.pi * np.asarray(frequency_hz) * sample_period_s)
+        response = np.ones_like(z)
+        for gain, rate in zip(self.creep_gains, self.creep.poles_rad_per_s, strict=True):
+            kept = np.exp(-rate * sample_period_s)
+            response += gain * (1.0 - kept) * z / (z - kept)
+        return response
+
+    def inverse_v(self, drive_v: FloatArray, sample_period_s: float) -> FloatArray:
+        """Return the voltages, repeated for long, by which a drive is repeated.
+
+        Parameters
+        ----------
+        drive_v : (N,) array
+            One period.
+
+        Raises
+        ------
+        ValueError
+            If the hysteresis has no inverse.
+        """
+        lines = np.fft.rfft(drive_v)
+        lines /= self.creep_response(
+            np.fft.rfftfreq(drive_v.size, sample_period_s), sample_period_s)
+        passed_v: FloatArray = np.fft.irfft(lines, drive_v.size)
+        hysteresis = self.hysteresis
+        if hysteresis is None:
+            return passed_v
+        within_v = self._within(passed_v)
+        wanted_um = hysteresis.offset_um + self.slope_um_per_v * (
+            within_v - hysteresis.voltage_min_v)
+        memory = hysteresis.memory()
+        hysteresis.invert(wanted_um, memory)  # what came before is the period itself
+        return hysteresis.invert(wanted_um, memory) + passed_v - within_v
+
+    def _within(self, voltage_v: FloatArray) -> FloatArray:
+        assert self.hysteresis is not None
+        return np.clip(voltage_v, self.hysteresis.voltage_min_v, self.hysteresis.voltage_max_v)
