@@ -89,7 +89,9 @@ def run(folder, address, interrupt_at=None):
     process = subprocess.Popen(
         [sys.executable, "-u", "-m", "piezo_identification.commands.diagnose_many_command",
          folder / "table.csv", "--scheduler", address, "--output", folder / "diagnoses"],
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        # A shell lets what it starts in the background ignore Ctrl-C.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
     printed = ""
     for line in process.stdout:
         printed += line

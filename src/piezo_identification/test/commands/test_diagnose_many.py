@@ -186,7 +186,7 @@ class OfAWorkerThatDies:
         self._now = next(self._states, "finished")
         return self._now
 
-    def result(self):
+    def result(self, timeout):
         return {"name": self._number}
 
     def exception(self):

@@ -220,8 +220,8 @@ def _diagnose_together(client: "Client", rows: Sequence[DiagnosisRow],
         for number, future in list(waiting.items()):
             # What a worker that died had done already is lost, and done again: so it is fetched.
             if future.status == "finished":
-                with suppress(CancelledError):
-                    results[number] = future.result()
+                with suppress(TimeoutError, CancelledError):
+                    results[number] = future.result(ASKED_S)
             elif future.status in ("error", "cancelled"):
                 results[number] = _not_diagnosed(rows[number], _why_not(future), future)
             if number in results:
