@@ -15,6 +15,8 @@ from piezo_controller.axes.repeated_period import repeated
 from piezo_controller.axes.scan import scan
 from piezo_controller.references.kind import InvalidReference
 from piezo_models import CoupledModel, Softening
+from piezo_models.axes.actuator import Actuator
+from piezo_models.hysteresis.preisach import PreisachModel
 
 sys.path.insert(0, str(Path(__file__).parent))
 import xy_flexure
@@ -176,3 +178,40 @@ def test_softening_within_a_period_is_taken_off(model, kind, rate_hz):
         stiff_v, plan.voltage_v))
     assert after < 1e-4 * np.std(position_um)
     assert before > 30.0 * after
+
+
+HALF_V, WEIGHT, RANGE_V = 2.0, 0.3, 80.0
+"""Of a play beside the voltage of each axis, over voltages from -80 to 80 V."""
+
+
+def with_plays(model):
+    """Return the model with the play in front of each axis, as Preisach hysteresis."""
+    cells = 640  # a play is a line of the density, as narrow as a cell
+    cell_v, density = 2.0 * RANGE_V / cells, np.zeros((cells, cells))
+    away = round(2.0 * HALF_V / cell_v)
+    density[np.arange(away, cells), np.arange(cells - away)] = WEIGHT / cell_v
+    hysteresis = PreisachModel(-RANGE_V, RANGE_V, density, 0.0, np.full(cells, 1.0 - WEIGHT))
+    return replace(model, actuators=(Actuator(hysteresis),) * 2)
+
+
+def behind_plays(voltage_v):
+    """Return the drive, sample by sample."""
+    moved, drive_v = voltage_v[0] - HALF_V, np.empty_like(voltage_v)
+    for sample, now in enumerate(voltage_v):
+        moved = np.clip(moved, now - HALF_V, now + HALF_V)
+        drive_v[sample] = (1.0 - WEIGHT) * now + WEIGHT * moved
+    return drive_v / (1.0 - WEIGHT * HALF_V / RANGE_V)
+
+
+def test_a_path_is_followed_through_the_hysteresis_of_each_axis(model):
+    fields = {"rate_hz": 40.0, "lines": 4, "size_um": (10.0, 10.0)}
+    errors = []
+    for planned in (model, with_plays(model)):
+        plan = plan_of(planned, "spiral", **fields)
+        played_v = np.concatenate([plan.begin_voltage_v, *[plan.voltage_v] * 9])
+        left_um = (xy_flexure.played_um(behind_plays(played_v))[-len(plan.voltage_v):]
+                   - plan.path.position_um)
+        errors.append(100.0 * np.std(left_um, axis=0) / np.ptp(plan.path.position_um, axis=0))
+    without, inverted = errors
+    assert np.all(without > 1.0)
+    assert np.all(inverted < 0.05 * without)

@@ -9,6 +9,11 @@ import numpy as np
 from piezo_common.arrays import ComplexArray, FloatArray, IntArray
 from piezo_identification.axes.spectra import Spectrum
 
+USUAL_CREEP = 0.1
+"""Width of the prior of a gain, several times that by which piezo ceramics creep in two decades of
+time (1 to 2 % a decade, as makers tell). Without it, fast creep and hysteresis make up for each
+other without end."""
+
 
 def _none() -> FloatArray:
     return np.zeros(0)
@@ -28,6 +33,8 @@ class ActuatorNumbers:
         Axes whose hysteresis the pieces change.
     changes : (p,) array
         Of the pieces, in widths of their prior.
+    lowest_changes : (p,) array
+        Below which the hysteresis would be negative somewhere.
     creep_axes : (q,) array of int
         Axes that creep.
     logarithms : (q,) array
@@ -41,6 +48,7 @@ class ActuatorNumbers:
 
     piece_axes: IntArray = field(default_factory=_no_axes)
     changes: FloatArray = field(default_factory=_none)
+    lowest_changes: FloatArray = field(default_factory=_none)
     creep_axes: IntArray = field(default_factory=_no_axes)
     logarithms: FloatArray = field(default_factory=_none)
     gains: FloatArray = field(default_factory=_none)
@@ -56,6 +64,20 @@ class ActuatorNumbers:
             self.changes.size, self.logarithms.size]))
         return replace(self, changes=changes, gains=gains,
                        logarithms=np.log(np.clip(np.exp(logarithms), *self.rates)))
+
+    def lowest(self) -> FloatArray:
+        """Return the least that each number of `vector` may be; creep goes on as the motion did."""
+        return np.concatenate([self.lowest_changes, np.full(self.logarithms.size, -np.inf),
+                               np.zeros(self.gains.size)])
+
+    def prior(self) -> tuple[FloatArray, FloatArray]:
+        """Return what is expected of the numbers: values over the widths, and one over the widths.
+
+        Both are zero where nothing is.
+        """
+        expected = np.concatenate([np.ones(self.changes.size), np.zeros(self.logarithms.size),
+                                   np.full(self.gains.size, 1.0 / USUAL_CREEP)])
+        return expected * self.vector(), expected
 
     def with_creep(self, axis: int, rate: float, gain: float) -> Self:
         """Return the numbers with further creep of an axis, its rate over the sample rate."""

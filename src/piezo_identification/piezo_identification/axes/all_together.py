@@ -8,8 +8,8 @@ import numpy as np
 
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.axes.actuator_estimate import estimate_actuators
-from piezo_identification.axes.actuator_numbers import ActuatorNumbers
-from piezo_identification.axes.coupled_fit import CoupledFit, refined
+from piezo_identification.axes.actuator_numbers import ActuatorNumbers, Driven
+from piezo_identification.axes.coupled_fit import CoupledFit, linear_numbers, refined
 from piezo_identification.axes.coupled_numbers import CoupledNumbers
 from piezo_identification.axes.order_search import evidence_of, without_weak_poles
 from piezo_identification.axes.predict_axes import (
@@ -21,7 +21,7 @@ from piezo_identification.axes.predict_axes import (
 from piezo_identification.axes.spectra import Spectrum, reweighted, spectrum_of
 from piezo_identification.estimators.estimate import creep_of_partial_fractions
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
-from piezo_identification.fitting.free_parameters import changed_model, pieces_of
+from piezo_identification.fitting.free_parameters import changed_model, lowest_changes, pieces_of
 from piezo_models.axes.actuator import Actuator
 from piezo_models.axes.coupled import CoupledModel
 from piezo_models.axes.identified_axes import LIGHT
@@ -43,9 +43,13 @@ TRIED_RATES, LEAST_CREEP = 3, 1e-3
 """Rates at which further creep is begun, evenly on a logarithmic scale between the longest
 recording and the slowest mode, and its part of the motion."""
 
-ROUGH_LEVELS, LEVELS = 12, 50
-"""Levels of the hysteresis in the first round, in which more would follow errors of the modes, and
-in the last."""
+LEVELS_OF_ROUNDS = (12, 50, 50, 50)
+"""Levels of the hysteresis in each round. In the first more would follow errors of the modes; most
+stages need two, those whose creep is as large as their hysteresis more."""
+
+WORTHWHILE = 0.5
+"""Logarithm by which the mean square that is left of each recording falls, on average, in a round
+that another one follows."""
 
 SLOWEST_CREEP, FASTEST_CREEP, SLOWEST_POLE = 0.3, 0.03, 0.9
 """Rates of creep: the least over that of the longest recording, as that of one axis; the largest
@@ -123,8 +127,8 @@ def fitted_together(
 ) -> tuple[CoupledFit, list[Spectrum], CoupledModel] | None:
     """Fit modes, hysteresis and creep to all recordings.
 
-    There are two rounds. Each begins with hysteresis and creep as slow recordings show them beside
-    all else that is known by then: at first the modes as fitted without them.
+    Each round begins with hysteresis and creep as slow recordings show them beside all else that is
+    known by then: at first the modes as fitted without them.
 
     Parameters
     ----------
@@ -156,24 +160,30 @@ def fitted_together(
     numbers = replace(fit.numbers.with_poles(np.abs(np.log(fit.numbers.steps)) >= lowest),
                       slowest=SLOWEST_POLE * lowest)
     model = coupled_model(numbers, late, fast)
-    longest_s = max(each.sample_period_s * len(each.voltage_v) for each in recordings)
     densities: Sequence[DensityEstimate | None] = ()
-    for is_last, levels in ((False, ROUGH_LEVELS), (True, LEVELS)):
+    left = np.inf
+    for number, levels in enumerate(LEVELS_OF_ROUNDS):
         actuators, densities = estimate_actuators(model, steps, loops, levels, densities)
         if not any(each.hysteresis or each.creep.poles_rad_per_s for each in actuators):
             return None
-        numbers = replace(numbers, actuators=_numbers(actuators, model.sample_period_s, (
-            SLOWEST_CREEP * model.sample_period_s / longest_s, FASTEST_CREEP * lowest)))
-        model = coupled_model(numbers, late, _driven(fast, actuators), actuators)
-        spectra = [_spectrum(model, each).advanced(late) for each in recordings]
-        fit, spectra = _reweighted(refined(numbers, spectra, 0), spectra)
-        if is_last:
-            fit = _with_more_creep(fit, spectra) if is_open else fit
-            fit, spectra = reweighted_fit(fit, spectra, is_open)
-        numbers = fit.numbers
-        actuators = tuple(_changed(actuator, axis, numbers.actuators, model.sample_period_s)
-                          for axis, actuator in enumerate(actuators))
-        model = coupled_model(numbers, late, _driven(fast, actuators), actuators)
+        tried = _About(replace(model, actuators=actuators), numbers, late, fast, recordings)
+        found, found_spectra = tried.fitted()
+        before, left = left, sum(np.log(np.sum(np.abs(each) ** 2)) for each in found.left)
+        if left > before:
+            break
+        if number == 0:
+            left = np.inf  # its cells are too coarse to be compared
+        about, fit, spectra = tried, found, found_spectra
+        numbers, model = fit.numbers, about.model_of(fit)
+        if number and before - left < WORTHWHILE * len(recordings):
+            break
+    if is_open:
+        fit = _with_more_creep(fit, spectra)
+        fit = without_weak_poles(fit, spectra, JUDGED_STEPS)
+        numbers, model = fit.numbers, about.model_of(fit)
+    about = _About(model, numbers, late, fast, recordings)
+    fit, spectra = reweighted_fit(*about.fitted(), is_open)
+    model = about.model_of(fit)
     offsets_um = [np.mean(found.measured_um - found.simulated_um, axis=0) for found in (
         predict_several_axes(model, each) for each in recordings)]
     model = replace(model, operating_displacement_um=(
@@ -196,6 +206,36 @@ def _driven(fast: Sequence[AxesRecording],
     return [with_drive(each, actuators) for each in fast]
 
 
+class _About:
+    """All recordings, as they are fitted beginning with the hysteresis and creep of a model."""
+
+    def __init__(self, model: CoupledModel, numbers: CoupledNumbers, late: np.ndarray,
+                 fast: Sequence[AxesRecording], recordings: Sequence[AxesRecording]) -> None:
+        self.actuators, self.late, self.fast = model.actuators, late, fast
+        period_s, lowest = model.sample_period_s, _lowest_resonance(numbers.steps)
+        longest_s = max(each.sample_period_s * len(each.voltage_v) for each in recordings)
+        self.numbers = replace(numbers, actuators=_numbers(self.actuators, period_s, (
+            SLOWEST_CREEP * period_s / longest_s, FASTEST_CREEP * lowest)))
+        model = coupled_model(numbers, late, _driven(fast, self.actuators), self.actuators)
+        self.spectra = [_spectrum(model, each).advanced(late) for each in recordings]
+        # What a hysteresis passes on of small and of large motion may differ by half.
+        driven = [replace(each, drive=Driven(self.numbers.actuators, each, slice(None)).drive)
+                  for each in self.spectra]
+        gains = linear_numbers(driven, numbers.steps, len(numbers.direct))
+        self.numbers = replace(self.numbers, gains=gains.gains, direct=gains.direct)
+
+    def fitted(self) -> tuple[CoupledFit, list[Spectrum]]:
+        """Return the fit of all numbers."""
+        return _reweighted(refined(self.numbers, self.spectra, 0), self.spectra)
+
+    def model_of(self, fit: CoupledFit) -> CoupledModel:
+        """Return the model of a fit."""
+        period_s = self.fast[0].sample_period_s
+        actuators = tuple(_changed(actuator, axis, fit.numbers.actuators, period_s)
+                          for axis, actuator in enumerate(self.actuators))
+        return coupled_model(fit.numbers, self.late, _driven(self.fast, actuators), actuators)
+
+
 def _with_more_creep(fit: CoupledFit, spectra: Sequence[Spectrum]) -> CoupledFit:
     """Return the fit to which creep was added, axis by axis, as long as that gains evidence."""
     axes = [axis for axis in range(fit.left[0].shape[1])
@@ -214,13 +254,14 @@ def _with_more_creep(fit: CoupledFit, spectra: Sequence[Spectrum]) -> CoupledFit
 
 def _numbers(actuators: Sequence[Actuator], period_s: float,
              rates_between: tuple[float, float]) -> ActuatorNumbers:
-    pieces = [0 if each.hysteresis is None else len(pieces_of(each.hysteresis))
+    lowest = [np.zeros(0) if each.hysteresis is None else lowest_changes(each.hysteresis)
               for each in actuators]
     gains = [each.creep_gains for each in actuators]
     rates = np.concatenate([np.array(each.creep.poles_rad_per_s) for each in actuators])
     axes = np.arange(len(actuators))
     return ActuatorNumbers(
-        np.repeat(axes, pieces), np.zeros(sum(pieces)),
+        np.repeat(axes, [each.size for each in lowest]),
+        np.zeros(sum(each.size for each in lowest)), np.concatenate(lowest),
         np.repeat(axes, [each.size for each in gains]), np.log(rates * period_s),
         np.concatenate(gains), rates_between)
 
@@ -228,8 +269,9 @@ def _numbers(actuators: Sequence[Actuator], period_s: float,
 def _changed(actuator: Actuator, axis: int, numbers: ActuatorNumbers, period_s: float) -> Actuator:
     """Return the actuator of an axis with the numbers of a fit."""
     own = (numbers.creep_axes == axis) & (numbers.gains > 0.0)
-    creep, _ = creep_of_partial_fractions(np.exp(numbers.logarithms[own]) / period_s,
-                                          numbers.gains[own])
+    rates, of_rate = np.unique(np.round(numbers.logarithms[own], 2), return_inverse=True)
+    gains: FloatArray = np.bincount(of_rate, numbers.gains[own], rates.size).astype(float)
+    creep, _ = creep_of_partial_fractions(np.exp(rates) / period_s, gains)
     if actuator.hysteresis is None:
         return replace(actuator, creep=creep)
     alone = StageModel(actuator.hysteresis, CreepDynamics(), ElectricVibrationDynamics())

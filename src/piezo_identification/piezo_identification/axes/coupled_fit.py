@@ -37,8 +37,8 @@ class CoupledFit:
     left : list of (K, n) array of complex
         Motion that the model and transients do not explain, of each spectrum.
     misfit : float
-        Sum of the squares of what is left over its deviation, and of the changes of the hysteresis
-        over the widths of their prior.
+        Sum of the squares of what is left over its deviation, and of the numbers of hysteresis and
+        creep over the widths of their prior.
     rows : int
         Real numbers that were fitted.
     transients : int
@@ -100,12 +100,18 @@ def equations_of_gains(
 
 
 def softened_numbers(linear: CoupledNumbers, levels: Sequence[Sequence[Spectrum]],
-                     powers: int) -> CoupledNumbers:
+                     powers: int, ridge: float = 0.0) -> CoupledNumbers:
     """Return a start for the softening from the responses of other levels to each axis alone.
 
     With the response ``G`` of a level and that of the reference, ``G back`` is their difference,
     linear in the gains of the modes in ``back``. Modes beyond the lines have none, nor have those
     that are narrower than the distance of two lines: nothing tells what they do at their resonance.
+
+    Parameters
+    ----------
+    ridge : float
+        By which the squares of scaled columns are enlarged: gains that the levels hardly tell would
+        else make the motion unstable.
     """
     n, steps = linear.gains.shape[1], linear.steps
     angles, pairs = np.sort(np.angle(levels[0][0].z)), steps.imag > 0.0
@@ -125,7 +131,7 @@ def softened_numbers(linear: CoupledNumbers, levels: Sequence[Sequence[Spectrum]
             left = linear.motions([spectrum])[0] - spectrum.motion
             targets.append(_real((weight * left).reshape(-1)))
         start.back[:, :, :, axis] = _scaled_lstsq(
-            np.concatenate(rows), np.concatenate(targets)).reshape(powers, -1, n)
+            np.concatenate(rows), np.concatenate(targets), ridge).reshape(powers, -1, n)
     amplitudes_v = [level[0].amplitude_v for level in levels]
     while not all(start.is_stable(each) for each in amplitudes_v):
         start = replace(start, back=LESS * start.back)
@@ -191,11 +197,10 @@ class _Normal:
         own = numbers.own().shape[1]
         self.squares = np.zeros((n, own + shared, own + shared))
         self.products = np.zeros((n, own + shared))
-        changes = numbers.actuators.changes
-        last = own + shared - numbers.actuators.vector().size
-        prior = slice(last, last + changes.size)
-        self.squares[0, prior, prior] = 0.5 * np.eye(changes.size)
-        self.products[0, prior] = -0.5 * changes
+        expected, narrow = numbers.actuators.prior()
+        prior = slice(own + shared - expected.size, own + shared)
+        self.squares[0, prior, prior] = 0.5 * np.diag(narrow**2)
+        self.products[0, prior] = -0.5 * narrow * expected
         self.pulls: list[FloatArray] = []
         rows = n * sum(2 * each.z.size for each in spectra)
         together = max(1, int(rows / (ROWS_PER_NUMBER * (n * own + shared))))
@@ -235,18 +240,27 @@ class _Normal:
 
     def stepped(self, damping: float) -> CoupledNumbers:
         """Return the numbers after a damped step."""
-        own_steps, step = self._solved(self._eliminated(damping), self.products)
+        room = np.full(self.numbers.shared().size, -np.inf)
+        actuators = self.numbers.actuators
+        room[room.size - actuators.vector().size:] = actuators.lowest() - actuators.vector()
+        own_steps, step = self._solved(self._eliminated(damping), self.products, room)
         return self.numbers.with_numbers(self.numbers.shared() + step,
                                          self.numbers.own() + own_steps)
 
-    def _solved(self, eliminated: tuple[list[FloatArray], FloatArray],
-                products: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the own numbers (n, count) and the shared ones that solve the equations."""
+    def _solved(self, eliminated: tuple[list[FloatArray], FloatArray], products: FloatArray,
+                least: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the own numbers (n, count) and the shared ones that solve the equations.
+
+        Parameters
+        ----------
+        least : (shared,) array
+            Of the shared ones.
+        """
         (inverses, border), count = eliminated, self.numbers.own().shape[1]
         each_of = list(zip(inverses, products, self.squares, strict=True))
         pull = sum(product[count:] - square[:count, count:].T @ inverse @ product[:count]
                    for inverse, product, square in each_of)
-        step = np.linalg.lstsq(border, pull, rcond=1e-12)[0]
+        step = _bounded_solution(border, pull, least)
         return np.array([inverse @ (product[:count] - square[:count, count:] @ step)
                          for inverse, product, square in each_of]), step
 
@@ -266,7 +280,8 @@ class _Normal:
     def covariances_of_recordings(self) -> list[FloatArray]:
         """Return the covariances by how far each recording would move the numbers."""
         eliminated = self._eliminated(0.0)
-        moved = [self._solved(eliminated, pull) for pull in self.pulls]
+        free = np.full(self.numbers.shared().size, -np.inf)
+        moved = [self._solved(eliminated, pull, free) for pull in self.pulls]
         whole = [np.array([np.concatenate([own[output], shared]) for own, shared in moved])
                  for output in range(len(self.squares))]
         more = len(moved) / max(len(moved) - 1, 1)
@@ -284,6 +299,20 @@ class _Normal:
             covariances.append(np.block([
                 [0.5 * inverse - across @ through.T, across], [across.T, of_shared]]))
         return covariances
+
+
+def _bounded_solution(square: FloatArray, right: FloatArray, least: FloatArray) -> FloatArray:
+    """Return the solution of normal equations of which those below their least are held there."""
+    held = np.zeros(right.size, dtype=bool)
+    while True:
+        solution = np.where(held, least, 0.0)
+        solution[~held] = np.linalg.lstsq(
+            square[np.ix_(~held, ~held)], right[~held] - square[np.ix_(~held, held)] @ least[held],
+            rcond=1e-12)[0]
+        below = ~held & (solution < least)
+        if not below.any():
+            return solution
+        held |= below
 
 
 def _inverse(square: FloatArray, damping: float) -> FloatArray:
@@ -314,7 +343,7 @@ def _left(numbers: CoupledNumbers, spectra: Sequence[Spectrum]) -> list[ComplexA
 def _misfit(numbers: CoupledNumbers, spectra: Sequence[Spectrum],
             left: Sequence[ComplexArray]) -> float:
     # A complex error of unit deviation has half of its square in each real row.
-    return 0.5 * float(np.sum(numbers.actuators.changes**2)) + float(sum(
+    return 0.5 * float(np.sum(numbers.actuators.prior()[0] ** 2)) + float(sum(
         np.sum(np.abs(spectrum.weight * rest) ** 2)
         for spectrum, rest in zip(spectra, left, strict=True)))
 
@@ -340,10 +369,10 @@ def _real(values: ComplexArray) -> FloatArray:
     return np.concatenate([values.real, values.imag])
 
 
-def _scaled_lstsq(rows: FloatArray, targets: FloatArray) -> FloatArray:
+def _scaled_lstsq(rows: FloatArray, targets: FloatArray, ridge: float = 0.0) -> FloatArray:
     norms = np.linalg.norm(rows, axis=0)
     scale = np.where(norms > 0.0, norms, 1.0)
-    square = (rows / scale).T @ (rows / scale)
+    square = (rows / scale).T @ (rows / scale) + ridge * np.eye(scale.size)
     solution: FloatArray = np.linalg.lstsq(
         square, (rows / scale).T @ targets, rcond=1e-12)[0] / scale
     return solution

@@ -46,6 +46,10 @@ WORSE_IN_A_ROW = 2
 MOST_POWERS = 2
 """Powers of the amplitude: domain walls give the first (Rayleigh), their saturation the second."""
 
+RIDGES = (0.0, 1e-2)
+"""Of the starts of the softening: none, and one that leaves out what the levels tell to less than a
+tenth. With many modes the first is unstable, and is reduced to little."""
+
 MEMORIES_S = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Time constants of the running RMS that are compared, three to a decade."""
 
@@ -213,8 +217,8 @@ def _best_fit(
             budget.not_tried.append(f"softening with {powers} powers of the amplitude")
             break
         progress(f"softening, {powers} powers of the amplitude", 0.5 + 0.1 * powers)
-        fits.append(refined(softened_numbers(linear.numbers, others, powers), everything,
-                            JUDGED_STEPS))
+        fits += [refined(softened_numbers(linear.numbers, others, powers, ridge), everything,
+                         JUDGED_STEPS) for ridge in RIDGES]
     best = max(fits, key=evidence_of)
     powers = len(best.numbers.back)
     note("nothing softens with the amplitude" if not powers else

@@ -76,8 +76,9 @@ class Circumstances:
         For each axis the way by which its first voltage was reached, one of
         `piezo_models.hysteresis.pasts.PASTS`.
     is_held : bool
-        The voltage of a row is held until the next one; else the rows are samples of a voltage that
-        goes on between them, as where a fast recording was thinned.
+        The voltage of a row is held until the next one, whose displacement answers it. Else the
+        rows are samples of a voltage that goes on between them, as where a fast recording was
+        thinned; a displacement that is the mean over the row that is held is the same.
     """
 
     pasts: tuple[str, ...]
@@ -115,10 +116,10 @@ def predict_several_axes(model: CoupledModel, recording: AxesRecording) -> AxesP
 def circumstances_of(model: CoupledModel, recording: AxesRecording) -> Circumstances:
     """Return the circumstances of a recording: the pasts under which a model explains it best.
 
-    Rows that are read late look like a wider hysteresis, so that the voltage alone tells whether it
-    was held between them: it was not where it goes on from row to row.
+    Rows that are read late look like a wider hysteresis, so that the model is not asked whether a
+    voltage was held between them: it was where it jumps, and the displacement does so a row later.
     """
-    is_held = rows_apart(model, recording) == 1.0 or not _goes_on(recording.voltage_v)
+    is_held = rows_apart(model, recording) == 1.0 or _answers_later(recording)
     n = len(model.axes)
     if recording.periods or not any(each.hysteresis for each in model.actuators):
         return Circumstances(PASTS[:1] * n, is_held)
@@ -127,10 +128,13 @@ def circumstances_of(model: CoupledModel, recording: AxesRecording) -> Circumsta
     return Circumstances(tuple(PASTS[best] for best in np.argmin(left, axis=0)), is_held)
 
 
-def _goes_on(voltage_v: FloatArray) -> bool:
-    """Tell whether a voltage changes by nearly the same from row to row."""
-    changes = np.diff(voltage_v, axis=0)
-    return bool(np.sum(changes[1:] * changes[:-1]) > 0.5 * np.sum(changes**2))
+def _answers_later(recording: AxesRecording) -> bool:
+    """Tell whether a voltage jumps, and the displacement answers in the next row."""
+    changes, moved = (np.diff(each, axis=0) for each in (
+        recording.voltage_v, recording.displacement_um))
+    goes_on = np.sum(changes[1:] * changes[:-1]) > 0.5 * np.sum(changes**2)
+    later = np.sum(changes[:-1] * moved[1:]) > np.sum(changes[:-1] * moved[:-1])
+    return bool(later and not goes_on)
 
 
 def rows_apart(model: CoupledModel, recording: AxesRecording) -> float:
