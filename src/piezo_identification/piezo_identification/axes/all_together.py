@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_common.budget import Budget
 from piezo_identification.axes.actuator_estimate import estimate_actuators
 from piezo_identification.axes.actuator_numbers import ActuatorNumbers, Driven
 from piezo_identification.axes.coupled_fit import CoupledFit, linear_numbers, refined
@@ -46,6 +47,9 @@ recording and the slowest mode, and its part of the motion."""
 LEVELS_OF_ROUNDS = (12, 50, 50, 50)
 """Levels of the hysteresis in each round. In the first more would follow errors of the modes; most
 stages need two, those whose creep is as large as their hysteresis more."""
+
+SHARE = 0.8
+"""Of the time, after which no further round begins."""
 
 WORTHWHILE = 0.5
 """Logarithm by which the mean square that is left of each recording falls, on average, in a round
@@ -123,7 +127,8 @@ def _reweighted(fit: CoupledFit,
 
 def fitted_together(
     fit: CoupledFit, late: np.ndarray, by_experiment: Mapping[str, Sequence[AxesRecording]],
-    fast: Sequence[AxesRecording], note: Callable[[str], object], is_open: bool,
+    fast: Sequence[AxesRecording], note: Callable[[str], object],
+    progress: Callable[[str, float], object], budget: Budget, is_open: bool,
 ) -> tuple[CoupledFit, list[Spectrum], CoupledModel] | None:
     """Fit modes, hysteresis and creep to all recordings.
 
@@ -140,6 +145,10 @@ def fitted_together(
         Those of the shortest sample period.
     note : callable
         Called with what was found of each axis.
+    progress : callable
+        Called with (stage, fraction) when a stage begins.
+    budget : Budget
+        Time after which no further round begins.
     is_open : bool
         Poles without evidence may be left out.
 
@@ -163,6 +172,10 @@ def fitted_together(
     densities: Sequence[DensityEstimate | None] = ()
     left = np.inf
     for number, levels in enumerate(LEVELS_OF_ROUNDS):
+        if number and budget.is_spent(SHARE):
+            budget.not_tried.append("hysteresis and creep once more beside the modes")
+            break
+        progress(f"hysteresis and creep, round {number + 1}", 0.75 + 0.03 * number)
         actuators, densities = estimate_actuators(model, steps, loops, levels, densities)
         if not any(each.hysteresis or each.creep.poles_rad_per_s for each in actuators):
             return None
@@ -177,10 +190,14 @@ def fitted_together(
         numbers, model = fit.numbers, about.model_of(fit)
         if number and before - left < WORTHWHILE * len(recordings):
             break
-    if is_open:
+    if is_open and budget.is_spent(SHARE):
+        budget.not_tried.append("further creep")
+    elif is_open:
+        progress("further creep", 0.85)
         fit = _with_more_creep(fit, spectra)
         fit = without_weak_poles(fit, spectra, JUDGED_STEPS)
         numbers, model = fit.numbers, about.model_of(fit)
+    progress("hysteresis, creep and modes together", 0.88)
     about = _About(model, numbers, late, fast, recordings)
     fit, spectra = reweighted_fit(*about.fitted(), is_open)
     model = about.model_of(fit)

@@ -102,10 +102,9 @@ def identify_several_axes(
     fit, spectra, late = _fitted_modes(fast, pairs, note, progress, budget)
     together = None
     if creep or hysteresis:
-        progress("hysteresis, creep and modes together", 0.8)
         together = fitted_together(
             fit, late, {"dynamics": dynamics, "creep": creep, "hysteresis": hysteresis}, fast, note,
-            is_open=pairs is None)
+            progress, budget, is_open=pairs is None)
         alike = [each for each in recordings if _is_of_period(each, fast[0].sample_period_s)]
         if together is None and len(alike) > len(fast):
             fast = alike

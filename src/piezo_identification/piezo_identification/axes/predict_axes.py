@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import interp1d
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.settling import AT_REST
@@ -21,6 +20,10 @@ if TYPE_CHECKING:
 
 SAME_PERIOD = 1e-4
 """Relative difference of sample periods up to which they are one: a clock's tolerance."""
+
+PARTS = 16
+"""Parts of a slow row in which a voltage that goes on is simulated, at least: by a part of the
+last, turning points are off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,11 +157,17 @@ def simulated_um(model: CoupledModel, recording: AxesRecording,
         model = model if rows == 1.0 else model.at_period(recording.sample_period_s)
         displacement_um = model.simulate(voltage_v, bool(recording.periods), circumstances.pasts)
     else:
-        between_v = interp1d(np.arange(len(voltage_v)), voltage_v, axis=0)
         whole = max(1, round(rows))
-        fine_v = between_v(np.arange(whole * (len(voltage_v) - 1) + 1) / whole)
+        parts = next((each for each in range(PARTS, whole) if whole % each == 0), whole)
+        begin = np.arange(len(voltage_v), dtype=float)
+        # The mean of the samples of each part.
+        middle = np.arange(parts * (len(voltage_v) - 1)) / parts + 0.5 * (1 / parts - 1 / whole)
+        parts_v = np.column_stack([np.interp(np.append(middle, begin[-1]), begin, column)
+                                   for column in voltage_v.T])
+        model = model if parts == whole else model.at_period(
+            model.sample_period_s * whole / parts)
         displacement_um = model.simulate(
-            fine_v, bool(recording.periods), circumstances.pasts)[::whole]
+            parts_v, bool(recording.periods), circumstances.pasts)[::parts]
     return np.tile(displacement_um, (periods, 1))
 
 
