@@ -20,7 +20,7 @@ from piezo_common.picture_style import thinned
 DIGITS = "{:.6g}"
 
 MOST_CELLS = 20_000
-"""Of a map; of more, every so manieth row and column."""
+"""A map with more cells is thinned to every so manieth row and column."""
 
 
 @dataclass(frozen=True, eq=False)

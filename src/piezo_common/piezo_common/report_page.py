@@ -21,7 +21,7 @@ from piezo_common.picture_data import picture_csv
 from piezo_common.picture_style import to_png
 
 PAGE_DOTS_PER_INCH, PAGE_COLOURS = 140, 128
-"""Of a picture: so many colours that lines and maps look the same."""
+"""Resolution and palette of a picture, with which lines and maps look the same."""
 
 MOST_COLUMNS = 4
 """Tables of more columns show each row as a list where the screen is narrow."""

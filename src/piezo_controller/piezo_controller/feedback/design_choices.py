@@ -12,7 +12,8 @@ ALL = "all"
 """These laws beside each other."""
 
 PEAK_SENSITIVITY = 2.0
-"""Of the worst stage: a gain margin of at least 2 and a phase margin of at least 29 degrees."""
+"""Where the worst stage has this peak, its gain margin is at least 2 and its phase margin at least
+29 degrees."""
 
 DEFAULT_WEIGHTS = "default"
 

@@ -205,7 +205,7 @@ def fitted_together(
         predict_several_axes(model, each) for each in recordings)]
     model = replace(model, operating_displacement_um=(
         model.operating_displacement_um + np.mean(offsets_um, axis=0)))
-    for axis, actuator in zip(model.axes, actuators, strict=True):
+    for axis, actuator in zip(model.axes, model.actuators, strict=True):
         shown = "hysteresis" if actuator.hysteresis else "no hysteresis"
         note(f"{axis}: {shown}, {len(actuator.creep.poles_rad_per_s)} pairs of creep")
     return fit, spectra, model

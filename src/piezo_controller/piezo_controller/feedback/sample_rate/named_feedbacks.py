@@ -25,7 +25,7 @@ from piezo_controller.feedback.sample_rate.searched_designs import design_by
 from piezo_models.cascade import StageModel
 
 ERRORS = ModelErrors(0.05, 0.05)
-"""Of all parameters, as `check_robustness` draws them."""
+"""Errors of all parameters are those that `check_robustness` draws."""
 
 NO_BANDWIDTH = 1e-3
 """Bandwidth over the first mode's frequency that every loop has: attenuation alone is sought."""
@@ -34,7 +34,7 @@ REPEATED = 1e-3
 """Relative error of the frequency, ten times that of the quartz of a clock."""
 
 FACTORS = np.geomspace(0.25, 4.0, 65)
-"""Of the gain: the search ends within a factor of two of the margin."""
+"""Factors of the gain that are tried: the search ends within a factor of two of the margin."""
 
 HALVINGS = 12
 
