@@ -52,7 +52,8 @@ def to_frame(recording: Recording) -> "pandas.DataFrame":
         import pandas
     except ImportError:
         raise RecordingError("pandas is not installed: "
-                             f"{how_to_install('pandas', 'frames')}, or use the arrays of read_recording.") from None
+                             f"{how_to_install('pandas', 'frames')}, "
+                             "or use the arrays of read_recording.") from None
     frame = pandas.DataFrame(
         _columns_of(recording), index=pandas.Index(recording.time_s, name="time_s"))
     frame.attrs = {"units": {"time_s": "s", **_units_of(frame)}, **_origin_of(recording)}
@@ -84,7 +85,8 @@ def to_xarray(recording: Recording) -> "xarray.Dataset":
         import xarray
     except ImportError:
         raise RecordingError("xarray is not installed: "
-                             f"{how_to_install('xarray', 'frames')}, or use the arrays of read_recording.") from None
+                             f"{how_to_install('xarray', 'frames')}, "
+                             "or use the arrays of read_recording.") from None
     columns = {"time_s": recording.time_s, **_columns_of(recording)}
     dataset = xarray.Dataset(
         {name: ("time_s", values) for name, values in columns.items()},
