@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from piezo_common.extras import how_to_install
 from piezo_recorder.reading.reader import read_recording
 from piezo_recorder.reading.recording import Recording, RecordingError
 from piezo_recorder.sample_block import Flag
@@ -50,8 +51,8 @@ def to_frame(recording: Recording) -> "pandas.DataFrame":
     try:
         import pandas
     except ImportError:
-        raise RecordingError("pandas is not installed: install it (`pip install pandas`, or the "
-                             "extra `pip install '.[frames]'` of the suite), "
+        raise RecordingError("pandas is not installed: "
+                             f"{how_to_install('pandas', 'frames')}, "
                              "or use the arrays of read_recording.") from None
     frame = pandas.DataFrame(
         _columns_of(recording), index=pandas.Index(recording.time_s, name="time_s"))
@@ -83,8 +84,8 @@ def to_xarray(recording: Recording) -> "xarray.Dataset":
     try:
         import xarray
     except ImportError:
-        raise RecordingError("xarray is not installed: install it (`pip install xarray`, or the "
-                             "extra `pip install '.[frames]'` of the suite), "
+        raise RecordingError("xarray is not installed: "
+                             f"{how_to_install('xarray', 'frames')}, "
                              "or use the arrays of read_recording.") from None
     columns = {"time_s": recording.time_s, **_columns_of(recording)}
     dataset = xarray.Dataset(

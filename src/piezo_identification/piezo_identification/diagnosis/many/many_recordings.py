@@ -17,6 +17,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from piezo_common.extras import how_to_install
 from piezo_recorder.reading.reader import sha256_of
 
 if TYPE_CHECKING:
@@ -282,8 +283,8 @@ def cluster_client(scheduler: str | None) -> "Client":
         from distributed import Client, LocalCluster
     except ImportError:
         raise ValueError(
-            "distributed is not installed: `pip install dask distributed`, or the extra "
-            "`pip install '.[cluster]'` of the suite") from None
+            "distributed is not installed: "
+            + how_to_install("dask distributed", "cluster")) from None
     try:
         if scheduler:
             return Client(scheduler, timeout=CONNECT_S)

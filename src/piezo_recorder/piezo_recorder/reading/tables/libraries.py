@@ -5,6 +5,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from piezo_common.extras import how_to_install
 from piezo_recorder.reading.recording import RecordingError
 
 PACKAGES = {"h5py": "h5py", "nptdms": "nptdms", "openpyxl": "openpyxl",
@@ -29,7 +30,6 @@ def library(module: str, path: Path) -> Any:
         return import_module(module)
     except ImportError:
         package = PACKAGES[module]
-        raise RecordingError(f"{path} needs the package {package}, which is not installed: install "
-                             f"it (`pip install {package}`, or all such packages by the extra "
-                             "`pip install '.[formats]'` of the suite), or save the data as "
+        raise RecordingError(f"{path} needs the package {package}, which is not installed: "
+                             f"{how_to_install(package, 'formats')}, or save the data as "
                              "CSV") from None
