@@ -29,7 +29,7 @@ def spec_of_file(path: str | Path) -> Any:
         from scanspec.specs import Spec
     except ImportError:
         raise InvalidReference(f"{path} needs the package scanspec, which is not installed: "
-                               + how_to_install("scanspec", "scans")) from None
+                               f"{how_to_install('scanspec', 'scans')}") from None
     try:
         return Spec.deserialize(json.loads(Path(path).read_text(encoding="utf-8")))
     except (OSError, ValueError) as error:

@@ -284,7 +284,7 @@ def cluster_client(scheduler: str | None) -> "Client":
     except ImportError:
         raise ValueError(
             "distributed is not installed: "
-            + how_to_install("dask distributed", "cluster")) from None
+            f"{how_to_install('dask distributed', 'cluster')}") from None
     try:
         if scheduler:
             return Client(scheduler, timeout=CONNECT_S)
