@@ -284,6 +284,15 @@ class JointErrors:
         return [(left_um[fitted], left_um[good & ~fitted]) for left_um, fitted, good in zip(
             self._at(vector).left_um, self._fitted, self._good, strict=True)]
 
+    def forget(self) -> None:
+        """Drop what was simulated: many times the recordings, and made anew where it is asked for.
+
+        A search keeps all that it has tried.
+        """
+        self._points, self._columns = {}, (b"", [])
+        self.dataset = simulated_by(
+            self.dataset, self.dataset.model, self.new_count, self.later)
+
     def _weighted(self, vector: FloatArray,
                   columns: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
         point = self._at(vector)

@@ -273,6 +273,7 @@ class WholeModel:
         left_um = errors.left_um(descent.vector)
         np.maximum(self._counts, [independent_errors(left) for left, _ in left_um],
                    out=self._counts)
+        errors.forget()
         return WholeFit(
             replace(fitted, effects=tuple(each for each in found if type(each) is not Delay)),
             delays_s[0] if delays_s else None, left_um, errors.accuracy_um, errors,
@@ -292,6 +293,7 @@ class WholeModel:
 
     def evidence(self, fit: WholeFit) -> list[Evidence]:
         """Return what each recording shows beside a fitted model, for effects to guess by."""
+        fit.errors.linearised(fit.vector)  # of which the data set then has the derivatives
         dataset = fit.errors.dataset_at(fit.vector)
         prior = np.eye(dataset.regressors.shape[1])[dataset.nuisance_count :]
         scale_um = dataset.of_each(

@@ -58,7 +58,6 @@ from piezo_identification.identification.row_delays import (
 from piezo_identification.identification.told_by_data import failures_explained
 from piezo_identification.prediction.prediction_errors import unseen_errors
 from piezo_models.cascade import StageModel
-from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.hysteresis.first_rise import FirstRise
 from piezo_models.identified_model import IdentifiedModel
 from piezo_recorder.reading.reader import origin_of
@@ -167,7 +166,6 @@ def identify(
             fitted, said, read_at,
             partial(loops_beside, said, density, estimate) if of_kind(said, "hysteresis")
             and linear.estimates and not first_rise else None, order, stages.part(0.3, 0.65), tell)
-        tell_effects(fitted, tell)
         recordings, read_at = validation_as_read(
             fitted.model, said, aligned(said, read_at), read_at)
         rows = row_delays(fitted.model, recordings, read_at, read_at_samples, linear)
@@ -197,15 +195,6 @@ def tell_estimates(linear: LinearDynamics, density: DensityEstimate,
         if estimate.delay is not None:
             tell(f"delay of the {name}: {estimate.delay}")
     tell(f"hysteresis: {density.report()}")
-
-
-def tell_effects(fitted: FittedModel, tell: Callable[[str], object]) -> None:
-    """Tell how long the lag in front of the hysteresis is, if the model has one."""
-    for effect, spread in zip(
-            fitted.model.effects, fitted.uncertainties.get("effects", ()), strict=False):
-        if isinstance(effect, AmplifierLag):
-            tell(f"lag in front of the hysteresis: {1e6 * effect.time_constant_s:.4g} +- "
-                 f"{1e6 * spread['time_constant_s']:.2g} us")
 
 
 def tell_starts(recordings: Mapping[str, Data], cycled: Mapping[str, Data],

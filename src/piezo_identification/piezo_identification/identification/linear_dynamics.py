@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Creep, electric and vibration dynamics, from whatever was recorded to show them."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -25,6 +25,7 @@ from piezo_identification.conditioning.waveforms import played, two_levels
 from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
 from piezo_identification.estimators.dynamics.any_input import estimate_dynamics_any
+from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
 from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S, estimate_dynamics
 from piezo_identification.estimators.estimate import SIGNIFICANT, Estimate
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
@@ -54,6 +55,10 @@ error of either, twice as many cells along a threshold make no difference."""
 CLEARLY_LESS = 0.9
 """Part of the residual to which creep has to come down if its rows are read otherwise than those of
 the dynamics: slow rows hardly tell."""
+
+ONCE_MORE = 4
+"""Orders, those of the most evidence in the first pass, that are compared in the second: it changes
+what enters the dynamics by less than what the others leave."""
 
 SECOND_PASS = 0.3
 """Share of the time that an identification may take, after which nothing is estimated once more."""
@@ -219,7 +224,7 @@ def estimate_linear_dynamics(
         if needs_hysteresis:
             driving = aligned_density(hysteresis, found, driving)[0]
         density = None if driving is None else driving.model()
-        estimate = _from_samples(fast, found.creep, density, order)
+        estimate = _from_samples(fast, found.creep, density, order, _likely(found))
         if order.creep_pairs is not None and found.creep.poles_rad_per_s:
             # As many pairs were asked for as there are; the one fit estimates them beside the rest.
             estimate = replace(estimate, creep=CreepDynamics())
@@ -354,11 +359,19 @@ def _from_response(
 
 def _from_samples(
     recordings: Sequence[Recording], creep: CreepDynamics, density: PreisachModel | None,
-    order: ResponseOrder,
+    order: ResponseOrder, among: Collection[ModeOrder],
 ) -> Estimate:
     if len(recordings) == 1 and _is_periodic(recordings[0]):
-        return estimate_dynamics(recordings[0], creep, order.modes)
-    return estimate_dynamics_any(recordings, creep, density, order.modes)
+        return estimate_dynamics(recordings[0], creep, order.modes, among=among)
+    return estimate_dynamics_any(recordings, creep, density, order.modes, among)
+
+
+def _likely(found: LinearDynamics) -> list[ModeOrder]:
+    """Return the orders that explained the dynamics best before; none where none were tried."""
+    if "dynamics" not in found.estimates:
+        return []
+    trials = sorted(found.estimates["dynamics"].trials, key=lambda trial: trial.information)
+    return [trial.order for trial in trials[:ONCE_MORE]]
 
 
 def _is_periodic(recording: Recording) -> bool:

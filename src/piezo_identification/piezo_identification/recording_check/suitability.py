@@ -50,9 +50,6 @@ class Needs:
         Time within which cycles that cross this part of their swing are steps.
     spectra : int
         Into so many stretches a broadband recording is cut to estimate its frequency response.
-    least_power : float
-        Part of the largest power of the voltage from which on a line of this response counts:
-        weaker ones may be what a neighbour leaks.
     coherent : float
         Coherence from which on a line of this response counts.
     departs : float
@@ -74,7 +71,6 @@ class Needs:
     steep_s: float = 2e-3
     steep: float = 0.5
     spectra: int = 8
-    least_power: float = 1e-3
     coherent: float = 0.8
     departs: float = 0.4
     well_visited: float = 0.5
@@ -392,13 +388,13 @@ def rows_per_ringing(response: FloatArray) -> float:
 def _departure(check: RecordingCheck) -> tuple[float, float]:
     """Return where the response departs most from its slowest, in Hz, and by which part of it.
 
-    The lines count that the voltage excites and with which the displacement goes. A mode, a lag
-    and a delay make the response another number than the slowest; hysteresis and creep hardly do.
+    The lines count with which the displacement goes, however little of the voltage they are:
+    steps over the whole range excite the modes by a millionth of their power. A mode, a lag and a
+    delay make the response another number than the slowest; hysteresis and creep hardly do.
     """
     segment = max(16, check.voltage_v.size // NEEDS.spectra)
     frequency_hz, response, coherence = gain_of(
-        check.voltage_v, check.displacement_um, check.sample_period_s, segment,
-        NEEDS.least_power)
+        check.voltage_v, check.displacement_um, check.sample_period_s, segment, least_power=0.0)
     coherent = coherence > NEEDS.coherent
     frequency_hz, response = frequency_hz[coherent], response[coherent]
     if response.size < 2:

@@ -179,3 +179,13 @@ def test_a_pair_of_the_creep_may_have_another_sign_than_that_which_was_given(wro
     fit = problem.fit(replace(wrong, creep=turned), None, 2)
     assert np.isfinite(fit.evidence_over(problem.fit(wrong, None, 0)))
     assert fit.model.creep.zeros_rad_per_s[-1] < fit.model.creep.poles_rad_per_s[-1]
+
+
+def test_what_a_fit_simulated_is_made_anew_where_it_is_asked_for(wrong, recordings):
+    problem = WholeModel(wrong, recordings, [0.0] * 3)
+    fit = problem.fit(wrong, None, 1)
+    evidence, deviations = problem.evidence(fit), fit.deviations()
+    fit.errors.forget()
+    assert fit.deviations() == deviations
+    for one, other in zip(evidence, problem.evidence(fit), strict=True):
+        np.testing.assert_allclose(one.residual_um, other.residual_um, atol=1e-12)

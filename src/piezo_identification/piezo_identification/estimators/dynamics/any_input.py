@@ -5,7 +5,7 @@ What enters the dynamics is simulated, by a known hysteresis, by that of the rec
 or for two levels by offset and gain (4.5); the measured displacement is fitted to the response.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from piezo_identification.conditioning.settling import AT_REST
 from piezo_identification.conditioning.waveforms import two_levels
 from piezo_identification.estimators.creep.square_wave_creep import USUAL_SETTLING_S
 from piezo_identification.estimators.dynamics.fast_creep import fit_beside_fast_creep
+from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
 from piezo_identification.estimators.dynamics.fast_signals import (
     FEWEST_SAMPLES,
     LATE_ROWS,
@@ -64,6 +65,7 @@ than an offset."""
 def estimate_dynamics_any(
     recordings: Sequence[Recording], creep: CreepDynamics,
     hysteresis: PreisachModel | None = None, mode_count: int | None = None,
+    among: Collection[ModeOrder] = (),
 ) -> Estimate:
     """Estimate electric lag and vibration modes (4.3) from recordings of any fast input.
 
@@ -77,6 +79,8 @@ def estimate_dynamics_any(
         estimated together with the dynamics; of two levels, an offset and a gain.
     mode_count : int, optional
         By default as many as the Bayesian information criterion justifies.
+    among : collection of ModeOrder
+        See `output_error.fit_output_error`.
 
     Returns
     -------
@@ -102,17 +106,17 @@ def estimate_dynamics_any(
         return fit_beside_fast_creep(
             lambda known: replace(_signals(squares, levels, known), early=timed.early,
                                   phase_room=timed.phase_room).record(),
-            creep, mode_count)
+            creep, mode_count, among=among)
     if hysteresis is not None:
         entering_um = [through_hysteresis(recording, part, hysteresis)
                        for recording, part in zip(recordings, parts, strict=True)]
         return fit_beside_fast_creep(
             lambda known: beside_slow_misfit(_signals(parts, entering_um, known).record()),
-            creep, mode_count)
+            creep, mode_count, among=among)
     without_hysteresis = _signals(
         parts, [np.asarray(part.voltage_v, dtype=float) for part in parts], creep)
     linear = fit_signals(without_hysteresis, MODES_OF_A_LINE)
-    estimate = _beside_hysteresis(parts, creep, mode_count)
+    estimate = _beside_hysteresis(parts, creep, mode_count, among)
     if estimate.residual_rms < linear.residual_rms:
         return estimate
     return fit_signals(without_hysteresis, mode_count)
@@ -120,6 +124,7 @@ def estimate_dynamics_any(
 
 def _beside_hysteresis(
     parts: Sequence[Recording], creep: CreepDynamics, mode_count: int | None,
+    among: Collection[ModeOrder],
 ) -> Estimate:
     """Fit the dynamics behind the hysteresis that the recordings themselves show."""
     loops = [
@@ -130,7 +135,7 @@ def _beside_hysteresis(
     found = hysteresis_beside_dynamics(loops)
     entering = [found.entering_um(each) for each in loops]
     return fit_output_error(
-        beside_slow_misfit(_signals(parts, entering, creep).record()), mode_count)
+        beside_slow_misfit(_signals(parts, entering, creep).record()), mode_count, among=among)
 
 
 def _signals(

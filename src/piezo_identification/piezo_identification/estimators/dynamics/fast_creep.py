@@ -5,7 +5,7 @@ Materials creep over all times alike. What goes on within the half period of a f
 in no creep recording, and a fit of lag and modes alone would bend these until they explain it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -13,6 +13,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
 from piezo_identification.estimators.dynamics.fast_record import FastRecord, FreeFit, independent
 from piezo_identification.estimators.dynamics.output_error import ROWS_OF_SEARCH, fit_output_error
 from piezo_identification.estimators.dynamics.pole_search import (
@@ -64,7 +65,7 @@ class FastCreep:
 
 def fit_beside_fast_creep(
     record_without: Callable[[CreepDynamics], FastRecord], creep: CreepDynamics,
-    mode_count: int | None = None, delay: float | None = None,
+    mode_count: int | None = None, delay: float | None = None, among: Collection[ModeOrder] = (),
 ) -> Estimate:
     """Fit the dynamics of least output error, with fast creep where the record shows some.
 
@@ -74,7 +75,7 @@ def fit_beside_fast_creep(
         Makes the record with a given creep removed.
     creep : CreepDynamics
         That is known.
-    delay : float, optional
+    mode_count, delay, among
         See `output_error.fit_output_error`.
 
     Returns
@@ -85,8 +86,8 @@ def fit_beside_fast_creep(
     made = cache(record_without)
     found = fast_creep(made, creep)
     if found is None:
-        return fit_output_error(made(creep), mode_count, delay)
-    beside = fit_output_error(made(joined_creep(creep, found.model)), mode_count, delay)
+        return fit_output_error(made(creep), mode_count, delay, among)
+    beside = fit_output_error(made(joined_creep(creep, found.model)), mode_count, delay, among)
     return replace(beside, creep=found.model, creep_deviations=found.deviations)
 
 

@@ -406,8 +406,8 @@ class FastRecord:
         """Return orthonormal columns of what the record may hold beside, and what they leave."""
         if isinstance(self.input, HeldInput):
             return self._span, self._target
-        span = independent(np.column_stack([self._span, self.input.transients(poles)]))
-        return span, _left(self.measured_um, span)
+        transients = independent(self.input.transients(poles), self._span)
+        return np.column_stack([self._span, transients]), _left(self._target, transients)
 
 
 def _left(columns: FloatArray, span: FloatArray) -> FloatArray:
@@ -457,7 +457,7 @@ def real_products(signals: list[ComplexArray], weights: list[ComplexArray]) -> F
     return product
 
 
-def independent(columns: FloatArray) -> FloatArray:
+def independent(columns: FloatArray, beside: FloatArray | None = None) -> FloatArray:
     """Return orthonormal columns of the same span, without what differs by rounding alone.
 
     Slow exponentials look alike in a short record. Were they kept as they are, the least error
@@ -466,6 +466,8 @@ def independent(columns: FloatArray) -> FloatArray:
     Parameters
     ----------
     columns : ndarray, shape (N, K)
+    beside : ndarray, shape (N, M), optional
+        Orthonormal columns, to which the ones returned are orthogonal.
 
     Returns
     -------
@@ -474,6 +476,8 @@ def independent(columns: FloatArray) -> FloatArray:
     """
     norms = np.linalg.norm(columns, axis=0)
     # A decay that is over before the record begins is zero throughout, and shows nothing.
-    left, values, _ = np.linalg.svd(
-        columns[:, norms > 0.0] / norms[norms > 0.0], full_matrices=False)
-    return left[:, values > COLLINEAR * values[0]]
+    columns = columns[:, norms > 0.0] / norms[norms > 0.0]
+    beside = np.empty((len(columns), 0)) if beside is None else beside
+    left, values, _ = np.linalg.svd(_left(columns, beside), full_matrices=False)
+    # What is small has rounding along the columns beside, too.
+    return _left(left[:, values > COLLINEAR], beside)

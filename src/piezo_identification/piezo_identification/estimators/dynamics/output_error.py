@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Electric lag, vibration modes, antiresonances, sensor lag and delay of least output error."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import replace
 from itertools import combinations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_common.budget import while_time_lasts
+from piezo_common.side_by_side import side_by_side
 from piezo_identification.estimators.dynamics.fast_dynamics import (
     ModeOrder,
     ascending_places,
@@ -82,6 +83,7 @@ SENSOR_LAGS = (0.3, 1.0, 4.0)
 
 def fit_output_error(
     record: FastRecord, mode_count: int | None = None, delay: float | None = None,
+    among: Collection[ModeOrder] = (),
 ) -> Estimate:
     """Electric and vibration dynamics (4.3) and a delay of least output error.
 
@@ -99,13 +101,16 @@ def fit_output_error(
     delay : float, optional
         In sample periods, where it is known; by default it is fitted beside, and left out if it
         does not differ significantly from none.
+    among : collection of ModeOrder
+        The only ones that are tried, as far as any of them has as many modes as there is evidence
+        for; by default all are.
 
     Returns
     -------
     Estimate
         Its order is a `ModeOrder`.
     """
-    search = _Search(record, delay)
+    search = _Search(record, delay, among)
     if mode_count is None:
         search.try_all_orders()
     else:
@@ -120,8 +125,10 @@ _Start = tuple[FloatArray, float]
 class _Search:
     """Fits of a record by order."""
 
-    def __init__(self, record: FastRecord, delay: float | None) -> None:
+    def __init__(self, record: FastRecord, delay: float | None,
+                 among: Collection[ModeOrder] = ()) -> None:
         self._whole, self._known_delay = record.thinned(ROWS_OF_FIT), delay
+        self._among = among
         self._record, self._coarse = (
             record.thinned(rows) for rows in (ROWS_OF_TRIALS, ROWS_OF_SEARCH))
         self._fits: dict[ModeOrder, FastFit] = {}
@@ -138,6 +145,7 @@ class _Search:
             for free in frees[max(0, best - 1) : best + 1]:
                 self._try_forms(free)
         if not self._fits:
+            self._among = ()
             self._try_forms(frees[best])
 
     def try_modes_in_series(self, count: int) -> None:
@@ -149,7 +157,7 @@ class _Search:
             choices = [(_chosen(free.vector, modes)) for modes in _subsets(free.modes, count)]
             best = min(choices, key=lambda vector: self._coarse.parts(
                 [(order, vector)], free.delay)[1])
-            self._keep(order, [(best, free.delay)])
+            self._keep([self._fit(order, [(best, free.delay)])])
 
     def estimate(self, order_given: bool) -> Estimate:
         """Return the best order, its delay left out if it is not significant."""
@@ -193,27 +201,39 @@ class _Search:
 
     def _try_forms(self, free: FreeFit) -> None:
         """Fit the free poles as a model, the forms with as many modes, and the best with a lag."""
-        if free.modes:
-            self._keep(ModeOrder(0, 0, free.modes, is_coupled=True),
-                       [(coupled_vector(free.poles, free.residues), free.delay)])
-        most = HOPELESS * self._coarse.free(free.vector, free.delay).cost
-        found = [fit for order, starts in [*self._with_antiresonances(free),
-                                           *self._with_modes_beside(free)]
-                 if (fit := self._keep(order, starts, most)) is not None]
-        for fit in sorted(found, key=self._information)[:LAGGING_FORMS]:
-            self._try_sensor_lag(fit)
+        # One form at least is fitted, whatever it leaves.
+        most = HOPELESS * self._coarse.free(free.vector, free.delay).cost if (
+            self._fits or free.modes) else np.inf
+
+        def fitted(forms: Iterable[tuple[ModeOrder, list[_Start]]]) -> list[FastFit]:
+            return [fit for order, starts in forms
+                    if (fit := self._fit(order, starts, most)) is not None]
+
+        coupled, *others = side_by_side(fitted, [
+            self._as_coupled_modes(free), self._with_antiresonances(free),
+            self._with_modes_beside(free)])
+        found = [fit for fits in others for fit in fits]
+        self._keep(coupled + found)
+        best = sorted(found, key=self._information)[:LAGGING_FORMS]
+        self._keep(side_by_side(self._with_sensor_lag, best))
 
     def _information(self, fit: FastFit) -> float:
         return -2.0 * self._record.log_evidence(
             fit, self._numbers(fit.order), self._independent)
 
-    def _try_sensor_lag(self, fit: FastFit) -> None:
+    def _with_sensor_lag(self, fit: FastFit) -> FastFit | None:
         order = replace(fit.order, sensor_lags=1)
         period_s = self._record.input.sample_period_s
         place = fit.order.positive
-        self._keep(order, [
+        return self._fit(order, [
             (np.insert(fit.vector, place, np.log(lag * period_s)), fit.delay - lag)
             for lag in SENSOR_LAGS])
+
+    @staticmethod
+    def _as_coupled_modes(free: FreeFit) -> Iterator[tuple[ModeOrder, list[_Start]]]:
+        if free.modes:
+            yield ModeOrder(0, 0, free.modes, is_coupled=True), [
+                (coupled_vector(free.poles, free.residues), free.delay)]
 
     def _with_antiresonances(self, free: FreeFit) -> Iterator[tuple[ModeOrder, list[_Start]]]:
         """Modes in series with the zeros of the free fit, then one zero less each time."""
@@ -297,23 +317,29 @@ class _Search:
             best.setdefault(delay, (vector, delay))
         return list(best.values())[:FOLLOWED]
 
-    def _keep(self, order: ModeOrder, starts: Iterable[_Start],
-              most: float = np.inf) -> FastFit | None:
-        """Fit an order from the best of several starts, unless all leave more; keep the best."""
+    def _fit(self, order: ModeOrder, starts: Iterable[_Start],
+             most: float = np.inf) -> FastFit | None:
+        """Fit an order from the best of several starts; None where all of them leave more."""
+        if self._among and order not in self._among:
+            return None
         is_free = self._known_delay is None
         quick = [
             self._coarse.fit(order, vector, delay if self._known_delay is None
                              else self._known_delay, QUICK_EVALUATIONS, is_free)
             for vector, delay in starts]
         quick.sort(key=lambda fit: fit.cost)
-        if quick[0].cost > most and self._fits:
+        if quick[0].cost > most:
             return None
-        best = min(
+        return min(
             (self._record.fit(order, fit.vector, fit.delay, is_delay_free=is_free)
              for fit in quick[:ENDED]), key=lambda fit: fit.cost)
-        if order not in self._fits or best.cost < self._fits[order].cost:
-            self._fits[order] = best
-        return self._fits[order]
+
+    def _keep(self, fits: Iterable[FastFit | None]) -> None:
+        """Keep the best fit of each order."""
+        for fit in fits:
+            if fit is not None and (fit.order not in self._fits
+                                    or fit.cost < self._fits[fit.order].cost):
+                self._fits[fit.order] = fit
 
     def _numbers(self, order: ModeOrder) -> int:
         """Return how many numbers an order has, with its gain and its delay."""

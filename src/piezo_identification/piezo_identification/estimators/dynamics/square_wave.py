@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Electric and vibration dynamics from a short square wave: vector-fit start, output-error fit."""
 
+from collections.abc import Collection
+
 import numpy as np
 
 from piezo_common.arrays import FloatArray
@@ -9,6 +11,7 @@ from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.settled_periods import first_settled_step
 from piezo_identification.conditioning.waveforms import square_wave
 from piezo_identification.estimators.dynamics.fast_creep import fit_beside_fast_creep
+from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
 from piezo_identification.estimators.dynamics.fast_record import FastRecord
 from piezo_identification.estimators.dynamics.fast_signals import drift_basis, played_at_the_clock
 from piezo_identification.estimators.estimate import Estimate
@@ -23,7 +26,7 @@ where it shows for longer."""
 
 def estimate_dynamics(
     recording: Recording, creep: CreepDynamics, mode_count: int | None = None,
-    delay: float | None = None,
+    delay: float | None = None, among: Collection[ModeOrder] = (),
 ) -> Estimate:
     """Estimate electric lag, vibration modes (4.3) and delay from a square wave of short period.
 
@@ -41,6 +44,8 @@ def estimate_dynamics(
         many of both, and of modes beside them, as the Bayesian information criterion justifies.
     delay : float, optional
         Of the rows, in sample periods; by default it is estimated beside.
+    among : collection of ModeOrder
+        See `output_error.fit_output_error`.
 
     Returns
     -------
@@ -54,7 +59,7 @@ def estimate_dynamics(
         If the recording has gaps, is no square wave, is averaged, or is too short.
     """
     return fit_beside_fast_creep(
-        lambda known: mean_period(recording, known), creep, mode_count, delay)
+        lambda known: mean_period(recording, known), creep, mode_count, delay, among)
 
 
 def mean_period(recording: Recording, creep: CreepDynamics) -> FastRecord:
