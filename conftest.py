@@ -51,6 +51,9 @@ What is identified comes with nodes of its own.
 settings.register_profile("suite", deadline=None)
 settings.load_profile("suite")
 
+OBJECTS_BETWEEN_LOOKS = 100_000
+"""Made and not freed, after which the garbage collector looks again; 700 by Python's default."""
+
 DOMAINS = range(1, 100)
 CLAIMS = f"{tempfile.gettempdir()}/piezo_test_domain_{{number}}"
 """Locked by the test process that uses a domain, until it ends."""
@@ -117,6 +120,11 @@ def pytest_collection_modifyitems(config, items):
     if left_out:
         config.hook.pytest_deselected(items=left_out)
         items[:] = [item for item in items if item not in set(left_out)]
+
+
+def pytest_configure():
+    """Look for garbage seldom: it takes a tenth of the time in which tests are collected."""
+    gc.set_threshold(OBJECTS_BETWEEN_LOOKS)
 
 
 def pytest_collection_finish():
@@ -314,6 +322,12 @@ def without_pictures(monkeypatch):
     """Make every picture a single point: to draw takes longer than what many tests look at."""
     monkeypatch.setattr(Figure, "savefig", lambda figure, target, **options: Image.new(
         "RGB", (1, 1)).save(target, "png"))
+
+
+@pytest.fixture
+def without_ceiling(monkeypatch):
+    """Train no learner on what a diagnosis leaves: it takes longer than most diagnoses."""
+    monkeypatch.setattr("piezo_identification.diagnosis.diagnose.ceiling_of", lambda *_: None)
 
 
 @pytest.fixture(scope="session", autouse=True)
