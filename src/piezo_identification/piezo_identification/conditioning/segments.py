@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from piezo_identification.conditioning.waveforms import SETTINGS as WAVEFORM
 from piezo_recorder.reading.recording import Recording
 
 FEWEST_SAMPLES = 3
@@ -53,7 +54,8 @@ def testable(recordings: Mapping[str, Any]) -> dict[str, Any]:
 def played_segments(recordings: Recordings) -> list[Recording]:
     """Cut recordings into stretches without gaps, of what plays in them.
 
-    What the stage did in a gap is not known, so each stretch begins with an unknown past.
+    What the stage did in a gap is not known, so each stretch begins with an unknown past. One in
+    which the voltage rests shows noise and drift alone, and is left out.
 
     Raises
     ------
@@ -66,11 +68,12 @@ def played_segments(recordings: Recordings) -> list[Recording]:
         starts = [gap[0] for gap in part.gaps]
         number = np.searchsorted(starts, part.sample_index, side="right")
         stretches = [part.select(number == each) for each in np.unique(number)]
+        least_v = WAVEFORM.level_tolerance * np.ptp(part.voltage_v) if part.voltage_v.size else 0.0
         kept = [replace(each, gaps=[]) for each in stretches
-                if each.voltage_v.size >= FEWEST_SAMPLES]
+                if each.voltage_v.size >= FEWEST_SAMPLES and np.ptp(each.voltage_v) >= least_v]
         if not kept:
             raise ValueError(
-                f"{recording.path} has fewer than {FEWEST_SAMPLES} samples between its gaps: "
-                "record it again")
+                f"{recording.path} has fewer than {FEWEST_SAMPLES} samples between its gaps while "
+                "the voltage moves: record it again")
         segments += kept
     return segments
