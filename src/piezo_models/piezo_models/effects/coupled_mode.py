@@ -18,10 +18,10 @@ from piezo_models.linear.dynamics import ElectricVibrationDynamics
 class CoupledMode(VibrationMode):
     """A pair of poles with any residue: (p + v s / w) / (1 + 2 d s / w + (s / w)^2).
 
-    Any proper rational dynamics behind a lag is a sum of these, and of a part that follows at once.
-    Modes of a structure have real participations; those that a damper, an amplifier of higher order
-    or another lag couples have a part v that follows the velocity, too. A pair that is damped
-    beyond 1 is two relaxations.
+    Any proper rational dynamics behind a lag is a sum of these and a direct part. Modes of a
+    structure have real participations. Modes that are coupled by a damper, an amplifier of higher
+    order or another lag also have a part v that follows the velocity. A pair with a damping ratio
+    above 1 is two relaxations.
     """
 
     name: ClassVar[str] = "coupled_mode"
@@ -36,12 +36,12 @@ class CoupledMode(VibrationMode):
         return self.participation, self.velocity_participation
 
     def branch(self) -> control.StateSpace:
-        """Return the continuous system of what the mode adds to the displacement."""
+        """Return the continuous system of the mode's contribution to the displacement."""
         return self._system(*self._parts())
 
     def apply(self, signal: FloatArray, sample_period_s: float,
               rest: float | None = None) -> FloatArray:
-        """Return the signal behind the mode, where there is no mode beside it."""
+        """Return the signal behind the mode if it is the only one."""
         w = self.frequency_rad_per_s
         branch = filtered([self.velocity_participation * w, self.participation * w * w],
                           self._mode()[1], signal, sample_period_s, rest)
@@ -49,7 +49,7 @@ class CoupledMode(VibrationMode):
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
-        """Return none: `identify` finds these together with the dynamics."""
+        """Return none: `identify` finds these modes together with the dynamics."""
         return []
 
 
