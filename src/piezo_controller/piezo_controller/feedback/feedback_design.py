@@ -138,7 +138,6 @@ def design_feedback(model: StageModel, weights: DesignWeights, clock_period_s: f
         ``constant`` or ``dynamic``: D of the D-K iteration.
     at_once : bool
         For a loop without averaging and computing time, see `design_plant`.
-        For a loop without averaging and computing time, see `design_plant`.
     reduce : bool
         Whether to lower the order if that costs next to nothing.
     delay_ticks : int

@@ -73,11 +73,10 @@ class AcceptedModels:
         Parameters
         ----------
         check : callable
-                Designs the feedback for the extended model, and raises ValueError if it is
-                unstable.
-            go_over : callable
-                Switches the run in progress to the model; returns from when on it is used, and may
-                raise.
+            Designs the feedback for the extended model, and raises ValueError if it is unstable.
+        go_over : callable
+            Switches the run in progress to the model; returns from when on it is used, and may
+            raise.
 
         Returns
         -------
