@@ -29,8 +29,7 @@ class OnlineInverse:
     """Inverse of a model, with its state: displacements in, voltages out.
 
     The dynamics are inverted by a filter with preview, the slow creep by its causal inverse, and
-    the
-    hysteresis exactly. The states of all three are carried from chunk to chunk.
+    the hysteresis exactly. The states of all three are carried from chunk to chunk.
     """
 
     model: StageModel

@@ -125,8 +125,7 @@ class StreamPlan:
         """Yield the voltages after `once_voltage_v`, chunk by chunk.
 
         A chunk depends only on the reference up to its end and the preview; computing time and
-        memory
-        do not grow with the length of the stream.
+        memory do not grow with the length of the stream.
 
         Raises
         ------
@@ -272,8 +271,7 @@ class StreamPlanner:
         """Plan the approach to the first displacement; raise `Infeasible` if that is impossible.
 
         Returns its voltages, the displacements of the slow part during it, the displacement that
-        the
-        sensor then measures, and the inverse that continues from there.
+        the sensor then measures, and the inverse that continues from there.
         """
         once_v, memory, slow_um, slow_state = self._approach(first_um)
         rest_um = slow_um[-1]
@@ -325,8 +323,7 @@ class StreamPlanner:
         """Return the voltages from rest down to the lowest and up to the first displacement.
 
         They are followed by the state at their end: the memory of the hysteresis, and displacement
-        and
-        state of the slow part.
+        and state of the slow part.
         """
         lowest_v = self.hysteresis.voltage_min_v
         reachable_um = np.clip(first_um, *self.hysteresis.output_range_um)

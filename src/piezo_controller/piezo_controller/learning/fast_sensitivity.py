@@ -16,8 +16,7 @@ def fast_sensitivity(model: StageModel, controller: FeedbackController, frequenc
     """Return the response from the displacement without feedback to that with it.
 
     The feedback sees the mean of a tick and answers with a held voltage. Only the part of its
-    answer
-    at the frequency itself counts, not its images at other multiples of the tick.
+    answer at the frequency itself counts, not its images at other multiples of the tick.
 
     Parameters
     ----------

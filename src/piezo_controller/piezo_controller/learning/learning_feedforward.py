@@ -26,8 +26,7 @@ class LearningFeedforward:
     """Voltages of a learning run, part by part, and what to expect: a `TrackingPlan`.
 
     Each part plays one iterate, faded in from the previous one: it settles, is measured, and
-    continues
-    while the next is computed. The last part plays the best one.
+    continues while the next is computed. The last part plays the best one.
 
     Parameters
     ----------

@@ -188,8 +188,7 @@ class PeriodicLearner:
         """Correct the expected responses by the observed effect of the last change (Kalman filter).
 
         Around a large oscillation the hysteresis, and the feedback around it, responds differently
-        to a
-        change of the amplitude and of the phase. Each response is therefore a real matrix.
+        to a change of the amplitude and of the phase. Each response is therefore a real matrix.
         """
         if self._last is None:
             return

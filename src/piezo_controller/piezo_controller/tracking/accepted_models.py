@@ -87,8 +87,7 @@ class AcceptedModels:
         ------
         ValueError
             If a file cannot be used, the models differ grossly, the feedback is unstable, or the
-            run
-            in progress cannot switch; nothing changes then.
+            run in progress cannot switch; nothing changes then.
         """
         present, following = (load_model(one.path).model for one in (model, extended))
         before, after = present.hysteresis, following.hysteresis
