@@ -46,7 +46,7 @@ def onboard_law(controller: FeedbackController, model: StageModel, plan: Feedfor
         Whether the stage then holds the mean of the inverse's voltages over a tick, as it holds
         the answer of a node.
     max_error_um : float
-        See `FeedbackLaw`.
+        Largest error of the law (um), see `FeedbackLaw`.
 
     Raises
     ------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Voltage for a reference that is published while the stage plays, computed without delay."""
+"""Voltage for a reference that is published during the run, computed as soon as it is known."""
 
 import math
 from collections.abc import Callable

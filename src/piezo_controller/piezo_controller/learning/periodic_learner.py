@@ -147,7 +147,7 @@ class PeriodicLearner:
         Parameters
         ----------
         displacement_um : (n P,) array
-            See `measure`.
+            Measured displacement over whole periods, see `measure`.
         """
         measured = self.measure(displacement_um)
         self.iterations += 1

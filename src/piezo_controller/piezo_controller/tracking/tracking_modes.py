@@ -70,7 +70,7 @@ def plan_mode(mode: str, reference: Reference, model: StageModel, stage: StageCl
     InvalidReference
         If the reference has no period of whole samples, or of whole ticks at a single rate.
     UnreachableReference
-        See `plan_feedforward`.
+        If the voltage would exceed the limits, see `plan_feedforward`.
     ValueError
         If the mode is unknown.
     """

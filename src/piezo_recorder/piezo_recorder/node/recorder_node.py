@@ -43,7 +43,7 @@ ARRIVAL_TIMEOUT_S = 5.0
 QUIET_TIMEOUT_S = 0.5
 POLL_PERIOD_S = 0.01
 DIAGNOSTICS_PERIOD_S = 1.0
-# Time from the loss of the client to the end of its recording, and while the stage moves.
+# Time from the loss of a client to the end of its recording (s), at rest and while moving.
 AFTERMATH_S, LONGEST_AFTERMATH_S = 2.0, 10.0
 MOVING = sample_block.Flag.RAMPING | sample_block.Flag.PLAYING | sample_block.Flag.TRACKING
 MEGABYTE = 1e6

@@ -229,7 +229,7 @@ def axes_recordings_in(data: Mapping[str, ArrayLike], name: str = IN_MEMORY) -> 
     Raises
     ------
     RecordingError
-        See `read_axes`.
+        If the columns are invalid, see `read_axes`.
 
     Examples
     --------

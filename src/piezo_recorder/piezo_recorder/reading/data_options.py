@@ -23,7 +23,7 @@ def read_all_given(path: str | PathLike[str], options: argparse.Namespace,
     options : argparse.Namespace
         Options of a parser with `add_columns_option`.
     several_axes : bool
-        See `read_recording`.
+        Whether a recording of several axes is accepted, too.
 
     Raises
     ------

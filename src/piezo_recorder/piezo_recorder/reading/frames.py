@@ -112,7 +112,7 @@ def read_frame(path: str | PathLike[str], **options: Any) -> "pandas.DataFrame":
     Returns
     -------
     pandas.DataFrame
-        See `to_frame`.
+        Samples as from `to_frame`.
 
     Raises
     ------

@@ -38,7 +38,7 @@ def recording_of(data: "Mapping[str, ArrayLike] | pandas.DataFrame | xarray.Data
     Raises
     ------
     RecordingError
-        See `recordings_in`; also if there are several recordings.
+        If the data are invalid, see `recordings_in`, or if there are several recordings.
 
     Examples
     --------

@@ -73,7 +73,7 @@ def recordings_of(tables: Sequence[Table], said: ColumnsDocument) -> list[Record
     Raises
     ------
     RecordingError
-        See `read_table_recordings`.
+        If a table is invalid, see `read_table_recordings`.
     """
     *groups, whole = tables
     usable = [group for group in groups if _sources(group, said)]

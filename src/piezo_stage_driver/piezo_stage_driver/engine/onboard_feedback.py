@@ -17,7 +17,7 @@ class CheckedLaw:
     Raises
     ------
     FeedbackLawError
-        See `check_law`; also if it may exceed the limits of the stage.
+        If the law is invalid, see `check_law`, or may exceed the limits of the stage.
     """
 
     def __init__(self, law: FeedbackLaw, samples_per_tick: int, lead_ticks: int,
@@ -86,7 +86,7 @@ class OnboardFeedback:
         Raises
         ------
         FeedbackLawError
-            See `RunningLaw.take_over`; the present law then continues.
+            If the law cannot take over, see `RunningLaw.take_over`; the present law then continues.
         """
         law = checked.running()
         law.take_over(self._law)

@@ -255,7 +255,7 @@ class StageCommands:
         ticks : int
             Duration; 0 until a stop.
         client : str
-            See `play`.
+            Name of the client, see `play`.
         onboard : bool
             Whether to add the output of the loaded law, instead of answers.
         feedforward_id : int
@@ -318,7 +318,7 @@ class StageCommands:
         Parameters
         ----------
         asked_s : float
-            See `StopLatch.reset`.
+            Time of the request by the monotonic clock (s), see `StopLatch.reset`.
 
         Raises
         ------

@@ -71,7 +71,7 @@ def light_mode_problem(model: StageModel, weights: SampleRateWeights,
     model : piezo_models.cascade.StageModel
         Model with a light mode that has no antiresonance.
     delay_ticks : int
-        See `design_plant`.
+        Ticks of computing time, see `design_plant`.
 
     Returns
     -------

@@ -107,7 +107,7 @@ class PerturbedLoops:
     disturbance_tolerance : float
         Relative error of these frequencies; the least attenuation within it counts.
     delay_ticks : int
-        See `design_plant`; 0 if the stage evaluates the feedback by itself.
+        Ticks of computing time; 0 if the stage evaluates the feedback by itself.
     coarse : int
         Number of frequencies over the whole band.
 

@@ -11,7 +11,7 @@ from piezo_models.cascade import StageModel
 from piezo_models.linear.dynamics import continue_linear, zoh
 
 RELAY_SWING = 0.9
-"""Amplitude of the relay as a part of the model's range. With a small one the hysteresis has less
+"""Swing of the relay as a part of the model's range. With a small one the hysteresis has less
 gain, and the ultimate gain comes out so high that large amplitudes oscillate."""
 RELAY_CYCLES = 30
 LONGEST_CYCLE_TICKS = 4000
@@ -48,7 +48,7 @@ def ultimate_point_by_relay(model: StageModel, samples_per_tick: int, clock_peri
     Parameters
     ----------
     swing : float
-        Amplitude of the relay, as a part of the model's range.
+        Peak-to-peak swing of the relay, as a part of the model's range.
 
     Returns
     -------
