@@ -214,7 +214,7 @@ def feedback_from_control(system: control.StateSpace | control.TransferFunction,
     Raises
     ------
     UnstableLoop
-        See `check_stabilises`.
+        If the loop is unstable, see `check_stabilises`.
     ValueError
         If the system has no period, a period that is no multiple of the sample clock's, no state,
         or more than one input or output.
