@@ -91,7 +91,7 @@ class Client:
         `SERVER_TIMEOUT_S` to appear.
     """
 
-    _signals = HeldSignals()  # of the process, not of one client
+    _signals = HeldSignals()  # shared by all clients of the process
 
     def __init__(self, namespace: str = "", name: str = "client",
                  wait_s: float = SERVER_TIMEOUT_S) -> None:
@@ -167,17 +167,13 @@ class Client:
         on_feedback : callable, optional
             Called with each feedback message; an exception that it raises cancels the goal.
         cancel_after_s : float, optional
-            Cancel the goal after this time.
+            Time in s after which the goal is cancelled.
         why_stop : callable, optional
             Called periodically; a text that is not empty cancels the goal, which then fails with
             this text.
         **fields
             Fields of the goal; relative paths refer to the caller's folder. ``client`` is this node
             by default: the server cancels the goal once that node is gone.
-
-        Returns
-        -------
-        result : message
 
         Raises
         ------

@@ -15,7 +15,7 @@ from piezo_models.axes.coupled import CoupledModel
 
 PASSED = 0.1
 """Smallest gain, relative to the DC gain in its worst direction, at which a line is learned: up to
-about three times the highest mode. With 0.03 the errors on the simulated XY stage are within a
+three times the highest mode. With 0.03 the errors on the simulated XY stage are within a
 fifth; at higher frequencies there is noise, and no model is known."""
 
 SAME_PERIOD = 1e-9

@@ -35,7 +35,7 @@ def main(arguments: list[str] | None = None) -> int:
         Ctrl-C.
     """
     given = sys.argv[1:] if arguments is None else arguments
-    options = _parser().parse_args(without_ros_arguments(given))  # which a launch file adds
+    options = _parser().parse_args(without_ros_arguments(given))  # a launch file adds these
     for path in _inputs(options):
         if not path.exists():
             print(f"stage: {path} does not exist: check the path", file=sys.stderr)

@@ -113,9 +113,9 @@ def while_time_lasts(what: str, share: float = SEARCH) -> Iterator[Part]:
     Parameters
     ----------
     what : str
-            Name of the part, noted as not tried if the block ends early.
-        share : float
-            Share of the time of the budget, 0 to 1.
+        Name of the part, noted as not tried if the block ends early.
+    share : float
+        Share of the time of the budget, 0 to 1.
     """
     budget, part = _budget.get() or Budget(), Part()
 

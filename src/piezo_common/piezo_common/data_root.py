@@ -46,7 +46,7 @@ class DataRoot:
     Raises
     ------
     DataRootError
-        If there is no such folder.
+        If the folder does not exist.
     """
 
     def __init__(self, folder: str | os.PathLike, node_name: str) -> None:

@@ -15,7 +15,7 @@ def how_to_install(package: str, extra: str) -> str:
     extra : str
         Extra in the suite's ``pyproject.toml``.
     """
-    of_setup = (Path(sys.prefix) / "stamp").exists()  # as tools/setup leaves it
+    of_setup = (Path(sys.prefix) / "stamp").exists()  # written by tools/setup
     typed = "`make extras`" if of_setup else (
         f"`pip install {package}`, or the extra `pip install '.[{extra}]'` of the suite")
     return f"install it ({typed})"

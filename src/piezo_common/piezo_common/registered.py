@@ -77,7 +77,7 @@ def _load(group: str, point: EntryPoint) -> Any:
     kind = _plural(group).removesuffix("s")
     try:
         found = point.load()
-    except Exception as error:  # whatever the code of others does while it is imported
+    except Exception as error:  # any exception of the imported code
         raise ValueError(f"the {kind} {point.name!r} cannot be loaded: {error}; mend or uninstall "
                          "the package that announces it") from error
     name = getattr(found, "name", point.name)

@@ -62,6 +62,7 @@ def compare(model_a: AnyModel, model_b: AnyModel, data: Any, *,
 
     Parameters
     ----------
+    model_a, model_b : IdentifiedModel, StageModel or path-like
     data : path, arrays by name, pandas.DataFrame or Recording
         Recording that neither model was fitted to; otherwise the closer fit would win.
     columns : sequence of str

@@ -155,6 +155,8 @@ def simulate(model: AnyModel | IdentifiedAxes, data: Any, *, columns: Sequence[s
 
     Parameters
     ----------
+    model : IdentifiedModel, StageModel, IdentifiedAxes or path-like
+    data : path, arrays by name, pandas.DataFrame, Recording or AxesRecording
     columns, rows_read
         As for `identify`. Without `rows_read`, rows are read as in the identification if the model
         then fits better.
@@ -201,6 +203,7 @@ def diagnose(model: AnyModel, data: Any, holdout: Any = None, *, identified_from
 
     Parameters
     ----------
+    model : IdentifiedModel, StageModel or path-like
     data : path, arrays by name, pandas.DataFrame or Recording, or a list of several
         Recordings, or one frequency response.
     holdout : the same, one, optional
@@ -312,6 +315,7 @@ def design(
 
     Parameters
     ----------
+    model : IdentifiedModel, StageModel or path-like
     method : str
         "h_infinity", or "pid" or "pi" by Ziegler and Nichols.
     weights : str or Path

@@ -125,10 +125,6 @@ def call_service(node: Node, client: Client, request: Message, timeout_s: float 
     appearance_s : float
         Time to wait for the service to appear in s.
 
-    Returns
-    -------
-    response : message
-
     Raises
     ------
     CallFailed

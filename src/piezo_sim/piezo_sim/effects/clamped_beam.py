@@ -26,7 +26,7 @@ WAVE_NUMBERS = (4.730040744862704, 7.853204624095838, 10.995607838001671)
 
 
 def mode_shape(wave_number: float, place: float) -> float:
-    """Deflection of a clamped beam's mode at `place`, in parts of the length; mean square one."""
+    """Return the deflection of a mode at `place`, a fraction of the length; mean square one."""
     x = wave_number * place
     ratio = (math.cosh(wave_number) - math.cos(wave_number)) / (
         math.sinh(wave_number) - math.sin(wave_number)

@@ -29,7 +29,7 @@ STEPS = 8
 def _follow(samples: FloatArray, output_v: float, slope_v_per_s: float, steps: int,
             linear: FloatArray, saturated: FloatArray, gain_per_s: float,
             slew_v_per_s: float) -> tuple[float, float]:
-    """Rows of the matrices: new output, new slope, integral; columns: output, slope, input."""
+    """Advance the amplifier; rows of the matrices are new output, new slope and integral."""
     for n in range(samples.size):
         target_v = samples[n]
         integral = 0.0
