@@ -5,11 +5,13 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import control
+import numpy as np
 
-from piezo_common.arrays import FloatArray
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_models.effects.effect import Evidence, parameter
 from piezo_models.effects.filtering import filtered
 from piezo_models.effects.vibration_mode import VibrationMode
+from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
 
 @dataclass(frozen=True)
@@ -51,3 +53,38 @@ class CoupledMode(VibrationMode):
         return []
 
 
+def modes_in_parallel(dynamics: ElectricVibrationDynamics) -> tuple[CoupledMode, ...]:
+    """Return modes in series, and the antiresonances between them, as modes in parallel.
+
+    Behind the electric lag of the dynamics their sum is the same transfer function (4.3), by
+    partial fractions.
+
+    Parameters
+    ----------
+    dynamics : ElectricVibrationDynamics
+        With more modes than antiresonances, none of them critically damped.
+
+    Raises
+    ------
+    ValueError
+        If two modes are so close to each other that their parts are out of bounds.
+    """
+    frequencies, dampings = (np.array(each) for each in (
+        dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios))
+    roots = np.sqrt(dampings.astype(complex) ** 2 - 1.0)
+    poles = frequencies * np.array([-dampings + roots, -dampings - roots])
+
+    def factor(s: ComplexArray, frequency: float, damping: float) -> ComplexArray:
+        return 1.0 + 2.0 * damping * s / frequency + (s / frequency) ** 2
+
+    at_poles = np.ones_like(poles)
+    for zero in zip(dynamics.antiresonance_frequencies_rad_per_s,
+                    dynamics.antiresonance_damping_ratios, strict=True):
+        at_poles *= factor(poles, *zero)
+    for number, mode in enumerate(zip(frequencies, dampings, strict=True)):
+        others = np.arange(frequencies.size) != number
+        at_poles[:, others] /= factor(poles[:, others], *mode)
+    velocity = (at_poles[0] - at_poles[1]) * frequencies / (poles[0] - poles[1])
+    position = at_poles[0] - velocity * poles[0] / frequencies
+    return tuple(CoupledMode(*map(float, numbers)) for numbers in zip(
+        frequencies, dampings, position.real, velocity.real, strict=True))

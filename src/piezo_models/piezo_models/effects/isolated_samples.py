@@ -20,8 +20,10 @@ SPREAD = 7.0
 STEPS = 2.0
 """Limit of a step in typical steps around it; the tip of a triangle is no larger than one."""
 
-ROUNDINGS = 3.0
-"""Limit of a step in steps of the converter, as its rounding."""
+ROUNDINGS, COMMON, ALIKE = 3.0, 0.25, 1e-9
+"""So many steps of a converter count as its rounding. Its step is that which this part of the
+distances between values do not exceed: rows that were put in between others have values of their
+own. Values that differ by less than this part of all are one, which arithmetic rounded."""
 
 ANSWER = 40
 """Samples within which the signal may respond to a step of the voltage, including ringing."""
@@ -159,8 +161,9 @@ def _limits(left: FloatArray, answer: FloatArray, noise: float) -> tuple[FloatAr
     walk = STEPS * _beside(np.abs(np.diff(left, prepend=left[0])))
     bends = np.abs(np.diff(left, 2, prepend=left[0], append=left[-1]))
     spread = 1.4826 / np.sqrt(6.0) * _beside(bends)
-    values = np.unique(left)
-    rounding = np.diff(values).min(initial=np.inf) if values.size > 1 else 0.0
+    apart = np.diff(np.unique(left))
+    apart = apart[apart > ALIKE * apart.sum()]
+    rounding = float(np.quantile(apart, COMMON)) if apart.size else 0.0
     return np.maximum.reduce([
         SPREAD * np.maximum(spread, noise), walk, np.full(left.size, ROUNDINGS * rounding), answer,
     ]), walk

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Electric and vibration dynamics from any fast input: chirp, noise, steps, a free square wave.
 
-What enters the dynamics is simulated, by a known hysteresis, by that of the recordings themselves,
-or for two levels by offset and gain (4.5); the measured displacement is fitted to the response.
+The input of the dynamics is simulated with a known hysteresis or with that of the recordings
+themselves; for two levels it is an offset and a gain (4.5). The measured displacement is fitted to
+the response.
 """
 
 from collections.abc import Collection, Sequence
@@ -42,24 +43,24 @@ from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
 
 MODES_OF_A_LINE = 2
-"""Vibration modes with which a line is compared with a hysteresis."""
+"""Number of vibration modes with which a line is compared with a hysteresis."""
 
 AT_END = 20
-"""Samples at the end of a visit of a level that tell where it ended."""
+"""Number of samples at the end of a visit of a level that show where it ended."""
 
 LONGEST_LOOK = 200
-"""Samples at the end of that rest, at most, that show whether the stage still rings."""
+"""Largest number of samples at the end of that rest that show whether the stage still rings."""
 
 STILL = 3.0
-"""Times the sensor's noise up to which these samples, less the best parabola, show no ringing, and
-up to which the ends of visits of a level are the same."""
+"""Multiple of the sensor noise up to which these samples, minus the best parabola, show no ringing,
+and up to which the ends of visits of a level are the same."""
 
 MOST_LEFT_OUT = 0.4
-"""Part of a recording that is left out at most, until its past no longer counts."""
+"""Largest part of a recording that is omitted until its past no longer matters."""
 
 NEAR_AN_EXTREME = 0.05
-"""Once the voltage was within this part of its range from both ends, the past counts for no more
-than an offset."""
+"""Distance from both ends of the range, relative to it, that the voltage must have reached for the
+past to act only as an offset."""
 
 
 def estimate_dynamics_any(
@@ -72,15 +73,16 @@ def estimate_dynamics_any(
     Parameters
     ----------
     recordings : sequence of Recording
-        Without gaps, at the full sample clock and of one sample period. Each has an offset and an
-        initial creep of its own.
-    hysteresis : PreisachModel, optional
-        If known, over the voltages of the recordings. By default that of the recordings, which is
-        estimated together with the dynamics; of two levels, an offset and a gain.
-    mode_count : int, optional
-        By default as many as the Bayesian information criterion justifies.
-    among : collection of ModeOrder
-        See `output_error.fit_output_error`.
+            Recordings without gaps, at the full sample clock and with the same sample period. Each
+            has its own offset and initial creep.
+        hysteresis : PreisachModel, optional
+            Known hysteresis, valid for the voltages of the recordings. By default it is estimated
+            from the recordings together with the dynamics; for two levels, it is an offset and a
+            gain.
+        mode_count : int, optional
+            By default as many as the Bayesian information criterion justifies.
+        among : collection of ModeOrder
+            See `output_error.fit_output_error`.
 
     Returns
     -------
@@ -126,7 +128,7 @@ def _beside_hysteresis(
     parts: Sequence[Recording], creep: CreepDynamics, mode_count: int | None,
     among: Collection[ModeOrder],
 ) -> Estimate:
-    """Fit the dynamics behind the hysteresis that the recordings themselves show."""
+    """Fit the dynamics behind the hysteresis estimated from the same recordings."""
     loops = [
         FastLoops(np.asarray(part.voltage_v, dtype=float),
                   remove_creep(part.displacement_um, creep, part.sample_period_s),
@@ -141,7 +143,7 @@ def _beside_hysteresis(
 def _signals(
     parts: Sequence[Recording], inputs: Sequence[FloatArray], creep: CreepDynamics,
 ) -> FastSignals:
-    """Join recordings with known inputs, from where the past of each no longer counts."""
+    """Join recordings with known inputs, from where the past of each no longer matters."""
     first_kept = [_first_kept(part) for part in parts]
     for part, first in zip(parts, first_kept, strict=True):
         left = part.voltage_v.size - LATE_ROWS - first
@@ -158,7 +160,7 @@ def _first_kept(part: Recording) -> int:
     range_v = float(np.ptp(voltage_v))
     moved = np.flatnonzero(np.abs(voltage_v - voltage_v[0]) > 1e-3 * range_v)
     rest = int(moved[0]) if moved.size else voltage_v.size
-    # Of a rest the end is enough: it may begin with what rings after an earlier step.
+    # Only the end of a rest is used: its beginning may still ring after an earlier step.
     is_still = rest >= AT_REST and not _rings(part, slice(max(0, rest - LONGEST_LOOK), rest))
     warm = rest - AT_REST if is_still else round(WARM_UP_S / part.sample_period_s)
     near_v = NEAR_AN_EXTREME * range_v
@@ -166,8 +168,8 @@ def _first_kept(part: Recording) -> int:
     low = int(np.argmax(voltage_v <= voltage_v.min() + near_v))
     most = int(MOST_LEFT_OUT * voltage_v.size)
     first = min(warm, most)
-    # The way to the second of them began where the past had left the stage. A first step of
-    # another height than the later ones leaves all that rings in motion.
+    # The motion to the second of them began when the past no longer mattered. A first step of
+    # another height than the later ones leaves all modes ringing.
     reached = max(high, low)
     if reached + round(USUAL_SETTLING_S / part.sample_period_s) <= most:
         settling_s = USUAL_SETTLING_S if _comes_back(part) else WARM_UP_S
@@ -176,10 +178,10 @@ def _first_kept(part: Recording) -> int:
 
 
 def _comes_back(part: Recording) -> bool:
-    """Tell whether a square wave ends the later visits of its first level where the first ended.
+    """Return whether later visits of the first level of a square wave end where the first ended.
 
-    A stage that rings for longer than a visit does not seem to: that costs some rows only. Any
-    other voltage counts as one that does.
+    They seem not to if the stage rings for longer than a visit, which only costs some rows. Any
+    other voltage returns True.
     """
     wave = two_levels(part)
     if wave is None:
@@ -191,7 +193,7 @@ def _comes_back(part: Recording) -> bool:
 
 
 def _rings(part: Recording, rest: slice) -> bool:
-    """Tell whether the displacement rings while the voltage rests, as after a step before."""
+    """Return whether the displacement rings while the voltage rests, as after an earlier step."""
     displacement_um = part.displacement_um[rest]
     trend = np.vander(np.linspace(-1.0, 1.0, displacement_um.size), 3)
     left_um = displacement_um - trend @ np.linalg.lstsq(trend, displacement_um, rcond=None)[0]
