@@ -145,7 +145,8 @@ def check_file_name(name: str, what: str) -> None:
 
     Raises
     ------
-    If the name is not allowed.
+    DataRootError
+        If the name is not allowed.
     """
     problem = _problem(name)
     if problem:

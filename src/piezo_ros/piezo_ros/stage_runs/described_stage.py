@@ -118,7 +118,8 @@ class DescribedStage:
 
         Raises
         ------
-        If the stage is gone, or its description has changed.
+        CallFailed
+            If the stage is gone, or its description has changed.
         """
         present = self.description
         if present is None:

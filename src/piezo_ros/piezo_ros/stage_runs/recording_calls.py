@@ -168,7 +168,8 @@ class RecorderCaller:
 
         Raises
         ------
-        If the recorder cannot start the recording.
+        CallFailed
+            If the recorder cannot start the recording.
         """
         request = StartRecording.Request(
             directory=str(Path(directory).absolute()), name=free_name(directory, name),
