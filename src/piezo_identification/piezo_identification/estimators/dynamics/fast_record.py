@@ -473,7 +473,7 @@ def independent(columns: FloatArray, beside: FloatArray | None = None) -> FloatA
     Returns
     -------
     ndarray, shape (N, L)
-            L is at most K.
+        L is at most K.
     """
     norms = np.linalg.norm(columns, axis=0)
     # A decay that ends before the record begins is zero throughout.
