@@ -51,9 +51,6 @@ What is identified comes with nodes of its own.
 settings.register_profile("suite", deadline=None)
 settings.load_profile("suite")
 
-OBJECTS_BETWEEN_LOOKS = 100_000
-"""Made and not freed, after which the garbage collector looks again; 700 by Python's default."""
-
 DOMAINS = range(1, 100)
 CLAIMS = f"{tempfile.gettempdir()}/piezo_test_domain_{{number}}"
 """Locked by the test process that uses a domain, until it ends."""
@@ -123,13 +120,14 @@ def pytest_collection_modifyitems(config, items):
 
 
 def pytest_configure():
-    """Look for garbage seldom: it takes a tenth of the time in which tests are collected."""
-    gc.set_threshold(OBJECTS_BETWEEN_LOOKS)
+    """Look for no garbage while tests are collected: it takes a tenth of that time."""
+    gc.disable()
 
 
 def pytest_collection_finish():
     """Let the garbage collector leave alone what lasts as long as the process."""
     gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(scope="session", autouse=True)

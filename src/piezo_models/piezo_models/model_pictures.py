@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     from piezo_models.cascade import StageModel
 
 AMPLITUDES = (1.0, 0.75, 0.5, 0.25)
-"""Parts of the voltage range that the drawn loops cover."""
+"""Fractions of the voltage range that the drawn loops cover."""
 
 POINTS = 400
 BESIDE = 3.0
-"""Factor by which the drawn frequencies go beyond the slowest and the fastest of the model."""
+"""Factor by which the drawn frequencies exceed the slowest and fastest rates of the model."""
 
 STATIC_HZ = (1.0, 1000.0)
-"""Frequencies drawn of a model that has neither creep nor dynamics."""
+"""Frequency range in Hz drawn for a model that has neither creep nor dynamics."""
 
 
 def draw_model(model: "StageModel", visited: NDArray[np.bool_] | None = None) -> "Figure":
@@ -62,7 +62,7 @@ def density_on(axes: "Axes", hysteresis: PreisachModel,
     Returns
     -------
     matplotlib.collections.QuadMesh
-        What was drawn, such as for a colour bar.
+        The mesh that was drawn, for example for a colour bar.
     """
     levels_v, density = hysteresis.levels_v, hysteresis.density_um_per_v2
     below = np.tril(np.ones(density.shape, dtype=bool))
@@ -95,7 +95,7 @@ def loops_on(axes: "Axes", hysteresis: PreisachModel) -> None:
 
 
 def response_on(gain: "Axes", phase: "Axes", model: "StageModel") -> None:
-    """Draw gain and phase of what follows the hysteresis, on an axis each."""
+    """Draw gain and phase of creep and dynamics, on one axis each."""
     frequency_hz = drawn_frequencies(model)
     response = model.response(frequency_hz)
     gain.loglog(frequency_hz, np.abs(response), color=BLUE, linewidth=1.2)
@@ -111,7 +111,7 @@ def drawn_frequencies(model: "StageModel") -> FloatArray:
     of_modes = [effect.frequency_rad_per_s for effect in model.effects_at("modes")]
     modes = [*dynamics.mode_frequencies_rad_per_s,
              *dynamics.antiresonance_frequencies_rad_per_s, *of_modes]
-    # A lag far above the modes is none that the recordings could show.
+    # Recordings cannot show a lag far above the modes, so it does not extend the range.
     lag = [] if modes or not dynamics.time_constant_s else [1.0 / dynamics.time_constant_s]
     rates = [*model.creep.poles_rad_per_s, *model.creep.zeros_rad_per_s, *modes, *lag]
     low_hz, high_hz = STATIC_HZ

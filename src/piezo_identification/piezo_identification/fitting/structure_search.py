@@ -14,7 +14,7 @@ from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
 from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.band_limited_voltage import BandLimitedVoltage
-from piezo_models.effects.coupled_mode import CoupledMode
+from piezo_models.effects.coupled_mode import CoupledMode, modes_in_parallel
 from piezo_models.effects.second_order_amplifier import SecondOrderAmplifier
 from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.effects.vibration_mode import VibrationMode
@@ -296,6 +296,7 @@ def starts(problem: WholeModel, given: StageModel,
     They contain the ringing modes and a lag on one side of the hysteresis. A search without the
     hysteresis describes part of the loops as dynamics, which step-by-step changes cannot undo.
     """
+    given = _with_modes_in_parallel(given)
     ringing = [effect for effect in given.effects
                if isinstance(effect, VibrationMode) and _rings(problem, effect)]
     if given.dynamics.is_static and not ringing:
@@ -319,6 +320,20 @@ def starts(problem: WholeModel, given: StageModel,
     if any(isinstance(effect, VibrationMode) for effect in given.effects):
         yield Structure(f"{what}, with an electric lag", replace(
             _electric(bare, lag_s), effects=effects), delay_s)
+
+
+def _with_modes_in_parallel(model: StageModel) -> StageModel:
+    """Return a model whose modes with antiresonances are in parallel; else the model itself."""
+    dynamics = model.dynamics
+    zeros = len(dynamics.antiresonance_frequencies_rad_per_s)
+    if not 0 < zeros < len(dynamics.mode_frequencies_rad_per_s):
+        return model
+    try:
+        modes = modes_in_parallel(dynamics)
+    except ValueError:  # Two that are nearly equal have parts without bound.
+        return model
+    return replace(model, effects=(*modes, *model.effects),
+                   dynamics=ElectricVibrationDynamics(dynamics.time_constant_s))
 
 
 def between_rows(problem: WholeModel, given: StageModel,
