@@ -389,7 +389,9 @@ def decide(selection: Selection, validation: Validation,
 
 def hold_to_noise(shares: Mapping[str, float], found: Selection, believed: Validation, fit: Fit,
                   noise: KnownNoise, stated_um: float, finds_nothing: bool) -> HeldToNoise:
-    """Compare the residual of a fit with the noise, or with what is predictable if unknown.
+    """Compare the residual of a fit with the noise.
+
+    If the noise is unknown, the predictable part of the residual is used instead.
 
     Parameters
     ----------

@@ -39,7 +39,6 @@ class Verdict:
         Model extended by the effects; the given one if there are none.
     before, after : dict
         `rms_um` and `e_y_percent` on held-out data.
-    noise_floor_um : float
     holdout : dict
         Source of the held-out data, and number of samples.
     not_decidable : dict of str to str

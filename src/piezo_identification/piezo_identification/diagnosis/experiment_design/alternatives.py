@@ -47,7 +47,6 @@ class Alternative:
         Names of the effects joined by +, or "none".
     effects : tuple of Effect
         Effects without those that the model already had.
-    fit : JointFit
     probability : float
         Probability from the recordings so far; the sum over all listed alternatives is less than
         one by the probability of unlisted ones.

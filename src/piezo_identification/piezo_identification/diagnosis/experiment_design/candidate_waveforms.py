@@ -34,7 +34,6 @@ class Family:
 
     Attributes
     ----------
-    name : str
     levels : tuple of float
         Fractions of the voltage range that are tried.
     rates : tuple of float
@@ -119,7 +118,6 @@ class Point:
 
     Attributes
     ----------
-    family : Family
     level : float
         Fraction of the voltage range.
     rate_hz : float

@@ -86,7 +86,6 @@ class Alternative:
         Sorted names of the effects that the given model lacks; empty for the model alone.
     since : bool
         True if the effects appeared after the identification.
-    fit : JointFit
     evidence : Evidence
         Quantities on which its probability depends.
     """

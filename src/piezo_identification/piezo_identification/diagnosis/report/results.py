@@ -81,7 +81,6 @@ class DiagnosisResults:
 
     Attributes
     ----------
-    diagnosis : piezo_identification.diagnosis.diagnose.Diagnosis
     outside : tuple of str
         Sentences on how rows were aligned, and on recordings outside the range of the
         identification.

@@ -50,7 +50,6 @@ class ResponseDiagnosis(Verdict):
     ----------
     tried : list of list of (str, float)
         Candidates of each round, and the change of the held-out error in percent.
-    measured : FrequencyResponse
     before_gain, after_gain : (N,) array of complex
         Gain of the given model and of the extended one at the measured frequencies.
     """

@@ -58,7 +58,6 @@ class ResponseFit:
     ----------
     changes : (m,) array
         Changes of the logarithms of the dynamics.
-    effects : tuple of piezo_models.effects.effect.Effect
     residual : (N,) array of complex
         Residual of the gain, divided by the tolerance.
     """

@@ -189,7 +189,7 @@ class FastRecord:
 
     def log_evidence(self, fit: FastFit | FreeFit, numbers: int,
                      independent: float = INDEPENDENT) -> float:
-        """Return the log-evidence of a fit with given numbers of parameters and fixed columns.
+        """Return the log-evidence of a fit with this many parameters besides the fixed columns.
 
         Parameters
         ----------
