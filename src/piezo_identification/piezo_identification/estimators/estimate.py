@@ -268,7 +268,7 @@ def parameter_deviations(jacobian: FloatArray) -> FloatArray:
     Parameters
     ----------
     jacobian : ndarray, shape (N, P)
-            Jacobian of the residual at the optimum.
+        Jacobian of the residual at the optimum.
 
     Returns
     -------
@@ -374,7 +374,7 @@ def creep_of_partial_fractions(
     rates, gains : ndarray, shape (P,)
         Poles p and positive gains g.
     covariance : ndarray, shape (2 P, 2 P), optional
-            Covariance of the rates, followed by the gains.
+        Covariance of the rates, followed by the gains.
 
     Returns
     -------

@@ -330,7 +330,7 @@ def _with_modes_in_parallel(model: StageModel) -> StageModel:
         return model
     try:
         modes = modes_in_parallel(dynamics)
-    except ValueError:  # Two that are nearly equal have parts without bound.
+    except ValueError:  # The parts of nearly equal modes are unbounded.
         return model
     return replace(model, effects=(*modes, *model.effects),
                    dynamics=ElectricVibrationDynamics(dynamics.time_constant_s))

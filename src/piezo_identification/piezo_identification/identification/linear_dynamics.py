@@ -53,8 +53,8 @@ DRIVING_LEVELS = 30
 are read. Compared with the errors of both, a finer density makes no difference."""
 
 CLEARLY_LESS = 0.9
-"""Factor by which the residual of the creep must decrease for its rows to be read otherwise than
-those of the dynamics, because slow rows hardly determine it."""
+"""Largest ratio of the creep residuals at which its rows are read otherwise than those of the
+dynamics, because slow rows hardly determine the instant."""
 
 ONCE_MORE = 4
 """Number of orders, the best of the first pass, that the second pass compares. The input of the

@@ -73,16 +73,16 @@ def estimate_dynamics_any(
     Parameters
     ----------
     recordings : sequence of Recording
-            Recordings without gaps, at the full sample clock and with the same sample period. Each
-            has its own offset and initial creep.
-        hysteresis : PreisachModel, optional
-            Known hysteresis, valid for the voltages of the recordings. By default it is estimated
-            from the recordings together with the dynamics; for two levels, it is an offset and a
-            gain.
-        mode_count : int, optional
-            By default as many as the Bayesian information criterion justifies.
-        among : collection of ModeOrder
-            See `output_error.fit_output_error`.
+        Recordings without gaps, at the full sample clock and with the same sample period. Each
+        has its own offset and initial creep.
+    hysteresis : PreisachModel, optional
+        Known hysteresis, valid for the voltages of the recordings. By default it is estimated
+        from the recordings together with the dynamics; for two levels, it is an offset and a
+        gain.
+    mode_count : int, optional
+        By default as many as the Bayesian information criterion justifies.
+    among : collection of ModeOrder
+        See `output_error.fit_output_error`.
 
     Returns
     -------

@@ -56,7 +56,7 @@ class FastCreep:
     Parameters
     ----------
     deviations : dict
-            Standard deviations of its poles and zeros; the poles are fixed, not fitted.
+        Standard deviations of its poles and zeros; the poles are fixed, not fitted.
     """
 
     model: CreepDynamics

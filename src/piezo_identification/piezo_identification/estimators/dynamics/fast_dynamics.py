@@ -217,7 +217,7 @@ def poles_and_residues(
     Parameters
     ----------
     vectors : ndarray, shape (B, P)
-            Several vectors of `fast_dynamics_of`.
+        Several vectors of `fast_dynamics_of`.
 
     Returns
     -------

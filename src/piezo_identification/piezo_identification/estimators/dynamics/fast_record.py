@@ -189,7 +189,7 @@ class FastRecord:
 
     def log_evidence(self, fit: FastFit | FreeFit, numbers: int,
                      independent: float = INDEPENDENT) -> float:
-        """Return the log-evidence of a fit with given numbers of parameters and fixed columns.
+        """Return the log-evidence of a fit with this many parameters besides the fixed columns.
 
         Parameters
         ----------
@@ -473,7 +473,7 @@ def independent(columns: FloatArray, beside: FloatArray | None = None) -> FloatA
     Returns
     -------
     ndarray, shape (N, L)
-            L is at most K.
+        L is at most K.
     """
     norms = np.linalg.norm(columns, axis=0)
     # A decay that ends before the record begins is zero throughout.

@@ -83,7 +83,7 @@ def joined_signals(
     Raises
     ------
     ValueError
-            If the input of the dynamics is constant.
+        If the input of the dynamics is constant.
     """
     for part, entering_um in zip(parts, inputs_um, strict=True):
         if np.ptp(entering_um) == 0.0:
@@ -118,7 +118,7 @@ def fit_signals(
     mode_count : int, optional
         By default as many as the Bayesian information criterion justifies.
     delay : float, optional
-            Delay of the rows in sample periods; by default it is estimated.
+        Delay of the rows in sample periods; by default it is estimated.
     """
     return fit_output_error(signals.record(), mode_count, delay)
 

@@ -44,8 +44,8 @@ def estimate_dynamics_multisine(
     Returns
     -------
     Estimate
-            Its model is an `ElectricVibrationDynamics`; its order counts modes. The standard
-            deviations assume exact hysteresis and creep.
+        Its model is an `ElectricVibrationDynamics`; its order counts modes. The standard
+        deviations assume exact hysteresis and creep.
 
     Raises
     ------

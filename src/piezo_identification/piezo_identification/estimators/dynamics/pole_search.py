@@ -166,9 +166,9 @@ def dynamics_of_poles(poles: ComplexArray) -> ElectricVibrationDynamics:
     Parameters
     ----------
     poles : ndarray of complex, shape (1 + 2 modes,)
-            Poles in rad/s, closed under conjugation. Unstable poles are replaced by their stable
-            mirror images. Real poles form overdamped modes, except the fastest, which is the
-            electric lag.
+        Poles in rad/s, closed under conjugation. Unstable poles are replaced by their stable
+        mirror images. Real poles form overdamped modes, except the fastest, which is the
+        electric lag.
     """
     mode_count = (poles.size - 1) // 2
     # Noise may make poles unstable.

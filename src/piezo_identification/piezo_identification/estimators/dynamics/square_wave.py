@@ -49,8 +49,8 @@ def estimate_dynamics(
     Returns
     -------
     Estimate
-            Its model is an `ElectricVibrationDynamics`; its order counts modes. The standard
-            deviations assume exact creep.
+        Its model is an `ElectricVibrationDynamics`; its order counts modes. The standard
+        deviations assume exact creep.
 
     Raises
     ------

@@ -60,12 +60,12 @@ class HeldInput:
         Parameters
         ----------
         poles : ndarray of complex, shape (n,)
-                Stable poles in rad/s.
-            delay : float
-                Delay in sample periods: output sample n is the response at n minus the delay. If it
-                is negative, the output is read after the input changes.
-            rows : ndarray of int, shape (K,), optional
-                Indices of the output samples to compute, ascending; by default all.
+            Stable poles in rad/s.
+        delay : float
+            Delay in sample periods: output sample n is the response at n minus the delay. If it
+            is negative, the output is read after the input changes.
+        rows : ndarray of int, shape (K,), optional
+            Indices of the output samples to compute, ascending; by default all.
         """
         scaled = poles * self.sample_period_s
         ahead = int(np.floor(-delay))
