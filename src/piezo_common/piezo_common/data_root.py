@@ -6,16 +6,16 @@ from contextlib import suppress
 from pathlib import Path
 
 LONGEST_NAME = 100
-"""Most characters of a name, so that a directory listing shows it on one line."""
+"""Maximum length of a name in characters; a directory listing shows it on one line."""
 
 LONGEST_NAME_BYTES = 240
-"""Most bytes of a name: file systems allow 255, and a recording adds ``_0.mcap``."""
+"""Maximum length of a name in bytes: file systems allow 255; a recording adds ``_0.mcap``."""
 
 LONGEST_SHOWN = 300
-"""Most characters of a path in an error message."""
+"""Maximum length of a path in an error message, in characters."""
 
 MOST_LINKS = 40
-"""Most links in one path, the limit of Linux."""
+"""Maximum number of links in one path, the limit of Linux."""
 LONGEST_COMPONENT_BYTES = 255
 LONGEST_PATH_BYTES = 3500
 """Linux allows 4096 bytes; the files of a recording need some of them."""

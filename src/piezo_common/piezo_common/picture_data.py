@@ -20,7 +20,7 @@ from piezo_common.picture_style import thinned
 DIGITS = "{:.6g}"
 
 MOST_CELLS = 20_000
-"""Most cells of a map; of a larger map, every n-th row and column is kept."""
+"""Maximum number of cells of a map; of a larger one, every n-th row and column is kept."""
 
 
 @dataclass(frozen=True, eq=False)

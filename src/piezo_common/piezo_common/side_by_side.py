@@ -18,7 +18,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 MOST_THREADS = 4
-"""Most threads; each holds a few copies of the longest recording."""
+"""Maximum number of threads; each holds a few copies of the longest recording."""
 
 _this_thread = threading.local()
 """Has `is_beside_others` in threads that process one of several items."""

@@ -21,7 +21,7 @@ DIGITS_OF_DEVIATION = 2
 """Significant digits of a standard deviation."""
 
 MOST_DECIMALS = 7
-"""Most decimals; smaller numbers are written with an exponent."""
+"""Maximum number of decimals; smaller numbers are written with an exponent."""
 
 DEVIATION = "std. dev."
 """Head of a column with the standard deviations of the column before it."""

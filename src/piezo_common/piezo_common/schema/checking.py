@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from piezo_common.schema.fields import HIDDEN, VIOLATION, Part
 
 LONGEST_FOUND = 40
-"""Most characters of a found value that a message quotes."""
+"""Maximum length of a value quoted in a message, in characters."""
 
 KINDS_OF_VALUE = {
     "float_type": "a finite number", "finite_number": "a finite number",
