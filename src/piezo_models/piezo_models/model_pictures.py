@@ -83,13 +83,13 @@ def density_on(axes: "Axes", hysteresis: PreisachModel,
 
 
 def loops_on(axes: "Axes", hysteresis: PreisachModel) -> None:
-    """Draw loops that rise from the lowest voltage to several parts of the range."""
+    """Draw loops that rise from the lowest voltage to several fractions of the range."""
     low_v, high_v = hysteresis.voltage_min_v, hysteresis.voltage_max_v
     rise = np.linspace(0.0, 1.0, POINTS)
     way = np.concatenate([rise, rise[::-1], rise])
     for part, style in zip(AMPLITUDES, CURVES, strict=False):
         voltage_v = low_v + part * (high_v - low_v) * way
-        settled = slice(POINTS, None)  # behind the first rise, which no loop goes twice
+        settled = slice(POINTS, None)  # after the first rise, which is not part of a loop
         axes.plot(voltage_v[settled], hysteresis.simulate(voltage_v)[settled], **style)
     label(axes, "voltage (V)", "displacement (um)", "hysteresis")
 

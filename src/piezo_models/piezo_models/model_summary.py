@@ -110,7 +110,7 @@ def shortfall(adequacy: Mapping[str, Mapping[str, Any]], errors: Mapping[str, An
     Parameters
     ----------
     adequacy, errors : dict
-        Those of an `IdentifiedModel` or of its file.
+        Fields of an `IdentifiedModel` or of its file.
     unfinished : str
         The field of the same name.
 

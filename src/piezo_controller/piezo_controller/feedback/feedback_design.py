@@ -138,7 +138,6 @@ def design_feedback(model: StageModel, weights: DesignWeights, clock_period_s: f
         ``constant`` or ``dynamic``: D of the D-K iteration.
     at_once : bool
         For a loop without averaging and computing time, see `design_plant`.
-        For a loop without averaging and computing time, see `design_plant`.
     reduce : bool
         Whether to lower the order if that costs next to nothing.
     delay_ticks : int
@@ -215,7 +214,7 @@ def feedback_from_control(system: control.StateSpace | control.TransferFunction,
     Raises
     ------
     UnstableLoop
-        See `check_stabilises`.
+        If the loop is unstable, see `check_stabilises`.
     ValueError
         If the system has no period, a period that is no multiple of the sample clock's, no state,
         or more than one input or output.

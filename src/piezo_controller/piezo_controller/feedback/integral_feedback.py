@@ -28,7 +28,7 @@ def design_integral_feedback(model: StageModel, tick_s: float = 1e-3, clock_peri
     Raises
     ------
     UnstableLoop
-        See `feedback_from_control`.
+        If the loop is unstable, see `feedback_from_control`.
     """
     _, gain_um_per_v = design_plant(model, tick_s, clock_period_s)
     rate = 2 * np.pi * BANDWIDTH_HZ * tick_s

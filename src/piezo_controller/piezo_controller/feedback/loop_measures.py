@@ -23,14 +23,14 @@ class Margins:
     Attributes
     ----------
     gain : float or None
-            Factor by which the gain may rise; None if the loop does not cross the real axis
-            between -1 and 0.
-        gain_hz : float or None
-            Frequency of that crossing.
-        phase_deg : float or None
-            Angle by which the phase may fall; None if the loop does not cross the unit circle.
-        phase_hz : float or None
-            Frequency of that crossing.
+        Factor by which the gain may rise; None if the loop does not cross the real axis
+        between -1 and 0.
+    gain_hz : float or None
+        Frequency of that crossing.
+    phase_deg : float or None
+        Angle by which the phase may fall; None if the loop does not cross the unit circle.
+    phase_hz : float or None
+        Frequency of that crossing.
     """
 
     gain: float | None = None

@@ -245,7 +245,7 @@ def mu_figure(frequency_hz: FloatArray, mu: FloatArray, history: list[float]) ->
     Parameters
     ----------
     frequency_hz, mu : ndarray, shape (F,)
-        Of the final controller; zero frequency is omitted.
+        Frequencies without zero, and the value for the final controller.
     """
     figure = new_figure(4.0, WIDE_IN)
     over_frequency, over_iterates = figure.subplots(1, 2, sharey=True, width_ratios=(2, 1))

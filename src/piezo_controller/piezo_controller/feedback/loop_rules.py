@@ -46,13 +46,13 @@ def choose_rates(ultimate_hz: float, clock_hz: float, computing_s: float,
     ultimate_hz : float
         Frequency at which a relay oscillates with the stage; used for ``omega_r`` and ``omega_bc``.
     clock_hz : float
-            Rate of the stage's sample clock, f_max.
-        computing_s : float
-            Computing time of one answer of the feedback, T_FB.
-        disturbance_hz : float
-            Bandwidth of the disturbances, ``omega_d``.
-        suppression : float
-            Least ratio of the feedback's bandwidth to that of the disturbances, ``gamma``.
+        Rate of the stage's sample clock, f_max.
+    computing_s : float
+        Computing time of one answer of the feedback, T_FB.
+    disturbance_hz : float
+        Bandwidth of the disturbances, ``omega_d``.
+    suppression : float
+        Least ratio of the feedback's bandwidth to that of the disturbances, ``gamma``.
 
     Raises
     ------

@@ -33,11 +33,11 @@ def onboard_law(controller: FeedbackController, model: StageModel, plan: Feedfor
     Parameters
     ----------
     controller : FeedbackController
-            Controller with the period of the tick or of the sample clock.
-        model : piezo_models.cascade.StageModel
-            Model that it was designed for.
-        plan : FeedforwardPlan
-            Feedforward that is played.
+        Controller with the period of the tick or of the sample clock.
+    model : piezo_models.cascade.StageModel
+        Model that it was designed for.
+    plan : FeedforwardPlan
+        Feedforward that is played.
     max_feedback_v : float
         Largest voltage of the feedback, of either sign (V).
     before_inverse : bool
@@ -46,7 +46,7 @@ def onboard_law(controller: FeedbackController, model: StageModel, plan: Feedfor
         Whether the stage then holds the mean of the inverse's voltages over a tick, as it holds
         the answer of a node.
     max_error_um : float
-        See `FeedbackLaw`.
+        Largest error of the law (um), see `FeedbackLaw`.
 
     Raises
     ------

@@ -58,7 +58,7 @@ def check_robustness(model: StageModel, controller: control.StateSpace, clock_pe
     gain_spread : float
         The gain of the hysteresis lies within ``1 +- gain_spread`` of its nominal value.
     delay_ticks : int
-        See `design_plant`.
+        Ticks of computing time, see `design_plant`.
     """
     frequency_hz = np.geomspace(0.1, 0.5 / controller.dt, FREQUENCIES)
     points = np.exp(2j * np.pi * frequency_hz * controller.dt)
@@ -98,7 +98,7 @@ def drawn_plants(model: StageModel, tick_s: float, clock_period_s: float, gain_s
     samples : int
         Number of plants.
     delay_ticks : int
-        See `check_robustness`.
+        Ticks of computing time, see `design_plant`.
     """
     return [_plant(model, errors, tick_s, clock_period_s, gain_spread, at_once, delay_ticks)
             for errors in _draws(model, samples)]

@@ -26,9 +26,9 @@ class StageDesign:
     Attributes
     ----------
     weights : DesignWeights
-            Weights at the controller's tick, for the given bandwidth of the disturbances.
-        clock_period_s : float
-            Period of the stage's sample clock (s).
+        Weights at the controller's tick, for the given bandwidth of the disturbances.
+    clock_period_s : float
+        Period of the stage's sample clock (s).
     """
 
     controller: FeedbackController
@@ -53,11 +53,11 @@ def design_for_stage(
     method, scaling, at_once, reduce, delay_ticks, model_sha256
         See `piezo_controller.feedback.feedback_design.design_feedback`.
     disturbance_hz : float
-            Bandwidth of the disturbances (Hz).
-        samples_per_tick : int, optional
-            Feedback period in samples; chosen by the rules (5.10) by default.
-        sample_rate_hz : float
-            Rate of the stage's sample clock (Hz).
+        Bandwidth of the disturbances (Hz).
+    samples_per_tick : int, optional
+        Feedback period in samples; chosen by the rules (5.10) by default.
+    sample_rate_hz : float
+        Rate of the stage's sample clock (Hz).
 
     Raises
     ------

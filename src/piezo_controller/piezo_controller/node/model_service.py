@@ -24,9 +24,9 @@ class ModelService:
     Parameters
     ----------
     readable : callable
-            Returns the path of a file to read, given the requested one.
-        check : callable
-            Designs the feedback for an extended model, and raises ValueError if it is unstable.
+        Returns the path of a file to read, given the requested one.
+    check : callable
+        Designs the feedback for an extended model, and raises ValueError if it is unstable.
     """
 
     def __init__(self, node: Node, readable: Callable[[str], str], check: CheckFeedback) -> None:
@@ -50,9 +50,9 @@ class ModelService:
         Returns
         -------
         named, model : ModelText
-                The model that the goal names, and the one that is used.
-            note : str
-                Note for the result; empty if the named model is used.
+            The model that the goal names, and the one that is used.
+        note : str
+            Note for the result; empty if the named model is used.
 
         Raises
         ------

@@ -66,8 +66,7 @@ class PresentRun:
         ------
         ValueError
             If the reference is out of reach with the model, or the stage refuses the new voltages
-            or
-            law; the run then continues as before.
+            or law; the run then continues as before.
         """
         kept = self._why_kept()
         if kept:

@@ -73,11 +73,10 @@ class AcceptedModels:
         Parameters
         ----------
         check : callable
-                Designs the feedback for the extended model, and raises ValueError if it is
-                unstable.
-            go_over : callable
-                Switches the run in progress to the model; returns from when on it is used, and may
-                raise.
+            Designs the feedback for the extended model, and raises ValueError if it is unstable.
+        go_over : callable
+            Switches the run in progress to the model; returns from when on it is used, and may
+            raise.
 
         Returns
         -------
@@ -88,8 +87,7 @@ class AcceptedModels:
         ------
         ValueError
             If a file cannot be used, the models differ grossly, the feedback is unstable, or the
-            run
-            in progress cannot switch; nothing changes then.
+            run in progress cannot switch; nothing changes then.
         """
         present, following = (load_model(one.path).model for one in (model, extended))
         before, after = present.hysteresis, following.hysteresis

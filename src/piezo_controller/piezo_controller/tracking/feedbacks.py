@@ -50,13 +50,13 @@ class FeedbackSettings:
 
     Attributes
     ----------
-    Largest voltage of a feedback that acts together with a feedforward, of either sign (V);
-    the stage's own limit applies where it is lower.
-        limit holds where that is less.
-    Weights of the design: a file, the name of weights of the package, or empty for the default.
-        Weights of the design: a file, a name of those that come with the package, or empty.
-    File of the controller of the composite modes; empty to design it for the model.
-        Controller of the composite modes; empty to design it for the model.
+    max_feedback_v : float
+        Largest voltage of a feedback that acts together with a feedforward, of either sign (V);
+        the stage's own limit applies where it is lower.
+    weights : str
+        Weights of the design: a file, the name of weights of the package, or empty for the default.
+    controller_file : str
+        File of the controller of the composite modes; empty to design it for the model.
     place : str
         One of `PLACES`: where the feedback of the composite modes enters. With a streamed
         feedforward it is always behind the inverse.

@@ -68,11 +68,11 @@ def plan_mode(mode: str, reference: Reference, model: StageModel, stage: StageCl
     Raises
     ------
     InvalidReference
-            If the reference has no period of whole samples, or of whole ticks at a single rate.
-        UnreachableReference
-            See `plan_feedforward`.
-        ValueError
-            If the mode is unknown.
+        If the reference has no period of whole samples, or of whole ticks at a single rate.
+    UnreachableReference
+        If the voltage would exceed the limits, see `plan_feedforward`.
+    ValueError
+        If the mode is unknown.
     """
     if mode not in MODES:
         raise ValueError(f"unknown mode {mode!r}: use one of {', '.join(MODES)}")

@@ -45,7 +45,7 @@ class Softening:
     reference_v : float
         RMS of all voltages about the operating point at which the linear part is valid, in V.
     memory_s : float
-        Time constant over which the mean square of the voltage is taken.
+        Time constant in s of the running mean square of the voltage.
     range_v : (float, float)
         RMS voltages of the identification in V; beyond them the softening is held constant.
     """
@@ -88,7 +88,7 @@ class CoupledModel:
     Attributes
     ----------
     axes : tuple of str
-        Names, in the order of rows and columns.
+        Names of the axes, in the order of rows and columns.
     sample_period_s : float
         Sample period in s; the voltages are held between the samples.
     poles_rad_per_s : (K,) array of complex
@@ -392,9 +392,9 @@ class CoupledModel:
         Parameters
         ----------
         system : control.StateSpace or control.TransferFunction
-                Discrete and stable, with as many inputs as outputs and distinct poles.
-            operating_voltage_v, operating_displacement_um : (n,) array_like, optional
-                Operating point in V and um; 0 by default.
+            Discrete and stable, with as many inputs as outputs and distinct poles.
+        operating_voltage_v, operating_displacement_um : (n,) array_like, optional
+            Operating point in V and um; 0 by default.
 
         Raises
         ------
@@ -453,7 +453,7 @@ def _poles_and_residues(
         near = np.abs(found[left_over] - found[left_over[0]]) < LEAST_SEPARATION
         copies, left_over = left_over[near], left_over[~near]
         of_copies = overlap[np.ix_(copies, copies)]
-        if np.linalg.norm(of_copies, -2) < LEAST_SEPARATION:  # the least singular value
+        if np.linalg.norm(of_copies, -2) < LEAST_SEPARATION:  # the smallest singular value
             raise ValueError("two modes of the system are one that grows with time before it "
                              "decays; give a system whose modes differ")
         steps.append(found[copies].mean())

@@ -28,7 +28,7 @@ class Coupling:
     ----------
     frequency_hz : (F,) array
     gain_um_per_v : (F, n, n) array of complex
-        By frequency, moving axis and driven axis; at the reference amplitude.
+        Response by frequency, moving axis and driven axis; at the reference amplitude.
     deviation_um_per_v : (F, n, n) array of complex
         Standard deviations of the real parts (real) and the imaginary parts (imaginary).
     """
@@ -58,11 +58,11 @@ class IdentifiedAxes:
     delays_s, delay_deviations_s : (n,) array
         Delay of each sensor from the phases of the modes; `CoupledModel` uses whole samples.
     errors : dict of str to dict
-            ``e_y_percent`` of each axis on data that was not fitted.
-        recordings : list of {"path": str, "sha256": str}
-            Recordings that the model was identified from.
-        created : str
-            Time of creation, ISO 8601.
+        ``e_y_percent`` of each axis on data that was not fitted.
+    recordings : list of {"path": str, "sha256": str}
+        Recordings that the model was identified from.
+    created : str
+        Time of creation, ISO 8601.
     unfinished : str
         Why the identification ended early; empty if it was completed.
     """

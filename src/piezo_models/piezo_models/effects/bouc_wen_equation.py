@@ -57,7 +57,7 @@ def swing(loads: FloatArray, state: FloatArray, centre: float, half_range: float
     centre, half_range : float
         Centre and half width of the range in um.
     parts : (6,) array
-        linear, viscous, stiffness, beta, gamma, exponent.
+        Parameters linear, viscous, stiffness, beta, gamma, exponent.
     step_rad : float
         Angle in rad by which the mode turns in a step.
     substeps : int

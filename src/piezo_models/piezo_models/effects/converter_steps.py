@@ -100,7 +100,7 @@ class VoltageSteps(ConverterSteps):
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
-        """Begin with the period of the voltage at which the residual repeats."""
+        """Start with the period of the voltage at which the residual repeats."""
         voltage_v = evidence.voltage_v
         lowest_v, span_v = float(voltage_v.min()), float(np.ptp(voltage_v))
         if span_v == 0.0:
@@ -150,7 +150,7 @@ class SensorSteps(ConverterSteps):
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
-        """Begin with the lattice on which the readings lie, where it is coarser than the noise."""
+        """Start with the lattice of the readings, if it is coarser than the noise."""
         measured_um = evidence.measured_um
         lattice = None if measured_um is None else _lattice(measured_um)
         if measured_um is None or lattice is None:

@@ -54,7 +54,7 @@ class CoupledMode(VibrationMode):
 
 
 def modes_in_parallel(dynamics: ElectricVibrationDynamics) -> tuple[CoupledMode, ...]:
-    """Return modes in series, and the antiresonances between them, as modes in parallel.
+    """Return parallel modes that are equivalent to modes in series with antiresonances.
 
     Behind the electric lag of the dynamics their sum is the same transfer function (4.3), by
     partial fractions.
@@ -62,7 +62,7 @@ def modes_in_parallel(dynamics: ElectricVibrationDynamics) -> tuple[CoupledMode,
     Parameters
     ----------
     dynamics : ElectricVibrationDynamics
-        With more modes than antiresonances, none of them critically damped.
+        Dynamics with more modes than antiresonances, no mode critically damped.
 
     Raises
     ------

@@ -220,7 +220,7 @@ class Effect(ABC):
         Parameters
         ----------
         signal : (N,) array
-            Not empty.
+            Next part of the signal, not empty.
         sample_period_s : float
             Sample period in s, the same for all parts.
         past : object, optional

@@ -21,9 +21,9 @@ STEPS = 2.0
 """Limit of a step in typical steps around it; the tip of a triangle is no larger than one."""
 
 ROUNDINGS, COMMON, ALIKE = 3.0, 0.25, 1e-9
-"""So many steps of a converter count as its rounding. Its step is that which this part of the
-distances between values do not exceed: rows that were put in between others have values of their
-own. Values that differ by less than this part of all are one, which arithmetic rounded."""
+"""Limit of a step in steps of the converter, as its rounding. The converter's step is this quantile
+of the distances between values, as rows that were interpolated have values in between. Values that
+differ by less than the last fraction of the range are equal up to rounding."""
 
 ANSWER = 40
 """Samples within which the signal may respond to a step of the voltage, including ringing."""

@@ -47,7 +47,7 @@ def straight_beyond(parts: ArrayLike, half_range_um: float) -> tuple[float, floa
     Returns
     -------
     low, high : float
-        In half ranges from the middle of the range; low <= 0 <= high.
+        Displacements in half ranges from the middle of the range; low <= 0 <= high.
     """
     slope = np.arange(1.0, 5.0) * np.asarray(parts, dtype=float) / half_range_um
     roots = np.roots([*slope[:0:-1], slope[0] + 1.0 - SOFTEST])
@@ -78,7 +78,7 @@ def force_and_slope(x: float, parts: FloatArray, low: float,
     Returns
     -------
     force, slope : float
-        In half ranges, and per half range.
+        Force in half ranges, and its slope per half range.
     """
     inside = min(max(x, low), high)
     force = inside * (parts[0] + inside * (parts[1] + inside * (parts[2] + inside * parts[3])))

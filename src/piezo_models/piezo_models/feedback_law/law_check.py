@@ -35,7 +35,7 @@ def check_law(law: FeedbackLaw, samples_per_tick: int, lead_ticks: int = 0) -> N
     Raises
     ------
     FeedbackLawError
-        With the gain of the hysteresis at which the check fails.
+        If the check fails; the message gives the gain of the hysteresis.
     """
     if lead_ticks and not law.sample.empty:
         raise FeedbackLawError("this stage is written ahead, so that no feedback acts from sample "

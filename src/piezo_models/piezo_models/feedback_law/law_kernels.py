@@ -115,6 +115,7 @@ def decide(error: float, a: FloatArray, b: FloatArray, c: FloatArray, d: float,
     Returns
     -------
     voltage_v : float
+        Limited voltage (V).
     stepped : bool
         True if the change from `last_v` was limited to `step_v`.
     """

@@ -51,7 +51,7 @@ class FirstRise:
 
     @property
     def whole_um(self) -> float:
-        """Remanence after a rise over the whole range."""
+        """Return the remanence in um after a rise over the whole range."""
         return self.remanence_um[-1]
 
     def simulate(self, voltage_v: ArrayLike, highest_v: float = CYCLED) -> FloatArray:

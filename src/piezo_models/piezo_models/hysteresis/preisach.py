@@ -59,7 +59,7 @@ class PreisachMemory:
 
     @property
     def voltage_v(self) -> float:
-        """Present voltage, within the range of the model."""
+        """Present voltage in V, within the range of the model."""
         return float(self.extremes_v[self.top])
 
     @property

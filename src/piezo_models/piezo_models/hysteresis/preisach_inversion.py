@@ -111,9 +111,9 @@ def _along_rise(target_um: FloatArray, voltage_v: FloatArray, n: int, v: float, 
     Returns
     -------
     n : int
-            First sample that falls or reaches the limit.
-        v : float
-            Last voltage in V.
+        First sample that falls or reaches the limit.
+    v : float
+        Last voltage in V.
     """
     voltage_min, _, cell_width = grid
     columns, _, diagonal, reversible = table
@@ -245,9 +245,9 @@ def invert_while_room(target_um: FloatArray, voltage_v: FloatArray, n: int, roun
     Returns
     -------
     n : int
-            N, or the sample whose reversal does not fit into the memory.
-        top : int
-            Index of the present point in the stacks.
+        N, or the sample whose reversal does not fit into the memory.
+    top : int
+        Index of the present point in the stacks.
     """
     while n < target_um.size:
         goal = target_um[n]

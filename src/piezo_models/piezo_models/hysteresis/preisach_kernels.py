@@ -159,9 +159,9 @@ def _along_rise(voltage_v: FloatArray, output_um: FloatArray, n: int, beta: floa
     Returns
     -------
     n : int
-            First sample that falls or reaches the limit.
-        present_v : float
-            Last voltage in V.
+        First sample that falls or reaches the limit.
+    present_v : float
+        Last voltage in V.
     """
     voltage_min, voltage_max, cell_width = grid
     columns, _, diagonal, reversible = table
@@ -242,9 +242,9 @@ def simulate_while_room(voltage_v: FloatArray, output_um: FloatArray, n: int,
     Returns
     -------
     n : int
-            N, or the sample whose reversal does not fit into the memory.
-        top : int
-            Index of the present point in the stacks.
+        N, or the sample whose reversal does not fit into the memory.
+    top : int
+        Index of the present point in the stacks.
     """
     voltage_min, voltage_max, cell_width = grid
     scale = 1.0 / cell_width

@@ -27,15 +27,14 @@ class Form:
     Attributes
     ----------
     names : tuple of str
-            Names of its parameters.
-        bounds : tuple of (float, float)
-            Bounds of the search for each parameter; all positive.
-        start : tuple of float
-            Initial parameters of the search.
-        make : callable
-            Takes the model, normalised to nominal gain 1, and the parameters; returns the
-            continuous
-            controller.
+        Names of its parameters.
+    bounds : tuple of (float, float)
+        Bounds of the search for each parameter; all positive.
+    start : tuple of float
+        Initial parameters of the search.
+    make : callable
+        Takes the model, normalised to nominal gain 1, and the parameters; returns the continuous
+        controller.
     """
 
     title: str

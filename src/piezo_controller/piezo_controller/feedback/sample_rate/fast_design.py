@@ -92,9 +92,9 @@ def measured_design(controller: control.StateSpace, model: StageModel, demands: 
     Parameters
     ----------
     loops : PerturbedLoops
-            Stages that it is evaluated with.
-        own : dict
-            Entries of the report that are specific to the method.
+        Stages that it is evaluated with.
+    own : dict
+        Entries of the report that are specific to the method.
 
     Returns
     -------

@@ -26,9 +26,9 @@ class FixedOrder:
     Attributes
     ----------
     real_zeros, real_poles, zero_pairs, pole_pairs : int
-            Number of each; the pole of the integration is not counted.
-        unit_rad_per_s : float
-            Unit of the frequencies.
+        Number of each; the pole of the integration is not counted.
+    unit_rad_per_s : float
+        Unit of the frequencies.
     """
 
     real_zeros: int

@@ -31,17 +31,17 @@ class SampleRateWeights:
     Attributes
     ----------
     crossover_hz : float
-            Frequency below which the error of a disturbance is weighted by ``crossover / f``.
-        corner_hz : float
-            Frequency below which the weight rises with the square of that.
+        Frequency below which the error of a disturbance is weighted by ``crossover / f``.
+    corner_hz : float
+        Frequency below which the weight rises with the square of that.
     peak : float
         Sensitivity that the weight allows at high frequencies.
     control_gain : float
-            Allowed voltage, relative to the disturbance's voltage at the input of the stage.
-        roll_off_hz : float
-            Frequency above which less is allowed.
-        noise : float
-            Magnitude of the noise relative to the disturbance.
+        Allowed voltage, relative to the disturbance's voltage at the input of the stage.
+    roll_off_hz : float
+        Frequency above which less is allowed.
+    noise : float
+        Magnitude of the noise relative to the disturbance.
     gain_uncertainty : float
         The gain of the hysteresis lies within ``1 +- gain_uncertainty`` of its nominal value.
     mode_uncertainty : float
@@ -71,7 +71,7 @@ def light_mode_problem(model: StageModel, weights: SampleRateWeights,
     model : piezo_models.cascade.StageModel
         Model with a light mode that has no antiresonance.
     delay_ticks : int
-        See `design_plant`.
+        Ticks of computing time, see `design_plant`.
 
     Returns
     -------

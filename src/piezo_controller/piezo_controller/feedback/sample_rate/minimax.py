@@ -28,11 +28,11 @@ class Linearised:
     Attributes
     ----------
     values, slopes : ndarray, shape (m,), (m, n)
-            Functions of which the largest is to be minimised.
-        bounds, bound_slopes : ndarray, shape (k,), (k, n)
-            Functions that may not exceed 0.
-        allowed : bool
-            Whether the parameters are admissible at all.
+        Functions of which the largest is to be minimised.
+    bounds, bound_slopes : ndarray, shape (k,), (k, n)
+        Functions that may not exceed 0.
+    allowed : bool
+        Whether the parameters are admissible at all.
     """
 
     values: FloatArray

@@ -57,10 +57,10 @@ def feedback_at_margin(name: str, model: StageModel, frequency_hz: float,
     model : StageModel
         Model with a mode, and without antiresonances.
     frequency_hz : float
-            Frequency at which, together with its double, the attenuation is largest; repetitive
-            feedback attenuates its multiples.
-        peak_sensitivity : float
-            Peak of the sensitivity of the worst stage.
+        Frequency at which, together with its double, the attenuation is largest; repetitive
+        feedback attenuates its multiples.
+    peak_sensitivity : float
+        Peak of the sensitivity of the worst stage.
     model_sha256 : str
         Hash of the model's file, kept with the controller.
     effort : float

@@ -45,9 +45,9 @@ class ModelErrors:
     Attributes
     ----------
     parameter : float
-            Error of every parameter of creep, lag and modes.
-        light_mode : float
-            Error of the frequency of the mode of least damping, which replaces `parameter` for it.
+        Error of every parameter of creep, lag and modes.
+    light_mode : float
+        Error of the frequency of the mode of least damping, which replaces `parameter` for it.
     """
 
     parameter: float = 0.05
@@ -73,9 +73,9 @@ class LoopFigures:
     worst_slow_sensitivity : float
         Largest sensitivity below half the lowest disturbance.
     noise_gain : float
-            Displacement that white noise of the sensor causes, rms over that of the noise.
-        noise_gain_v_per_um : float
-            Voltage that it causes, rms over that of the noise.
+        Displacement that white noise of the sensor causes, rms over that of the noise.
+    noise_gain_v_per_um : float
+        Voltage that it causes, rms over that of the noise.
     """
 
     unstable: int
@@ -107,7 +107,7 @@ class PerturbedLoops:
     disturbance_tolerance : float
         Relative error of these frequencies; the least attenuation within it counts.
     delay_ticks : int
-        See `design_plant`; 0 if the stage evaluates the feedback by itself.
+        Ticks of computing time; 0 if the stage evaluates the feedback by itself.
     coarse : int
         Number of frequencies over the whole band.
 

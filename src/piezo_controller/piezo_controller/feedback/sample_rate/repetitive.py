@@ -39,7 +39,7 @@ class Repetitive:
         Fundamental frequency. Multiples above the first mode are omitted, as there the model's
         errors change the phase too much.
     delay_ticks : int
-        See `design_plant`.
+        Ticks of computing time, see `design_plant`.
     """
 
     def __init__(self, model: StageModel, frequency_hz: float, clock_period_s: float,

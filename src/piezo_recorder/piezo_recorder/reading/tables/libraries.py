@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Libraries that are asked for only where a file of their kind is read."""
+"""Libraries that are imported only when a file of their kind is read."""
 
 from importlib import import_module
 from pathlib import Path
@@ -10,7 +10,7 @@ from piezo_recorder.reading.recording import RecordingError
 
 PACKAGES = {"h5py": "h5py", "nptdms": "nptdms", "openpyxl": "openpyxl",
             "pyarrow.parquet": "pyarrow", "pyarrow.ipc": "pyarrow"}
-"""Package to install for each module; all of them are in the extra ``formats`` of the suite."""
+"""Package to install for each module; all are in the extra ``formats`` of the suite."""
 
 
 def library(module: str, path: Path) -> Any:
@@ -24,7 +24,7 @@ def library(module: str, path: Path) -> Any:
     Raises
     ------
     RecordingError
-        If it is not installed; names the package.
+        If it is not installed; the message names the package.
     """
     try:
         return import_module(module)
