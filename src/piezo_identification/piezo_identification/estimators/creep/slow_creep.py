@@ -59,7 +59,7 @@ CURVATURE = 1e-11
 samples."""
 
 MOST_BINS = 2000
-"""Number of rows of the regression; neighbouring samples of longer recordings are averaged."""
+"""Largest number of rows of the regression; longer recordings are averaged over neighbours."""
 
 JUMP_SHARE = 0.02
 """Change within a sample, relative to the voltage range, that counts as a jump."""

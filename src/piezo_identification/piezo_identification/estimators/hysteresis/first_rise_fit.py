@@ -61,6 +61,8 @@ def estimate_first_rise(
         Input and output of the hysteresis, without the linear dynamics.
     highest_v : float
         Highest voltage that the stage had reached before.
+
+    Returns
     -------
     FirstRise or None
         None if the recording does not return to its lowest voltage and rise again, shows no
