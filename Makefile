@@ -6,7 +6,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 unexport PYTHONDONTWRITEBYTECODE
 in_environment := source install/setup.bash &&
 
-.PHONY: help setup demo test test-repeat mutants style quick long coverage kernels soak bench paced reproduce high-bandwidth published-reference changes recipe measured recording-kinds other-makes diagnose-suite twins calibration constants tables gallery docs clean
+.PHONY: help setup extras demo test test-repeat mutants style quick long coverage kernels soak bench paced reproduce high-bandwidth published-reference changes recipe measured recording-kinds other-makes diagnose-suite twins calibration constants tables gallery docs clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 18
@@ -14,31 +14,34 @@ help: ## list the targets
 setup: ## make the environment and build the packages; skips what is done
 	@tools/setup
 
+extras: ## add what the tests, further file formats and clusters need; skips what is done
+	@tools/setup extras
+
 demo: ## identify and control the simulated stage, or that of PLANT (beam); report in runs/demo
 	@./run piezo_studies demo $(if $(PLANT),--plant "$(PLANT)")
 
-test: setup ## check the style, then run the unit and the integration tests
+test: extras ## check the style, then run the unit and the integration tests
 	@$(in_environment) tools/tests
 
-style: setup ## check code, docstrings, layers, types and spelling
+style: extras ## check code, docstrings, layers, types and spelling
 	@tools/style
 
-quick: setup ## run the numerics of the unit tests, in less than a minute
+quick: extras ## run the numerics of the unit tests, in less than a minute
 	@$(in_environment) tools/tests quick
 
 RUNS ?= 10
 BUSY ?= 5
-test-repeat: setup ## run the tests RUNS times, the last BUSY beside two busy processes; prints a table
+test-repeat: extras ## run the tests RUNS times, the last BUSY beside two busy processes; prints a table
 	@tools/ten_runs $(RUNS) $(BUSY)
 
 MUTANTS ?= 20
-mutants: setup ## change the guards, the laws and the recorder; count what the unit tests let pass
+mutants: extras ## change the guards, the laws and the recorder; count what the unit tests let pass
 	@$(in_environment) .venv/bin/python benchmarks/mutation_check.py --mutants $(MUTANTS)
 
-long: setup ## run the tests of many draws, and all unit tests under three BLAS kernels
+long: extras ## run the tests of many draws, and all unit tests under three BLAS kernels
 	@$(in_environment) tools/tests long
 
-coverage: setup ## print how much of each module the unit tests run
+coverage: extras ## print how much of each module the unit tests run
 	@$(in_environment) tools/tests coverage
 
 kernels: setup ## compare the demo's figures under three BLAS kernels; in runs/kernels
@@ -49,7 +52,7 @@ SEED ?= 1
 soak: setup ## kill and stop nodes in runs for SECONDS_OF_SOAK, drawn from SEED; in runs/soak
 	@$(in_environment) .venv/bin/python benchmarks/soak.py --seconds $(SECONDS_OF_SOAK) --seed $(SEED)
 
-bench: setup ## measure speed and accuracy beside peers
+bench: extras ## measure speed and accuracy beside peers
 	-@tools/apart peers  # what could not be installed is named in the table
 	@$(in_environment) .venv/bin/python benchmarks/run.py
 
@@ -85,13 +88,13 @@ changes: setup ## change the stage while a model watches it; writes a table of d
 
 CASES ?= 260
 EXPERIMENTS ?= 0
-diagnose-suite: ## diagnose CASES hidden effects drawn from SEED; table in runs/diagnose-suite
+diagnose-suite: extras ## diagnose CASES hidden effects drawn from SEED; table in runs/diagnose-suite
 	@./run piezo_studies diagnose_suite --cases $(CASES) --seed $(SEED) --experiments $(EXPERIMENTS) $(if $(SCHEDULER),--scheduler $(SCHEDULER))
 
 twins: setup ## decide between effects that resemble each other, by one recording each
 	@$(in_environment) .venv/bin/python -m piezo_studies.diagnosis_benchmark.twin_decisions --seed 91
 
-calibration: setup ## diagnose 100 short recordings of a seed; writes their calibration to docs/diagnosis.md
+calibration: extras ## diagnose 100 short recordings of a seed; writes their calibration to docs/diagnosis.md
 	@$(in_environment) .venv/bin/python -m piezo_studies.diagnosis_calibration --cases 100 --seed 901 --page docs/diagnosis.md
 
 tables: setup ## write the tables and the picture in docs that are made from the sources
@@ -107,7 +110,7 @@ constants: setup ## list the numbers that identification and diagnosis decide by
 gallery: setup ## draw the pictures of docs/gallery.md from runs/demo, which make demo leaves
 	@$(in_environment) .venv/bin/python tools/gallery.py runs/demo
 
-docs: tables ## make the site of the pages and the API; start at build/docs/index.html
+docs: extras tables ## make the site of the pages and the API; start at build/docs/index.html
 	@tools/apart docs
 	@rm -rf docs/api/generated build/docs  # nothing stays of modules that are gone
 	@$(in_environment) PYTHONPATH=$$(echo .venv-docs/lib/python*/site-packages):$$PYTHONPATH \

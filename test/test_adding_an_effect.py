@@ -2,13 +2,12 @@
 """The effect of docs/adding_an_effect.md, installed from outside, competes like any other."""
 
 import json
-import os
-import subprocess
 import sys
 
 import numpy as np
 import pytest
 
+from piezo_identification.commands.diagnose_command import main
 from piezo_identification.experiments.catalogue import validation
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_document import ModelFileError
@@ -18,8 +17,8 @@ COSINE_UM, SINE_UM = 0.03, -0.02
 
 
 def test_an_effect_from_outside_is_found_and_kept_in_the_model_file(
-        package_of_page, plain_model, save_csv, tmp_path):
-    outside = package_of_page("adding_an_effect.md")
+        package_of_page, plain_model, save_csv, tmp_path, capsys, without_pictures,
+        without_ceiling):
     save_model(tmp_path / "model.json", IdentifiedModel(plain_model, (-20.0, 120.0)))
     voltage_v = validation(arc_s=0.01, tones_s=0.1).voltage_v
     displacement_um = plain_model.simulate(voltage_v, 25e-6)
@@ -28,13 +27,14 @@ def test_an_effect_from_outside_is_found_and_kept_in_the_model_file(
     displacement_um += 0.009 * np.random.default_rng(1).normal(size=voltage_v.size)
     save_csv(tmp_path / "data.csv", 25e-6 * np.arange(voltage_v.size), voltage_v, displacement_um)
 
-    run = subprocess.run(
-        [sys.executable, "-m", "piezo_identification.commands.diagnose_command",
-         "--model", "model.json", "--data", "data.csv", "--output", "diagnosis"],
-        cwd=tmp_path, capture_output=True, text=True,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(outside), *sys.path])})
-    assert run.returncode == 0, run.stderr
-    assert "verdict: explained. The model lacks cyclic_error" in run.stdout
+    with pytest.MonkeyPatch.context() as installed:
+        installed.syspath_prepend(package_of_page("adding_an_effect.md"))
+        installed.chdir(tmp_path)
+        status = main(["--model", "model.json", "--data", "data.csv", "--output", "diagnosis"])
+        sys.modules.pop("cyclic_error", None)
+    told = capsys.readouterr()
+    assert status == 0, told.err
+    assert "verdict: explained. The model lacks cyclic_error" in told.out
     found, = json.loads((tmp_path / "diagnosis" / "verdict.json").read_text())["effects"]
     # The phase goes with the offset, which no recording tells.
     assert np.hypot(*found["parameters"].values()) == pytest.approx(

@@ -22,6 +22,7 @@ PAGES = sorted(path for path in [*ROOT.glob("*.md"), *ROOT.glob("test/README.md"
 COVERED = {
     "make demo": "src/piezo_studies/test/demo/test_demo_summary.py",
     "make test": "test/test_package_manifests.py",
+    "make extras": "test/test_documented_commands.py",
     "make setup": "test/test_documented_commands.py",
     "make bench": "src/piezo_identification/test/test_simulation_study.py",
     "make reproduce": "src/piezo_studies/test/thesis/test_reproduction.py",

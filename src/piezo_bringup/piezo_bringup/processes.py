@@ -22,25 +22,25 @@ EXECUTABLES = {
 }
 
 USUAL_NODES = ("stage", "recorder", "identification", "controller")
-"""These of `EXECUTABLES` are started unless others are named."""
+"""Those of `EXECUTABLES` that are started by default."""
 
 
 class NodeProcess(Protocol):
-    """What may be asked of a node's process, as of a ``subprocess.Popen``."""
+    """Interface of a node's process, a subset of ``subprocess.Popen``."""
 
     @property
     def pid(self) -> int:
-        """Return the number of the process."""
+        """Return the process ID."""
 
     @property
     def returncode(self) -> int | None:
-        """Return the exit status as it was last seen; negative after a signal."""
+        """Return the last known exit status; negative after a signal."""
 
     def poll(self) -> int | None:
         """Return the exit status, None while the process runs."""
 
     def wait(self, timeout: float | None = None) -> int:
-        """Wait for the end; raise ``subprocess.TimeoutExpired`` if it does not come (s)."""
+        """Wait for the end; raise ``subprocess.TimeoutExpired`` after the timeout in s."""
 
     def send_signal(self, number: int, /) -> None:
         """Send a signal, unless the process has ended."""
@@ -50,17 +50,17 @@ class NodeProcess(Protocol):
 
 
 class Processes:
-    """Nodes running as processes of their own; a context manager that ends them.
+    """Nodes as separate processes; a context manager that ends them.
 
     Parameters
     ----------
     log_directory : path-like
-        Gets one log file per process.
+        Folder for one log file per process.
     environment : dict of str to str, optional
-        Added to the environment, such as ``ROS_DOMAIN_ID``.
+        Additional environment variables, for example ``ROS_DOMAIN_ID``.
     data_root : path-like, optional
-        Folder under which the nodes write; by default this process' working directory, or what a
-        parameter file says.
+        Folder under which the nodes write; by default this process' working directory, or that of
+        a parameter file.
     """
 
     def __init__(self, log_directory: str | PathLike[str],
@@ -70,7 +70,7 @@ class Processes:
         self._log_directory.mkdir(parents=True, exist_ok=True)
         self._parameters = {} if data_root is None else {"data_root": Path(data_root).absolute()}
         self._environment = {**os.environ, **(environment or {})}
-        # The wheels' guard is of this process: what we start must find its libraries itself.
+        # The wheels' guard applies to this process; a child must find its libraries itself.
         self._environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)
         self._running: dict[str, NodeProcess] = {}
 
@@ -106,7 +106,7 @@ class Processes:
 
     def _launch(self, name: str, command: list[str]) -> NodeProcess:
         with open(self.log(name), "a", encoding="utf-8") as log:
-            # A group of its own: Ctrl-C then reaches this process alone, which ends them in order.
+            # In its own session, Ctrl-C reaches only this process, which ends the others in order.
             return subprocess.Popen(
                 command, stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
                 env=self._environment, start_new_session=True)
@@ -120,7 +120,7 @@ class Processes:
         return self._running[name]
 
     def stop(self, names: Iterable[str] | None = None) -> None:
-        """End processes by SIGINT, last started first; kill what does not end."""
+        """End processes by SIGINT, the last started first; kill those that do not end."""
         for name in reversed(list(names or self._running)):
             process = self._running.pop(name)
             process.send_signal(signal.SIGINT)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""See when the nodes that were started answer."""
+"""Detect when started nodes respond."""
 
 import time
 from collections.abc import Iterable
@@ -13,25 +13,25 @@ from piezo_ros.discovery import prepare_discovery
 from piezo_ros.executor import make_executor, spin_once
 
 ASK_AGAIN_S = 2.0
-"""A node may answer before it has met who asks: that answer is lost."""
+"""A node may respond before discovery of the caller is complete; that response is lost."""
 
 
 class Readiness:
-    """A node that asks others whether they answer; a context manager.
+    """A node that checks whether others respond; a context manager.
 
-    Every node serves its parameters, and does so once it spins, behind all that it sets up before.
+    Every node has a parameter service, which responds once the node spins, after its set-up.
 
     Parameters
     ----------
     names : iterable of str
-        Of the nodes.
+        Names of the nodes.
     namespace : str
-        Of all of them.
+        Namespace of all of them.
 
     Raises
     ------
     RuntimeError
-        If ROS cannot be entered, as where its security has no enclave for this node.
+        If ROS cannot be initialised, for example because its security has no enclave for this node.
     """
 
     def __init__(self, names: Iterable[str], namespace: str = "") -> None:
@@ -60,7 +60,7 @@ class Readiness:
         self._context.try_shutdown()
 
     def look(self, timeout_s: float) -> set[str]:
-        """Ask who has not answered yet, and listen for so long; return who still has not."""
+        """Query nodes that have not responded until the timeout; return those still silent."""
         for name in self._silent:
             self._ask(name)
         until_s = time.monotonic() + timeout_s

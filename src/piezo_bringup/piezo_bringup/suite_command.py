@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""`suite`: start the nodes of a stage in one terminal, as closed_loop.launch.py does."""
+"""`suite`: start the nodes of a stage in one terminal, like closed_loop.launch.py."""
 
 import argparse
 import signal
@@ -24,12 +24,12 @@ def main(arguments: list[str] | None = None) -> int:
     Parameters
     ----------
     arguments : list of str, optional
-        The command line's by default.
+        Arguments; those of the command line by default.
 
     Returns
     -------
     int
-        Exit status: 0 after Ctrl-C or SIGTERM, 1 if a node ended by itself, 2 for bad input.
+        Exit status: 0 after Ctrl-C or SIGTERM, 1 if a node ended by itself, 2 for invalid input.
     """
     options = _parser().parse_args(arguments)
     if not options.parameters.is_file():
@@ -63,8 +63,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _watch(options: argparse.Namespace) -> Generator[None, None, None]:
-    """Wait for a moment at each step; say once when all nodes answer, and what may follow."""
-    # Its libraries take a second, in which the nodes import theirs.
+    """Wait briefly at each step; once all nodes respond, say so and suggest a command."""
+    # Importing its libraries takes a second, in which the nodes import theirs.
     from piezo_bringup.readiness import Readiness
 
     begun_s = time.monotonic()

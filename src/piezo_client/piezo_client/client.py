@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Ask the suite's actions from a script, and wait for what they return."""
+"""Send goals to the suite's actions from a script, and wait for their results."""
 
 import time
 import uuid
@@ -27,14 +27,14 @@ from piezo_ros.requests.servers import WORD_AFTER_S, Waiting, server_of
 from piezo_ros.stage_runs.described_stage import DescribedStage
 
 SERVER_TIMEOUT_S = 30.0
-"""A stage that is being started has some of its nodes before the others."""
+"""Time to wait for a server; some nodes of a stage start before the others."""
 LOST_RESPONSE_S = 2.0
-"""Until a goal or a request is asked for again; then twice as long each time."""
-# A node that designs a controller answers late on a busy machine.
+"""Time before a goal or a request is sent again; it doubles with each repetition."""
+# A node that designs a controller responds late on a busy machine.
 ACCEPTANCE_TIMEOUT_S = 60.0
 CANCEL_TIMEOUT_S = 10.0
 CALL_TIMEOUT_S = 120.0
-# A node that ends may be gone before its answer is read.
+# A node that ends may be gone before its response is read.
 LAST_ANSWER_S = 1.0
 ALIVE_PERIOD_S = 1.0
 WATCH_PERIOD_S = 0.2
@@ -56,7 +56,7 @@ class GoalFailed(RuntimeError):
 
 
 class ServiceFailed(GoalFailed):
-    """A service gave no answer."""
+    """A service did not respond."""
 
     def __init__(self, text: str) -> None:
         RuntimeError.__init__(self, text)
@@ -64,13 +64,13 @@ class ServiceFailed(GoalFailed):
 
 
 def nobody_serves(namespace: str) -> ServiceFailed:
-    """Return the failure that says how to start the stage of a namespace."""
+    """Return the exception that says how to start the stage of a namespace."""
     return ServiceFailed(f"nobody serves {namespace.rstrip('/')}/stage: start it with "
                          "`./run piezo_bringup suite`, or check --namespace")
 
 
 class StoodStill(ServiceFailed):
-    """Tell that the nodes gave this idle process up and ended its goals."""
+    """The process was suspended for so long that the nodes ended its goals."""
 
     def __init__(self, standstill_s: float) -> None:
         super().__init__(f"this process stood still for {standstill_s:.1f} s, and the nodes have "
@@ -78,19 +78,20 @@ class StoodStill(ServiceFailed):
 
 
 class Client:
-    """A node of its own that sends goals and calls services; a context manager.
+    """A node that sends goals and calls services; a context manager.
 
     Parameters
     ----------
     namespace : str
-        Of the stage that is meant.
+        Namespace of the stage.
     name : str
-        Of the node.
+        Name of the node.
     wait_s : float
-        How long to look for anybody in the namespace; whoever is found gets `SERVER_TIMEOUT_S`.
+        Time to look for any node in the namespace in s; if there is one, a server has
+        `SERVER_TIMEOUT_S` to appear.
     """
 
-    _signals = HeldSignals()  # of the process, not of one client
+    _signals = HeldSignals()  # shared by all clients of the process
 
     def __init__(self, namespace: str = "", name: str = "client",
                  wait_s: float = SERVER_TIMEOUT_S) -> None:
@@ -115,12 +116,12 @@ class Client:
         self.close()
 
     def close(self) -> None:
-        """Leave ROS, and let its threads and its waits end."""
+        """Leave ROS, and end its threads and waits."""
         self._heartbeat.end()
-        # Without this the executor keeps what it waits on, and the stage a reader that hangs.
+        # Otherwise the executor keeps its wait set, and the stage a reader that does not respond.
         self._executor.remove_node(self.node)
         self._executor.shutdown()
-        # Left to the end of Python, these would be destroyed after what they stand on.
+        # At exit, Python would destroy these after the objects that they depend on.
         for client in self._actions.values():
             client.destroy()
         self._actions.clear()
@@ -164,26 +165,22 @@ class Client:
         name : str
             One of `ACTIONS`.
         on_feedback : callable, optional
-            Called with each feedback message; what it raises cancels the goal.
+            Called with each feedback message; an exception that it raises cancels the goal.
         cancel_after_s : float, optional
-            Cancel the goal after this time.
+            Time in s after which the goal is cancelled.
         why_stop : callable, optional
-            Asked now and then; any text but an empty one cancels the goal, which has failed for
-            that.
+            Called periodically; a text that is not empty cancels the goal, which then fails with
+            this text.
         **fields
-            Of the goal; relative paths are of the caller's folder. ``client`` is this node unless
-            something else is given: whoever works on the goal cancels it once that node is gone.
-
-        Returns
-        -------
-        result : message
+            Fields of the goal; relative paths refer to the caller's folder. ``client`` is this node
+            by default: the server cancels the goal once that node is gone.
 
         Raises
         ------
         GoalFailed
-            If the goal was rejected, aborted or cancelled, or nobody serves the action any more.
+            If the goal was rejected, aborted or cancelled, or its server has ended.
         KeyboardInterrupt
-            Once the goal has been cancelled and the stage is back at rest.
+            After the goal has been cancelled and the stage is at rest.
         """
         with self._signals.hold():
             return self._goal(name, on_feedback, cancel_after_s, why_stop, fields)
@@ -206,7 +203,7 @@ class Client:
                 message.success, message.message = False, cause
         except GoalFailed:
             raise
-        except BaseException:  # Ctrl-C, or what on_feedback raised
+        except BaseException:  # Ctrl-C, or an exception of on_feedback
             self._cancel(handle, result, ACTIONS[name][1])
             raise
         finally:
@@ -217,7 +214,7 @@ class Client:
 
     def _stop_if(self, why_stop: Callable[[], str], handle: ClientGoalHandle,
                  result: Future) -> str:
-        """Wait for the end of a goal, or cancel it for a cause, and return that."""
+        """Wait for the end of a goal, or cancel it for a cause; return the cause or ''."""
         while not self.spin_until(result.done, WATCH_PERIOD_S):
             self.check()
             if cause := why_stop():
@@ -232,7 +229,7 @@ class Client:
         Raises
         ------
         GoalFailed
-            If nobody serves the action, or the goal was rejected.
+            If there is no server, or it rejected the goal.
         """
         action_type, topic = ACTIONS[name]
         client = self._actions[name]
@@ -243,7 +240,7 @@ class Client:
         number = UUID(uuid=list(uuid.uuid4().bytes))
 
         def ask() -> Future:
-            # Under the same number: where only the answer was lost it does not act twice.
+            # The same number for every attempt: if only the response was lost, the goal acts once.
             return client.send_goal_async(goal, tell, number)
 
         def tell(message: Message) -> None:
@@ -251,7 +248,7 @@ class Client:
             told, on_feedback = on_feedback, None
             if told is not None:
                 told(message.feedback)
-                on_feedback = told  # which is not called again where it raised
+                on_feedback = told  # not called again after it raised
 
         sent: list[Future] = []
         with self._signals.hold():
@@ -260,7 +257,7 @@ class Client:
             except GoalFailed:
                 raise
             except BaseException:
-                if sent:  # the goal is on its way, and must not run on alone
+                if sent:  # the goal may have been accepted and must not run on alone
                     self._withdraw(client, number, action_type, topic)
                 raise
         if handle is None:
@@ -276,7 +273,7 @@ class Client:
 
     def _accepted(self, client: PatientActionClient, topic: str, sent: list[Future],
                   ask: Callable[[], Future]) -> ClientGoalHandle | None:
-        """Ask, several times if need be; return the handle that tells, or None."""
+        """Send a goal, repeatedly if necessary; return the handle, or None without a response."""
         def settled() -> bool:
             return (any(answer.done() and answer.result().accepted for answer in sent)
                     or all(answer.done() for answer in sent))
@@ -292,19 +289,19 @@ class Client:
             if settled():
                 handles = [answer.result() for answer in sent if answer.done()]
                 return max(handles, key=lambda handle: handle.accepted)
-            if not client.server_is_ready():  # a node that was started anew was not there yet
+            if not client.server_is_ready():  # a restarted node has not appeared yet
                 self._await(client.server_is_ready, topic)
         return None
 
     def _withdraw(self, client: PatientActionClient, number: UUID, action_type: MessageType,
                   topic: str) -> None:
-        """Cancel a goal of which nobody knows whether it runs; wait for its end if it does."""
+        """Cancel a goal that may be running; wait for its end if it is."""
         handle = ClientGoalHandle(
             client, number, action_type.Impl.SendGoalService.Response(accepted=True))
         self._cancel(handle, handle.get_result_async(), topic)
 
     def _cancel(self, handle: ClientGoalHandle, result: Future, topic: str) -> None:
-        """Cancel a goal; wait for its end, but not for ever."""
+        """Cancel a goal; wait for its end for a limited time."""
         handle.cancel_goal_async()
         waiting, begun_s = Waiting(self.node, topic), time.monotonic()
         while not self.spin_until(result.done, ALIVE_PERIOD_S):
@@ -319,16 +316,17 @@ class Client:
     def call(self, service_type: MessageType, name: str, /, **fields: Any) -> Message:
         """Call a service and return its response.
 
-        A request is sent again where no response comes, if acting twice does no harm: under its
-        number, where it bears one, it acts once.
+        The request is sent again if no response comes and a repetition does no harm: a request with
+        a number acts once for its number.
 
         Raises
         ------
         ServiceFailed
-            If nobody serves, or the node that serves ends before it answers.
+            If there is no server, or its node ends before it responds.
         """
         with self._signals.hold():
-            # A server may answer a new client before it has met it: the answer is lost.
+            # A server may respond to a new client before discovery is complete: the response is
+            # lost.
             client = self._services.get((service_type, name))
             if client is None:
                 client = self.node.create_client(service_type, name)
@@ -362,7 +360,7 @@ class Client:
         return next(answer for answer in answers if answer.done()).result()
 
     def _await(self, ready: Callable[[], bool], name: str) -> None:
-        """Wait for who serves a name, long only where there is somebody in the namespace."""
+        """Wait for the server of a name; longer if there are other nodes in the namespace."""
         if self._appears(ready, name, min(self._wait_s, SERVER_TIMEOUT_S)):
             return
         if not self.neighbours():
@@ -371,7 +369,7 @@ class Client:
             raise ServiceFailed(f"nobody serves {name}: start its node")
 
     def _appears(self, ready: Callable[[], bool], name: str, timeout_s: float) -> bool:
-        """Wait for who serves a name, and log that nobody does."""
+        """Wait for the server of a name, and log while there is none."""
         waiting, begun_s, waited_s = Waiting(self.node, name), time.monotonic(), 0.0
         while not self.spin_until(ready, min(timeout_s - waited_s, WORD_AFTER_S)):
             waited_s = time.monotonic() - begun_s
@@ -381,11 +379,11 @@ class Client:
         return True
 
     def _server(self, name: str) -> str:
-        """Return the node that serves a name, or what to say where nobody does any more."""
+        """Return the node that serves a name, or a description of it if it has ended."""
         return server_of(self.node, name) or f"the node that serves {name}"
 
     def description(self, stage: DescribedStage) -> StageDescription:
-        """Return what a stage says of itself; wait for it as for one that serves."""
+        """Return the description that a stage publishes; wait for it as for a server."""
         self._await(lambda: stage.description is not None, stage.topic)
         description = stage.description
         if description is None:
@@ -393,7 +391,7 @@ class Client:
         return description
 
     def neighbours(self) -> set[str]:
-        """Return the names of the nodes that are seen in the namespace, clients left out."""
+        """Return the names of the nodes in the namespace, except clients."""
         own = self.node.get_namespace()
         return {name for name, namespace in self.node.get_node_names_and_namespaces()
                 if namespace == own and not name.startswith(("_", "client"))
@@ -405,7 +403,7 @@ class Client:
         Parameters
         ----------
         waiting : Waiting, optional
-            Logs for whom, where nothing else tells of it.
+            Logs the wait, if nothing else does.
         """
         begun_s = time.monotonic()
         while not self.spin_until(future.done, ALIVE_PERIOD_S):
@@ -415,21 +413,21 @@ class Client:
         return future.result()
 
     def check(self) -> None:
-        """Raise GoalFailed if the node that works on the present goal has ended."""
+        """Raise GoalFailed if the server of the present goal has ended."""
         if self._running and not self._actions[self._running].server_is_ready():
             action_type, topic = ACTIONS[self._running]
             raise GoalFailed(self._running, action_type.Result(
                 message=f"the node that serves {topic} has ended: start it again"))
 
     def spin_until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Spin until a condition holds or time is up; return whether it holds.
+        """Spin until a condition holds or the time is up; return whether it holds.
 
         Raises
         ------
         StoodStill
-            If this process did nothing for so long, as after Ctrl-Z, that nodes gave it up.
+            If this process was suspended, as by Ctrl-Z, for so long that the nodes ended its goals.
         KeyboardInterrupt
-            After Ctrl-C, once the message in hand has been dealt with.
+            After Ctrl-C, once the present message has been processed.
         """
         deadline = time.monotonic() + timeout_s
         with self._signals.hold():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Signals that wait for a moment in which the middleware has nothing in hand."""
+"""Delay signals until no message is being converted."""
 
 import signal
 import threading
@@ -12,11 +12,11 @@ Handler = Callable[[int, FrameType | None], Any]
 
 
 class HeldSignals:
-    """Note SIGINT and SIGTERM while messages are handled, and let them act in between.
+    """Hold back SIGINT and SIGTERM while messages are handled, and process them in between.
 
-    `rclpy` calls Python to convert a message. An exception that a signal's handler raises in there
-    comes out as a TypeError, and the message is lost. A signal without a handler in Python is left
-    alone, and so is everything in a thread that gets no signals.
+    `rclpy` calls Python to convert a message. An exception that a signal handler raises there
+    becomes a TypeError, and the message is lost. Signals without a handler in Python are not
+    changed, and neither is anything in a thread that receives no signals.
     """
 
     def __init__(self) -> None:
@@ -43,7 +43,7 @@ class HeldSignals:
             self._call(handlers)
 
     def act(self) -> None:
-        """Call the handler of a signal that was noted, once; what it raises is the caller's."""
+        """Call the handler of a held signal, once; its exceptions propagate."""
         self._call(self._handlers)
 
     def _call(self, handlers: dict[int, Handler]) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the monitor offers, and the acceptance of it."""
+"""The extended model that the monitor offers, and its acceptance."""
 
 from pathlib import Path
 
@@ -14,19 +14,19 @@ from piezo_ros.quality import DESCRIPTION, DIAGNOSTICS_DEPTH
 
 SERVICE = "controller/accept_extended_model"
 LATCHED_S = 2.0
-"""In which what a node told before is heard."""
+"""Time in s within which a latched message arrives."""
 
 
 def monitor_follows(client: Client, from_s: float, to_s: float, wait_s: float) -> bool:
-    """Tell whether the monitor has watched the stage up to a time of its sample clock.
+    """Return whether the monitor has processed the stage up to a time of its sample clock.
 
     Parameters
     ----------
     from_s, to_s : float
-        Between which the time lies: the monitor may still watch a stage before, whose clock is
-        another.
+        Interval in s in which the time must lie: the monitor may still follow a previous stage,
+        which has another clock.
     wait_s : float
-        How long to wait for the monitor to tell so.
+        Time to wait for the monitor's report in s.
     """
     told_s: list[float] = []
 
@@ -43,17 +43,17 @@ def monitor_follows(client: Client, from_s: float, to_s: float, wait_s: float) -
 
 
 def offered_model(client: Client, wait_s: float = LATCHED_S) -> OfferedModel | None:
-    """Return what the monitor has offered last.
+    """Return the last model that the monitor has offered.
 
     Parameters
     ----------
     wait_s : float
-        How long to wait for an offer.
+        Time to wait for an offer in s.
 
     Returns
     -------
     OfferedModel or None
-        None where there is no offer.
+        None if there is no offer.
     """
     heard: list[ExtendedModel] = []
     subscription = client.node.create_subscription(
@@ -70,24 +70,24 @@ def offered_model(client: Client, wait_s: float = LATCHED_S) -> OfferedModel | N
 
 
 def accept_extended_model(client: Client, model: AnyPath, extended_model: AnyPath) -> str:
-    """Have the controller use an extended model in place of a model, from now on.
+    """Make the controller use an extended model in place of a model, from now on.
 
     Parameters
     ----------
     model : path-like
-        That goals name.
+        Model that goals name.
     extended_model : path-like
-        Empty to use the model itself again.
+        Extended model; empty to use the model itself again.
 
     Returns
     -------
     str
-        What is used from now on.
+        Description of what is used from now on.
 
     Raises
     ------
     GoalFailed
-        If the controller refuses it.
+        If the controller rejects it.
     """
     response = client.call(
         AcceptExtendedModel, SERVICE, model=model, extended_model=extended_model)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Tell which stages can be seen, and how one of them is."""
+"""List the visible stages, and report the status of one of them."""
 
 import math
 from typing import Any
@@ -22,12 +22,12 @@ def stages_seen(client: Client, wait_s: float) -> dict[str, set[str]]:
     Parameters
     ----------
     wait_s : float
-        How long to look where none is seen.
+        Time to look for a stage in s.
 
     Raises
     ------
     ServiceFailed
-        If there is none.
+        If there is no stage.
     """
     client.spin_until(lambda: bool(_namespaces(client)), wait_s)
     found = _namespaces(client)
@@ -46,12 +46,12 @@ def _namespaces(client: Client) -> dict[str, set[str]]:
 
 
 def status_lines(client: Client) -> list[str]:
-    """Return what is to be said of the stage of a client's namespace.
+    """Return the status of the stage in a client's namespace, line by line.
 
     Raises
     ------
     ServiceFailed
-        If nobody serves it.
+        If there is no such stage.
     """
     heard: dict[str, DiagnosticStatus] = {}
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Paths as the nodes need them: those of the caller, who may work in another folder than they."""
+"""Absolute paths for the nodes, which may work in another folder than the caller."""
 
 import copy
 import os
@@ -10,7 +10,7 @@ from typing import Any
 from piezo_interfaces.msg import Reference
 
 AnyPath = str | os.PathLike[str]
-"""A path in any form; a string may be empty, for none."""
+"""A path in any form; an empty string for none."""
 
 ONE_PATH = ("directory", "model", "extended_model", "holdout", "learned", "controller")
 SEVERAL_PATHS = ("recordings",)
@@ -19,23 +19,23 @@ SEVERAL_REFERENCES = ("then",)
 
 
 def absolute(path: AnyPath) -> str:
-    """Return a path as it is seen from every folder; an empty one, for none, stays empty."""
+    """Return the absolute path; an empty one, for none, stays empty."""
     path = os.fspath(path)
     return path and str(Path(path).absolute())
 
 
 def with_absolute_paths(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of a goal or a request with all paths in them made absolute.
+    """Return the fields of a goal or a request with all paths made absolute.
 
     Parameters
     ----------
     fields : mapping of str to object
-        Paths may be path-like; references are messages or anything else with a ``file``.
+        Fields; paths may be path-like; references are messages or other objects with a ``file``.
 
     Returns
     -------
     dict
-        Nothing in ``fields`` is changed.
+        A copy; ``fields`` is not changed.
     """
     made = dict(fields)
     for names, convert in ((ONE_PATH, absolute), (ONE_REFERENCE, _with_absolute_file)):

@@ -16,7 +16,7 @@ def harmonic(frequency_hz: float, amplitude_um: float, centre_um: float) -> dict
     Parameters
     ----------
     amplitude_um : float
-        Peak to peak.
+        Peak-to-peak amplitude.
     centre_um : float
         Mean displacement.
     """
@@ -24,12 +24,12 @@ def harmonic(frequency_hz: float, amplitude_um: float, centre_um: float) -> dict
 
 
 def triangle(frequency_hz: float, amplitude_um: float, centre_um: float) -> dict[str, Any]:
-    """Return a triangle that is rounded to its harmonics up to 2 kHz.
+    """Return a triangle that consists of its harmonics up to 2 kHz.
 
     Parameters
     ----------
     amplitude_um : float
-        Peak to peak.
+        Peak-to-peak amplitude.
     centre_um : float
         Mean displacement.
     """
@@ -43,26 +43,26 @@ def multi_frequency(frequencies_hz: Sequence[float], amplitudes_um: Sequence[flo
     Parameters
     ----------
     frequencies_hz, amplitudes_um : sequence of float
-        Of each sine; the amplitude is peak to peak.
+        Frequency and peak-to-peak amplitude of each sine.
     centre_um : float
         Mean displacement.
     phases_rad : sequence of float, optional
-        Of each sine; zero by default.
+        Phase of each sine; zero by default.
     """
     return _of_components("multi_frequency", frequencies_hz, amplitudes_um, phases_rad, centre_um)
 
 
 def sampled(displacement_um: ArrayLike, path: str | PathLike[str],
             sample_rate_hz: float = 40000.0) -> dict[str, Any]:
-    """Give any periodic trajectory by the samples of one period.
+    """Return a periodic trajectory given by the samples of one period.
 
     Parameters
     ----------
     displacement_um : array_like, shape (N,)
     path : path-like
-        CSV file to write, from which the controller reads the period.
+        CSV file to write; the controller reads the period from it.
     sample_rate_hz : float
-        Of the stage's sample clock.
+        Sample rate of the stage.
 
     Raises
     ------

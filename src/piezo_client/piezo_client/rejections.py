@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Learn why a goal was rejected, which the rejection itself has no room for."""
+"""Find out why a goal was rejected, as the rejection itself contains no reason."""
 
 from collections.abc import Callable
 
@@ -9,21 +9,21 @@ from rclpy.node import Node
 from piezo_ros.requests.goals import GOAL, GoalState
 
 DIAGNOSTICS_S = 5.0
-"""Every node that has something to tell does so each second."""
+"""Time in s to wait for diagnostics, which nodes publish every second."""
 
 
 def why_rejected(node: Node, spin_until: Callable[[Callable[[], bool], float], bool],
                  topic: str) -> str:
-    """Return what the node that serves an action says of its present goal.
+    """Return what the server of an action reports about its present goal.
 
     Parameters
     ----------
     node : rclpy.node.Node
-        Of the client.
+        Node of the client.
     spin_until : callable
-        ``spin_until(condition, timeout_s)`` spins it.
+        Function ``spin_until(condition, timeout_s)`` that spins the node.
     topic : str
-        Of the action, relative to the namespace of both.
+        Name of the action, relative to the namespace of both.
     """
     name = f"{node.get_namespace().rstrip('/')}/{topic.partition('/')[0]}: goal"
     heard: list[DiagnosticStatus] = []

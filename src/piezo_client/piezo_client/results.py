@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the calls of a stage return; each may stand for the path of what it made."""
+"""Results of the calls of a stage; each can be used as the path of the file it describes."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,8 +21,8 @@ class _AtPath:
 
 class _ModelFile(_AtPath):
     def model(self) -> "IdentifiedModel":
-        """Read the model file: a `piezo_models.identified_model.IdentifiedModel`."""
-        # Its imports take seconds, which a client that only drives the stage need not wait for.
+        """Read the model file; return a `piezo_models.identified_model.IdentifiedModel`."""
+        # Imported here, since it takes seconds, which a client that only drives the stage can save.
         from piezo_models.model_file import load_model
 
         return load_model(self.path)
@@ -33,7 +33,7 @@ class _Run(_AtPath):
     path: Path
 
     def recording(self) -> Recording:
-        """Read the samples: a `piezo_recorder.reading.recording.Recording`."""
+        """Read the samples; return a `piezo_recorder.reading.recording.Recording`."""
         return read_recording(self.path, several_axes=True)
 
 
@@ -44,7 +44,7 @@ class Played(_Run):
     Attributes
     ----------
     path : Path
-        Of the recording.
+        Path of the recording.
     """
 
 
@@ -55,9 +55,9 @@ class Experiment(_Run):
     Attributes
     ----------
     path : Path
-        Of the recording.
+        Path of the recording.
     summary : str
-        What was played and, of a relay experiment, what was found.
+        What was played and, for a relay experiment, its result.
     """
 
     summary: str
@@ -70,14 +70,14 @@ class Tracking(_Run):
     Attributes
     ----------
     path : Path
-        Of the recording.
+        Path of the recording.
     e_rms_percent : float
-        RMS error by the sensor, of the reference's peak to peak (2.32).
+        RMS error by the sensor, in percent of the reference's peak-to-peak value (2.32).
     missed_feedback : int
-        Answers of the controller that came too late.
+        Responses of the controller that came too late.
     message : str
-        What is to be told of the run, such as what the feedforward leaves uncompensated, or that
-        an extended model was used; empty where nothing is.
+        Remarks on the run, for example what the feedforward does not compensate, or that an
+        extended model was used; empty if there are none.
     """
 
     e_rms_percent: float
@@ -88,21 +88,21 @@ class Tracking(_Run):
 
 @dataclass(frozen=True)
 class Identification(_ModelFile):
-    """A stage that was identified; may be given wherever a model file is asked for.
+    """A stage that was identified; accepted wherever a model file is.
 
     Attributes
     ----------
     path : Path
-        Of the model file.
+        Path of the model file.
     errors : dict of str to float
-        On data that was not fitted.
+        Errors on data that was not fitted.
     recordings : tuple of Path
-        Of the experiments.
+        Recordings of the experiments.
     adequacy : str
-        "adequate" if every component leaves no more than noise of its own recording, else
+        "adequate" if the residual of every component is at most the noise of its recording, else
         "inadequate"; empty if that was not tested.
     components : dict of str to dict
-        The same of each component, as the model file holds it.
+        Adequacy of each component, as in the model file.
     """
 
     path: Path
@@ -114,7 +114,7 @@ class Identification(_ModelFile):
 
 @dataclass(frozen=True)
 class Diagnosis(_ModelFile):
-    """What a model lacks; may be given wherever a model file is asked for: the extended one.
+    """What a model lacks; accepted wherever a model file is, as the extended model.
 
     Attributes
     ----------
@@ -123,17 +123,17 @@ class Diagnosis(_ModelFile):
     sentence : str
         The verdict in words.
     effects : tuple of str
-        That the model lacks, the strongest first.
+        Effects that the model lacks, the strongest first.
     path : Path
-        Of the extended model's file.
+        Path of the extended model.
     report : Path
-        HTML page.
+        Path of the HTML report.
     details : dict
         Content of ``verdict.json``.
     decision : str
-        What the experiments that were played have decided; empty where none was asked for.
+        Conclusion from the experiments that were played; empty if none was requested.
     experiments : tuple of Path
-        Their recordings.
+        Recordings of these experiments.
     """
 
     verdict: str
@@ -148,20 +148,20 @@ class Diagnosis(_ModelFile):
 
 @dataclass(frozen=True)
 class OfferedModel(_AtPath):
-    """A model that the monitor offers; may be given wherever a model file is asked for.
+    """A model that the monitor offers; accepted wherever a model file is.
 
     Attributes
     ----------
     path : Path
-        Of the extended model's file.
+        Path of the extended model.
     model : Path
-        Of the model that it extends.
+        Path of the model that it extends.
     sentence : str
-        What the stage has changed.
+        Description of the change of the stage.
     since_s : float
         Time of the sample clock at which the change began.
     before_rms_um, after_rms_um : float
-        Of the residual since then, of the model and of the extended one.
+        RMS residual since then with the model and with the extended model.
     """
 
     path: Path

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Learn the voltages of a path from what the axes did: what repeats is taken off, run by run.
+"""Learn the voltages of a path from the measured motion, run by run.
 
-Each line of the error's spectrum is divided by the response matrix of a model, and the voltage that
-would have made up for it is added. Hysteresis, creep and errors of the model repeat with the path.
+Each line of the error's spectrum is divided by the response matrix of a model, and the resulting
+voltage is added. This removes errors that repeat with the path: hysteresis, creep and model errors.
 """
 
 from dataclasses import replace
@@ -14,28 +14,28 @@ from piezo_common.arrays import FloatArray
 from piezo_models.axes.coupled import CoupledModel
 
 PASSED = 0.1
-"""Part of what a stage passes at rest, in its worst direction, down to which a line is learned: up
-to three times the highest mode. With 0.03 the errors on the simulated XY stage are the same to a
-fifth; further up there is noise, and no model is known."""
+"""Smallest gain, relative to the DC gain in its worst direction, at which a line is learned: up to
+three times the highest mode. With 0.03 the errors on the simulated XY stage are within a
+fifth; at higher frequencies there is noise, and no model is known."""
 
 SAME_PERIOD = 1e-9
-"""Relative difference of sample periods up to which they are one: rounding."""
+"""Relative difference up to which two sample periods are equal; allows for rounding."""
 
 
 def learned(run: Scanned, model: CoupledModel) -> StoredScan:
-    """Return the scan with voltages that make up for the error of a run.
+    """Return the scan with voltages that compensate the error of a run.
 
-    The offset stays: creep moves it on.
+    The offset is not corrected, as creep changes it.
 
     Parameters
     ----------
     model : CoupledModel
-        Of the same axes, at the sample period of the scan.
+        Model of the same axes, at the sample period of the scan.
 
     Raises
     ------
     ValueError
-        If the model is of other axes or of another sample period.
+        If the model has other axes or another sample period.
     """
     scan, samples = run.scan, len(run.scan.voltage_v)
     if model.axes != scan.axes or abs(
@@ -58,7 +58,7 @@ def learned(run: Scanned, model: CoupledModel) -> StoredScan:
 
 
 def _rise(samples: int) -> FloatArray:
-    """Return a rise from 0 to 1 of minimum jerk, shape (samples, 1)."""
+    """Return a minimum-jerk rise from 0 to 1, shape (samples, 1)."""
     at = np.arange(samples)[:, None] / max(samples, 1)
     rise: FloatArray = at**3 * (10.0 + at * (6.0 * at - 15.0))
     return rise

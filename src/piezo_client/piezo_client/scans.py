@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A path that `scan` has planned, played on the stage, and how well the axes followed it."""
+"""A path planned by `scan`: play it on the stage, and evaluate how well the axes followed it."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,20 +14,19 @@ from piezo_recorder.reading.axes import read_axes
 from piezo_recorder.reading.waveform_file import read_waveform
 
 PERIOD_FILE, BEGIN_FILE = "path.csv", "begin.csv"
-"""What `scan` writes: one period to be repeated, and the way from the operating point into it."""
+"""Files of `scan`: one period to repeat, and the way from the operating point into it."""
 
 
 @dataclass(frozen=True, eq=False)
 class StoredScan:
-    """The voltages of a planned path, and the positions that it asks for.
+    """The voltages of a planned path, and its positions.
 
     Attributes
     ----------
-    axes : tuple of str
-    sample_period_s : float
     begin_voltage_v : (B, n) array
+        Voltages of the way into the path.
     voltage_v, position_um : (N, n) array
-        Of one period.
+        Voltages and positions of one period.
     """
 
     axes: tuple[str, ...]
@@ -37,7 +36,7 @@ class StoredScan:
     position_um: FloatArray
 
     def repeated_v(self, periods: int) -> FloatArray:
-        """Return the voltages to play, the way into the path and some periods of it, (T, n)."""
+        """Return the voltages of the way into the path and of some periods of it, (T, n)."""
         return np.concatenate([self.begin_voltage_v, *[self.voltage_v] * periods])
 
 
@@ -47,7 +46,7 @@ def read_scan(directory: AnyPath) -> StoredScan:
     Raises
     ------
     ValueError
-        If a file is missing, or the two do not belong together.
+        If a file is missing, or the two files do not belong together.
     """
     folder = Path(directory)
     period, = read_axes(folder / PERIOD_FILE)
@@ -60,7 +59,7 @@ def read_scan(directory: AnyPath) -> StoredScan:
 
 
 def write_scan(scan: StoredScan, directory: AnyPath) -> None:
-    """Write voltages and positions into a folder, as `scan` does, to be played by `read_scan`."""
+    """Write voltages and positions into a folder, in the format of `scan`, for `read_scan`."""
     folder = Path(directory)
     folder.mkdir(parents=True, exist_ok=True)
     for name, signals in ((PERIOD_FILE, {"voltage_v": scan.voltage_v,
@@ -80,10 +79,9 @@ class Scanned(Played):
     Attributes
     ----------
     path : Path
-        Of the recording.
-    scan : StoredScan
+        Path of the recording.
     displacement_um : (N, n) array
-        Measured in the last period.
+        Displacement measured in the last period.
     """
 
     scan: StoredScan
@@ -91,20 +89,20 @@ class Scanned(Played):
 
     @property
     def offset_um(self) -> FloatArray:
-        """Return the mean of the displacement less that of the path, (n,)."""
+        """Return the mean of the displacement minus that of the path, (n,)."""
         offset_um: FloatArray = (self.displacement_um - self.scan.position_um).mean(axis=0)
         return offset_um
 
     @property
     def error_um(self) -> FloatArray:
-        """Return the displacement less the path, without the offset, (N, n)."""
+        """Return the displacement minus the path, without the offset, (N, n)."""
         return self.displacement_um - self.scan.position_um - self.offset_um
 
     @property
     def error_percent(self) -> FloatArray:
-        """Return the RMS error (2.32) without the offset, over the travel of the axis, (n,).
+        """Return the RMS error (2.32) without the offset, in percent of the axis' travel, (n,).
 
-        Of an axis that rests it is that over the largest travel.
+        For an axis that rests it is relative to the largest travel.
         """
         travel_um = np.ptp(self.scan.position_um, axis=0)
         travel_um = np.where(travel_um > 0.0, travel_um, travel_um.max())
@@ -128,7 +126,7 @@ def scanned(scan: StoredScan, played: Played, periods: int) -> Scanned:
     Raises
     ------
     ValueError
-        If the recording does not hold the whole scan.
+        If the recording does not contain the whole scan.
     """
     recording = played.recording()
     displacement_um = recording.displacement_um[recording.playing]

@@ -38,35 +38,35 @@ if TYPE_CHECKING:
 _numbers = itertools.count(1)
 
 LEARNED = "learned"
-"""Folder of the voltages that were learned."""
+"""Folder for the learned voltages."""
 
 
 class Stage:
     """The nodes of one stage, driven by blocking calls; a context manager.
 
-    Every call raises `piezo_client.client.GoalFailed` if it is refused or fails, with the text of
-    the node that refused it, and leaves the stage at rest. Ctrl-C does so, too.
+    Every call raises `piezo_client.client.GoalFailed` if it is rejected or fails, with the message
+    of the node, and leaves the stage at rest. Ctrl-C also leaves it at rest.
 
     Parameters
     ----------
     namespace : str
-        Of the stage's nodes.
+        Namespace of the stage's nodes.
     progress : callable, optional
-        Called as ``progress(step, fraction, seconds_left)`` while something runs, such as
+        Called as ``progress(step, fraction, seconds_left)`` while something runs; for example
         ``ProgressLine().show``.
     wait_s : float
-        How long to look for any of the nodes.
+        Time to look for any of the nodes in s.
 
     Attributes
     ----------
     client : piezo_client.client.Client
-        What the calls are made with.
+        The client that makes the calls.
     """
 
     def __init__(self, namespace: str = "",
                  progress: Callable[[str, float, float], object] | None = None,
                  wait_s: float = SERVER_TIMEOUT_S) -> None:
-        # A name of its own: the stage stops when the node of this name is gone.
+        # The name is unique, as the stage stops when the node of this name is gone.
         self.client = Client(namespace, f"client_{os.getpid()}_{next(_numbers)}", wait_s)
         self._name = self.client.node.get_fully_qualified_name()
         self._news = RecorderNews(self.client.node)
@@ -80,30 +80,30 @@ class Stage:
         self.close()
 
     def close(self) -> None:
-        """Leave ROS; the nodes stay."""
+        """Leave ROS; the nodes keep running."""
         self.client.close()
 
     @property
     def description(self) -> StageDescription:
-        """Limits, clock and rates, as the stage tells them."""
+        """Limits, clock and rates that the stage publishes."""
         return self.client.description(self._stage)
 
     def play(self, voltage_v: ArrayLike, sample_period_s: float | None = None, repeats: int = 1,
              directory: AnyPath = "runs", name: str = "waveform",
              axes: Sequence[str] = ()) -> Played:
-        """Play a voltage and record it; what can no longer be recorded is stopped.
+        """Play a voltage and record it; stop if the recording fails.
 
         Parameters
         ----------
         voltage_v : array_like, shape (N,) or (N, axes)
         sample_period_s : float, optional
-            A whole multiple of the sample clock's, at most 1 s; by default that of the clock.
+            A whole multiple of the stage's sample period, at most 1 s; by default that period.
         directory : path-like
-            Where the recording is made.
+            Folder for the recording.
         name : str
-            Of the recording, to which a number is added where it is taken.
+            Name of the recording; a number is added if it is already used.
         axes : sequence of str
-            Names of the columns where there are several; by default all of the stage.
+            Names of the columns, if there are several; by default all axes of the stage.
         """
         if sample_period_s is None:
             sample_period_s = 1.0 / self.description.sample_rate_hz
@@ -129,37 +129,37 @@ class Stage:
         scan : path-like
             Folder that `scan` wrote its voltages into.
         periods : int
-            How often the path is followed; the first ones settle.
+            Periods to play; the first ones let the motion settle.
         directory : path-like
-            Where the recording is made.
+            Folder for the recording.
         name : str
-            Of the recording, to which a number is added where it is taken.
+            Name of the recording; a number is added if it is already used.
         """
         return self._scan(read_scan(scan), periods, directory, name)
 
     def learn_scan(self, scan: AnyPath, model: "AnyPath | CoupledModel", runs: int = 6,
                    periods: int = 2, directory: AnyPath = "runs",
                    name: str = "scan") -> list[Scanned]:
-        """Play a planned path again and again, each time with voltages learned from the last run.
+        """Play a planned path repeatedly, each time with voltages learned from the last run.
 
-        It ends early where a run is no better than the one before. The voltages of the best run
-        are written into the folder ``learned``, to be played by `scan`.
+        It ends early if a run is not better than the one before. The voltages of the best run are
+        written into the folder ``learned``, from which `scan` can play them.
 
         Parameters
         ----------
         scan, periods, directory, name
-            See `scan`.
+            As for `scan`.
         model : path-like or CoupledModel
-            Of the axes, at the sample period of the scan.
+            Model of the axes, at the sample period of the scan.
         runs : int
-            How many at most.
+            Largest number of runs.
 
         Returns
         -------
         list of Scanned
-            In their order.
+            The runs in their order.
         """
-        # The imports take a second, which who only plays need not wait for.
+        # Imported here, since it takes a second that playing alone does not need.
         from piezo_client.scan_learning import learned
         from piezo_models.axes.coupled import CoupledModel
         from piezo_models.axes_model_file import load_axes_model
@@ -182,14 +182,14 @@ class Stage:
         return scanned(planned, played, periods)
 
     def settle(self, lowest_voltage_v: float | None = None, rest_s: int = 60) -> None:
-        """Wipe out the past: go to the lowest voltage, then rest while the creep dies out.
+        """Remove the past: go to the lowest voltage, then rest until creep is over.
 
         Parameters
         ----------
         lowest_voltage_v : float, optional
-            Of all axes; the lowest that the stage allows by default.
+            Voltage in V for all axes; the lowest that the stage allows by default.
         rest_s : int
-            Seconds of the stage's time.
+            Time at rest in seconds of the stage's time.
         """
         stage = self.description
         ends_v = np.array([(axis.minimum_voltage_v if lowest_voltage_v is None
@@ -204,9 +204,9 @@ class Stage:
         Parameters
         ----------
         name : str
-            creep, dynamics, multisine, relay, hysteresis, validation, diagnostic or probe.
+            One of creep, dynamics, multisine, relay, hysteresis, validation, diagnostic and probe.
         directory : path-like
-            Where the recording is made; by default where the node's parameter says.
+            Folder for the recording; by default that of the node's parameter.
         """
         result = self.client.run_experiment(name, directory, on_feedback=self._shown(""))
         return Experiment(Path(result.recording), result.summary)
@@ -214,18 +214,18 @@ class Stage:
     def identify(self, directory: AnyPath = "", recordings: Sequence[AnyPath] = (),
                  creep_pairs: int = 0, modes: int = 0,
                  probe_first: bool = False) -> Identification:
-        """Run all experiments, or take these recordings, and estimate the model.
+        """Run all experiments, or use these recordings, and estimate the model.
 
         Parameters
         ----------
         directory : path-like
-            Where recordings and model are made; by default where the node's parameter says.
+            Folder for recordings and model; by default that of the node's parameter.
         recordings : sequence of path-like
-            Of creep, dynamics, hysteresis and validation, in this order.
+            Recordings of creep, dynamics, hysteresis and validation, in this order.
         creep_pairs, modes : int
             Orders of the model; 0 to choose them from the data.
         probe_first : bool
-            Whether to measure the stage first, and fit the experiments to it.
+            True to measure the stage first, and adapt the experiments to it.
         """
         result = self.client.identify(
             directory, recordings=recordings, creep_pairs=creep_pairs, modes=modes,
@@ -243,17 +243,17 @@ class Stage:
         Parameters
         ----------
         reference : dict
-            Of `piezo_client.references`.
+            Reference from `piezo_client.references`.
         model : path-like
-            Model file, or what `identify` or `diagnose` returned.
+            Model file, or the result of `identify` or `diagnose`.
         mode : str
-            Of the action ``controller/track``.
+            Mode of the action ``controller/track``.
         duration_s : float
-            Without the way to the beginning and back.
+            Duration of the tracking in s, without the way to the beginning and back.
         directory : path-like
-            Where the recording is made; by default where the node's parameter says.
+            Folder for the recording; by default that of the node's parameter.
         controller : path-like
-            File that ``design`` wrote, for the composite modes; by default the node's own.
+            File written by ``design``, for the composite modes; by default that of the node.
         """
         result = self.client.track(
             reference, model, mode, duration_s, directory, controller=controller,
@@ -264,22 +264,23 @@ class Stage:
     def diagnose(self, model: AnyPath, recordings: Sequence[AnyPath], directory: AnyPath,
                  holdout: AnyPath = "", experiments: int = 0,
                  longest_s: float = 0.0) -> Diagnosis:
-        """Find what a model lacks to explain recordings, and extend it by that.
+        """Find what a model lacks to explain recordings, and extend it accordingly.
 
         Parameters
         ----------
         model : path-like
-            Model file, or what `identify` returned.
+            Model file, or the result of `identify`.
         recordings : sequence of path-like
-            Or what the calls that record returned.
+            Recordings, or results of the calls that record.
         directory : path-like
-            Gets ``verdict.json``, ``extended_model.json`` and ``report.html``.
+            Folder for ``verdict.json``, ``extended_model.json`` and ``report.html``.
         holdout : path-like
-            A recording on which the errors are measured; by default a part of the others.
+            Recording on which the errors are measured; by default a part of the others.
         experiments : int
-            That the stage may play until one explanation has a probability of 95 %.
+            Most experiments that the stage may play until one explanation has a probability of 95
+            %.
         longest_s : float
-            That each of them may last; 30 s where it is 0.
+            Longest duration of each of them in s; 0 for 30 s.
         """
         result = self.client.diagnose(
             model, recordings, directory, holdout, on_feedback=self._shown("diagnose: "),
@@ -290,30 +291,30 @@ class Stage:
                          tuple(map(Path, result.recordings)))
 
     def offered_model(self, wait_s: float = LATCHED_S) -> OfferedModel | None:
-        """Return the extended model that the monitor has offered last; None without one.
+        """Return the last extended model that the monitor has offered; None without an offer.
 
         Parameters
         ----------
         wait_s : float
-            How long to wait for an offer.
+            Time to wait for an offer in s.
         """
         return offered_model(self.client, wait_s)
 
     def accept_extended_model(self, model: AnyPath, extended_model: AnyPath = "") -> str:
-        """Have runs that name a model use an extended one, from now on.
+        """Make runs that name a model use an extended one, from now on.
 
         Parameters
         ----------
         model : path-like
-            That goals name.
+            Model that goals name.
         extended_model : path-like
-            Model file, or what `offered_model` or `diagnose` returned; by default runs use the
+            Model file, or the result of `offered_model` or `diagnose`; by default runs use the
             model itself again.
 
         Returns
         -------
         str
-            What is used from now on.
+            Description of what is used from now on.
         """
         return accept_extended_model(self.client, model, extended_model)
 
@@ -346,7 +347,7 @@ class Stage:
         return response
 
     def _shown(self, step: str) -> Callable[[Message], object] | None:
-        """Return what passes feedback on to the progress, if that is asked for."""
+        """Return a callback that passes feedback to the progress function; None without one."""
         progress = self._progress
         return progress and (lambda feedback: progress(
             step + getattr(feedback, "stage", ""), feedback.fraction, feedback.seconds_left))

@@ -12,7 +12,7 @@ from piezo_common.command_line import BAD_INPUT, INTERRUPTED
 from piezo_ros.starting import without_ros_arguments
 
 WAIT_S = 3.0
-"""Nodes that run are seen within a second."""
+"""Time in s to look for nodes; running ones are visible within a second."""
 Commands: TypeAlias = "argparse._SubParsersAction[_Parser]"
 INPUTS = ("model", "file", "waveform", "scan", "controller", "data", "holdout", "recordings",
           "extended_model")
@@ -26,16 +26,16 @@ def main(arguments: list[str] | None = None) -> int:
     Parameters
     ----------
     arguments : list of str, optional
-        The command line's by default.
+        Arguments; those of the command line by default.
 
     Returns
     -------
     int
-        Exit status: 0, 1 if the stage's nodes refuse or fail, 2 for input that cannot be used, 130
-        after Ctrl-C.
+        Exit status: 0, 1 if a node of the stage rejects or fails, 2 for invalid input, 130 after
+        Ctrl-C.
     """
     given = sys.argv[1:] if arguments is None else arguments
-    options = _parser().parse_args(without_ros_arguments(given))  # which a launch file adds
+    options = _parser().parse_args(without_ros_arguments(given))  # a launch file adds these
     for path in _inputs(options):
         if not path.exists():
             print(f"stage: {path} does not exist: check the path", file=sys.stderr)
@@ -54,10 +54,10 @@ def _inputs(options: argparse.Namespace) -> Iterator[Path]:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that says where a model comes from to whoever gives none."""
+    """A parser whose error names the command that makes a model, if none is given."""
 
     def error(self, message: str) -> NoReturn:
-        """Print usage and message, and leave."""
+        """Print usage and message, and exit."""
         lacking = "required" in message and "--model" in message
         super().error(message + (
             f"; identify makes a model: {IDENTIFY}" if lacking else ""))

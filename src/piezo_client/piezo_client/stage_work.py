@@ -25,7 +25,7 @@ SHAPES = {"harmonic": harmonic, "triangle": triangle}
 
 
 def drive(options: argparse.Namespace) -> int:
-    """Do what the options of `piezo_client.stage_command` ask for; return the exit status."""
+    """Execute a parsed command of `piezo_client.stage_command`; return the exit status."""
     for number in signal.SIGINT, signal.SIGTERM:
         signal.signal(number, signal.default_int_handler)
     progress = ProgressLine()
@@ -57,7 +57,7 @@ def _what_stays(options: argparse.Namespace) -> str:
 
 
 def _next(options: argparse.Namespace, *arguments: object) -> str:
-    """Return the line that says which command may follow."""
+    """Return the line that suggests the next command."""
     return _next_of(options.namespace, *arguments)
 
 
@@ -109,7 +109,7 @@ def _track(stage: Stage, options: argparse.Namespace) -> list[str]:
 
 
 def _shortfall(model: Path | None) -> str:
-    """Say what of a model is unfinished or inadequate; a file that is none is left to the nodes."""
+    """Return what is unfinished or inadequate in a model; empty for a file that is not one."""
     if model is None:
         return ""
     try:
@@ -198,4 +198,4 @@ WORK: dict[str, Callable[[Stage, argparse.Namespace], list[str]]] = {
     "identify": _identify, "track": _track, "play": _play, "scan": _scan,
     "diagnose": _diagnose, "accept": _accept,
     "settle": _settle, "stop": _stop, "reset": _reset}
-"""By the subcommand: does what it is for, and returns the lines to print."""
+"""For each subcommand, the function that does its work and returns the lines to print."""

@@ -8,10 +8,10 @@ FloatArray = NDArray[np.float64]
 """Array of real numbers."""
 
 ComplexArray = NDArray[np.complex128]
-"""Array of complex numbers, such as a response over frequency."""
+"""Array of complex numbers, for example a response over frequency."""
 
 BoolArray = NDArray[np.bool_]
-"""Array of truth values, such as which samples are good."""
+"""Array of booleans, for example a mask of good samples."""
 
 IntArray = NDArray[np.int_]
-"""Array of whole numbers, such as positions or lines of a spectrum."""
+"""Array of integers, for example indices or lines of a spectrum."""

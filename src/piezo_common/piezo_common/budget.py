@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Time that work may take: once it is over, the work ends with the best that it has found."""
+"""A limit of the time for some work, which then ends with the best result so far."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -11,28 +11,29 @@ from piezo_common.cancellation import also_checking, check_cancelled
 
 
 class TimeIsUp(Exception):
-    """The time of a part of the work is over."""
+    """The time for a part of the work is over."""
 
 
 class Budget:
-    """Time that work may take, and what it has not tried when that was over.
+    """The time for some work, and what was not tried when it was over.
 
     Parameters
     ----------
     seconds : float, optional
-        By default there is no end.
+        Time in s; unlimited by default.
     clock : callable
-        Returns seconds.
+        Returns the time in s.
     taken_s : float
-        Of this time, what was taken before.
+        Part of the time that was used before, in s.
     to_write_s : float
-        Of this time, what no search may take, as results have to be drawn and written.
+        Part of the time reserved for drawing and writing results, in s.
 
     Attributes
     ----------
     not_tried : list of str
+        Parts of the work that were not tried.
     is_interrupted : bool
-        Ctrl-C has ended the work.
+        True if Ctrl-C has ended the work.
 
     Raises
     ------
@@ -52,20 +53,20 @@ class Budget:
 
     @property
     def taken_s(self) -> float:
-        """Return the time since the work began."""
+        """Return the time since the work began in s."""
         return self._clock() - self._begun_s
 
     @property
     def left_s(self) -> float:
-        """Return the time that is left; infinite without an end."""
+        """Return the remaining time in s; infinite without a limit."""
         return 0.0 if self.is_interrupted else max(self._seconds - self.taken_s, 0.0)
 
     def is_spent(self, share: float = 1.0) -> bool:
-        """Tell whether a share of the time for searches is over."""
+        """Return True if a share of the time for searches is over."""
         return self.is_interrupted or self.taken_s >= share * (self._seconds - self._to_write_s)
 
     def sentence(self, done: str = "tried") -> str:
-        """Return what was not done, and why; empty if all was."""
+        """Return what was not done and why; empty if everything was done."""
         if not self.not_tried:
             return ""
         why = "interrupted" if self.is_interrupted else f"the time of {self._seconds:g} s is over"
@@ -77,7 +78,7 @@ _budget: ContextVar[Budget | None] = ContextVar("budget", default=None)
 
 @contextmanager
 def spending(budget: Budget) -> Iterator[None]:
-    """Let the blocks of `while_time_lasts` in this context end by a budget."""
+    """Make the blocks of `while_time_lasts` in this context end when the budget is spent."""
     token = _budget.set(budget)
     try:
         yield
@@ -86,7 +87,7 @@ def spending(budget: Budget) -> Iterator[None]:
 
 
 SEARCH = 0.9
-"""Share of the time that searches may take: results have to be judged and written, too."""
+"""Share of the time for searches; the rest is for assessing and writing the results."""
 
 
 @dataclass
@@ -96,7 +97,7 @@ class Part:
     Attributes
     ----------
     was_cut : bool
-        It has ended before it was done.
+        True if it ended early.
     """
 
     was_cut: bool = False
@@ -104,16 +105,17 @@ class Part:
 
 @contextmanager
 def while_time_lasts(what: str, share: float = SEARCH) -> Iterator[Part]:
-    """End a block early and quietly, once a share of the time of the budget is over.
+    """End a block early without an exception, once a share of the budget's time is over.
 
-    It ends where it calls `check_cancelled`, and where Ctrl-C finds it; what it has found until
-    then counts. Without a budget around it, it ends by Ctrl-C alone.
+    It ends at a call of `check_cancelled`, or at Ctrl-C; its results so far are used. Without a
+    budget it ends only at Ctrl-C.
 
     Parameters
     ----------
     what : str
-        Noted as not tried if the block ends early.
+        Name of the part, noted as not tried if the block ends early.
     share : float
+        Share of the time of the budget, 0 to 1.
     """
     budget, part = _budget.get() or Budget(), Part()
 
@@ -131,14 +133,14 @@ def while_time_lasts(what: str, share: float = SEARCH) -> Iterator[Part]:
 
 
 def has_time_for(what: str, share: float = SEARCH) -> bool:
-    """Tell whether there is time for a part of the work, which is noted as not tried otherwise."""
+    """Return True if there is time for a part of the work, else note it as not tried."""
     with while_time_lasts(what, share) as part:
         check_cancelled()
     return not part.was_cut
 
 
 def is_time_up() -> bool:
-    """Tell whether the block of `while_time_lasts` around has to end."""
+    """Return True if the surrounding block of `while_time_lasts` must end."""
     try:
         check_cancelled()
     except TimeIsUp:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""End long numerical work from outside, wherever in it."""
+"""Cancel long numerical work from outside, at any point in it."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,14 +10,14 @@ _check: ContextVar[Callable[[], object]] = ContextVar("check", default=lambda: N
 
 @contextmanager
 def checking(check: Callable[[], object]) -> Iterator[None]:
-    """Let `check_cancelled` call a function while the context lasts.
+    """Make `check_cancelled` call a function within the context.
 
-    It does so in this thread, and in those to which `side_by_side` gives a part of the work.
+    This applies to the present thread, and to those in which `side_by_side` runs parts of the work.
 
     Parameters
     ----------
     check : callable
-        An exception of it ends the work.
+        Ends the work by raising an exception.
     """
     token = _check.set(check)
     try:
@@ -28,7 +28,7 @@ def checking(check: Callable[[], object]) -> Iterator[None]:
 
 @contextmanager
 def also_checking(check: Callable[[], object]) -> Iterator[None]:
-    """Let `check_cancelled` call a function behind those of the contexts around."""
+    """Make `check_cancelled` call a function after those of the surrounding contexts."""
     before = _check.get()
 
     def both() -> None:
@@ -40,5 +40,5 @@ def also_checking(check: Callable[[], object]) -> Iterator[None]:
 
 
 def check_cancelled() -> None:
-    """Raise an exception if the work shall end; each iteration of an estimator calls this."""
+    """Raise an exception if the work was cancelled; called in each iteration of an estimator."""
     _check.get()()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How the offline commands run: options that cost nothing to read, then the work behind them."""
+"""Offline commands: options that are read without heavy imports, then the work itself."""
 
 import argparse
 import os
@@ -16,31 +16,31 @@ from piezo_common.budget import Budget
 
 BAD_INPUT, INTERRUPTED, NO_READER = 2, 130, 141
 UMBRELLA = "piezo"
-"""The command that has all offline commands as its subcommands."""
+"""The command with all offline commands as subcommands."""
 OF_THE_STAGE = "piezo_client"
-"""The package whose command drives a stage, which `UMBRELLA` cannot."""
+"""The package of the command that drives a stage, which is not part of `UMBRELLA`."""
 
 
 @dataclass(frozen=True)
 class Command:
-    """An offline command; input that it cannot use becomes one line on stderr.
+    """An offline command; invalid input is reported as one line on stderr.
 
-    The module that makes it imports nothing but what reads options: the libraries behind the work
-    take seconds to import, and neither help nor a mistyped option or path has to wait for them.
+    Its module imports only what is necessary to read options: the libraries of the work take
+    seconds to import, and help or a mistyped option or path should not wait for them.
 
     Attributes
     ----------
     add_options : callable
-        Adds its options to a parser.
+        Adds the options to a parser.
     work : str
-        ``module:function``, imported and called with the parsed options. What it returns is the
-        exit status, 0 if that is nothing.
+        ``module:function``, imported and called with the parsed options. It returns the exit
+        status, or None for 0.
     inputs : tuple of str
-        Names of the options that are given files to read.
+        Names of the options that are input files.
     check : callable, optional
-        Raises ValueError for options that cannot be used together, before the work is imported.
+        Raises ValueError for options that cannot be combined, before the work is imported.
     interrupted : str
-        What Ctrl-C leaves behind, a part of a sentence.
+        What remains after Ctrl-C, as a part of a sentence.
     """
 
     name: str
@@ -53,11 +53,11 @@ class Command:
     interrupted: str = "nothing was written"
 
     def parser(self, prog: str = "") -> argparse.ArgumentParser:
-        """Return the parser of the command when it is typed by its own name."""
+        """Return the parser of the command under its own name."""
         return self.fill(argparse.ArgumentParser(prog=prog or self.name))
 
     def fill(self, parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
-        """Make a parser, such as that of a subcommand, the one of this command; return it."""
+        """Set up a parser, for example of a subcommand, for this command; return it."""
         parser.description, parser.epilog = self.description, self.epilog
         self.add_options(parser)
         parser.set_defaults(prog=parser.prog)
@@ -69,18 +69,18 @@ class Command:
         Parameters
         ----------
         arguments : list of str, optional
-            The command line's by default.
+            Arguments; those of the command line by default.
 
         Returns
         -------
         int
-            Exit status: that of the work, 2 for input that cannot be used, 130 after Ctrl-C, 141
-            where nobody reads the output any more.
+            Exit status: that of the work, 2 for invalid input, 130 after Ctrl-C, 141 if the output
+            has no reader any more.
         """
         return self.carry_out(self.parser().parse_args(arguments))
 
     def carry_out(self, options: argparse.Namespace) -> int:
-        """Do the work for options that a parser of `fill` read; return the exit status."""
+        """Do the work for parsed options of `fill`; return the exit status."""
         options.begun_s = time.monotonic()
         try:
             for path in self._inputs(options):
@@ -90,7 +90,7 @@ class Command:
                 self.check(options)
             return self._load()(options) or 0
         except BrokenPipeError:
-            # Whoever read the output, such as head, has seen enough; Python must not flush again.
+            # The reader of the output, such as head, has ended; Python must not flush again.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return NO_READER
         except (ValueError, OSError) as error:
@@ -111,24 +111,24 @@ class Command:
 
 
 def add_report_option(parser: argparse.ArgumentParser, where: str) -> None:
-    """Add ``--no-report``, for work whose page nobody will look at.
+    """Add ``--no-report``, for work whose page is not needed.
 
     Parameters
     ----------
     where : str
-        Where the page is written otherwise.
+        Where the page is written otherwise, for the help text.
     """
     parser.add_argument("--no-report", dest="report", action="store_false",
                         help=f"do not write the page, {where}")
 
 
 def check_output_file(output: Path) -> None:
-    """Refuse a file that cannot be written, before the work.
+    """Check before the work that a file can be written.
 
     Raises
     ------
     ValueError
-        If it is a directory, or in none that exists.
+        If it is a directory, or its directory does not exist.
     """
     if output.is_dir() or not output.absolute().parent.is_dir():
         raise ValueError(f"{output} is no file in an existing directory: choose another --output")
@@ -142,51 +142,51 @@ def add_budget_option(parser: argparse.ArgumentParser) -> None:
 
 
 def budget_of(options: argparse.Namespace, to_write_s: float = 0.0) -> Budget:
-    """Return the time of the option ``--budget``, which began with the command.
+    """Return the budget of the option ``--budget``, whose time began with the command.
 
     Parameters
     ----------
     to_write_s : float
-        Time to keep for what is written in the end.
+        Time in s to reserve for writing the results.
     """
     return Budget(options.budget, taken_s=time.monotonic() - options.begun_s,
                   to_write_s=to_write_s)
 
 
 def write_report(path: Path, page: str) -> None:
-    """Write the page of a command, and say where it is.
+    """Write the page of a command, and print its path.
 
     Parameters
     ----------
     page : str
-        HTML.
+        HTML text.
     """
     path.write_text(page, encoding="utf-8")
     print(f"report: {path}")
 
 
 def print_next(options: argparse.Namespace, package: str, name: str, *arguments: object) -> None:
-    """Print the command that a user may type next; see `next_line`.
+    """Print the command that a user may enter next; see `next_line`.
 
     Parameters
     ----------
     options : argparse.Namespace
-        Of a parser of `Command.fill`.
+        Options from a parser of `Command.fill`.
     """
     print(next_line(options.prog, package, name, *arguments))
 
 
 def next_line(prog: str, package: str, name: str, *arguments: object) -> str:
-    """Return the line with the command that a user may type next, as the present one was typed.
+    """Return the line that suggests the next command, in the form of the present one.
 
     Parameters
     ----------
     prog : str
-        The present command.
+        Name of the present command.
     package, name : str
-        Of the next command.
+        Package and name of the next command.
     *arguments
-        Those that begin with ``<`` are for the user to fill in.
+        Its arguments; those that begin with ``<`` are placeholders.
 
     Examples
     --------
@@ -207,5 +207,5 @@ def next_line(prog: str, package: str, name: str, *arguments: object) -> str:
 
 
 def print_progress(stage: str, fraction: float) -> None:
-    """Print which step a command is at, and which part of the whole is done (0 to 1)."""
+    """Print the present step of a command and the fraction done (0 to 1) in percent."""
     print(f"{100.0 * fraction:3.0f} %  {stage}", flush=True)

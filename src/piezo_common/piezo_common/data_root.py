@@ -1,52 +1,52 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The folder under which nodes read and write files, and the names that files may have."""
+"""The folder in which nodes read and write files, and the valid names of files."""
 
 import os
 from contextlib import suppress
 from pathlib import Path
 
 LONGEST_NAME = 100
-"""Characters of a name; a directory listing still shows it on one line."""
+"""Maximum length of a name in characters; a directory listing shows it on one line."""
 
 LONGEST_NAME_BYTES = 240
-"""File systems allow 255; a recording adds ``_0.mcap`` to its name."""
+"""Maximum length of a name in bytes: file systems allow 255; a recording adds ``_0.mcap``."""
 
 LONGEST_SHOWN = 300
-"""Characters of a path in a refusal."""
+"""Maximum length of a path in an error message, in characters."""
 
 MOST_LINKS = 40
-"""Linux follows no more in one path."""
+"""Maximum number of links in one path, the limit of Linux."""
 LONGEST_COMPONENT_BYTES = 255
 LONGEST_PATH_BYTES = 3500
-"""Linux allows 4096; the files of a recording need some."""
+"""Linux allows 4096 bytes; the files of a recording need some of them."""
 
 
 class DataRootError(ValueError):
-    """A path or a name that a node neither reads nor writes: says why, and what to do."""
+    """A path or a name is not allowed for a node; the message gives the reason and the remedy."""
 
 
 class DataRoot:
-    """The folder under which a node reads and writes whatever it is asked to.
+    """The folder in which a node reads and writes the files of its requests.
 
-    Whoever reaches a node names its files. They stay under this folder, whatever ``..``, absolute
-    path or symbolic link leads elsewhere.
+    Any client of a node can name its files. They must lie in this folder, even through ``..``,
+    absolute paths or symbolic links.
 
     Parameters
     ----------
     folder : path-like
-        Must exist; a relative one is taken from the working directory, ``~`` is the home directory.
+        Must exist; a relative one starts at the working directory, ``~`` is the home directory.
     node_name : str
-        Of the node, for the refusals.
+        Name of the node for error messages.
 
     Attributes
     ----------
     folder : Path
-        Absolute, with all symbolic links followed.
+        Absolute path with all symbolic links resolved.
 
     Raises
     ------
     DataRootError
-        If there is no such folder.
+        If the folder does not exist.
     """
 
     def __init__(self, folder: str | os.PathLike, node_name: str) -> None:
@@ -62,44 +62,44 @@ class DataRoot:
         Parameters
         ----------
         path : str
-            A relative one is taken from the folder; empty for none, which it stays.
+            Path; a relative one starts at the folder. An empty path is returned unchanged.
 
         Raises
         ------
         DataRootError
-            If it, or a file in the directory, lies outside the folder, or it cannot be a path.
+            If it, or a file in the directory, lies outside the folder, or it is not a valid path.
         """
         if not path:
             return path
         real = self._inside(path, "reads", "file")
-        if (real / "metadata.yaml").exists():  # of a recording
-            with suppress(OSError):  # its reader says why
+        if (real / "metadata.yaml").exists():  # a recording
+            with suppress(OSError):  # reported when the recording is read
                 for entry in os.scandir(real):
                     self._inside(entry.path, "reads", "file")
         return str(self.folder / path)
 
     def writable(self, path: str | os.PathLike) -> Path:
-        """Return where a directory or a file that is to be written really lies.
+        """Return the real path of a directory or a file to write.
 
         Parameters
         ----------
         path : path-like
-            A relative one is taken from the folder. It need not exist.
+            Path; a relative one starts at the folder. It need not exist.
 
         Returns
         -------
         Path
-            Absolute, with all symbolic links followed.
+            Absolute path with all symbolic links resolved.
 
         Raises
         ------
         DataRootError
-            If it lies outside the folder, or cannot be a path.
+            If it lies outside the folder, or is not a valid path.
         """
         return self._inside(os.fspath(path), "writes", "directory")
 
     def _inside(self, text: str, does: str, what: str) -> Path:
-        """Return where a path really lies; raise `DataRootError` where that is outside."""
+        """Return the real location of a path; raise `DataRootError` if it is outside the folder."""
         _check_path(text)
         real = Path(_followed(self.folder / text))
         if not real.is_relative_to(self.folder):
@@ -111,10 +111,10 @@ class DataRoot:
 
 
 def _followed(path: Path) -> str:
-    """Return a path with all links followed, also those behind a circle of links."""
+    """Return a path with all links resolved, also those after a cycle of links."""
     real = os.path.realpath(path)
     for _ in range(MOST_LINKS):
-        # Behind a circle the rest is only joined and normalised, and may hold links again.
+        # After a cycle the rest is only joined and normalised, and may contain links again.
         before, real = real, os.path.realpath(real)
         if real == before:
             return real
@@ -133,7 +133,7 @@ def _check_path(text: str) -> None:
 
 
 def check_file_name(name: str, what: str) -> None:
-    """Refuse what is not the plain name of a file or a directory.
+    """Check that a name is a plain name of a file or a directory.
 
     Parameters
     ----------
@@ -141,11 +141,12 @@ def check_file_name(name: str, what: str) -> None:
         At most `LONGEST_NAME` characters and `LONGEST_NAME_BYTES` bytes, without separators and
         control characters, not hidden by a leading dot.
     what : str
-        What it is to name, for the refusal, such as ``a recording``.
+        What the name is for, in the error message; for example ``a recording``.
 
     Raises
     ------
     DataRootError
+        If the name is not allowed.
     """
     problem = _problem(name)
     if problem:
@@ -172,5 +173,5 @@ def _problem(name: str) -> str:
 
 
 def _shown(text: str) -> str:
-    """Return a text as one line of bounded length, whatever is in it."""
+    """Return a text as one printable line of bounded length."""
     return repr(text if len(text) <= LONGEST_SHOWN else text[:LONGEST_SHOWN] + "...")

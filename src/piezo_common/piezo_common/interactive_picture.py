@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The curves of a matplotlib figure for a browser: to zoom, to hover over, to hide one by one.
+"""The curves of a matplotlib figure in a browser, with zoom, hover and a legend that hides curves.
 
-Bokeh draws them. Its script is part of its wheel, so that a page needs no network, and a third of
-its 1.2 MB as the page holds it, which the browser unpacks when somebody first looks closer. That of
-Plotly is 4.6 MB, as its smaller bundles are in no wheel. Without Bokeh the pages have their static
-pictures alone.
+Bokeh draws them. Its script is part of its wheel, so that a page needs no network. Compressed it is
+a third of 1.2 MB, and the browser unpacks it at the first use. Plotly's is 4.6 MB, as no wheel
+contains its smaller bundles. Without Bokeh the pages contain only static pictures.
 """
 
 import base64
@@ -49,12 +48,12 @@ for (const closer of document.querySelectorAll("details.closer"))
 
 
 def is_available() -> bool:
-    """Tell whether Bokeh is installed."""
+    """Return True if Bokeh is installed."""
     return find_spec("bokeh") is not None
 
 
 def interactive_script() -> str:
-    """Return the script elements that draw a page's items; the one place with Bokeh's code."""
+    """Return the script elements that draw a page's items; only these contain Bokeh's code."""
     from bokeh.resources import INLINE
 
     (bokeh,) = (text for text in INLINE.js_raw[:1])
@@ -62,20 +61,20 @@ def interactive_script() -> str:
 
 
 def packed(text: str) -> str:
-    """Return a text as the page's script unpacks it: gzip, in base64."""
-    # The same text gives the same page at any time.
+    """Return a text in the form that the page's script unpacks: gzip, in base64."""
+    # No time stamp, so that the same text gives the same page.
     return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode()
 
 
 def interactive_item(figure: Figure) -> dict[str, Any] | None:
     """Return the lines, areas and maps of a figure as an item that Bokeh embeds.
 
-    Panels stand as in the figure; those that share an axis zoom together.
+    Panels are placed as in the figure; those that share an axis zoom together.
 
     Returns
     -------
     dict or None
-        None without Bokeh, or for a figure without any of these.
+        None without Bokeh, or for a figure without lines, areas and maps.
     """
     if not is_available():
         return None
@@ -85,7 +84,7 @@ def interactive_item(figure: Figure) -> dict[str, Any] | None:
     plots: dict[Axes, Any] = {}
     for axes in panels(figure):
         plot = _plot(figure, axes, plots)
-        # Bars and images of pixels have no curve to look at more closely.
+        # Bars and pixel images have no curves to enlarge.
         if plot.renderers:
             plots[axes] = plot
     if not plots:
@@ -96,7 +95,7 @@ def interactive_item(figure: Figure) -> dict[str, Any] | None:
         rows.setdefault(0 if place is None else place.rowspan.start, []).append(plot)
     whole = column([row(each, sizing_mode="stretch_width") for each in rows.values()],
                    sizing_mode="stretch_width")
-    # Plain numbers and texts only, checked here and not in the reader's browser.
+    # Only plain numbers and texts; checked here, not in the reader's browser.
     return json.loads(json.dumps(json_item(whole)))
 
 
@@ -129,7 +128,7 @@ def _plot(figure: Figure, axes: Axes, earlier: Mapping[Axes, Any]) -> Any:
     if plot.legend:
         legend = plot.legend[0]
         legend.update(click_policy="hide", label_text_font_size="9pt", orientation="horizontal")
-        # Not over the curves.
+        # The legend is outside the curves.
         plot.add_layout(legend, "above")
     return plot
 
@@ -186,5 +185,5 @@ def _scale(name: str) -> str:
 
 
 def _plain(text: str) -> str:
-    """Return a label without the marks of mathematics: Bokeh would load a library for them."""
+    """Return a label without math markup, for which Bokeh would load a library."""
     return text.replace("$", "").replace("\\", "").replace("_", " ")

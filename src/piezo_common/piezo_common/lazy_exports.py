@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Export names of a package that are imported when they are first used (PEP 562)."""
+"""Names of a package that are imported at their first use (PEP 562)."""
 
 import ast
 import sys
@@ -13,18 +13,18 @@ def lazy_exports(package: str, source: str,
                  ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """Return the functions ``__getattr__`` and ``__dir__`` of a package.
 
-    A command that needs one name of a package then does not wait for the libraries of all others.
+    A command that needs one name of a package then does not load the libraries of all others.
 
     Parameters
     ----------
     package, source : str
-        ``__name__`` and ``__file__``. The source imports each name from its module for type
-        checkers only, under its one ``if``.
+        ``__name__`` and ``__file__`` of the package. Its source imports each name from its module
+        under its one ``if``, for type checkers only.
 
     Returns
     -------
     getter, lister : callable
-        To be named ``__getattr__`` and ``__dir__`` in the package.
+        Functions for the names ``__getattr__`` and ``__dir__`` in the package.
     """
     tree = ast.parse(Path(source).read_text(encoding="utf-8"))
     homes = {alias.name: str(node.module) for block in tree.body if isinstance(block, ast.If)

@@ -20,19 +20,19 @@ from piezo_common.picture_style import thinned
 DIGITS = "{:.6g}"
 
 MOST_CELLS = 20_000
-"""A map with more cells is thinned to every so manieth row and column."""
+"""Maximum number of cells of a map; of a larger one, every n-th row and column is kept."""
 
 
 @dataclass(frozen=True, eq=False)
 class Numbers:
-    """What one line, area or map of a picture shows.
+    """The numbers of one line, area or map of a picture.
 
     Attributes
     ----------
     name : str
-        As the legend has it; empty where it has none.
+        Label in the legend; empty without one.
     columns : dict of str to ndarray
-        By the labels of the axes, with their units.
+        Values by the labels of the axes, with their units.
     """
 
     name: str
@@ -42,21 +42,22 @@ class Numbers:
 def picture_csv(figure: Figure) -> str:
     """Return the numbers that a figure shows, as a table with a column for each curve.
 
-    A column holds where the curves behind it are, up to the next such column.
+    A column of positions applies to the curves after it, up to the next such column.
 
-    Lines across the whole picture, such as limits, are left out: the legend or the text tells them.
+    Lines across the whole picture, such as limits, are omitted, as legend or text gives their
+    values.
 
     Returns
     -------
     str
-        CSV; columns of fewer numbers than others end in empty fields. Empty without numbers.
+        CSV; shorter columns end in empty fields. Empty if there are no numbers.
     """
     heads: list[str] = []
     columns: list[FloatArray] = []
     for axes in panels(figure):
         for shown in numbers_of(axes):
             (x_label, x), *others = shown.columns.items()
-            # Curves over the same places need these but once.
+            # Curves with the same positions share one column of them.
             if not any(head == x_label and np.array_equal(x, column)
                        for head, column in zip(heads, columns, strict=True)):
                 others = [(x_label, x), *others]
@@ -75,12 +76,12 @@ def picture_csv(figure: Figure) -> str:
 
 
 def panels(figure: Figure) -> list[Axes]:
-    """Return the axes of a figure without those of its colour scales."""
+    """Return the axes of a figure without those of its colour bars."""
     return [axes for axes in figure.axes if axes.get_label() != "<colorbar>"]
 
 
 def numbers_of(axes: Axes) -> Iterator[Numbers]:
-    """Yield what the lines, the areas and the maps of axes show."""
+    """Yield the numbers of the lines, the areas and the maps of axes."""
     x_label, y_label = axis_label(axes, "x"), axis_label(axes, "y")
     for line in axes.get_lines():
         if line.get_transform() == axes.transData:
@@ -107,24 +108,24 @@ def numbers_of(axes: Axes) -> Iterator[Numbers]:
 
 
 def curve_of(line: Line2D) -> tuple[FloatArray, FloatArray]:
-    """Return the points of a line; of very many, as many as can be told apart."""
+    """Return the points of a line, thinned to as many as are distinguishable."""
     x, y = (np.asarray(values, float) for values in line.get_data(orig=False))
     return thinned(x, y)
 
 
 def legend_name(artist: object) -> str:
-    """Return the label of a line or area; empty where the legend does not have it."""
+    """Return the label of a line or area; empty if it is not in the legend."""
     text = str(artist.get_label())  # type: ignore[attr-defined]
     return "" if text.startswith("_") else text
 
 
 def axis_label(axes: Axes, direction: str) -> str:
-    """Return the label of an axis, or that of the axis below or beside that shares its scale.
+    """Return the label of an axis, or that of an adjacent axis that shares its scale.
 
     Parameters
     ----------
     direction : str
-        "x" or "y".
+        Direction of the axis, "x" or "y".
     """
     shared = getattr(axes, f"get_shared_{direction}_axes")().get_siblings(axes)
     texts = [str(getattr(one, f"get_{direction}label")()) for one in (axes, *reversed(shared))]

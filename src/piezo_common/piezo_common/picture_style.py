@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What all pictures share: size, labels, PNG, and lines that are told apart without colour.
+"""Common style of all pictures: size, labels, PNG, and lines that differ without colour.
 
-The colours are of Okabe and Ito's palette. Two lines of one picture differ in their dashes or
-marker, or in lightness so far that they do in grey as well; where a signal is too dense for dashes,
-it is the lightness.
+The colours are of Okabe and Ito's palette. Two lines of one picture differ in dashes or marker, or
+in lightness so much that they also differ in grey. Lightness is used for signals that are too dense
+for dashes.
 """
 
 import io
@@ -23,12 +23,12 @@ WIDTH_IN, WIDE_IN = 5.6, 8.0
 DOTS_PER_INCH = 180
 SHOWN_DOTS_PER_INCH = 100
 MOST_POINTS = 2400
-"""Points of a line; of more, the lowest and highest of each stretch are drawn."""
+"""Points of a line; of a longer one, the minimum and maximum of each stretch are drawn."""
 
 BAND = 2.0
-"""Standard deviations to either side of a band; of normal errors it holds 95 %."""
+"""Half width of a band in standard deviations; it contains 95 % of normal errors."""
 
-# From dark to light, with the lightness L* of CIELAB; grey is of no palette.
+# From dark to light, with the lightness L* of CIELAB; grey is not of the palette.
 BLACK, BLUE, VERMILION, GREEN = "#000000", "#0072b2", "#d55e00", "#009e73"  # 0, 46, 55, 58
 PURPLE, ORANGE, GREY = "#cc79a7", "#e69f00", "#b3b3b3"  # 61, 71, 73
 
@@ -53,18 +53,18 @@ CURVES: tuple[dict[str, Any], ...] = tuple(
     {"color": color, "linestyle": linestyle, "linewidth": 1.5} for color, linestyle in (
         (BLUE, "-"), (ORANGE, "--"), (GREEN, "-."), (VERMILION, ":"), (PURPLE, (0, (6, 1.5))),
         (BLACK, (0, (6, 1.5, 1, 1.5, 1, 1.5)))))
-"""These styles are for smooth curves of equal rank."""
+"""Styles for smooth curves of equal importance."""
 
 
 class ShownFigure(Figure):
-    """A figure that a notebook shows, though pyplot does not know it."""
+    """A figure that a notebook displays although it does not belong to pyplot."""
 
     def _repr_png_(self) -> bytes:
         return to_png(self, SHOWN_DOTS_PER_INCH)
 
 
 def new_figure(height_in: float = 3.8, width_in: float = WIDTH_IN) -> Figure:
-    """Make a figure apart from pyplot's global state and any display."""
+    """Return a figure that is independent of pyplot's global state and of any display."""
     figure = ShownFigure(figsize=(width_in, height_in), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
@@ -94,14 +94,14 @@ def outline(x: FloatArray, y: FloatArray,
     Parameters
     ----------
     x, y : ndarray, shape (N,)
-        Ordered by x.
+        Points in the order of x.
     most : int
-        Points.
+        Largest number of points.
 
     Returns
     -------
     x, y : ndarray, shape (M,)
-        Lowest and highest y of each stretch, at its first x; as given where N is no more than that.
+        Minimum and maximum of y of each stretch, at its first x; unchanged if N <= `most`.
     """
     if x.size <= most:
         return x, y
@@ -114,7 +114,7 @@ def outline(x: FloatArray, y: FloatArray,
 
 def thinned(x: FloatArray, y: FloatArray,
             most: int = MOST_POINTS) -> tuple[FloatArray, FloatArray]:
-    """Return few points of any curve: its `outline` over a rising x, else every so manieth point.
+    """Return few points of a curve: its `outline` for rising x, else every n-th point.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def to_png(figure: Figure, dots_per_inch: float = DOTS_PER_INCH,
     Parameters
     ----------
     colours : int, optional
-        Of a palette, by which the file has a third of the bytes; all of them by default.
+        Number of colours of a palette, which reduces the file to a third; all by default.
     """
     stream = io.BytesIO()
     # Pillow's search for the smallest file takes as long as the drawing, and saves 5 %.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Progress on a terminal: one line that is written over, or a line per step in a log."""
+"""Progress on a terminal: one line that is overwritten, or a line for each step in a log."""
 
 import shutil
 import sys
@@ -11,12 +11,12 @@ BAR_WIDTH = 20
 
 
 class ProgressLine:
-    """Show what runs, how much of it is done and how long it will still take.
+    """Show the present step, the fraction done and the remaining time.
 
     Parameters
     ----------
     stream : text stream
-        Where it is no terminal, each new step gets a line of its own and no bar.
+        Output; if it is not a terminal, each new step gets its own line without a bar.
     """
 
     def __init__(self, stream: TextIO | None = None) -> None:
@@ -26,7 +26,7 @@ class ProgressLine:
         self._drawn_at = 0.0
 
     def show(self, step: str, fraction: float, seconds_left: float | None = None) -> None:
-        """Show which part of a step is done (0 to 1), and the seconds left if they are known."""
+        """Show the fraction of a step that is done (0 to 1), and the seconds left if known."""
         new = step != self._step
         self._step = step
         if not self._overwrites:
@@ -38,7 +38,7 @@ class ProgressLine:
             self._draw(progress_text(step, fraction, seconds_left))
 
     def clear(self) -> None:
-        """Empty the line for what is printed next."""
+        """Clear the line for the next output."""
         self._step = None
         if self._overwrites:
             self._draw("")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Progress of a command as lines of text, of which none comes late."""
+"""Progress of a command as lines of text at least every few seconds."""
 
 import threading
 import time
@@ -9,23 +9,23 @@ from contextlib import contextmanager
 from piezo_common.budget import Budget
 
 SILENT_S = 4.0
-"""Time after which what goes on is printed again."""
+"""Time in s without output after which the present step is printed again."""
 
 TELLING = 0.05
-"""Part of the work from which the time taken so far tells what is left."""
+"""Fraction of the work from which the remaining time is estimated."""
 
 
 class ProgressLines:
-    """Print which step a command is at, and for a long one how long it has gone on.
+    """Print the present step of a command, and the time taken so far if it is long.
 
-    The time that is left is estimated where a step begins, and runs down until the next one.
+    The remaining time is estimated at the beginning of a step, and counts down until the next one.
 
     Parameters
     ----------
     budget : Budget
-        Of the command: what is left is no more than it has.
+        Budget of the command, which bounds the remaining time.
     clock : callable
-        Returns seconds.
+        Returns the time in s.
     """
 
     def __init__(self, budget: Budget, clock: Callable[[], float] = time.monotonic) -> None:
@@ -36,7 +36,7 @@ class ProgressLines:
         self._one_at_a_time = threading.Lock()
 
     def report(self, stage: str, fraction: float) -> None:
-        """Print that a step begins, and which part of the whole is done (0 to 1)."""
+        """Print the beginning of a step, and the fraction of the whole that is done (0 to 1)."""
         with self._one_at_a_time:
             self._stage, self._fraction = stage, fraction
             taken_s = self._clock() - self._begun_s
@@ -45,7 +45,7 @@ class ProgressLines:
             self._print()
 
     def beat(self) -> None:
-        """Print again what goes on, unless something was printed just now."""
+        """Print the present step again, unless something was printed recently."""
         with self._one_at_a_time:
             if self._stage and self._clock() - self._printed_s >= SILENT_S:
                 self._print()
@@ -59,7 +59,7 @@ class ProgressLines:
         print(", ".join(words), flush=True)
 
     def _left(self, taken_s: float) -> str:
-        """Return how long the command still takes, as far as that is known."""
+        """Return the remaining time as text; empty if it is unknown."""
         if not self._budget.left_s:
             return "; the time is over, this step ends"
         if self._whole_s is None:
@@ -70,9 +70,9 @@ class ProgressLines:
 
 @contextmanager
 def progress_printed(budget: Budget) -> Iterator[Callable[[str, float], None]]:
-    """Give a function that prints the progress, called with (stage, fraction).
+    """Provide a function that prints progress, called with (stage, fraction).
 
-    While the context lasts, nothing is silent for longer than `SILENT_S` and a second.
+    Within the context, the present step is printed again after `SILENT_S` and up to a second.
     """
     lines, is_over = ProgressLines(budget), threading.Event()
 

@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The progress of a part of some work, told as progress of the whole."""
+"""The progress of a part of some work, converted to that of the whole."""
 
 from collections.abc import Callable
 
 Progress = Callable[[str, float], None]
-"""Takes what is being done, and which fraction of the work is done."""
+"""Called with the present step and the fraction of the work that is done (0 to 1)."""
 
 
 def part_of(progress: Progress | None, begin: float, end: float) -> Progress:
-    """Return what a part of the work is to call.
+    """Return the progress function for a part of the work.
 
     Parameters
     ----------
     progress : callable or None
-        Of the whole; nobody is told where it is None.
+        Progress function of the whole; None for no reports.
     begin, end : float
         Fractions of the whole at which the part begins and ends.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Find what other installed packages add to an open list of this suite."""
+"""Find the objects that other installed packages add to an extensible list of this suite."""
 
 import sys
 from collections.abc import Iterator, Mapping
@@ -9,34 +9,34 @@ from typing import Any
 
 
 def registered(group: str, own: Mapping[str, Any] | None = None) -> Mapping[str, Any]:
-    """List what may be chosen by name: the suite's own objects, then those of other packages.
+    """Return the objects that can be chosen by name: the suite's own, then those of other packages.
 
-    Other packages announce theirs by entry points. Their code is imported when it is looked up,
-    so that a broken package disturbs only those who ask for it.
+    Other packages announce theirs by entry points. Their code is imported at the look-up, so that a
+    broken package affects only those who use it.
 
     Parameters
     ----------
     group : str
-        Group of the entry points, whose last part is the plural of what it holds, such as
-        ``piezo_models.effects``.
+        Group of the entry points, whose last part is the plural of what they provide, for
+        example ``piezo_models.effects``.
     own : mapping of str to object, optional
         The objects of this suite by their names.
 
     Returns
     -------
     mapping of str to object
-        A look-up raises ValueError if the object cannot be imported, or bears another name in its
-        attribute ``name`` than its entry point.
+        A look-up raises ValueError if the object cannot be imported, or if its attribute
+        ``name`` differs from the name of its entry point.
 
     Raises
     ------
     ValueError
-        If two objects have one name.
+        If two objects have the same name.
     """
     known: dict[str, Any] = dict(own or {})
     points: dict[str, EntryPoint] = {}
     for point in _announced(group, tuple(sys.path)):
-        # A package that is found twice on the path announces the same twice.
+        # A package that is found twice on the path announces the same object twice.
         before = points.setdefault(point.name, point)
         if point.name in known or before.value != point.value:
             raise ValueError(f"two {_plural(group)} are named {point.name}: "
@@ -46,12 +46,12 @@ def registered(group: str, own: Mapping[str, Any] | None = None) -> Mapping[str,
 
 @cache
 def _announced(group: str, path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
-    """Read the entry points that are found on `path`, once: it takes as long as 20 ms."""
+    """Return the entry points found on `path`; cached, as reading them takes up to 20 ms."""
     return tuple(entry_points(group=group))
 
 
 class _Registered(Mapping[str, Any]):
-    """Objects by name, of which those behind entry points are imported when they are looked up."""
+    """Objects by name; those behind entry points are imported when they are looked up."""
 
     def __init__(self, group: str, known: dict[str, Any], points: dict[str, EntryPoint]) -> None:
         self._group = group
@@ -77,7 +77,7 @@ def _load(group: str, point: EntryPoint) -> Any:
     kind = _plural(group).removesuffix("s")
     try:
         found = point.load()
-    except Exception as error:  # whatever the code of others does while it is imported
+    except Exception as error:  # any exception of the imported code
         raise ValueError(f"the {kind} {point.name!r} cannot be loaded: {error}; mend or uninstall "
                          "the package that announces it") from error
     name = getattr(found, "name", point.name)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Files that somebody else names: only regular ones of a bounded size are opened."""
+"""Opening files named by others: only regular ones of a bounded size."""
 
 import os
 import stat
@@ -11,30 +11,30 @@ KINDS = {stat.S_IFDIR: "a directory", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a 
 
 
 class UnreadableFile(ValueError):
-    """A file that is not read; the message says why, without its name."""
+    """A file was not read; the message gives the reason without the file's name."""
 
 
 def open_regular(path: str | PathLike[str], largest_bytes: int) -> FileIO:
     """Open a regular file of a bounded size for reading, without a buffer.
 
-    Neither a pipe, which would block, nor a device, which may have no end, is opened.
+    Pipes, which would block, and devices, which may have no end, are rejected.
 
     Returns
     -------
     raw binary stream
-        A read of it returns what there is at once, so that a slow file can be given up.
+        A read returns the available data at once, so that reading a slow file can be stopped.
 
     Raises
     ------
     UnreadableFile
-        If the file is not a regular one, or is too large.
+        If the file is not regular, or is too large.
     OSError
         If it cannot be opened.
     """
     _check(os.stat(path), largest_bytes)
     stream = open(path, "rb", buffering=0, opener=_without_waiting)
     try:
-        _check(os.fstat(stream.fileno()), largest_bytes)  # it may have been exchanged meanwhile
+        _check(os.fstat(stream.fileno()), largest_bytes)  # the file may have been replaced
     except UnreadableFile:
         stream.close()
         raise
@@ -42,7 +42,7 @@ def open_regular(path: str | PathLike[str], largest_bytes: int) -> FileIO:
 
 
 def _without_waiting(path: str, flags: int) -> int:
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # which Windows has not
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # missing on Windows
 
 
 def _check(found: os.stat_result, largest_bytes: int) -> None:

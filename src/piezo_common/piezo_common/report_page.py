@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """One self-contained HTML page of sections with text, tables and pictures: screen, phone, print.
 
-Each picture is drawn once, as a matplotlib figure. The page shows it as it is, which is also what
-is printed; beside it stand the numbers of its curves, as CSV, and, where looking closer matters and
-Bokeh is installed, the same curves to zoom and to hover over.
+Each picture is drawn once, as a matplotlib figure. The page shows and prints it unchanged, and
+links to the numbers of its curves as CSV. If Bokeh is installed, it also has an interactive version
+of selected pictures.
 """
 
 import base64
@@ -21,10 +21,10 @@ from piezo_common.picture_data import picture_csv
 from piezo_common.picture_style import to_png
 
 PAGE_DOTS_PER_INCH, PAGE_COLOURS = 140, 128
-"""Resolution and palette of a picture, with which lines and maps look the same."""
+"""Resolution and palette of a picture at which lines and maps look unchanged."""
 
 MOST_COLUMNS = 4
-"""Tables of more columns show each row as a list where the screen is narrow."""
+"""Tables with more columns show each row as a list on narrow screens."""
 
 STYLE = """
 :root { color-scheme: light; }
@@ -84,18 +84,18 @@ figcaption { font-size: .9em; max-width: 38rem; }
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture with the one sentence that says what it shows.
+    """A picture with a caption of one sentence.
 
     Attributes
     ----------
     name : str
-        Told to those who cannot see it.
+        Alternative text of the picture.
     tall, wide : bool
-        Two others fit beside it; none does.
+        A tall picture takes the height of two others, a wide one the whole width.
     data : str
-        The numbers behind it, as CSV; empty for none.
+        Numbers of its curves as CSV; empty for none.
     closer : dict or None
-        What Bokeh draws for those who look closer, of `interactive_item`.
+        Interactive version for Bokeh, as `interactive_item` returns it.
     """
 
     name: str
@@ -114,7 +114,7 @@ class Section:
     Attributes
     ----------
     table : list of list of str
-        The heads, then the rows; empty for none.
+        Head row, then the other rows; empty for none.
     """
 
     title: str
@@ -125,12 +125,12 @@ class Section:
 
 def pictured(name: str, figure: Figure, caption: str, tall: bool = False, wide: bool = False,
              closer: bool = False) -> Picture:
-    """Return a matplotlib figure as a `Picture` with the numbers behind it.
+    """Return a matplotlib figure as a `Picture` with its numbers.
 
     Parameters
     ----------
     closer : bool
-        Whether looking closer matters: the page then has the curves to zoom, too.
+        True to add an interactive version for zooming.
     """
     png = to_png(figure, PAGE_DOTS_PER_INCH, PAGE_COLOURS)
     return Picture(name, caption, png, tall, wide, picture_csv(figure),
@@ -143,7 +143,7 @@ def render_page(title: str, paragraphs: Sequence[str], sections: Sequence[Sectio
     Parameters
     ----------
     paragraphs : sequence of str
-        Below the title.
+        Text below the title.
     """
     body = "\n".join([f"<h1>{escape(title)}</h1>", *map(_paragraph, paragraphs),
                       *map(_section, sections)])

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Fits that do not depend on each other, side by side on the cores of the machine.
+"""Run independent fits in parallel on the cores of the machine.
 
-They run in threads: all share the recordings, which would be copied to processes, and the kernels
-in which the time goes hold no lock of the interpreter.
+They run in threads, which share the recordings without copies. Most of the time is spent in kernels
+that release the interpreter lock.
 """
 
 import os
@@ -18,18 +18,18 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 MOST_THREADS = 4
-"""Each holds a few copies of the longest recording."""
+"""Maximum number of threads; each holds a few copies of the longest recording."""
 
 _this_thread = threading.local()
-"""Has `is_beside_others` in threads that do one item while others do the next."""
+"""Has `is_beside_others` in threads that process one of several items."""
 
 
 class OthersEnded(Exception):
-    """An item is done for nothing, as the work beside others has ended."""
+    """An item is no longer needed, as the parallel work has ended."""
 
 
 def cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (
         os.cpu_count() or 1)
 
@@ -37,18 +37,18 @@ def cores() -> int:
 def side_by_side(work: Callable[[Item], Result], items: Sequence[Item],
                  report: Callable[[int], None] | None = None,
                  threads: int | None = None) -> list[Result]:
-    """Return the result of each item, in their order and the same on any number of cores.
+    """Return the results of all items in their order, independent of the number of cores.
 
     Parameters
     ----------
     work : callable
-        Depends on its item alone.
+        Must depend only on its item.
     report : callable, optional
-        Called with the number of each item, in their order, by the caller's thread. What it raises,
-        or Ctrl-C, ends the work where the items that have begun call `check_cancelled` next.
+        Called with the number of each item, in their order, in the caller's thread. An exception
+        that it raises, or Ctrl-C, ends the work at the next `check_cancelled` of the running items.
     threads : int, optional
-        By default one for each core, but no more than `MOST_THREADS`; within an item that is done
-        beside others one alone, as the cores are busy.
+        By default one for each core, but no more than `MOST_THREADS`; only one within an item that
+        itself runs in parallel with others, as the cores are busy.
     """
     if threads is None:
         is_beside = getattr(_this_thread, "is_beside_others", False)
@@ -73,7 +73,7 @@ def side_by_side(work: Callable[[Item], Result], items: Sequence[Item],
             return work(item)
 
     with ThreadPoolExecutor(threads, initializer=_mark) as pool:
-        # Each in a copy of the caller's context, so that what ends the caller's work ends them.
+        # Each runs in a copy of the caller's context, so that the caller's cancellation ends it.
         futures = [pool.submit(copy_context().run, done, item) for item in items]
         try:
             for number, future in enumerate(futures):
@@ -88,5 +88,5 @@ def side_by_side(work: Callable[[Item], Result], items: Sequence[Item],
 
 
 def _mark() -> None:
-    """Mark the thread as one of several, so that its own work takes no more of them."""
+    """Mark the thread as one of several, so that its own work does not start more."""
     _this_thread.is_beside_others = True

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A small table that a terminal prints, a notebook shows and pandas takes."""
+"""A small table for terminals, notebooks and pandas."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import pandas
 
 Cell = str | float | None
-"""Text, a number, or None for what is not known."""
+"""Text, a number, or None for an unknown value."""
 
 DIGITS = 5
 """Significant digits of a number."""
@@ -21,22 +21,22 @@ DIGITS_OF_DEVIATION = 2
 """Significant digits of a standard deviation."""
 
 MOST_DECIMALS = 7
-"""Smaller numbers are written with an exponent."""
+"""Maximum number of decimals; smaller numbers are written with an exponent."""
 
 DEVIATION = "std. dev."
-"""A column whose head begins so holds the standard deviations of the column before it."""
+"""Head of a column with the standard deviations of the column before it."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
 class SummaryTable:
-    """A table with a title and one row for each thing that it tells.
+    """A table with a title.
 
     Attributes
     ----------
     title : str
-        One line.
+        Title of one line.
     rows : list of tuple of str, float or None
-        As many cells as heads.
+        Rows with as many cells as heads.
     notes : tuple of str
         Sentences below the table.
     """
@@ -72,7 +72,7 @@ class SummaryTable:
         return pandas.DataFrame(self.rows, columns=list(self.heads))
 
     def _texts(self) -> Iterator[tuple[str, ...]]:
-        """Yield the rows as texts; a number with a deviation has the digits that this leaves."""
+        """Yield the rows as texts; a number with a deviation is rounded accordingly."""
         following = [*self.heads[1:], ""]
         for row in self.rows:
             beside = [*row[1:], None]
@@ -104,7 +104,7 @@ def _deviation_text(cell: Any) -> str:
 
 
 def _decimals(deviation: float) -> int:
-    """Return the decimals with which a deviation has its significant digits; 0 of a large one."""
+    """Return the decimals for the significant digits of a deviation; 0 for a large one."""
     return max(0, DIGITS_OF_DEVIATION - 1 - int(np.floor(np.log10(deviation))))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Text files: read up to a bound, replaced as a whole, none that is something else."""
+"""Text files: bounded reading, atomic replacement, and protection of other files."""
 
 import io
 import json
@@ -15,17 +15,17 @@ PART_BYTES = 1 << 18
 
 
 def read_bounded_text(path: str | PathLike[str], largest_bytes: int = LARGEST_BYTES) -> str:
-    """Read a text file of a bounded size; the work may be cancelled between its parts.
+    """Read a text file of a bounded size; this can be cancelled between its parts.
 
     Raises
     ------
     UnreadableFile
-        If the file is missing, not a regular one, too large or not UTF-8.
+        If the file is missing, not regular, too large or not UTF-8.
     """
     content = bytearray()
     try:
         with open_regular(path, largest_bytes) as stream:
-            # One byte more shows a file that grows, or one without a size such as those of /proc.
+            # One more byte detects a growing file, or one without a size as in /proc.
             while part := stream.read(min(PART_BYTES, largest_bytes + 1 - len(content))):
                 check_cancelled()
                 content += part
@@ -40,7 +40,7 @@ def read_bounded_text(path: str | PathLike[str], largest_bytes: int = LARGEST_BY
 
 
 def replace_text(path: str | PathLike[str], text: str) -> None:
-    """Write a file; one that is there already is replaced as a whole or not at all.
+    """Write a file; an existing one is replaced in one step or not at all.
 
     Raises
     ------
@@ -61,12 +61,12 @@ def replace_text(path: str | PathLike[str], text: str) -> None:
 
 def is_something_else(path: str | PathLike[str], file_format: str,
                       largest_bytes: int = LARGEST_BYTES) -> bool:
-    """Tell whether a file is there that is not JSON of a format, such as a recording.
+    """Return True if a file exists that is not JSON of a format, for example a recording.
 
     Parameters
     ----------
     file_format : str
-        What its entry ``format`` says.
+        Expected value of its entry ``format``.
     """
     if not Path(path).exists():
         return False

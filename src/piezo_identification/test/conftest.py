@@ -40,12 +40,6 @@ def noise():
     return np.random.default_rng(3).normal(size=40_000)
 
 
-@pytest.fixture
-def without_ceiling(monkeypatch):
-    """Train no learner on what a diagnosis leaves: it takes longer than most diagnoses."""
-    monkeypatch.setattr("piezo_identification.diagnosis.diagnose.ceiling_of", lambda *_: None)
-
-
 @pytest.fixture(scope="session")
 def csv_of(save_csv):
     """Write what a recording played as a CSV file."""

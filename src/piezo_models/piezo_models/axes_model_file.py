@@ -43,7 +43,7 @@ from piezo_models.model_reader import built_hysteresis
 VERSION = 2
 
 Matrix = list[Numbers]
-"""Rows: of the axis that moves; columns: of the axis that is driven."""
+"""Rows: the axis that moves; columns: the axis that is driven."""
 
 
 class ModePart(Part):
@@ -77,7 +77,7 @@ class SofteningPart(Part):
 
 
 class ActuatorPart(Part):
-    """What stands in front of the modes on one axis."""
+    """Hysteresis and creep in front of the modes on one axis."""
 
     hysteresis: HysteresisPart | None = entry(
         "Hysteresis. Its output over its mean slope is the voltage that it passes on; left out "
@@ -145,12 +145,12 @@ class AxesDocument(Document):
 
 
 def save_axes_model(path: str | PathLike[str], identified: IdentifiedAxes) -> None:
-    """Write a model file of several axes; the file at `path` is replaced at once or not at all.
+    """Write a model file of several axes; the file at `path` is replaced in one step or not at all.
 
     Raises
     ------
     ModelFileError
-        If the file cannot be written, or there is one that is no model file.
+        If the file cannot be written, or a file that is not a model file is in its place.
     """
     document = _document_of(identified)
     checked(AxesDocument, document)
@@ -163,7 +163,7 @@ def load_axes_model(path: str | PathLike[str]) -> IdentifiedAxes:
     Raises
     ------
     ModelFileError
-        If the file is missing, is no model file of this version, or a field of it does not fit.
+        If the file is missing, is not a model file of this version, or has an invalid field.
     """
     try:
         return _built(load_document(AxesDocument, path, LARGEST_FILE_BYTES))
@@ -255,5 +255,5 @@ def _complex(real: ArrayLike, imaginary: ArrayLike) -> ComplexArray:
 
 
 def _ragged(rows: Any) -> Any:
-    """Return rows as an array where they are of one length, else as they are."""
+    """Return rows of equal length as an array, else an empty list."""
     return np.array(rows) if len({len(row) for row in rows}) == 1 else []

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The whole stage: Preisach hysteresis, then creep, then electric and vibration dynamics.
 
-What these three do not explain is added as effects, each at its place in the cascade.
+Effects describe what these three do not explain, each at its place in the cascade.
 """
 
 from dataclasses import dataclass, field, replace
@@ -41,11 +41,11 @@ if TYPE_CHECKING:
 
 @dataclass(eq=False)
 class StageMemory:
-    """What the stage remembers: the past of its hysteresis and the state of `StageModel.linear`.
+    """Memory of the stage: the past of its hysteresis and the state of `StageModel.linear`.
 
-    That of the hysteretic creep too, where the model has it, and of the effects, by their place
-    among those of the model: what `piezo_models.effects.effect.Effect.advance` returns. And the
-    highest voltage so far, where the model has a first rise.
+    It also holds the past of the hysteretic creep (None without one), the pasts of the effects by
+    their index in the model (see `piezo_models.effects.effect.Effect.advance`), and the highest
+    voltage so far, which a model with a first rise needs.
     """
 
     hysteresis: PreisachMemory
@@ -69,13 +69,13 @@ class StageModel:
     Parameters
     ----------
     hysteretic_creep : HystereticCreep, optional
-        Added to the output of the hysteresis. Simulations have it; inversions leave its slow
-        motion to the feedback.
+        Added to the output of the hysteresis. Simulations include it; inversions omit it, and
+        the feedback corrects its slow motion.
     effects : tuple of piezo_models.effects.effect.Effect
-        What else the stage does; those of one place act in this order.
+        Further effects; those at the same place act in this order.
     first_rise : FirstRise, optional
-        What a stage that was never cycled lacks until its first rise; a stage is taken for cycled
-        unless its memory says otherwise.
+        Displacement that a stage lacks until it has risen to its highest voltage once; without
+        effect for a stage that was cycled, which is the default of a memory.
     """
 
     hysteresis: PreisachModel
@@ -92,7 +92,7 @@ class StageModel:
         return self.summary()._repr_html_()
 
     def summary(self) -> SummaryTable:
-        """Return the parameters as a table, with Hz beside rad/s."""
+        """Return the parameters as a table, in rad/s and in Hz."""
         return summary_of_model(self)
 
     def plot(self) -> "Figure":
@@ -103,7 +103,7 @@ class StageModel:
 
     def to_control(self, sample_period_s: float | None = None, lags: bool = True,
                    ) -> control.StateSpace:
-        """Return all that is linear; see `piezo_models.control_objects.to_control`."""
+        """Return the linear part as a system; see `piezo_models.control_objects.to_control`."""
         from piezo_models.control_objects import to_control
 
         return to_control(self, sample_period_s, lags)
@@ -119,7 +119,7 @@ class StageModel:
         return tuple(effect for effect in self.effects if effect.place == place)
 
     def as_rows_show(self, sample_period_s: float) -> "StageModel":
-        """Return the model with those lags behind the hysteresis that settle within a row."""
+        """Return the model with lags that settle within a row moved behind the hysteresis."""
         effects = as_rows_show(self.effects, sample_period_s)
         return self if effects == self.effects else replace(self, effects=effects)
 
@@ -140,15 +140,15 @@ class StageModel:
 
     def amplified(self, voltage_v: ArrayLike, sample_period_s: float,
                   memory: StageMemory | None = None) -> FloatArray:
-        """Return the voltage behind the effects that act on it, shape (N,); a memory goes on."""
+        """Return the voltage behind the effects that act on it, shape (N,); update the memory."""
         applied_v: FloatArray = np.asarray(voltage_v, dtype=float)
         return self._behind(("voltage",), applied_v, sample_period_s, memory)
 
     def sensed(self, displacement_um: FloatArray, sample_period_s: float,
                memory: StageMemory | None = None) -> FloatArray:
-        """Return what the sensor measures of the output of `linear`, with the effects on both.
+        """Return what the sensor measures when `linear` puts out this displacement.
 
-        Effects of a `StageMemory` go on from there.
+        The effects on displacement and sensor are applied; those in `memory` are continued.
         """
         return self._behind(("displacement", "sensor"), displacement_um, sample_period_s, memory)
 
@@ -169,15 +169,15 @@ class StageModel:
         Parameters
         ----------
         rest_voltage_v : float
-            Voltage reached from negative saturation; not used if `hysteresis` is given.
+            Voltage in V, reached from negative saturation; not used if `hysteresis` is given.
         hysteresis : PreisachMemory, optional
-            Past of the hysteresis, in place of that; copied.
+            Past of the hysteresis, in place of `rest_voltage_v`; copied.
         settled : bool
             True: the stage has rested for so long that the creep is over, and the linear states
             are in equilibrium with the hysteresis output. False: they are zero.
         highest_v : float
-            Up to which the stage has risen so far; by default it was cycled. Only a model with a
-            first rise heeds it.
+            Highest voltage in V that the stage has reached so far; by default it was cycled. Only
+            a model with a first rise uses it.
         """
         if hysteresis is None:
             hysteresis = self.hysteresis.memory()
@@ -194,7 +194,7 @@ class StageModel:
         return memory
 
     def _held_um(self, memory: StageMemory) -> float:
-        """Return what the linear part got last."""
+        """Return the last input of the linear part in um."""
         held_um = memory.hysteresis.hysteresis_um
         if self.hysteretic_creep is not None and memory.hysteretic_creep is not None:
             held_um += self.hysteretic_creep.held_um(memory.hysteretic_creep)
@@ -210,12 +210,12 @@ class StageModel:
         Parameters
         ----------
         voltage_v : (N,) array_like
-            Each held for a sample period.
+            Voltages in V, each held for a sample period.
         memory : StageMemory, optional
             Past of the stage; continued, and updated in place. By default the stage has rested at
-            0 V, reached from negative saturation, until the creep was over. Effects that are not
-            linear have rested at the first value that they get. Parts that are simulated one
-            after the other, with one memory and one sample period, are the whole.
+            0 V, reached from negative saturation, until the creep was over; nonlinear effects have
+            rested at their first input. Parts that are simulated one after the other, with one
+            memory and one sample period, give the same result as the whole.
 
         Returns
         -------
@@ -225,8 +225,8 @@ class StageModel:
         Raises
         ------
         ValueError
-            If a voltage is not finite, the sample period is not positive, or the memory is that
-            of a model without hysteretic creep.
+            If a voltage is not finite, the sample period is not positive, or the memory is one of
+            a model without hysteretic creep.
         """
         memory = self.memory() if memory is None else memory
         acting = self.as_rows_show(sample_period_s)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The linear part of a model as an object of python-control, and back."""
+"""Convert the linear part of a model to an object of python-control, and back."""
 
 import warnings
 from collections.abc import Iterable, Sequence
@@ -17,16 +17,16 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 
 @dataclass(frozen=True)
 class ConversionSettings:
-    """Numbers that steer the conversion of a system of python-control to a model.
+    """Tolerances of the conversion of a system of python-control to a model.
 
     Attributes
     ----------
     rounding : float
-        A root whose imaginary part is below this part of its size is taken as real: an eigenvalue
-        solver leaves a rest of that kind.
+        A root is taken as real if its imaginary part is below this fraction of its magnitude;
+        eigenvalue solvers leave rounding errors of this size.
     response_tolerance : float
-        The parameters found must give the response of the system to this part of it, a thousandth
-        of what an identification attains; roots of a delay are recognised to this part of them.
+        Largest relative deviation of the found model's response from that of the system, and of
+        the roots of a delay; a thousandth of what an identification attains.
     """
 
     rounding: float = 1e-9
@@ -36,22 +36,22 @@ class ConversionSettings:
 SETTINGS = ConversionSettings()
 
 AT_ONCE = control.tf([1.0], [1.0])
-"""The delay of nothing."""
+"""Transfer function of no delay."""
 
 IN_LINEAR = ("modes", "linear")
-"""Places of the effects that `StageModel.linear` holds."""
+"""Places of the effects that are part of `StageModel.linear`."""
 
 
 class LinearParts(NamedTuple):
-    """What a system of python-control is made of.
+    """Components of a system of python-control.
 
     Attributes
     ----------
     gain : float
-        What remains when creep has unit high-frequency and dynamics unit DC gain: it belongs to
-        the hysteresis.
+        Gain that remains when creep has unit high-frequency gain and dynamics unit DC gain; it
+        belongs to the hysteresis.
     delay_s : float
-        Of the Pade approximation in the system; 0 without one.
+        Delay of the Pade approximation in the system, in s; 0 without one.
     """
 
     creep: CreepDynamics
@@ -61,27 +61,27 @@ class LinearParts(NamedTuple):
 
 
 class LeftOut(UserWarning):
-    """Parts of a model are not linear, and so not in the system that was made of it."""
+    """Warning that nonlinear parts of a model are omitted from its linear system."""
 
 
 def to_control(model: StageModel, sample_period_s: float | None = None, lags: bool = True,
                ) -> control.StateSpace:
-    """Return all that is linear in a model, but for its hysteresis, as a system of python-control.
+    """Return the linear part of a model as a system of python-control.
 
-    What is not linear is named by a `LeftOut`.
+    The hysteresis is not in it. Other nonlinear parts are omitted and named in a `LeftOut` warning.
 
     Parameters
     ----------
     sample_period_s : float, optional
-        Sample it exactly for an input held so long; continuous by default.
+        Sample the system exactly for an input held for this period; continuous by default.
     lags : bool
-        With the lags in front of the hysteresis and behind the stage, as a feedback loop meets
-        them: those of the amplifier and the sensor, a delay by its Pade approximation.
+        Include the lags in front of the hysteresis and behind the stage, which a feedback loop
+        contains: amplifier, sensor, and a delay by its Pade approximation.
 
     Returns
     -------
     control.StateSpace
-        From ``hysteresis_um`` to ``displacement_um``.
+        System from ``hysteresis_um`` to ``displacement_um``.
 
     Examples
     --------
@@ -109,18 +109,18 @@ def to_control(model: StageModel, sample_period_s: float | None = None, lags: bo
 
 def with_linear_part(model: StageModel, system: control.StateSpace | control.TransferFunction,
                      ) -> StageModel:
-    """Return a model with another linear part: the way back from ``to_control(lags=False)``.
+    """Return a model with another linear part; the inverse of ``to_control(lags=False)``.
 
     Parameters
     ----------
     system : control.StateSpace or control.TransferFunction
-        See `from_control`. The hysteresis takes its gain; effects at other places stay, but for a
-        delay where the system has one.
+        System as for `from_control`. The hysteresis is scaled by its gain. Effects at other
+        places are kept, except a delay if the system has one.
 
     Raises
     ------
     ValueError
-        See `from_control`.
+        If `from_control` rejects the system.
     """
     parts = from_control(system)
     hysteresis = model.hysteresis
@@ -135,22 +135,22 @@ def with_linear_part(model: StageModel, system: control.StateSpace | control.Tra
 
 
 def from_control(system: control.StateSpace | control.TransferFunction) -> LinearParts:
-    """Return the creep, dynamics, gain and delay that a system of python-control is made of.
+    """Return creep, dynamics, gain and delay of a system of python-control.
 
-    Real zeros are those of creep (4.4), each with one of the slowest real poles; the next real pole
-    is the electric lag, complex pairs are modes and antiresonances (4.3). Two real poles too many
-    make an overdamped mode. Zeros on the right are taken where they belong to the Pade
-    approximation of a delay, of any order.
+    Each real zero belongs to creep (4.4), together with one of the slowest real poles. The next
+    real pole is the electric lag; complex pairs are modes and antiresonances (4.3). Two further
+    real poles form an overdamped mode. Zeros in the right half-plane are accepted if they belong to
+    the Pade approximation of a delay, of any order.
 
     Parameters
     ----------
     system : control.StateSpace or control.TransferFunction
-        Continuous, one input and one output, stable, without other zeros on the right.
+        Continuous, stable, with one input and one output, without other right half-plane zeros.
 
     Raises
     ------
     ValueError
-        If the system has no such parts.
+        If the system cannot be split into these parts.
 
     Examples
     --------
@@ -184,7 +184,7 @@ def from_control(system: control.StateSpace | control.TransferFunction) -> Linea
 
 def _delay_apart(poles: ComplexArray, zeros: ComplexArray,
                  ) -> tuple[float, control.TransferFunction, ComplexArray, ComplexArray]:
-    """Return the delay whose Pade approximation has the zeros on the right, and the other roots."""
+    """Return the delay whose Pade approximation has the right half-plane zeros; the other roots."""
     right = zeros[zeros.real > 0.0]
     order = right.size
     if not order:
@@ -210,7 +210,7 @@ def _without(roots: ComplexArray, known: ComplexArray) -> ComplexArray | None:
 
 def _sorted_roots(roots: Iterable[complex], kind: str,
                   ) -> tuple[list[float], list[tuple[float, float]]]:
-    """Return the rates of real roots, rising, and frequency and damping of each complex pair."""
+    """Return the rates of real roots, ascending, and frequency and damping of each complex pair."""
     real, pairs = [], []
     for root in sorted(roots, key=abs):
         if not (np.isfinite(root) and root.real < 0.0):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A stage model together with what is known of its identification."""
+"""A stage model together with the results of its identification."""
 
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -21,36 +21,36 @@ if TYPE_CHECKING:
 
 @dataclass
 class IdentifiedModel:
-    """A stage model with what is known of its identification.
+    """A stage model with the results of its identification.
 
     Parameters
     ----------
     voltage_range_v : (float, float)
-        Voltages that the identification covered.
+        Lowest and highest voltage of the identification in V.
     sample_periods_s : dict of str to float
         Sample period of each experiment, by its name.
     errors : dict of str to float, or to such a dict
-        Errors on data that was not fitted, units in the names.
+        Errors on data that was not fitted; the names contain the units.
     recordings : list of {"path": str, "sha256": str}
-        Where the model came from.
+        Recordings that the model was identified from.
     created : str
         Time of creation, ISO 8601; now by default.
     uncertainties : dict of str to dict
-        Standard deviations under "creep" and "dynamics", in names and shapes those of the model;
-        under "effects" a list of those of each effect's parameters, by their names.
+        Standard deviations under "creep" and "dynamics", with the names and shapes of the model's
+        parameters; under "effects" a list with one dict for each effect.
     rows : dict of str to dict
-        For each recording when its rows are read and what delay is left in it:
-        `read_at_samples`, `delay_s` (not where the rows do not tell it) and
+        For each recording, the instant at which its rows are read and the remaining delay:
+        `read_at_samples`, `delay_s` (missing if it cannot be determined) and
         `standard_deviation_s`.
     visited : ndarray of bool, shape (L, L), optional
-        Cells of the density that the recordings determine; lower triangular. In the others it is a
-        continuation. None where that is not known.
+        Cells of the density that the recordings determine; lower triangular. The density in the
+        other cells is extrapolated. None if this is not known.
     adequacy : dict of str to dict
-        By component (creep, dynamics, hysteresis): whether it leaves more than the noise of the
-        recording that it was estimated from; see `model_document.AdequacyPart`. Empty where that
+        For each component (creep, dynamics, hysteresis) whether its residual exceeds the noise of
+        the recording that it was estimated from; see `model_document.AdequacyPart`. Empty if this
         is not known.
     unfinished : str
-        Why the identification ended early, and what it has not tried; empty where it was done.
+        Why the identification ended early, and what it did not try; empty if it was completed.
     """
 
     model: StageModel
@@ -76,17 +76,17 @@ class IdentifiedModel:
         return summary_of_identified(self)
 
     def shortfall(self) -> str:
-        """Say what is unfinished or inadequate, and what that costs; empty where nothing is."""
+        """Return what is unfinished or inadequate and the resulting error; empty if nothing is."""
         return shortfall(self.adequacy, self.errors, self.unfinished)
 
     def predict(self, voltage_v: ArrayLike, sample_period_s: float) -> FloatArray:
-        """Return the displacement under a voltage of which nothing was measured.
+        """Return the predicted displacement under a voltage.
 
         Parameters
         ----------
         voltage_v : (N,) array_like
-            Each value held for a sample period. The stage has rested at the first one, reached
-            from the lowest voltage.
+            Voltages in V, each held for a sample period. The stage has rested at the first one,
+            reached from the lowest voltage.
 
         Returns
         -------
@@ -106,7 +106,7 @@ class IdentifiedModel:
 
     def to_control(self, sample_period_s: float | None = None, lags: bool = True,
                    ) -> control.StateSpace:
-        """Return all that is linear; see `piezo_models.control_objects.to_control`."""
+        """Return the linear part as a system; see `piezo_models.control_objects.to_control`."""
         return self.model.to_control(sample_period_s, lags)
 
     def to_matlab(self, path: str | PathLike[str]) -> None:
@@ -114,10 +114,10 @@ class IdentifiedModel:
         self.model.to_matlab(path)
 
     def bode(self) -> "Figure":
-        """Draw gain and phase of what follows the hysteresis, with the band of 95 %.
+        """Draw gain and phase of creep and dynamics with a 95 % band.
 
-        The band is that of the parameters' standard deviations, taken for independent; it does
-        not hold what the form of the model lacks.
+        The band follows from the standard deviations of the parameters, assumed independent. It
+        does not include errors in the form of the model.
         """
         from piezo_models.response_band import bode_of
 

@@ -15,7 +15,7 @@ def e_rms_percent(reference_um: ArrayLike, displacement_um: ArrayLike,
     ----------
     reference_um, displacement_um : (N,) array_like
     remove_offset : bool
-        Take the mean of the error off first.
+        Subtract the mean of the error first.
 
     Returns
     -------
@@ -47,7 +47,7 @@ def e_y_percent(measured_um: ArrayLike, estimated_um: ArrayLike,
     ----------
     measured_um, estimated_um : (N,) array_like
     remove_offset : bool
-        Take each signal's mean off first, as chapter 4 does.
+        Subtract the mean of each signal first, as chapter 4 does.
 
     Returns
     -------
@@ -76,7 +76,7 @@ def e_r_percent(reference_um: ArrayLike, displacement_um: ArrayLike,
                 remove_offset: bool = True) -> float:
     """Return the norm of the tracking error in percent of that of the reference, eq. (4.23).
 
-    It is `e_y_percent` of a reference and the displacement that followed it.
+    This is `e_y_percent` of a reference and the displacement that followed it.
 
     Examples
     --------

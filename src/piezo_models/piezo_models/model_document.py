@@ -31,7 +31,7 @@ VERSION = 1
 
 
 class ModelFileError(ValueError):
-    """A model file that cannot be read or written: says path, field and cure."""
+    """A model file cannot be read or written; the message gives path, field and remedy."""
 
 
 class CreepPart(Part):
@@ -55,7 +55,7 @@ class DynamicsPart(Part):
 
 
 class HystereticCreepPart(Part):
-    """Creep of play operators beside the hysteresis (thesis 6.2)."""
+    """Creep by play operators, in parallel with the hysteresis (thesis 6.2)."""
 
     half_widths_v: list[NotNegative] = entry("Half the width of each play.", unit="V")
     time_constants_s: list[Positive] = entry("Time constant of each.", unit="s")
@@ -106,10 +106,10 @@ class EffectPart(Part):
 
 
 Deviation = NotNegative | None
-"""A standard deviation; null where no data told the parameter."""
+"""A standard deviation; null if the data do not determine the parameter."""
 
 Deviations = list[Deviation]
-"""There is one for each number of a parameter."""
+"""One standard deviation for each number of a parameter."""
 
 
 class CreepDeviations(Part):
@@ -131,7 +131,7 @@ class DynamicsDeviations(Part):
 
 
 class UncertaintiesPart(Part):
-    """Standard deviations, in the shape of the parameters; null where no data told it."""
+    """Standard deviations in the shape of the parameters; null if the data do not determine one."""
 
     creep: CreepDeviations | None = entry("Of the creep.", default=None)
     dynamics: DynamicsDeviations | None = entry("Of the dynamics.", default=None)
@@ -140,7 +140,7 @@ class UncertaintiesPart(Part):
 
 
 class RowsPart(Part):
-    """When the rows of a recording are read, and what delay is left in it."""
+    """The instant at which the rows of a recording are read, and the remaining delay."""
 
     read_at_samples: Number = entry(
         "Instant at which a row's displacement is read, after its voltage: the logger's habit.",
@@ -305,13 +305,13 @@ def document_of(identified: "IdentifiedModel") -> dict[str, Any]:
 
 
 def document_of_creep(creep: CreepDynamics) -> dict[str, Any]:
-    """Return the part of a document that tells the creep."""
+    """Return the part of a document that describes the creep."""
     return {"poles_rad_per_s": list(creep.poles_rad_per_s),
             "zeros_rad_per_s": list(creep.zeros_rad_per_s)}
 
 
 def document_of_hysteresis(hysteresis: PreisachModel) -> dict[str, Any]:
-    """Return the part of a document that tells the hysteresis."""
+    """Return the part of a document that describes the hysteresis."""
     reversible, density = hysteresis.reversible_um_per_v, hysteresis.density_um_per_v2
     return {
         "voltage_min_v": hysteresis.voltage_min_v,
@@ -323,7 +323,7 @@ def document_of_hysteresis(hysteresis: PreisachModel) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Return the numbers of NumPy as plain ones and tuples as lists, in dicts of any depth."""
+    """Return NumPy numbers as plain ones and tuples as lists, in dicts of any depth."""
     if isinstance(value, dict):
         return {str(key): _plain(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
@@ -332,7 +332,7 @@ def _plain(value: Any) -> Any:
 
 
 def _untold_as_null(value: Any) -> Any:
-    """Return standard deviations with null for infinite ones, as JSON has no infinity."""
+    """Return standard deviations with None for infinite ones, as JSON has no infinity."""
     if isinstance(value, dict):
         return {key: _untold_as_null(entry) for key, entry in value.items()}
     if isinstance(value, list):
@@ -341,7 +341,7 @@ def _untold_as_null(value: Any) -> Any:
 
 
 def rendered(value: Any, indent: str = "") -> str:
-    """Return a document as JSON with one line per field, and per row of a matrix."""
+    """Return a document as JSON with one line per field and per row of a matrix."""
     inner = indent + "  "
     if isinstance(value, dict) and value:
         fields = [f"{inner}{json.dumps(key)}: {rendered(v, inner)}" for key, v in value.items()]

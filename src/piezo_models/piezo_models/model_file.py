@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The model file: one versioned JSON document, written atomically and read strictly."""
+"""The model file: one versioned JSON document, written atomically and read with strict checks."""
 
 import json
 from os import PathLike
@@ -20,17 +20,17 @@ from piezo_models.model_document import (
 from piezo_models.model_reader import built_model, identified_model_of
 
 LARGEST_FILE_BYTES = 32 * 2**20
-"""A density of 1000 x 1000 cells fits."""
+"""Size limit of a model file in bytes; a density of 1000 x 1000 cells fits."""
 
 
 def save_model(path: str | PathLike[str], identified: IdentifiedModel) -> None:
-    """Write a model file; the file at `path` is replaced at once or not at all.
+    """Write a model file; the file at `path` is replaced in one step or not at all.
 
     Raises
     ------
     ModelFileError
-        If the model does not satisfy what `load_model` asks for, or the file cannot be written,
-        or there is one that is no model file.
+        If `load_model` would reject the model, the file cannot be written, or a file that is not
+        a model file is in its place.
 
     Examples
     --------
@@ -50,12 +50,12 @@ def save_model(path: str | PathLike[str], identified: IdentifiedModel) -> None:
 
 
 def write_document(path: Path, document: dict[str, Any]) -> None:
-    """Write the checked document of a model, of one axis or of several; see `save_model`.
+    """Write a checked model document, of one axis or of several; see `save_model`.
 
     Raises
     ------
     ModelFileError
-        If the file cannot be written, or there is one that is no model file.
+        If the file cannot be written, or a file that is not a model file is in its place.
     """
     if is_something_else(path, FORMAT, LARGEST_FILE_BYTES):
         raise ModelFileError(
@@ -71,7 +71,7 @@ def write_document(path: Path, document: dict[str, Any]) -> None:
 
 
 def announced_model(path: str | PathLike[str]) -> IdentifiedModel:
-    """Read a model file for a command, and print first what the model lacks; see `load_model`."""
+    """Read a model file for a command and print the model's shortfall; see `load_model`."""
     identified = load_model(path)
     if identified.shortfall():
         print(identified.shortfall(), flush=True)
@@ -79,7 +79,7 @@ def announced_model(path: str | PathLike[str]) -> IdentifiedModel:
 
 
 def is_of_several_axes(path: str | PathLike[str]) -> bool:
-    """Tell whether a model file is one of several axes; False where it cannot be read."""
+    """Return True if a model file has several axes; False if it cannot be read."""
     try:
         content = json.loads(read_bounded_text(path, LARGEST_FILE_BYTES))
     except (UnreadableFile, ValueError, RecursionError):

@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     from piezo_models.cascade import StageModel
 
 AMPLITUDES = (1.0, 0.75, 0.5, 0.25)
-"""Parts of the voltage range that the drawn loops cover."""
+"""Fractions of the voltage range that the drawn loops cover."""
 
 POINTS = 400
 BESIDE = 3.0
-"""Factor by which the drawn frequencies go beyond the slowest and the fastest of the model."""
+"""Factor by which the drawn frequencies exceed the slowest and fastest rates of the model."""
 
 STATIC_HZ = (1.0, 1000.0)
-"""Frequencies drawn of a model that has neither creep nor dynamics."""
+"""Frequency range in Hz drawn for a model that has neither creep nor dynamics."""
 
 
 def draw_model(model: "StageModel", visited: NDArray[np.bool_] | None = None) -> "Figure":
@@ -62,7 +62,7 @@ def density_on(axes: "Axes", hysteresis: PreisachModel,
     Returns
     -------
     matplotlib.collections.QuadMesh
-        What was drawn, such as for a colour bar.
+        The mesh that was drawn, for example for a colour bar.
     """
     levels_v, density = hysteresis.levels_v, hysteresis.density_um_per_v2
     below = np.tril(np.ones(density.shape, dtype=bool))
@@ -83,19 +83,19 @@ def density_on(axes: "Axes", hysteresis: PreisachModel,
 
 
 def loops_on(axes: "Axes", hysteresis: PreisachModel) -> None:
-    """Draw loops that rise from the lowest voltage to several parts of the range."""
+    """Draw loops that rise from the lowest voltage to several fractions of the range."""
     low_v, high_v = hysteresis.voltage_min_v, hysteresis.voltage_max_v
     rise = np.linspace(0.0, 1.0, POINTS)
     way = np.concatenate([rise, rise[::-1], rise])
     for part, style in zip(AMPLITUDES, CURVES, strict=False):
         voltage_v = low_v + part * (high_v - low_v) * way
-        settled = slice(POINTS, None)  # behind the first rise, which no loop goes twice
+        settled = slice(POINTS, None)  # after the first rise, which is not part of a loop
         axes.plot(voltage_v[settled], hysteresis.simulate(voltage_v)[settled], **style)
     label(axes, "voltage (V)", "displacement (um)", "hysteresis")
 
 
 def response_on(gain: "Axes", phase: "Axes", model: "StageModel") -> None:
-    """Draw gain and phase of what follows the hysteresis, on an axis each."""
+    """Draw gain and phase of creep and dynamics, on one axis each."""
     frequency_hz = drawn_frequencies(model)
     response = model.response(frequency_hz)
     gain.loglog(frequency_hz, np.abs(response), color=BLUE, linewidth=1.2)
@@ -111,7 +111,7 @@ def drawn_frequencies(model: "StageModel") -> FloatArray:
     of_modes = [effect.frequency_rad_per_s for effect in model.effects_at("modes")]
     modes = [*dynamics.mode_frequencies_rad_per_s,
              *dynamics.antiresonance_frequencies_rad_per_s, *of_modes]
-    # A lag far above the modes is none that the recordings could show.
+    # Recordings cannot show a lag far above the modes, so it does not extend the range.
     lag = [] if modes or not dynamics.time_constant_s else [1.0 / dynamics.time_constant_s]
     rates = [*model.creep.poles_rad_per_s, *model.creep.zeros_rad_per_s, *modes, *lag]
     low_hz, high_hz = STATIC_HZ

@@ -31,14 +31,14 @@ T = TypeVar("T")
 
 
 def identified_model_of(document: object, path: str | PathLike[str]) -> IdentifiedModel:
-    """Return the model that a document tells, checked field by field.
+    """Return the model that a document describes, checked field by field.
 
     Parameters
     ----------
     document : dict
-        See `model_document.document_of`.
+        Document as `model_document.document_of` returns it.
     path : path-like
-        Named in refusals.
+        Path to name in error messages.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def built_model(document: ModelDocument) -> IdentifiedModel:
 
 
 def _deviations(part: UncertaintiesPart) -> dict[str, Any]:
-    """Return standard deviations by part, and those of each effect in a list."""
+    """Return standard deviations by part; those of the effects in a list."""
     deviations: dict[str, Any] = {
         name: {parameter: _infinite_where_untold(value) for parameter, value in of_part}
         for name, of_part in (("creep", part.creep), ("dynamics", part.dynamics)) if of_part}
@@ -108,7 +108,7 @@ def _infinite_where_untold(deviation: Deviation | Deviations) -> float | list[fl
 
 
 def built_hysteresis(part: HysteresisPart) -> PreisachModel:
-    """Return the hysteresis that a part of a document tells."""
+    """Return the hysteresis that a part of a document describes."""
     rows = part.density_um_per_v2
     density = np.zeros((len(rows), len(rows)))
     for i, row in enumerate(rows):
@@ -146,7 +146,7 @@ def _visited(rows: list[str] | None) -> NDArray[np.bool_] | None:
 
 
 def _built(path: str, kind: Callable[..., T], *arguments: Any, **named: Any) -> T:
-    """Return an object of a part; what its class objects to is told with its path."""
+    """Return an object of a part; a validation error of its class is raised with its path."""
     try:
         return kind(*arguments, **named)
     except ValueError as error:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The parameters of a model as a table: standard deviations beside them, Hz beside rad/s."""
+"""The parameters of a model as a table, with standard deviations, in rad/s and in Hz."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -25,23 +25,23 @@ PARAMETERS = (
     ("dynamics", "antiresonance_frequencies_rad_per_s", "antiresonance frequency", RAD_PER_S, 1.0),
     ("dynamics", "antiresonance_damping_ratios", "antiresonance damping ratio", "1", 1.0),
 )
-"""Component, name in the model, name for people, unit for people, and how many of them in one."""
+"""Component, name in the model, name and unit in the table, and scale factor to that unit."""
 
 
 def visited_fraction(visited: NDArray[np.bool_]) -> float:
-    """Return the part of the area of the Preisach plane that recordings have visited.
+    """Return the fraction of the area of the Preisach plane that recordings have visited.
 
     Parameters
     ----------
     visited : ndarray of bool, shape (L, L)
-        Lower triangular; a cell on the diagonal is half a cell.
+        Lower triangular; a cell on the diagonal counts half.
     """
     area = np.tril(np.ones(visited.shape)) - 0.5 * np.eye(len(visited))
     return float(area[visited].sum() / area.sum())
 
 
 def model_rows(model: "StageModel", uncertainties: Mapping[str, Any]) -> list[tuple[Cell, ...]]:
-    """Return the rows of the ranges of a model and of its parameters; see `parameter_rows`."""
+    """Return table rows for the ranges and the parameters of a model; see `parameter_rows`."""
     hysteresis = model.hysteresis
     low_um, high_um = hysteresis.output_range_um
     return [
@@ -53,17 +53,17 @@ def model_rows(model: "StageModel", uncertainties: Mapping[str, Any]) -> list[tu
 
 
 def parameter_rows(model: "StageModel", uncertainties: Mapping[str, Any]) -> list[tuple[Cell, ...]]:
-    """Return the rows of a table of parameters, in the order of the signal path.
+    """Return table rows for the parameters, in the order of the signal path.
 
     Parameters
     ----------
     uncertainties : dict
-        Standard deviations, see `piezo_models.identified_model.IdentifiedModel`.
+        Standard deviations, as in `piezo_models.identified_model.IdentifiedModel`.
 
     Returns
     -------
     list of tuple
-        As many cells as `HEADS`.
+        One tuple for each row, with as many cells as `HEADS`.
     """
     rows: list[tuple[Cell, ...]] = []
     for component, name, text, unit, scale in PARAMETERS:
@@ -87,7 +87,7 @@ def parameter_rows(model: "StageModel", uncertainties: Mapping[str, Any]) -> lis
 
 
 def summary_of_model(model: "StageModel") -> SummaryTable:
-    """Return the table of a model of which nothing else is known."""
+    """Return the table of a model without standard deviations."""
     return SummaryTable("Model of a stage", HEADS, model_rows(model, {}))
 
 
@@ -105,19 +105,19 @@ def summary_of_identified(identified: "IdentifiedModel") -> SummaryTable:
 
 def shortfall(adequacy: Mapping[str, Mapping[str, Any]], errors: Mapping[str, Any],
               unfinished: str) -> str:
-    """Say what of a model is unfinished or inadequate, and what that costs; empty where nothing is.
+    """Return what is unfinished or inadequate and the resulting error; empty if nothing is.
 
     Parameters
     ----------
     adequacy, errors : dict
-        Of an `IdentifiedModel`, or of its file.
+        Fields of an `IdentifiedModel` or of its file.
     unfinished : str
-        Of the same.
+        The field of the same name.
 
     Returns
     -------
     str
-        A sentence without a full stop.
+        One line without a full stop.
     """
     parts = []
     for component, part in adequacy.items():
@@ -136,7 +136,7 @@ def shortfall(adequacy: Mapping[str, Mapping[str, Any]], errors: Mapping[str, An
 
 
 def text_of_model(model: "StageModel") -> str:
-    """Return what a model is in one line."""
+    """Return a one-line description of a model."""
     hysteresis = model.hysteresis
     low_um, high_um = hysteresis.output_range_um
     modes = [f"{value / (2.0 * np.pi):.4g}" for value in model.dynamics.mode_frequencies_rad_per_s]
@@ -159,7 +159,7 @@ def _flat(errors: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, fl
 
 def _numbered(text: str, values: NDArray[np.float64], deviations: Sequence[float | None],
               unit: str, scale: float = 1.0) -> Iterator[tuple[Cell, ...]]:
-    """Yield a row for each value; several are counted from 1."""
+    """Yield a row for each value; several values are numbered from 1."""
     for number, (value, deviation) in enumerate(zip(values, deviations, strict=False), 1):
         name = f"{text} {number}" if values.size > 1 else text
         yield _row(name, scale * float(value), None if deviation is None else scale * deviation,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The linear response of a model, with the band that its standard deviations leave."""
+"""The linear response of a model, with the band that follows from its standard deviations."""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 HEIGHT_IN = 5.0
 
 STEP = 0.01
-"""Part of a standard deviation by which a parameter is moved to see what depends on it."""
+"""Step of the numerical derivative, as a fraction of the parameter's standard deviation."""
 
 
 def bode_of(identified: "IdentifiedModel") -> "Figure":
@@ -44,8 +44,9 @@ def response_deviations(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the standard deviations of a model's linear response.
 
-    Each parameter of creep and dynamics is moved; their errors are taken for independent, as the
-    model file keeps no covariances. What the recordings do not tell at all is left out.
+    Each parameter of creep and dynamics is varied by itself. The errors are assumed independent,
+    as the model file holds no covariances. Parameters that the recordings do not determine are
+    excluded.
 
     Parameters
     ----------
@@ -54,7 +55,7 @@ def response_deviations(
     Returns
     -------
     magnitude, phase_rad : ndarray, shape (F,)
-        Of the logarithm of the magnitude, and of the phase.
+        Standard deviations of the logarithm of the magnitude, and of the phase in rad.
     """
     model = identified.model
     nominal = model.response(frequency_hz)
@@ -84,13 +85,13 @@ def _moved(model: StageModel, part: str, name: str, index: int, change: float) -
 def draw_bode(gain: "Axes", phase: "Axes", identified: "IdentifiedModel",
               frequency_hz: FloatArray,
               measured: tuple[FloatArray, ComplexArray] | None = None) -> None:
-    """Draw gain and phase of a model's linear part with their bands, and what was measured.
+    """Draw gain and phase of a model's linear part with their bands and a measured response.
 
     Parameters
     ----------
     frequency_hz : ndarray, shape (F,)
     measured : tuple of ndarray, optional
-        Of `measured_response`.
+        Frequencies in Hz and complex response, as `measured_response` returns them.
     """
     response = identified.model.response(frequency_hz)
     magnitude, phase_rad = response_deviations(identified, frequency_hz)
@@ -99,7 +100,7 @@ def draw_bode(gain: "Axes", phase: "Axes", identified: "IdentifiedModel",
     if measured is not None and measured[0].size:
         points = {**MEASURED, "linestyle": "none", "marker": "o", "markersize": 4}
         gain.loglog(measured[0], np.abs(measured[1]), **points)
-        # On the model's branch of the angle, wherever the first point lies.
+        # Shift the measured phase by full turns to lie near that of the model.
         near = np.interp(measured[0], frequency_hz, angle)
         off = np.degrees(np.angle(measured[1] * np.exp(-1j * np.radians(near))))
         phase.semilogx(measured[0], near + off, **points)

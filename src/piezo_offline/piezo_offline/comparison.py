@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Two models beside each other on one recording."""
+"""Comparison of two models on one recording."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,12 +19,7 @@ NAMES = ("a", "b")
 
 @dataclass(frozen=True, repr=False)
 class Comparison:
-    """What two models make of one recording.
-
-    Attributes
-    ----------
-    a, b : piezo_identification.Prediction
-    """
+    """Predictions of two models for one recording."""
 
     a: Prediction
     b: Prediction
@@ -47,7 +42,7 @@ class Comparison:
                             ("", "e_y (%)", "rms (um)", "largest (um)"), rows)
 
     def plot(self) -> "Figure":
-        """Draw what each of the models leaves of the displacement over time."""
+        """Draw the residuals of both models over time."""
         from piezo_common.picture_style import CURVES, WIDE_IN, label, new_figure
 
         figure = new_figure(3.6, WIDE_IN)
@@ -63,15 +58,15 @@ class Comparison:
 
 def compare(model_a: AnyModel, model_b: AnyModel, data: Any, *,
             columns: Sequence[str] = ()) -> Comparison:
-    """Run two models on the voltage of one recording, and set what they leave beside each other.
+    """Run two models on the voltage of one recording, and compare their residuals.
 
     Parameters
     ----------
     model_a, model_b : IdentifiedModel, StageModel or path-like
     data : path, arrays by name, pandas.DataFrame or Recording
-        That neither was fitted to, or the better fit wins rather than the better model.
+        Recording that neither model was fitted to; otherwise the closer fit would win.
     columns : sequence of str
-        See `piezo_offline.read`.
+        As for `piezo_offline.read`.
 
     Raises
     ------

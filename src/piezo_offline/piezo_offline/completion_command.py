@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""`piezo completion`: the script by which a shell completes the command, its options and files."""
+"""`piezo completion`: the script by which a shell completes commands, options and files."""
 
 import argparse
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The work of `piezo completion`: every subcommand with its options; paths where files are read."""
+"""The work of `piezo completion`: all subcommands with their options, and paths of inputs."""
 
 import argparse
 from collections.abc import Iterator
@@ -16,12 +16,12 @@ def print_completion(options: argparse.Namespace) -> None:
 
 
 def script_for(shell: str, parser: argparse.ArgumentParser) -> str:
-    """Return the script by which a shell completes what a parser reads.
+    """Return the script by which a shell completes the arguments of a parser.
 
     Parameters
     ----------
     shell : str
-        "bash" or "zsh".
+        Shell, "bash" or "zsh".
     """
     for action in _actions(parser):
         if action.type is Path:

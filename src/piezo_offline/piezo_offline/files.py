@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The files of models, of one axis or of several."""
+"""Model files of one axis or of several."""
 
 from os import PathLike
 
@@ -17,7 +17,7 @@ def load_model(path: str | PathLike[str]) -> IdentifiedModel | IdentifiedAxes:
     Raises
     ------
     piezo_models.ModelFileError
-        If the file is missing, is no model file of this version, or a field of it does not fit.
+        If the file is missing, is not a model file of this version, or has an invalid field.
 
     Examples
     --------
@@ -30,12 +30,12 @@ def load_model(path: str | PathLike[str]) -> IdentifiedModel | IdentifiedAxes:
 
 
 def save_model(path: str | PathLike[str], identified: IdentifiedModel | IdentifiedAxes) -> None:
-    """Write a model file; the file at `path` is replaced at once or not at all.
+    """Write a model file; the file at `path` is replaced in one step or not at all.
 
     Raises
     ------
     piezo_models.ModelFileError
-        If the file cannot be written, or there is one that is no model file.
+        If the file cannot be written, or a file that is not a model file is in its place.
 
     Examples
     --------

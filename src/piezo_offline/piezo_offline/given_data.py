@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What people hand over in Python: paths, arrays by name, frames, recordings, responses."""
+"""Conversion of data given in Python: paths, arrays by name, frames, recordings, responses."""
 
 import re
 import warnings
@@ -33,11 +33,11 @@ if TYPE_CHECKING:
 
 
 SIGNALS = ("time_s", "voltage_v", "displacement_um")
-"""Labels of three arrays that have none."""
+"""Names of three arrays without labels."""
 
 
 class DataWarning(UserWarning):
-    """Something of the data was assumed, mended, or is implausible."""
+    """Something about the data was assumed, corrected, or is implausible."""
 
 
 @overload
@@ -53,29 +53,29 @@ def read(data: ArrayLike, columns: ArrayLike, name: ArrayLike) -> Recording: ...
 
 
 def read(data: Any, columns: Any = (), name: Any = "") -> Recording:
-    """Make a recording of a file, of arrays, of a pandas frame or of an xarray dataset.
+    """Return a recording of a file, of arrays, of a pandas frame or of an xarray dataset.
 
-    ``read(time_s, voltage_v, displacement_um)`` takes three arrays of one length.
+    ``read(time_s, voltage_v, displacement_um)`` takes three arrays of equal length.
 
-    What had to be assumed or mended, and what is implausible, is said as a `DataWarning`.
+    Assumptions, corrections and implausible values are reported as `DataWarning`.
 
     Parameters
     ----------
     data : path-like, mapping, pandas.DataFrame, xarray.Dataset or Recording
-        A rosbag2 directory, an MCAP file or a table of another program; or arrays of one length
-        by label, such as ``{"time_s": t, "voltage_v": u, "displacement_um": y}``; or a frame with
-        such columns, whose index may be the time; or a dataset with such variables over time,
-        whose attribute ``units`` counts. A recording is returned as it is.
+        A rosbag2 directory, an MCAP file or a table of another program; or arrays of equal length
+        by label, for example ``{"time_s": t, "voltage_v": u, "displacement_um": y}``; or a frame
+        with such columns, whose index may be the time; or a dataset with such variables over
+        time, with units in their attribute ``units``. A recording is returned unchanged.
     columns : sequence of str
-        What the labels and units do not tell, such as ``["time=t[ms]", "voltage=ch1[20V]"]``, or
-        ``["rate=10[kHz]"]`` where there is no time.
+        Assignments that labels and units do not contain, for example ``["time=t[ms]",
+        "voltage=ch1[20V]"]``, or ``["rate=10[kHz]"]`` for data without time.
     name : str
-        What to call arrays or a frame.
+        Name for arrays or a frame.
 
     Raises
     ------
     piezo_recorder.RecordingError
-        If the data are missing, ambiguous or damaged; one line says where, and what to do.
+        If the data are missing, ambiguous or damaged; the message says where, and what to do.
 
     Examples
     --------
@@ -109,7 +109,7 @@ def read(data: Any, columns: Any = (), name: Any = "") -> Recording:
 
 
 def _in_python(text: str) -> str:
-    """Return a message with its option ``--columns`` as the argument that it is in Python."""
+    """Return a message with its option ``--columns`` written as the argument in Python."""
     def as_argument(found: re.Match[str]) -> str:
         return "columns=[" + ", ".join(f'"{word}"' for word in found[1].split()) + "]"
 
@@ -118,23 +118,23 @@ def _in_python(text: str) -> str:
 
 
 def in_list(given: Any) -> list[Any]:
-    """Return what was given, one or several, as a list."""
+    """Return one or several objects as a list."""
     return list(given) if isinstance(given, list | tuple) else [given]
 
 
 def axes_recordings_of(given: Any, name: str) -> list[AxesRecording]:
-    """Return the recordings of several axes that were handed over; none where they are of one.
+    """Return the given recordings of several axes; empty if they are of one axis.
 
     Parameters
     ----------
     given : path-like, mapping of str to array, AxesRecording, or a list or tuple of such
     name : str
-        Of arrays.
+        Name for arrays.
 
     Raises
     ------
     piezo_recorder.RecordingError
-        If a file or arrays of several axes do not fit.
+        If a file or arrays of several axes are invalid.
     """
     if isinstance(given, list | tuple):
         return [recording for each in given for recording in axes_recordings_of(each, name)]
@@ -154,7 +154,7 @@ def recordings_of(given: Any, columns: Sequence[str], name: str) -> list[Recordi
     ----------
     given : as `read` takes, or a list or tuple of such
     name : str
-        Of arrays and frames, numbered where there are several.
+        Name for arrays and frames, numbered if there are several.
     """
     listed = in_list(given)
     names = [f"{name} {number}" if number > 1 else name for number in range(1, len(listed) + 1)]
@@ -162,7 +162,7 @@ def recordings_of(given: Any, columns: Sequence[str], name: str) -> list[Recordi
 
 
 def response_in(given: Any) -> FrequencyResponse | None:
-    """Return the frequency response that was handed over, or None where there is none."""
+    """Return the given frequency response, or None if the data are not one."""
     if isinstance(given, FrequencyResponse):
         return given
     if isinstance(given, str | PathLike) and is_frequency_response(Path(given)):

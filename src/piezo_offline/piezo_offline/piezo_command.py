@@ -21,21 +21,21 @@ from piezo_recorder.commands.report_command import COMMAND as REPORT
 COMMANDS = {command.name: command for command in (
     WAVEFORMS, CONVERT, REPORT, CHECK, IDENTIFY, SIMULATE, DIAGNOSE, DIAGNOSE_MANY, PROPOSE,
     DESIGN, SCAN, COMPLETION)}
-"""In the order in which they are used."""
+"""Subcommands in the order of their use."""
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the subcommand that is named.
+    """Run the subcommand in the arguments.
 
     Parameters
     ----------
     arguments : list of str, optional
-        The command line's by default.
+        Arguments; those of the command line by default.
 
     Returns
     -------
     int
-        Exit status: that of the subcommand, 2 for input that cannot be used, 130 after Ctrl-C.
+        Exit status: that of the subcommand, 2 for invalid input, 130 after Ctrl-C.
     """
     options = parser().parse_args(arguments)
     return COMMANDS[options.command].carry_out(options)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The steps from recordings to a controller, on files, arrays and pandas frames alike."""
+"""The steps from recordings to a controller, for files, arrays and pandas frames."""
 
 import warnings
 from collections.abc import Callable, Sequence
@@ -68,42 +68,41 @@ def identify(
 ) -> IdentifiedModel | IdentifiedAxes:
     """Identify a model of the stage from recordings; at least one of the first three.
 
-    Recordings of several axes (`piezo_recorder.AxesRecording`, and tables and arrays with columns
-    such as ``x_voltage_v``) give a model of all of them; of the options, `modes`, `progress`,
-    `note` and `budget_s` count then.
+    Recordings of several axes (`piezo_recorder.AxesRecording`, or tables and arrays with columns
+    such as ``x_voltage_v``) give one model of all axes. It uses only the options `modes`,
+    `progress`, `note` and `budget_s`.
 
     Parameters
     ----------
     creep, dynamics, hysteresis : path, arrays by name, pandas.DataFrame or Recording, optional
-        See `piezo_offline.read`; or a list of several. The dynamics may be a frequency response.
+        As for `piezo_offline.read`, or a list of several. The dynamics may be a frequency response.
     validation : the same, one, optional
-        What is not fitted: the errors of the model are measured on it.
+        Recording that is not fitted, on which the errors of the model are measured.
     columns : sequence of str
-        Of all of them, see `piezo_offline.read`.
+        As for `piezo_offline.read`; applies to all recordings.
     method : str
-        Without effect, as that of ``piezo identify --method``.
+        No effect, like ``piezo identify --method``.
     creep_pairs, modes : int, optional
-        Orders; chosen from the data by default.
+        Orders of creep and dynamics; chosen from the data by default.
     grid : int, optional
         Cells of the hysteresis along each threshold; chosen from the data by default.
     refine : bool
-        Without effect: all components are always fitted together at the end.
+        No effect: all components are always fitted together at the end.
     rows_read : str
-        "start" or "end": when the logger reads a row's displacement, see ``--rows-read``.
+        "start" or "end" of a row: when the logger reads the displacement, see ``--rows-read``.
     progress : callable, optional
-        Called with what is done, and which part of the whole (0 to 1).
+        Called with the present step and the fraction done (0 to 1).
     note : callable, optional
-        Called with sentences on orders, coverage and starts, such as ``print``. Those on what is
-        implausible are also said as a `DataWarning`.
+        Called with sentences on orders, coverage and initial values; for example ``print``.
+        Implausible data are also reported as `DataWarning`.
     budget_s : float, optional
-        Time after which the searches end with the best that they have found; `unfinished` of the
-        model then says what they have not tried. Ctrl-C ends them in the same way, once there is a
-        model.
+        Time in s after which the searches end with the best result so far; `unfinished` of the
+        model then lists what they did not try. Ctrl-C does the same, once there is a model.
 
     Raises
     ------
     ValueError
-        If a recording cannot be read or does not fit its purpose, or none is given.
+        If a recording cannot be read or is unsuitable for its purpose, or none is given.
 
     Examples
     --------
@@ -152,20 +151,20 @@ def identify(
 
 def simulate(model: AnyModel | IdentifiedAxes, data: Any, *, columns: Sequence[str] = (),
              rows_read: str = "start") -> Prediction | AxesPrediction:
-    """Run a model on the voltage of a recording, and set it beside the measured displacement.
+    """Run a model on the voltage of a recording, and compare it with the measured displacement.
 
     Parameters
     ----------
     model : IdentifiedModel, StageModel, IdentifiedAxes or path-like
     data : path, arrays by name, pandas.DataFrame, Recording or AxesRecording
     columns, rows_read
-        See `identify`. Rows of which nothing is said are read as those of the identification where
-        the model explains them better so.
+        As for `identify`. Without `rows_read`, rows are read as in the identification if the model
+        then fits better.
 
     Returns
     -------
     piezo_identification.Prediction or AxesPrediction
-        Arrays of measured and simulated displacement; `e_y_percent`, `plot`.
+        Measured and simulated displacement, with `e_y_percent` and `plot`.
 
     Raises
     ------
@@ -206,24 +205,24 @@ def diagnose(model: AnyModel, data: Any, holdout: Any = None, *, identified_from
     ----------
     model : IdentifiedModel, StageModel or path-like
     data : path, arrays by name, pandas.DataFrame or Recording, or a list of several
-        Or one frequency response.
+        Recordings, or one frequency response.
     holdout : the same, one, optional
-        On which the errors before and after are measured; a part of `data` by default.
+        Recording on which the errors before and after are measured; a part of `data` by default.
     identified_from : the same, one or a list of several, optional
-        What the model was identified from: an effect that was in the stage already then is found
-        in them. By default, the files that the model names, where they are still there.
+        Recordings that the model was identified from, which show effects that were already in the
+        stage then. By default the files that the model names, if they still exist.
     columns : sequence of str
-        See `piezo_offline.read`; of all of them.
+        As for `piezo_offline.read`; applies to all recordings.
     progress : callable, optional
-        Called with what is done, and which part of the whole (0 to 1).
+        Called with the present step and the fraction done (0 to 1).
     budget_s : float, optional
-        Time after which the comparison ends with the best that it has found; `not_tried` of the
-        verdict then says what is missing. Ctrl-C ends it in the same way.
+        Time in s after which the comparison ends with the best result so far; `not_tried` of the
+        verdict then lists what is missing. Ctrl-C does the same.
 
     Returns
     -------
     Verdict
-        `summary`, `plot`, and the extended model, which `extend` makes ready to be saved.
+        Has `summary`, `plot` and the extended model; `extend` prepares it for saving.
 
     Raises
     ------
@@ -265,14 +264,14 @@ def diagnose(model: AnyModel, data: Any, holdout: Any = None, *, identified_from
 
 
 def plot_residuals(verdict: Diagnosis, recording: int = 0) -> "Figure":
-    """Draw what a model leaves of a recording over time, before and after its extension.
+    """Draw the residual of a recording over time, before and after the model's extension.
 
     Parameters
     ----------
     verdict : Diagnosis
-        Of recordings, by `diagnose`.
+        Result of `diagnose` for recordings.
     recording : int
-        Which of those that were diagnosed.
+        Index of the diagnosed recording.
     """
     from piezo_identification.diagnosis.report.diagnosis_pictures import residuals_of
 
@@ -281,19 +280,19 @@ def plot_residuals(verdict: Diagnosis, recording: int = 0) -> "Figure":
 
 def extend(model: IdentifiedModel | str | PathLike[str], verdict: Verdict, data: Any, *,
            columns: Sequence[str] = ()) -> IdentifiedModel:
-    """Return the identified model with the effects of a verdict, to be saved and used.
+    """Return the identified model with the effects of a verdict, for saving and use.
 
     Parameters
     ----------
     model : IdentifiedModel or path-like
-        That was diagnosed.
+        Model that was diagnosed.
     data : as `diagnose` took
-        What was diagnosed: the model keeps where it came from.
+        Data that were diagnosed, for the origin in the model.
 
     Returns
     -------
     IdentifiedModel
-        The given one where the verdict added nothing.
+        The given model if the verdict adds nothing.
 
     Examples
     --------
@@ -318,33 +317,33 @@ def design(
     ----------
     model : IdentifiedModel, StageModel or path-like
     method : str
-        "h_infinity", or "pid" or "pi" of Ziegler and Nichols.
+        "h_infinity", or "pid" or "pi" by Ziegler and Nichols.
     weights : str or Path
-        "default", "thesis" or a file (YAML).
+        "default", "thesis" or a YAML file.
     disturbance_hz : float
-        Bandwidth of the disturbances.
+        Bandwidth of the disturbances in Hz.
     samples_per_tick : int, optional
-        Feedback period in samples of the stage's clock; by the rules (5.10) by default.
+        Feedback period in samples of the stage; by the rules (5.10) by default.
     delay_ticks : int
-        1 where the controller answers the stage, 0 where the stage evaluates the law itself.
+        1 if the controller responds to the stage, 0 if the stage evaluates the law itself.
     sample_rate_hz : float
-        Of the stage's sample clock.
+        Sample rate of the stage in Hz.
     feedback : str, optional
         "h-infinity", "pi", "pid", "integral-resonant", "positive-position", "force-like" or
-        "repetitive": a law of every sample instead, for which of the others `disturbance_hz` and
-        `sample_rate_hz` count; see `feedback_at_margin`.
+        "repetitive": a law at the sample rate instead, which uses only `disturbance_hz` and
+        `sample_rate_hz` of the other arguments; see `feedback_at_margin`.
     peak_sensitivity : float
-        The margin of that law.
+        Peak sensitivity of that law.
 
     Returns
     -------
     FeedbackController
-        `summary`, and `plot`, which takes a model to draw the loop.
+        Has `summary`, and `plot`, which takes a model to draw the loop.
 
     Raises
     ------
     ValueError
-        If there is no such feedback; the message says why.
+        If there is no such feedback; the message gives the reason.
 
     Examples
     --------
@@ -367,12 +366,12 @@ def design(
 
 
 def _opened(model: AnyModel) -> IdentifiedModel | StageModel:
-    """Return a model, read from its file if need be."""
+    """Return a model, read from its file if necessary."""
     return model if isinstance(model, IdentifiedModel | StageModel) else load_model(model)
 
 
 def _identified(model: AnyModel) -> tuple[StageModel, str]:
-    """Return the bare model, and the hash of its file if it was read from one."""
+    """Return the model without its identification, and the hash of its file, if any."""
     if isinstance(model, StageModel):
         return model, ""
     if isinstance(model, IdentifiedModel):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What recorder and reader know of the message piezo_interfaces/msg/SampleBlock."""
+"""Properties of the message piezo_interfaces/msg/SampleBlock for recorder and reader."""
 
 import enum
 import struct
@@ -29,16 +29,16 @@ class SampleCount:
     sample_rate_hz : float
         Rate of the stage's sample clock.
     axes : int
-        Of the stage: a sample has a value of each.
+        Number of the stage's axes; a sample has one value per axis.
 
     Attributes
     ----------
     samples : int
-        Samples received.
+        Number of samples received.
     missing : int
-        Samples of the clock that no block covers, between the first block and the last.
+        Number of clock samples that no block covers, between the first block and the last.
     end : int
-        Index on the sample clock behind the last block.
+        Index on the sample clock after the last block.
     """
 
     def __init__(self, sample_rate_hz: float = DEFAULT_SAMPLE_RATE_HZ, axes: int = 1):
@@ -57,12 +57,12 @@ class SampleCount:
         self.end = first + samples * max(1, round(period_s * self._sample_rate_hz))
 
     def missing_until(self, last_sample: int) -> int:
-        """Return how many samples of the clock are still to come, ``last_sample`` included."""
+        """Return the number of clock samples still to come, up to and including ``last_sample``."""
         return max(0, last_sample + 1 - self.end) if self.end is not None else last_sample + 1
 
 
 def block_span(data: bytes) -> tuple[int, float, int]:
-    """Read where a serialised SampleBlock lies, without decoding its samples.
+    """Return the position of a serialised SampleBlock, without decoding its samples.
 
     Parameters
     ----------
@@ -74,11 +74,11 @@ def block_span(data: bytes) -> tuple[int, float, int]:
     first_sample : int
     sample_period_s : float
     values : int
-        Voltages: one a sample and axis.
+        Number of voltages: one per sample and axis.
     """
     order = "<" if data[1] & 1 else ">"
     frame_id_length, = struct.unpack_from(order + "I", data, 12)
-    # After the frame id CDR aligns to 8 bytes, counted from behind its own 4-byte header.
+    # After the frame id CDR aligns to 8 bytes, counted from the end of its own 4-byte header.
     offset = 4 + -(-(12 + frame_id_length) // 8) * 8
     first_sample, sample_period_s, _tick, values = struct.unpack_from(
         order + "QdQI", data, offset)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the node modules share: spinning, parameters, action helpers."""
+"""Helpers for all node modules: spinning, parameters, services and actions."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Keep the clock of a node while something runs that reads it."""
+"""Protect the clock of a node against changes while something that uses it runs."""
 
 from collections.abc import Callable
 
@@ -11,14 +11,14 @@ PARAMETER = "use_sim_time"
 
 
 def keep_clock(node: Node, why_busy: Callable[[], str]) -> None:
-    """Refuse a change of the parameter ``use_sim_time`` while the node is busy.
+    """Reject a change of the parameter ``use_sim_time`` while the node is busy.
 
-    Stamps before and after such a change are of two clocks, which may be decades apart.
+    Time stamps before and after such a change belong to two clocks, which may differ by decades.
 
     Parameters
     ----------
     why_busy : callable
-        Returns what runs, such as ``"a goal runs"``; empty if nothing does.
+        Returns what runs, for example ``"a goal runs"``; empty if nothing does.
     """
     def examine(parameters: list[Parameter]) -> SetParametersResult:
         changes = any(parameter.name == PARAMETER

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Requests say until when they may act, or when they were sent: one given up must not act."""
+"""Deadlines of requests, so that a request that its client has given up does not act."""
 
 import time
 
@@ -10,18 +10,18 @@ from piezo_ros.messages import Message
 NANOSECONDS = 1_000_000_000
 NEVER = Time()
 LONGEST_DELAY_S = 10.0
-"""Between the sending of a request that cannot bear a deadline and the moment in which it acts."""
+"""Longest delay in s from sending a request without a deadline to its effect."""
 
 
 def set_deadline(request: Message, patience_s: float) -> None:
-    """Let a request be refused once its client has given it up, if it can bear a deadline.
+    """Set the deadline of a request, if it has such a field, to when its client gives it up.
 
     Parameters
     ----------
     request : message
-        A request or a goal. A deadline that it has stays.
+        A request or a goal; an existing deadline is not changed.
     patience_s : float
-        How long its client waits from now on, however often it asks (s).
+        Time from now that its client waits in s, for all its attempts.
     """
     if getattr(request, "deadline", None) == NEVER:
         nanoseconds = time.time_ns() + round(patience_s * NANOSECONDS)
@@ -29,14 +29,14 @@ def set_deadline(request: Message, patience_s: float) -> None:
 
 
 def why_too_late(request: Message, age_s: float = 0.0) -> str:
-    """Say why a request must not act any more; empty where it may.
+    """Return why a request must not act any more; empty if it may.
 
     Parameters
     ----------
     request : message
-        A request or a goal; one whose deadline was left out may always act.
+        A request or a goal; one with an empty deadline may always act.
     age_s : float
-        Time since it was sent (s), which decides where it cannot bear a deadline.
+        Time since it was sent in s, used if it has no field for a deadline.
     """
     deadline = getattr(request, "deadline", None)
     if deadline is None:
@@ -53,18 +53,18 @@ def why_too_late(request: Message, age_s: float = 0.0) -> str:
 
 
 def seconds_since(sent_ns: int) -> float:
-    """Return how long ago a request was sent (s); 0 where that is not known.
+    """Return the time since a request was sent in s; 0 if it is not known.
 
     Parameters
     ----------
     sent_ns : int
-        Source timestamp of the middleware, by the wall clock of the client.
+        Source time stamp of the middleware, by the wall clock of the client.
     """
     return max(time.time_ns() - sent_ns, 0) / NANOSECONDS if sent_ns > 0 else 0.0
 
 
 def asks_the_same(one: Message, other: Message | None) -> bool:
-    """Tell whether two requests of one type, or none, ask for the same, however long each waits."""
+    """Return True if two requests of one type differ at most in their deadlines; False for None."""
     return other is not None and all(
         getattr(one, name) == getattr(other, name)
         for name in one.get_fields_and_field_types() if name != "deadline")

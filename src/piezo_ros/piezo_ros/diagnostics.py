@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a node publishes of its state on ``/diagnostics`` (REP-107)."""
+"""The state of a node, as published on ``/diagnostics`` (REP-107)."""
 
 from collections.abc import Mapping
 
@@ -9,16 +9,16 @@ from rclpy.node import Node
 
 def diagnostic(node: Node, name: str, level: bytes, message: str, values: Mapping[str, object],
                hardware_id: str = "") -> DiagnosticArray:
-    """Return the state of a part of a node, as of now.
+    """Return the present state of a part of a node.
 
     Parameters
     ----------
     name : str
-        Of the part.
+        Name of the part.
     level : bytes
-        Of ``DiagnosticStatus``.
+        Level from ``DiagnosticStatus``.
     message : str
-        One line.
+        Message of one line.
     """
     status = DiagnosticStatus(
         name=f"{node.get_fully_qualified_name()}: {name}", hardware_id=hardware_id, level=level,

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Spin so that what a callback raises reaches who spins.
+"""Spin such that exceptions of callbacks reach the caller.
 
-The events executor of this rclpy ends the process by a segmentation fault where a task raises: all
-that is given to ``create_task``, and every callback of actions and services.
+The events executor of this rclpy ends the process by a segmentation fault if a task raises: any
+task of ``create_task``, and every callback of actions and services.
 """
 
 import threading
@@ -14,7 +14,7 @@ from rclpy.experimental import EventsExecutor
 
 
 class _Raised(threading.local):
-    """What tasks of the present thread raised since it was looked at last."""
+    """Exceptions of tasks of the present thread since the last check."""
 
     def __init__(self) -> None:
         self.errors: list[Exception] = []
@@ -24,24 +24,24 @@ _raised = _Raised()
 
 
 class _Task(rclpy.task.Task):
-    """A task that hands what it raises to `spin_once`, in place of the executor."""
+    """A task that passes its exception to `spin_once` instead of the executor."""
 
     def set_exception(self, exception: Exception) -> None:
-        """Keep what was raised, and be done."""
+        """Store the exception, and complete the task."""
         _raised.errors.append(exception)
         self.set_result(None)
 
 
 def make_executor(context: Context | None = None) -> Executor:
-    """Return an events executor, to be spun by `spin_once`.
+    """Return an events executor, for use with `spin_once`.
 
     Parameters
     ----------
     context : rclpy.context.Context, optional
-        The default one where it is left out.
+        Context; the default one if omitted.
     """
     names = vars(rclpy.task)
-    usual, names["Task"] = names["Task"], _Task  # looked up by the executor as it is made
+    usual, names["Task"] = names["Task"], _Task  # the executor looks it up when it is created
     try:
         return EventsExecutor(context=context)
     finally:
@@ -54,12 +54,12 @@ def spin_once(executor: Executor, timeout_s: float) -> None:
     Parameters
     ----------
     executor : rclpy.executors.Executor
-        Of `make_executor`.
+        Executor of `make_executor`.
 
     Raises
     ------
     Exception
-        The first that a task raised.
+        The first one that a task raised.
     """
     executor.spin_once(timeout_sec=timeout_s)
     if _raised.errors:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Run an executable from its new place, and say where that is."""
+"""Run an executable at its new place, and print where that is."""
 
 import os
 import sys
@@ -15,12 +15,12 @@ def forward(package: str, executable: str) -> NoReturn:
     Parameters
     ----------
     package, executable : str
-        Where the executable is now.
+        Package and name of the executable now.
 
     Raises
     ------
     SystemExit
-        With status 2 where that package is not installed.
+        With status 2 if that package is not installed.
     """
     print(f"{executable} has moved: ./run {package} {executable}", file=sys.stderr, flush=True)
     try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Notice that this process stood still, as after Ctrl-Z."""
+"""Detect that this process was suspended, for example by Ctrl-Z."""
 
 import math
 import signal
@@ -8,18 +8,19 @@ import time
 from types import FrameType
 
 PERIOD_S = 0.2
-# Shorter gaps are those of a busy computer.
+# Shorter gaps also occur on a busy computer.
 SHORTEST_GAP_S = 2 * PERIOD_S
-# How much later than it goes on a process may be told that it does, or notice the gap.
+# Largest delay of the signal SIGCONT, or of noticing the gap, after the process continues.
 SIGNAL_DELAY_S = 2.0
 
 
 class Heartbeat:
-    """Tell how long the whole process stood still; one that is merely busy does not count.
+    """Measure how long the whole process was suspended; a process that is only busy does not count.
 
-    A thread that beats notices the gap, and the signal SIGCONT tells that it was a standstill. Long
-    calls that keep Python to themselves make gaps, too, but the middleware works on meanwhile.
-    Only the main thread can listen to the signal: made elsewhere, a heartbeat goes by gaps alone.
+    A periodic thread detects the gap, and the signal SIGCONT confirms that the process was
+    suspended. Long calls that hold Python's lock cause gaps, too, but the middleware keeps working
+    meanwhile. Only the main thread can receive the signal: created elsewhere, a heartbeat uses gaps
+    alone.
     """
 
     def __init__(self) -> None:
@@ -32,12 +33,12 @@ class Heartbeat:
         threading.Thread(target=self._beat, name="heartbeat", daemon=True).start()
 
     def standstill_s(self) -> float:
-        """Return how long the process stood still since this was asked last (s)."""
+        """Return how long the process was suspended since the last call in s."""
         standstill_s, self._standstill_s = self._standstill_s, 0.0
         return standstill_s
 
     def end(self) -> None:
-        """Let the thread end."""
+        """End the thread."""
         self._ended.set()
 
     def _go_on(self, number: int, frame: FrameType | None) -> None:
@@ -57,7 +58,7 @@ class Heartbeat:
                 self._compare()
 
     def _compare(self) -> None:
-        """Take the gap for a standstill if it ended about when the process was told to go on."""
+        """Count the gap as a suspension if it ended at about the time of SIGCONT."""
         apart_s = abs(self._gap_ended_s - self._continued_s)
         if not self._hears_signals or apart_s < SIGNAL_DELAY_S:
             self._standstill_s = max(self._standstill_s, self._gap_s)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Services that are answered later than they are called, while the executor goes on."""
+"""Services that respond later than they are called, without blocking the executor."""
 
 import threading
 import time
@@ -13,19 +13,19 @@ from piezo_ros.messages import Message, MessageType
 
 
 class LateResponse:
-    """The response of one call; `give` sends it, from any thread, once.
+    """The response of one call; `give` sends it once, from any thread.
 
-    A coroutine would do the same, but the executor of this rclpy polls one that waits, busily.
+    A coroutine could do the same, but the executor of this rclpy polls a waiting one continuously.
 
     Parameters
     ----------
     response : message
-        To be filled in.
+        Response to fill in.
 
     Attributes
     ----------
     asked_s : float
-        When the client sent its request, by the monotonic clock (s).
+        Time at which the client sent its request, by the monotonic clock in s.
     """
 
     def __init__(self, node: Node, response: Message) -> None:
@@ -38,21 +38,21 @@ class LateResponse:
         self._sharers: list[LateResponse] = []
 
     def give(self) -> None:
-        """Send the response, unless that is done."""
+        """Send the response, unless it has been sent."""
         with self._lock:
             given, self._given = self._given, True
             send, sharers = self._send, self._sharers
         if given:
             return
         executor = self._node.executor
-        if send and executor is not None:  # else the node has ended, and nobody waits any more
+        if send and executor is not None:  # otherwise the node has ended
             executor.create_task(send, self.response)
         for other in sharers:
             other.response = self.response
             other.give()
 
     def share(self, other: "LateResponse") -> None:
-        """Give the same response to another call, as soon as it is there."""
+        """Give the same response to another call, as soon as it is available."""
         with self._lock:
             given = self._given
             if not given:
@@ -62,7 +62,7 @@ class LateResponse:
             other.give()
 
     def send_by(self, send: Callable[[Message], None]) -> None:
-        """Take what sends; called once the service's callback has returned."""
+        """Set the function that sends; called once the service's callback has returned."""
         with self._lock:
             self._send, given = send, self._given
         if given:
@@ -72,17 +72,17 @@ class LateResponse:
 def create_late_service(node: Node, service_type: MessageType, name: str,
                         callback: Callable[[Message, LateResponse], object],
                         acts_late: bool = False) -> Service:
-    """Create a service whose callback need not answer before it returns.
+    """Create a service whose callback may respond after it returns.
 
-    A request that comes too late is refused, and logged; its response has ``success`` and
+    A request that comes too late is rejected and logged. The response must have ``success`` and
     ``message``.
 
     Parameters
     ----------
     callback : callable
-        ``callback(request, late)`` with a `LateResponse`, which somebody gives in the end.
+        Called as ``callback(request, late)`` with a `LateResponse`, whose `give` must be called.
     acts_late : bool
-        Leave it to the callback what becomes of a request that comes too late.
+        True to let the callback decide about a request that comes too late.
     """
     service = node.create_service(
         service_type, name, lambda request, response: (request, LateResponse(node, response)))
@@ -99,7 +99,7 @@ def create_late_service(node: Node, service_type: MessageType, name: str,
             callback(request, late)
         late.send_by(lambda response: send_response(response, header))
 
-    # The executor passes on what the callback returns as if it were the response, with the header
-    # that says when the request was sent.
+    # The executor treats the return value of the callback as the response, and passes it here with
+    # the header, which contains the time of the request.
     service.send_response = begin  # type: ignore[method-assign, assignment]
     return service

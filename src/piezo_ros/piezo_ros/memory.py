@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Keep what one node takes from the memory of the stage: a limit, and who is ended first."""
+"""Limit the memory of a node for the sake of the stage, and order who is ended first."""
 
 import os
 import resource
@@ -7,14 +7,14 @@ from contextlib import suppress
 from pathlib import Path
 
 OOM_SCORE, MOST_OOM_SCORE = 500, 1000
-"""Added to the kernel's score of a process that is to be ended before the stage, and its most."""
+"""Added to the kernel's score of a process that is to be ended before the stage; largest score."""
 
 CONTROL_GROUP_LIMITS = ("/sys/fs/cgroup/memory.max",
                         "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 
 
 def machine_bytes() -> int:
-    """Return the memory of this machine, or of the container that runs this process."""
+    """Return the memory of this machine, or of the container of this process, in bytes."""
     limits = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
     for path in CONTROL_GROUP_LIMITS:
         with suppress(OSError, ValueError):  # "max" for none
@@ -23,15 +23,15 @@ def machine_bytes() -> int:
 
 
 def limit_memory(percent: float) -> None:
-    """Let allocations of this process fail beyond a share of the machine's memory.
+    """Make allocations of this process fail beyond a share of the machine's memory.
 
-    What is mapped from files and shared with others does not count, and neither does address space
+    Memory mapped from files or shared with others does not count, and neither does address space
     that is only reserved, as for the heaps of threads.
 
     Parameters
     ----------
     percent : float
-        Of `machine_bytes`.
+        Share of `machine_bytes` in percent.
     """
     _, most = resource.getrlimit(resource.RLIMIT_DATA)
     limit = int(machine_bytes() * percent / 100.0)
@@ -40,8 +40,8 @@ def limit_memory(percent: float) -> None:
 
 
 def end_before_stage() -> None:
-    """Have the kernel end this process before the stage when memory runs out."""
+    """Make the kernel end this process before the stage when memory runs out."""
     score = Path("/proc/self/oom_score_adj")
-    with suppress(OSError, ValueError):  # only Linux has it
+    with suppress(OSError, ValueError):  # Linux only
         inherited = int(score.read_text(encoding="ascii"))
         score.write_text(str(min(inherited + OOM_SCORE, MOST_OOM_SCORE)), encoding="ascii")

@@ -13,37 +13,37 @@ from piezo_common.data_root import DataRoot
 
 Value = TypeVar(
     "Value", bound=bool | int | float | str | list[bool] | list[int] | list[float] | list[str])
-"""What a parameter can hold."""
+"""Types of a parameter's value."""
 
 
 class InvalidParameter(ValueError):
-    """A parameter that a node cannot start with."""
+    """A node cannot start with the value of a parameter."""
 
 
 def declare(node: Node, name: str, default: Value, description: str, minimum: float | None = None,
             maximum: float | None = None, read_only: bool = True,
             choices: Sequence[str] = ()) -> Value:
-    """Declare a parameter, unless that is done, and return its value.
+    """Declare a parameter, unless it is declared, and return its value.
 
     Parameters
     ----------
     name : str
-        Ends in the unit where the value has one.
+        Name; it ends in the unit of the value, if there is one.
     default : bool, int, float, str or list
-        Gives the type as well.
+        Default value, which also determines the type.
     description : str
-        One sentence for ``ros2 param describe``.
+        Sentence for ``ros2 param describe``.
     minimum, maximum : float, optional
-        Bounds, both included; give both or none.
+        Inclusive bounds; give both or none.
     read_only : bool
-        Refuse changes while the node runs.
+        True to reject changes while the node runs.
     choices : tuple of str
-        The values of a string that has only some.
+        Allowed values of a string; empty for any.
 
     Raises
     ------
     InvalidParameter
-        If an override is of another type, or none of the values allowed.
+        If an override has another type, or is not an allowed value.
     """
     if node.has_parameter(name):
         return node.get_parameter(name).value
@@ -74,12 +74,12 @@ def declare_data_root(node: Node) -> DataRoot:
     Returns
     -------
     DataRoot
-        By default of the folder in which the node was started.
+        By default the folder in which the node was started.
 
     Raises
     ------
     DataRootError
-        If there is no such folder.
+        If the folder does not exist.
     """
     folder = declare(node, "data_root", str(Path.cwd()),
                      "Folder under which the node reads and writes the files that goals name.")

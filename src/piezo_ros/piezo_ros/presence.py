@@ -1,31 +1,31 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Notice that a node is gone, however it went."""
+"""Detect that a node is gone, for whatever reason."""
 
 import time
 
 from rclpy.node import Node
 
-# What a node that has just started may take to be seen.
+# Largest time in s from the start of a node to its discovery.
 APPEARANCE_TIMEOUT_S = 10.0
-# What is found of a node so soon belongs to the one that is meant, not to a successor of its name.
+# Publishers found within this time in s belong to the node, not to a successor with its name.
 SETTLING_S = 1.0
 LOOK_PERIOD_S = 0.1
-# Every node publishes it, whatever it is written in.
+# Every node publishes it, in any language.
 COMMON_TOPIC = "/parameter_events"
 
 
 class Presence:
-    """Tell whether a node that one relies on is gone.
+    """Determine whether a node is gone.
 
-    A node that was killed and one that was started again under its name are told apart by
-    what the middleware calls their publishers: the second does not stand for the first.
+    A node that was killed and one that was restarted under its name are distinguished by the
+    identities of their publishers in the middleware: the second does not count as the first.
 
     Parameters
     ----------
     node : rclpy.node.Node
-        That watches.
+        Node that watches.
     name : str
-        Full name of the node that is watched; with an empty one nobody ever is gone.
+        Full name of the watched node; with an empty name, nothing is ever gone.
     """
 
     def __init__(self, node: Node, name: str) -> None:
@@ -34,14 +34,14 @@ class Presence:
         self._identities: set[bytes] = set()
         self._seen = False
         self._since_s = self._looked_s = time.monotonic()
-        # At once: where nobody gets round to it for long, a successor may be there by then.
+        # Look now: if the next look is late, a successor may already be there by then.
         self._gone = bool(name) and self._look(0.0)
 
     @property
     def gone(self) -> bool:
-        """Tell whether the node has been there and is not any more; one that is gone stays so.
+        """Return True if the node was seen and has disappeared; this never changes back.
 
-        One that was never seen counts as gone after a while.
+        A node that was never seen counts as gone after a while.
         """
         now_s = time.monotonic()
         if self.name and not self._gone and now_s - self._looked_s >= LOOK_PERIOD_S:
@@ -61,12 +61,12 @@ class Presence:
 
 
 class ClientWatch:
-    """Tell whether the node that one works for at present is gone.
+    """Determine whether the present client of a node is gone.
 
     Parameters
     ----------
     node : rclpy.node.Node
-        That watches.
+        Node that watches.
     """
 
     def __init__(self, node: Node) -> None:
@@ -74,10 +74,10 @@ class ClientWatch:
         self._presence = Presence(node, "")
 
     def is_gone(self, client: str) -> bool:
-        """Tell whether a node, given by its full name, has been there and is not any more.
+        """Return True if a node, given by its full name, was seen and has disappeared.
 
-        Ask with an empty name while there is none: a client that comes later under the name of
-        one before is then looked at anew.
+        Call it with an empty name while there is no client: a later client with the name of an
+        earlier one is then watched anew.
         """
         if client != self._presence.name:
             self._presence = Presence(self._node, client)

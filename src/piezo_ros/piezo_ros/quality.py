@@ -1,33 +1,33 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Quality of service of the suite's topics, chosen once for both ends."""
+"""Quality of service of the suite's topics, equal for both ends."""
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-# No sample may be lost: in lockstep a slow subscriber holds the publisher back instead.
+# No sample may be lost: in lockstep a slow subscriber delays the publisher instead.
 SAMPLES = QoSProfile(
     history=HistoryPolicy.KEEP_ALL,
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE)
 
-# Of a stage whose time goes on: a subscriber that hangs loses samples, and nobody else does.
+# For a stage in real time: a subscriber that hangs loses samples, without effect on others.
 PACED_SAMPLES = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=2000,
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE)
 
-# The stage takes the newest answer only; the depth is for a recorder that lags behind.
+# The stage uses only the newest response; the depth is for a recorder that lags behind.
 FEEDBACK = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=2000,
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.VOLATILE)
 
-# How an action gets on: a client that lags behind is to miss nothing.
+# Feedback of an action: a client that lags behind must not lose any.
 PROGRESS = QoSProfile(depth=1000)
 
-# Readers of /diagnostics: every node tells something there, and a stop is told once only.
+# Readers of /diagnostics: every node publishes there, and a stop only once.
 DIAGNOSTICS_DEPTH = 1000
 
-# Told once, and still there for who comes later; only the newest counts.
+# Published once, and kept for later subscribers; only the newest message counts.
 DESCRIPTION = QoSProfile(
     history=HistoryPolicy.KEEP_LAST, depth=1,
     reliability=ReliabilityPolicy.RELIABLE,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Responses of services that reach clients whom the middleware has only just met."""
+"""Responses of services that also reach clients that the middleware has just discovered."""
 
 import functools
 import warnings
@@ -14,27 +14,27 @@ RCLError = rclpy_implementation.RCLError
 
 NOT_SENT = "failed to send response"
 ATTEMPTS = 20
-"""Each waits up to 0.1 s in the middleware for the client's end to be known."""
+"""Attempts to send; each waits up to 0.1 s in the middleware for the discovery of the client."""
 
 
 Send = Callable[[Service, Message, Message], None]
-"""Sends a response of a service, given the header of the request."""
+"""Function that sends a response of a service, given the header of the request."""
 
 
 def sent_again(send: Send) -> Send:
-    """Return what sends a response again while the middleware does not know the client.
+    """Return a function that repeats sending a response until the middleware knows the client.
 
-    rclpy sends once and warns that the client will not receive it; the client waits for ever.
+    rclpy sends once and warns that the client will not receive it; the client then waits for ever.
 
     Parameters
     ----------
     send : callable
-        As `rclpy.service.Service.send_response`.
+        Function like `rclpy.service.Service.send_response`.
 
     Returns
     -------
     callable
-        To be used in its place.
+        Replacement for it.
     """
     @functools.wraps(send)
     def patient(service: Service, response: Message, header: Message) -> None:
@@ -51,20 +51,20 @@ def sent_again(send: Send) -> Send:
 
 
 def answered_again(send: Callable[..., None]) -> Callable[..., None]:
-    """Return what answers for an action again while the middleware does not know the client.
+    """Return a function that repeats a response of an action until the middleware knows the client.
 
-    rclpy would not begin a goal whose acceptance could not be sent: it is begun here, and the
-    action's status tells the client.
+    rclpy would not start a goal whose acceptance could not be sent. Here it starts, and the status
+    of the action informs the client.
 
     Parameters
     ----------
     send : callable
-        As a ``send_..._response`` of the action servers that are under those of rclpy.
+        A ``send_..._response`` of the action servers underlying those of rclpy.
 
     Returns
     -------
     callable
-        To be used in its place.
+        Replacement for it.
     """
     @functools.wraps(send)
     def patient(server: object, header: Message, response: Message) -> None:
@@ -80,10 +80,10 @@ def answered_again(send: Callable[..., None]) -> Callable[..., None]:
 
 
 def answer_patiently() -> None:
-    """Make every service and action of this process send a response until it is received."""
+    """Make all services and actions of this process repeat a response until it can be sent."""
     if hasattr(Service.send_response, "__wrapped__"):
         return
-    # rclpy offers no other places at which a response can be sent again.
+    # rclpy has no other hooks at which a response can be repeated.
     Service.send_response = sent_again(  # type: ignore[method-assign, assignment]
         Service.send_response)
     servers = rclpy_implementation.ActionServer

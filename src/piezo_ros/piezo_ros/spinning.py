@@ -28,29 +28,29 @@ RCLError = rclpy_implementation.RCLError
 SPIN_TIMEOUT_S = 0.2
 WIND_DOWN_TIMEOUT_S = 10.0
 LAST_WORDS_S = 0.2
-# A result goes out by callbacks of which each calls for the next.
+# A result is sent by a chain of callbacks, each of which schedules the next.
 LAST_CALLBACKS = 5
 FAILED_STATUS = 1
 BAD_INPUT_STATUS = 2
 
 
 class Ending:
-    """Whether the node is to end: on SIGINT or SIGTERM, or because nobody sees it any more.
+    """Whether the node must end: on SIGINT or SIGTERM, or because other nodes no longer see it.
 
-    Others give up a process that stands still, as after Ctrl-Z, and the middleware does not
-    introduce it to them again: when it goes on, it hears them, but they do not hear it.
+    Others give up a process that is suspended, for example by Ctrl-Z, and the middleware does not
+    announce it to them again: when it continues, it hears them, but they do not hear it.
 
     Attributes
     ----------
     stood_still_s : float
-        How long the process stood still; 0 unless it ends for that.
+        Time in s for which the process was suspended; 0 unless that is why it ends.
     """
 
     def __init__(self) -> None:
         self._requested = False
         self.stood_still_s = 0.0
         self._heartbeat = Heartbeat()
-        # Own handlers: rclpy's would shut ROS down before the node can close in order.
+        # Own handlers, as rclpy's would shut ROS down before the node can close in order.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._end)
 
@@ -65,17 +65,17 @@ class Ending:
 
 
 def autostart(node: LifecycleNode, default: bool = True) -> None:
-    """Configure and activate a lifecycle node if its parameter ``autostart`` says so.
+    """Configure and activate a lifecycle node if its parameter ``autostart`` is true.
 
     Parameters
     ----------
     default : bool
-        Of the parameter.
+        Default of the parameter.
 
     Raises
     ------
     SystemExit
-        If it fails; the node's transition has then logged why.
+        If a transition fails; the reason has then been logged.
     """
     if not declare(node, "autostart", default, "Configure and activate at start."):
         name = node.get_fully_qualified_name()
@@ -90,29 +90,29 @@ def autostart(node: LifecycleNode, default: bool = True) -> None:
 
 def run_node(create_node: Callable[[], Node], args: list[str] | None = None,
              expendable: bool = True) -> None:
-    """Run one node until SIGINT or SIGTERM, or until it has stood still for too long.
+    """Run one node until SIGINT or SIGTERM, or until it has been suspended for too long.
 
-    The node may have methods of its own: ``step() -> float`` is called between two
-    callbacks and returns how long to wait for the next one (s); ``wind_down() -> bool``
-    is called once the end is near, between callbacks, until it returns True; ``close()``
-    is called last, while ROS still works.
+    The node may define three methods. ``step() -> float`` is called between two callbacks and
+    returns the time to wait for the next one in s. ``wind_down() -> bool`` is called between
+    callbacks before the end, until it returns True. ``close()`` is called last, while ROS still
+    works.
 
     Parameters
     ----------
     create_node : callable
-        Makes the node; called without arguments once ROS is initialised. A ValueError ends
-        the process with its text as the one line it prints.
+        Creates the node; called without arguments once ROS is initialised. A ValueError ends the
+        process, which prints its text as one line.
     args : list of str, optional
-        Command line; ``sys.argv`` where it is left out.
+        Arguments; ``sys.argv`` by default.
     expendable : bool
-        Limit the node's memory by its parameter ``memory_limit_percent``, and have the kernel end
-        it before those that are not.
+        True to limit the node's memory by its parameter ``memory_limit_percent``, and to make the
+        kernel end it before other nodes.
 
     Raises
     ------
     SystemExit
-        With status 2 where the node cannot start with what it was given, and 1 where it stood
-        still for so long that the other nodes gave it up.
+        With status 2 if the node cannot start with the given input, and 1 if it was suspended for
+        so long that the other nodes gave it up.
     """
     ending = Ending()
     node = _start(create_node, args, expendable)
@@ -150,9 +150,9 @@ def _start(create_node: Callable[[], Node], args: list[str] | None, expendable: 
             _limit_memory(node)
     except ValueError as error:
         reason = str(error)
-    except RCLError as error:  # as where security is asked for that the middleware has not
+    except RCLError as error:  # for example security that the middleware does not support
         reason = " ".join(str(error).split(", at /")[0].split())
-    except SystemExit:  # of `autostart`, whose node has logged why
+    except SystemExit:  # of `autostart`; the reason has been logged
         pass
     else:
         answer_impossible_transitions(node)
@@ -169,8 +169,8 @@ def _limit_memory(node: Node) -> None:
 
 
 def _leave_ros() -> None:
-    """Destroy the node that was begun, before Python takes down what its threads stand on."""
-    gc.collect()  # nobody has the node, but its parts refer to each other
+    """Destroy a partly created node before Python destroys what its threads depend on."""
+    gc.collect()  # the node is unreachable, but its parts refer to each other
     rclpy.try_shutdown()
 
 
@@ -190,7 +190,7 @@ def _wind_down(executor: Executor, wind_down: Callable[[], bool]) -> None:
     for _ in range(LAST_CALLBACKS):
         behind_all_that_waits = executor.create_task(lambda: None)
         _spin_until(executor, behind_all_that_waits.done, WIND_DOWN_TIMEOUT_S)
-    # Who is to hear the last words must get round to it before the process is gone.
+    # Receivers of the last messages need time before the process is gone.
     _spin_until(executor, lambda: False, LAST_WORDS_S)
 
 

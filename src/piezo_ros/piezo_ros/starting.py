@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Start the process of a node so that Ctrl-C is quiet from its first moment on."""
+"""Start the process of a node so that Ctrl-C never prints a traceback, even during the start."""
 
 import argparse
 import importlib
@@ -16,18 +16,18 @@ INTERRUPTED_STATUS = 130
 
 
 def node_entry(module: str, description: str) -> Callable[[list[str] | None], None]:
-    """Return what the executable of a node calls.
+    """Return the main function of a node's executable.
 
-    Importing a node takes seconds, in which nothing runs yet that had to be ended in order. A
-    signal then ends the process at once with one line. The node, once it is made, ends in order.
-    Help, and what is no argument of a node, are answered before the import.
+    Importing a node takes seconds in which nothing needs an orderly end, so a signal ends the
+    process at once with one line. Once the node exists, it ends in order. Help and invalid
+    arguments are handled before the import.
 
     Parameters
     ----------
     module : str
         Full name of the node's module, whose function ``main`` runs the node.
     description : str
-        What the node does, a sentence.
+        Description of the node, a sentence.
     """
     def main(args: list[str] | None = None) -> None:
         given = sys.argv[1:] if args is None else args
@@ -49,7 +49,7 @@ def _parser(name: str, description: str) -> argparse.ArgumentParser:
 
 
 def without_ros_arguments(arguments: Sequence[str]) -> list[str]:
-    """Return the arguments that stand outside of every ``--ros-args ... --``."""
+    """Return the arguments outside of every ``--ros-args ... --``."""
     kept, of_ros = [], False
     for argument in arguments:
         if argument == "--ros-args":
@@ -62,16 +62,16 @@ def without_ros_arguments(arguments: Sequence[str]) -> list[str]:
 
 
 def arguments_set(name: str, value: str, arguments: Sequence[str]) -> bool:
-    """Tell whether arguments, or a parameter file that they name, give a parameter this value.
+    """Return True if arguments, or a parameter file that they name, set a parameter to this value.
 
-    For what must be known before there is a node. It does not look for which node they give it.
+    This is for parameters that are needed before there is a node. The name of the node is ignored.
 
     Parameters
     ----------
     name, value : str
-        Of the parameter.
+        Name and value of the parameter.
     arguments : sequence of str
-        Of the command line.
+        Arguments of the command line.
     """
     files = [Path(file) for option, file in pairwise(arguments) if option == "--params-file"]
     texts = [file.read_text("utf-8", "replace") for file in files if file.is_file()]
@@ -79,8 +79,8 @@ def arguments_set(name: str, value: str, arguments: Sequence[str]) -> bool:
 
 
 def _leave(number: int, frame: FrameType | None) -> None:
-    # Neither an exception, which an import may swallow or tell as its own, nor what Python does
-    # at its end: what is half imported may fail there.
+    # An exception could be swallowed by an import, and Python's normal exit could fail on modules
+    # that are partly imported.
     name = Path(sys.argv[0]).name
     os.write(sys.stderr.fileno(), f"{name}: interrupted while it started\n".encode())
     os._exit(INTERRUPTED_STATUS)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Answer requests for transitions that a lifecycle node cannot make, or should not any more."""
+"""Respond to requests for transitions that a lifecycle node cannot make, or must not any more."""
 
 from lifecycle_msgs.srv import ChangeState
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -13,15 +13,15 @@ RCLError = rclpy_implementation.RCLError
 
 
 def answer_impossible_transitions(node: Node) -> None:
-    """Make a node answer an impossible ``change_state`` with false, and log why.
+    """Make a node respond to an impossible ``change_state`` with false, and log the reason.
 
-    rclpy raises an error in the executor instead, which ends the node without an answer. A request
-    that comes too late is refused as well: its client may have given it up.
+    rclpy raises an error in the executor instead, which ends the node without a response. A request
+    that comes too late is rejected as well, as its client may have given it up.
 
     Parameters
     ----------
     node : rclpy.node.Node
-        One without a lifecycle is left as it is.
+        Node; one without a lifecycle is not changed.
     """
     for service in node.services:
         if service.srv_type is ChangeState:

@@ -1,22 +1,22 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Let a simulated stage keep the pace of the wall clock."""
+"""Run a simulated stage in real time."""
 
 import time
 from typing import Any
 
 from piezo_common.arrays import FloatArray
 
-# Further behind than this the clock is set anew instead of being caught up with.
+# Largest delay in s that is caught up with; after a larger one the clock is reset.
 LARGEST_LAG_S = 0.1
 
 
 class PacedStage:
-    """A backend whose exchanges last as long as their samples.
+    """A backend whose exchanges take as long as their samples.
 
     Parameters
     ----------
     backend : StageBackend
-        What answers; its other attributes are passed on.
+        The wrapped backend; its other attributes are available unchanged.
     """
 
     def __init__(self, backend: Any) -> None:

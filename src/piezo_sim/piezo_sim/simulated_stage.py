@@ -15,45 +15,45 @@ from piezo_sim.plant.plant_file import AxesPlantConfig, PlantConfig, read_any_pl
 from piezo_stage_driver.backends.backend import BackendFault
 
 SEEDS_APART = 2**31
-"""Between the seeds of two axes; those of a stage lie below it."""
+"""Difference between the seeds of two axes; the seed of a stage is below it."""
 
 
 class SimulatedStage:
     """A simulated stage that plays voltages and measures displacements, of one axis or several.
 
-    Every `open` starts anew from the same rest: coming from the lowest voltage, long at the rest
-    voltage. The same seed and the same voltages give the same displacements to the bit, however the
-    voltages are divided into calls.
+    Every `open` starts from the same rest: long at the rest voltage, reached from the lowest one.
+    The same seed and voltages give bitwise equal displacements, for any division of the voltages
+    into calls.
 
     Parameters
     ----------
     plant : path-like, PlantConfig or AxesPlantConfig, optional
-        Plant file, the name of a plant that comes with this package (`named_plants`), or what was
-        read; by default the stage of thesis chapter 4.
+        Plant file, name of a plant of this package (`named_plants`), or a plant that was read; by
+        default the stage of thesis chapter 4.
     seed : int
-        Seed of everything random, not negative.
+        Seed of all random numbers, not negative.
     sample_rate_hz : float
-        Sample clock.
+        Sample rate in Hz.
     rest_voltage_v : float or sequence of float
-        Voltage at which the stage has rested; of all axes, or of each.
+        Voltage in V at which the stage has rested; for all axes, or for each.
 
     Attributes
     ----------
     sample_rate_hz : float
-        Sample clock.
+        Sample rate in Hz.
     axes : tuple of str
         Names of several axes; empty for one.
     true_displacement_um : ndarray, shape (N,) or (N, axes)
-        Displacement without sensor at the instants of the last exchange.
+        Displacement in um without the sensor at the instants of the last exchange.
     on_truth : callable
-        Takes it after each exchange; does nothing unless it is set.
+        Called with it after each exchange; does nothing by default.
 
     Raises
     ------
     PlantConfigError
-        If the plant file cannot be used.
+        If the plant file is invalid.
     ValueError
-        If seed or sample rate cannot be used.
+        If seed or sample rate is invalid.
     """
 
     name = "simulated"
@@ -80,11 +80,11 @@ class SimulatedStage:
             else Plant(config, surroundings[0]))
         self._plant: Plant | AxesPlant | None = None
         self._failed = False
-        # Compiles what is not compiled yet, so that no exchange has to wait for it.
+        # Compiles what is not compiled yet, so that no exchange is delayed.
         self._start().respond(np.zeros((1, *self._shape)))
 
     def open(self) -> None:
-        """Put the stage to rest and start the noise from the seed."""
+        """Set the stage to rest, and start the noise from the seed."""
         self._failed = False
         self._plant = self._start()
         self.true_displacement_um = np.empty(0)
@@ -105,12 +105,12 @@ class SimulatedStage:
         Raises
         ------
         ValueError
-            If a voltage is not finite, or the array is not one of all axes.
+            If a voltage is not finite, or the array has not a column for each axis.
         RuntimeError
-            If the stage is not open, or has failed since.
+            If the stage is not open, or has failed.
         BackendFault
-            If a fault of the plant file says so. As a real one, the amplifier then comes to rest
-            by itself, and plays nothing before the next `open`.
+            If a fault in the plant file occurs. Like a real one, the amplifier then goes to rest by
+            itself, and plays nothing before the next `open`.
         """
         if self._failed:
             raise RuntimeError("the simulated stage has failed; call nothing but close().")
@@ -120,7 +120,8 @@ class SimulatedStage:
         if voltage_v.shape[1:] != self._shape or not voltage_v.ndim:
             wanted = f"a column for {' and '.join(self.axes)}" if self.axes else "one dimension"
             raise ValueError(f"voltage_v has the shape {voltage_v.shape}; give {wanted}.")
-        # Their squares tell sooner that all are finite than a look at each.
+        # The sum of squares is faster than a check of each value, which follows if it is not
+        # finite.
         flat_v = voltage_v.ravel()
         if not (math.isfinite(flat_v @ flat_v) or np.isfinite(flat_v).all()):
             first = np.argwhere(~np.isfinite(voltage_v))[0].tolist()
@@ -135,5 +136,5 @@ class SimulatedStage:
         return displacement_um
 
     def close(self) -> None:
-        """Forget the state of the stage."""
+        """Discard the state of the stage."""
         self._plant = None

@@ -84,7 +84,8 @@ class ForkedNode:
 @cache
 def _server() -> ForkServerContext:
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([_entry(name).__module__ for name in EXECUTABLES])
+    context.set_forkserver_preload([
+        *(_entry(name).__module__ for name in EXECUTABLES), f"{__package__}.loaded_kernels"])
     return context
 
 

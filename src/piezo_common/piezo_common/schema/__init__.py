@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""One schema layer for every file of the suite: types, units, ranges, versions, one wording."""
+"""Common schema layer for all files of the suite: types, units, ranges, versions, messages."""
 
 from piezo_common.schema.checking import SchemaError, check
 from piezo_common.schema.fields import (

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Check content against its schema; a refusal says where, what was found, and what to do."""
+"""Check content against its schema; errors say where, what was found, and what to do."""
 
 import json
 from collections.abc import Mapping
@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from piezo_common.schema.fields import HIDDEN, VIOLATION, Part
 
 LONGEST_FOUND = 40
-"""Characters of what was found that a sentence quotes."""
+"""Maximum length of a value quoted in a message, in characters."""
 
 KINDS_OF_VALUE = {
     "float_type": "a finite number", "finite_number": "a finite number",
@@ -18,20 +18,20 @@ KINDS_OF_VALUE = {
     "string_type": "a text", "bool_type": "true or false", "list_type": "a list",
     "dict_type": "an object", "model_type": "an object", "model_attributes_type": "an object",
 }
-"""What should have been found, by pydantic's type of the error."""
+"""Expected kind of value, by pydantic's type of the error."""
 
 P = TypeVar("P", bound=Part)
 
 
 class SchemaError(ValueError):
-    """Content that does not fit its schema.
+    """Content does not fit its schema.
 
     Attributes
     ----------
     problem : str
-        The field, and what was found there.
+        Field, and what was found there.
     cure : str
-        What to do.
+        Remedy.
     """
 
     def __init__(self, problem: str, cure: str) -> None:
@@ -45,23 +45,23 @@ def check(kind: type[P], content: object, where: str = "", renew: str = "correct
     Parameters
     ----------
     kind : type
-        A class of parts.
+        Class of parts.
     content : object
-        As a parser of JSON or YAML gives it.
+        Content as a parser of JSON or YAML returns it.
     where : str
-        Path of the content inside its file; empty for the whole.
+        Path of the content in its file; empty for the whole.
     renew : str
-        What to do about a field that is missing or unknown.
+        Remedy for a missing or unknown field.
 
     Returns
     -------
     Part
-        Of the class `kind`.
+        Instance of `kind`.
 
     Raises
     ------
     SchemaError
-        If a field is missing, unknown, of another type or out of its range.
+        If a field is missing, unknown, of a wrong type or out of range.
     """
     try:
         return kind.model_validate(content)
@@ -83,7 +83,7 @@ def _problem_and_cure(error: Mapping[str, Any], where: str, renew: str) -> tuple
 
 
 def _problem(kind: str, context: Mapping[str, Any], found: object, renew: str) -> tuple[str, str]:
-    """Return what is wrong with a field, and what to do, of an error of pydantic's."""
+    """Return problem and remedy of a field for an error of pydantic."""
     if kind == "missing":
         return "is missing", renew
     if kind == "extra_forbidden":
@@ -112,9 +112,9 @@ def path_of(location: tuple[str | int, ...], where: str = "") -> str:
     Parameters
     ----------
     location : tuple of str or int
-        As pydantic gives it.
+        Location as pydantic gives it.
     where : str
-        What stands before it.
+        Prefix of the path.
     """
     path = where
     for name in location:
@@ -127,12 +127,12 @@ def path_of(location: tuple[str | int, ...], where: str = "") -> str:
 
 
 def printable(name: str) -> str:
-    """Return a name from a file as it can stand in one line."""
+    """Return a name from a file in a form that fits on one line."""
     return name if name.isprintable() else repr(name)[1:-1]
 
 
 def quoted(found: object) -> str:
-    """Return what was found in a file, cut to a length that fits a sentence."""
+    """Return a value from a file as text, shortened to fit into a sentence."""
     try:
         text = json.dumps(found, ensure_ascii=False, default=repr)
     except (ValueError, TypeError, RecursionError):

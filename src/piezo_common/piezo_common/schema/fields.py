@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Types of the fields of a file: finite numbers with unit and range, parts and whole documents."""
+"""Types of the fields of a file: finite numbers with unit and range, parts, documents."""
 
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
@@ -8,15 +8,15 @@ from pydantic_core import PydanticCustomError
 from typing_extensions import TypeAliasType
 
 HIDDEN = "\0"
-"""Begins the name of an alternative of a type; such a name is no part of the path of a field."""
+"""Prefix of the name of an alternative of a type, which is not part of a field's path."""
 
 _NUMBER, _LIST, _OBJECT = HIDDEN + "number", HIDDEN + "list", HIDDEN + "object"
 
 VIOLATION = "violation"
-"""Type of the errors that `violation` makes."""
+"""Error type of `violation`."""
 
 Number = float
-"""A finite number; a whole one is a number, too. A text or a truth value is none."""
+"""A finite number, integers included. Texts and booleans are rejected."""
 
 Numbers = list[Number]
 """A list of finite numbers."""
@@ -42,21 +42,21 @@ else:
 
 
 def violation(problem: str, cure: str, field: str = "") -> PydanticCustomError:
-    """Return what a validator of a part raises when its fields contradict each other.
+    """Return the error that a validator of a part raises for contradicting fields.
 
     Parameters
     ----------
     problem, cure : str
-        What is wrong, as the end of a sentence that begins with the field; what to do.
+        Problem, as the end of a sentence that begins with the field; remedy.
     field : str
-        Path inside the part; empty for the part as a whole.
+        Path in the part; empty for the whole part.
     """
     return PydanticCustomError(VIOLATION, "{problem}", {
         "problem": problem, "cure": cure, "field": field})
 
 
 class Part(BaseModel):
-    """An object of a file: it has its fields and no others, each of its own type."""
+    """An object of a file with exactly its fields, each of its type."""
 
     model_config = ConfigDict(
         strict=True, extra="forbid", frozen=True, allow_inf_nan=False, protected_namespaces=())
@@ -64,7 +64,7 @@ class Part(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _refuse_null(cls, content: Any) -> Any:
-        """Refuse null where a field may only be left out."""
+        """Reject null for an optional field, which must be omitted instead."""
         for name, field in cls.model_fields.items():
             optional = field.default is None and field.annotation is not Any
             if optional and isinstance(content, dict) and content.get(name, content) is None:
@@ -73,20 +73,20 @@ class Part(BaseModel):
 
 
 class Document(Part):
-    """The whole of a file.
+    """The content of a whole file.
 
     Attributes
     ----------
     TITLE : str
-        What a sentence calls such a file, such as "model file".
+        Name of such a file in messages, for example "model file".
     FORMAT : str
-        What the entry ``format`` of the file says; empty for a file without one.
+        Value of the entry ``format``; empty for a file without one.
     VERSION : int
-        What the entry ``version`` says; 0 for a file without one.
+        Value of the entry ``version``; 0 for a file without one.
     SYNTAX : str
         ``json`` or ``yaml``.
     RENEW : str
-        What to do with a file of another version, or one that is damaged.
+        Remedy for a file of another version, or a damaged one.
     """
 
     TITLE: ClassVar[str]
@@ -100,20 +100,20 @@ def entry(meaning: str, *, unit: str = "", default: Any = ..., above: float | No
           at_least: float | None = None, at_most: float | None = None,
           below: float | None = None, shortest: int | None = None,
           longest: int | None = None) -> Any:
-    """Declare a field of a part: what it means, its unit and its range.
+    """Declare a field of a part with its meaning, unit and range.
 
     Parameters
     ----------
     meaning : str
-        For the table of the fields in the documentation.
+        Description for the table of fields in the documentation.
     unit : str
-        Of a number, and of each number of a list.
+        Unit of the number, or of each number of a list.
     default : object, optional
-        Makes the field optional.
+        Default value, which makes the field optional.
     above, at_least, at_most, below : float, optional
-        Range of a number.
+        Range of the number.
     shortest, longest : int, optional
-        Range of the length of a list.
+        Range of the length of the list.
     """
     return Field(default, description=meaning, json_schema_extra={"unit": unit}, gt=above,
                  ge=at_least, le=at_most, lt=below, min_length=shortest, max_length=longest)

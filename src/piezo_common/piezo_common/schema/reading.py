@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Read a file of a schema: bounded, parsed strictly, of the right format and version."""
+"""Read a file of a schema: bounded, strictly parsed, of the right format and version."""
 
 import json
 from os import PathLike
@@ -20,19 +20,19 @@ def load_document(kind: type[D], path: str | PathLike[str],
     Parameters
     ----------
     kind : type
-        A class of documents.
+        Class of documents.
     largest_bytes : int
-        A larger file is not read.
+        Size limit of the file.
 
     Returns
     -------
     Document
-        Of the class `kind`.
+        Instance of `kind`.
 
     Raises
     ------
     SchemaError
-        If the file cannot be read, is of another format or version, or does not fit the schema.
+        If the file cannot be read, has another format or version, or does not fit the schema.
     """
     try:
         text = read_bounded_text(path, largest_bytes)
@@ -47,7 +47,7 @@ def parsed(kind: type[D], text: str) -> D:
 
 
 def checked(kind: type[D], content: object) -> D:
-    """Check parsed content, its format and version first; see `load_document`."""
+    """Check parsed content, format and version first; see `load_document`."""
     if kind.FORMAT:
         found = content.get("format") if isinstance(content, dict) else content
         if not isinstance(content, dict) or found != kind.FORMAT:
@@ -78,7 +78,7 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _yaml(text: str, kind: type[Document]) -> object:
-    import yaml  # most who read JSON never need it
+    import yaml  # imported here, as JSON files do not need it
 
     try:
         return yaml.safe_load(text)

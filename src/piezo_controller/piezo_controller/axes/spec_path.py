@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import BPoly, CubicSpline
 
+from piezo_common.extras import how_to_install
 from piezo_controller.axes.scan_path import Mark, ScanPath, check_length
 from piezo_controller.references.kind import InvalidReference
 
@@ -28,8 +29,7 @@ def spec_of_file(path: str | Path) -> Any:
         from scanspec.specs import Spec
     except ImportError:
         raise InvalidReference(f"{path} needs the package scanspec, which is not installed: "
-                               "install it (`pip install scanspec`, or the extra `pip install "
-                               "'.[scans]'` of the suite)") from None
+                               f"{how_to_install('scanspec', 'scans')}") from None
     try:
         return Spec.deserialize(json.loads(Path(path).read_text(encoding="utf-8")))
     except (OSError, ValueError) as error:

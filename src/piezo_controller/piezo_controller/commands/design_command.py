@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""`design`: from a model file to a controller file, with a report and pictures."""
+"""The command `design`: from a model file to a controller file, with a report and figures."""
 
 import argparse
 import sys
@@ -19,7 +19,7 @@ from piezo_controller.feedback.design_choices import (
 
 OF_A_TICK = ("method", "weights", "scaling", "full_order", "at_once", "delay_ticks",
              "samples_per_tick")
-"""Options that a law of every sample has no use for."""
+"""Options that do not apply to a law that answers every sample."""
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The work of `design`: design the controller, write, print and draw it."""
+"""Implementation of `design`: design the controller; write, print and draw it."""
 
 import argparse
 from collections.abc import Mapping
@@ -45,16 +45,16 @@ from piezo_models.model_file import announced_model
 
 GAIN_SPREAD = 0.12
 DRAWN = 40
-"""Models with errors whose responses are drawn."""
+"""Number of perturbed models whose responses are drawn."""
 
 ALONE = ("bode", "nyquist", "weights", "mu", "comparison")
-"""Pictures that are written as files, too."""
+"""Figures that are also written to separate files."""
 
 DOTS_PER_INCH = 120
 
 
 def design_controller(options: argparse.Namespace) -> None:
-    """Design the controller of the options; write it, print its margins and draw its loop."""
+    """Design the controller; write it, print its margins and draw its loop."""
     model = announced_model(options.model).model
     if options.feedback:
         _design_named(options, model)
@@ -85,7 +85,7 @@ def design_controller(options: argparse.Namespace) -> None:
 
 
 def _design_named(options: argparse.Namespace, model: StageModel) -> None:
-    """Design the feedback of a name, or all; write them, print and draw what they are worth."""
+    """Design the feedback of a given name, or all of them; write, print and draw the comparison."""
     names = FEEDBACKS if options.feedback == ALL else (options.feedback,)
     digest = sha256(options.model.read_bytes()).hexdigest()
     controllers = {}
@@ -120,7 +120,7 @@ def _design_named(options: argparse.Namespace, model: StageModel) -> None:
 
 def _rows(report: dict[str, Any], design: StageDesign,
           robustness: Robustness) -> list[tuple[str, str]]:
-    """Return what the design is worth, in the order in which it is told."""
+    """Return the rows of the report in the order in which they are printed."""
     rules, samples = design.rules, design.samples_per_tick
     clock_hz = 1.0 / design.clock_period_s
     return [
@@ -166,7 +166,7 @@ def _figures(options: argparse.Namespace, model: StageModel, weights: DesignWeig
 
 
 def _save(output: Path, figures: Mapping[str, Figure]) -> list[Path]:
-    """Write the pictures that stand alone, beside those of the page; return their paths."""
+    """Write the separate figures next to those of the page; return their paths."""
     paths = []
     for name in (name for name in ALONE if name in figures):
         paths.append(output.with_name(f"{output.stem}_{name}.png"))

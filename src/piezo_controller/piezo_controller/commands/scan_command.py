@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""`scan`: from a model of several axes and a path to the voltages that follow it."""
+"""The command `scan`: from a model of several axes and a path to the voltages that follow it."""
 
 import argparse
 import sys

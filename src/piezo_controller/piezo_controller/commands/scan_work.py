@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The work of `scan`: plan the voltages, write, print and draw them."""
+"""Implementation of `scan`: plan the voltages; write, print and draw them."""
 
 import argparse
 from pathlib import Path
@@ -17,7 +17,7 @@ OF_PLAN = ("voltage_range_v", "slew_limit_v_per_s")
 
 
 def plan_scan(options: argparse.Namespace) -> None:
-    """Plan the path of the options; write its voltages and a picture, and print what to expect."""
+    """Plan the path; write its voltages and a figure, and print what to expect."""
     given = {name: value for name in (*OF_PATTERN, *OF_PLAN)
              if (value := getattr(options, name)) is not None}
     plan = scan(options.model, options.pattern, **given)

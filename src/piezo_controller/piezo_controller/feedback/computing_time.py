@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How long the feedback takes to answer one block, on this machine."""
+"""Time that the feedback takes to answer one block on this machine."""
 
 import time
 from collections.abc import Callable
@@ -20,19 +20,19 @@ PERCENTILE = 99.0
 def answer_times_s(feedback: MultirateFeedback, samples_per_tick: int,
                    repeats: int = REPEATS,
                    clock_s: Callable[[], float] = time.perf_counter) -> FloatArray:
-    """Measure the answers to blocks of noise.
+    """Time the answers to blocks of noise.
 
     Parameters
     ----------
     feedback : MultirateFeedback
-        Is reset afterwards.
+        Feedback to time; it is reset afterwards.
     clock_s : callable
         Returns the time (s).
 
     Returns
     -------
     ndarray, shape (repeats,)
-        Seconds of each answer, after some that are not counted.
+        Time of each answer (s), without some to warm up.
     """
     expected_um = np.zeros(samples_per_tick)
     blocks_um = 1e-3 * np.random.default_rng(0).standard_normal((WARM_UP + repeats,
@@ -47,10 +47,9 @@ def answer_times_s(feedback: MultirateFeedback, samples_per_tick: int,
 
 
 def computing_time_s() -> float:
-    """Measure the 99th percentile of the answers of a controller of the usual order (s).
+    """Return the 99th percentile of the answer times of a controller of the usual order (s).
 
-    What other programs take of the processor meanwhile does not count: a design is to come out the
-    same on a busy computer.
+    Processor time is counted, so that a design comes out the same on a busy computer.
     """
     controller = control.ss(0.5 * np.eye(USUAL_ORDER), np.ones((USUAL_ORDER, 1)),
                             np.ones((1, USUAL_ORDER)), 0.0, True)

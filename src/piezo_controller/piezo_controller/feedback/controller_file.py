@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The controller file: one versioned JSON document, written at once and read strictly."""
+"""The controller file: one versioned JSON document, written atomically and read strictly."""
 
 import json
 import math
@@ -32,7 +32,7 @@ VERSION = 1
 
 
 class ControllerFileError(ValueError):
-    """A controller file that cannot be read or written: says path, field and cure."""
+    """A controller file that cannot be read or written; the message gives path, field and cure."""
 
 
 class ControllerDocument(Document):
@@ -78,12 +78,12 @@ class ControllerDocument(Document):
 
 
 def save_controller(path: str | Path, controller: FeedbackController) -> None:
-    """Write a controller file; the file at `path` is replaced at once or not at all.
+    """Write a controller file; an existing file is replaced completely or not at all.
 
     Raises
     ------
     ControllerFileError
-        The file cannot be written, is there already and no controller file, or the controller
+        If the file cannot be written, exists and is not a controller file, or the controller
         holds a value that is not finite.
 
     Examples
@@ -124,8 +124,8 @@ def load_controller(path: str | PathLike[str]) -> FeedbackController:
     Raises
     ------
     ControllerFileError
-        The file is missing, is not a controller file of this version, or has a missing, unknown
-        or invalid field.
+        If the file is missing, is not a controller file of this version, or has a missing,
+        unknown or invalid field.
 
     Examples
     --------
@@ -149,18 +149,18 @@ def load_controller(path: str | PathLike[str]) -> FeedbackController:
 
 def load_stabilising_controller(path: str | Path, model: StageModel, tick_s: float,
                                 clock_period_s: float) -> FeedbackController:
-    """Read a controller file for use with a model, at the tick's rate or at that of the samples.
+    """Read a controller file for use with a model, at the rate of the ticks or of the samples.
 
     Parameters
     ----------
     tick_s, clock_period_s : float
-        Of the stage (s).
+        Periods of the feedback and of the sample clock (s).
 
     Raises
     ------
     ControllerFileError
-        See `load_controller`; or the controller is for another rate, or does not stabilise the
-        model.
+        See `load_controller`; also if the controller is for another rate, or does not stabilise
+        the model.
     """
     controller = load_controller(path)
     if not any(math.isclose(controller.sample_period_s, period_s, rel_tol=1e-6)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A controller as people see it: one line, a table of its loop, a picture."""
+"""Presentation of a controller: one line, a table of its loop, a figure."""
 
 from typing import TYPE_CHECKING
 
@@ -36,7 +36,7 @@ REPORT_ROWS = (
     ("phase_margin_deg_at_highest_gain", "  at the highest", ".0f", "deg"),
     ("settling_to_5_percent_s", "settling to 5 %", ".3f", "s"),
 )
-"""Key in the report, name for people, how its number is written, and its unit."""
+"""Key in the report, displayed name, number format, and unit."""
 
 LOWEST_HZ = 0.1
 POINTS = 2000
@@ -44,7 +44,7 @@ NYQUIST_LIMITS = {"xlim": (-3.0, 1.5), "ylim": (-2.25, 2.25), "aspect": "equal"}
 
 
 def text_of_controller(controller: "FeedbackController") -> str:
-    """Return what a controller is in one line."""
+    """Return a one-line description of a controller."""
     report = controller.report
     parts = [f"{report.get('method', 'feedback')} of order {len(controller.A)}",
              f"{1.0 / controller.sample_period_s:.4g} Hz"]
@@ -78,9 +78,9 @@ def draw_controller(controller: "FeedbackController", model: "StageModel | None"
     Parameters
     ----------
     model : StageModel, optional
-        With it, open loop and sensitivity are drawn over frequency, and the Nyquist diagram.
+        Model to close the loop with; open loop, sensitivity and Nyquist diagram are then drawn.
     clock_period_s : float
-        Of the stage's sample clock.
+        Period of the stage's sample clock (s).
     """
     return _draw_response(controller) if model is None else _draw_loop(
         controller, model, clock_period_s)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The page of a design: what the loop is worth, where its margins are, and what it endures."""
+"""The page of a design: performance and margins of the loop, and its robustness."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -35,13 +35,13 @@ def design_page(report: Mapping[str, Any], rows: Sequence[tuple[str, str]],
     Parameters
     ----------
     report : dict
-        Of the controller.
+        Report of the controller.
     rows : sequence of (str, str)
-        What the command prints: rates, rules and measures.
+        Rows that the command prints: rates, rules and measures.
     figures : dict of str to matplotlib.figure.Figure
-        By the names of `CAPTIONS`.
+        Figures by the names of `CAPTIONS`.
     origin : sequence of str
-        Files.
+        Files that the design is based on.
     """
     pictures = [pictured(name, figures[key], caption, closer=True,
                          wide=key in ("bode", "steps", "weights", "mu"))
@@ -57,7 +57,7 @@ def design_page(report: Mapping[str, Any], rows: Sequence[tuple[str, str]],
 
 
 def design_sentence(report: Mapping[str, Any]) -> str:
-    """Return in one sentence what a loop is worth."""
+    """Return one sentence on the performance of a loop."""
     parts = [layout.format(report[key]) for key, layout in (
         ("bandwidth_hz", "bandwidth {:.3g} Hz"), ("gain_margin", "gain margin {:.2g}"),
         ("phase_margin_deg", "phase margin {:.0f} degrees"),

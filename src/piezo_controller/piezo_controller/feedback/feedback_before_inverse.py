@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Feedback that passes the inverse hysteresis, as a part of the feedforward does.
+"""Feedback that passes the inverse hysteresis together with the feedforward.
 
-Behind the inverse the hysteresis' gain is not uncertain: the loop has the gain of the model
-alone. It takes an inversion in every tick.
+Before the inverse the gain of the hysteresis is not uncertain: the loop has the gain of the model
+alone. This costs one inversion per tick.
 """
 
 import math
@@ -19,26 +19,26 @@ from piezo_models.cascade import StageModel
 class FeedbackBeforeInverse:
     """Runs a feedback controller whose answers are hysteresis outputs instead of voltages.
 
-    The stage adds one voltage to the feedforward for a whole tick. Given is the mean of what the
-    inverse asks for in the tick's samples; the hysteresis' past is that of what is played.
+    The stage adds one voltage to the feedforward for a whole tick. It is the mean over the tick's
+    samples of what the inverse gives, with the hysteresis' memory of the voltage that is played.
 
     Parameters
     ----------
     controller : FeedbackController
         Designed for the nominal gain of the hysteresis, which is divided out.
     model : piezo_models.cascade.StageModel
-        Whose hysteresis is inverted.
+        Model whose hysteresis is inverted.
     plan : FeedforwardPlan
-        What is played beside the feedback.
+        Feedforward that is played.
     max_feedback_v : float
-        Largest voltage given, of either sign (V).
+        Largest voltage of the feedback, of either sign (V).
     rest_voltage_v : float
-        Where the run begins (V).
+        Voltage at which the run begins (V).
 
     Raises
     ------
     ValueError
-        The controller does not tell the gain that it was designed for.
+        If the controller's report lacks the gain that it was designed for.
     """
 
     def __init__(self, controller: FeedbackController, model: StageModel, plan: FeedforwardPlan,

@@ -41,9 +41,9 @@ from piezo_models.cascade import StageModel
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Damps the controller's resonance at 270 Hz, and lowers the sensitivity's peak.
+# Damps the controller's resonance at 270 Hz, and lowers the peak of the sensitivity.
 SLACK = 0.1
-# Part of the norm with the scalings that a lower order may cost.
+# Largest increase of the scaled norm by a reduction of the order, as a part of it.
 REDUCTION_COST = 0.01
 FREQUENCIES = 200
 
@@ -54,20 +54,20 @@ class UnstableLoop(ValueError):
 
 @dataclass(frozen=True)
 class FeedbackController:
-    """State space of the feedback, and what is known of the loop it closes.
+    """State space of the feedback, and the properties of the loop it closes.
 
     Attributes
     ----------
     A, B, C, D : ndarray
         From the mean tracking error of the last tick (um) to the voltage of the next (V).
     sample_period_s : float
-        The tick (s).
+        Period of the tick (s).
     report : dict
-        Plain numbers and texts, see `design_feedback`.
+        Numbers and texts that describe the loop, see `design_feedback`.
     weights : dict
-        The weights that it was designed with, in the layout of the weights file; empty for PID.
+        Weights that it was designed with, in the layout of the weights file; empty for PID.
     model_sha256 : str
-        Of the model file that it was designed for; empty if the model came from no file.
+        Hash of the model file that it was designed for; empty if the model came from no file.
     """
 
     A: np.ndarray
@@ -86,7 +86,7 @@ class FeedbackController:
         return self.summary()._repr_html_()
 
     def summary(self) -> SummaryTable:
-        """Return what is known of the loop as a table."""
+        """Return the properties of the loop as a table."""
         return summary_of_controller(self)
 
     def plot(self, model: StageModel | None = None) -> "Figure":
@@ -109,7 +109,7 @@ class FeedbackController:
         Raises
         ------
         ValueError
-            The report does not tell.
+            If the report lacks it.
         """
         if "hysteresis_gain_um_per_v" not in self.report:
             raise ValueError("the controller's report lacks hysteresis_gain_um_per_v: make it by "
@@ -126,7 +126,7 @@ def design_feedback(model: StageModel, weights: DesignWeights, clock_period_s: f
     Parameters
     ----------
     weights : DesignWeights
-        PID and PI take no more than the tick from it.
+        Weights of the design; PID and PI take only the tick from it.
     clock_period_s : float
         Period of the sample clock (s).
     model_sha256 : str
@@ -139,9 +139,9 @@ def design_feedback(model: StageModel, weights: DesignWeights, clock_period_s: f
     at_once : bool
         For a loop without averaging and computing time, see `design_plant`.
     reduce : bool
-        Whether to lower the order where that costs next to nothing.
+        Whether to lower the order if that costs next to nothing.
     delay_ticks : int
-        Of computing time, see `design_plant`; PID takes 1.
+        Ticks of computing time, see `design_plant`; 1 for PID.
 
     Returns
     -------
@@ -155,13 +155,13 @@ def design_feedback(model: StageModel, weights: DesignWeights, clock_period_s: f
     Raises
     ------
     NoController
-        The weights ask for too much.
+        If the weights cannot be satisfied.
     NoOscillation
-        The model has no ultimate gain.
+        If the model has no ultimate gain.
     UnstableLoop
-        The rules of Ziegler and Nichols give an unstable loop.
+        If the rules of Ziegler and Nichols give an unstable loop.
     ValueError
-        `method` or `scaling` is unknown.
+        If `method` or `scaling` is unknown.
     """
     if method not in METHODS:
         raise ValueError(f'unknown method {method!r} of the feedback: use one of '
@@ -189,21 +189,21 @@ def design_feedback(model: StageModel, weights: DesignWeights, clock_period_s: f
 def feedback_from_control(system: control.StateSpace | control.TransferFunction, model: StageModel,
                           clock_period_s: float = 25e-6, model_sha256: str = "",
                           method: str = "own", delay_ticks: int = 1) -> FeedbackController:
-    """Take a feedback of any origin, and measure the loop that it closes.
+    """Convert a feedback of any origin, and measure the loop that it closes.
 
     Parameters
     ----------
     system : control.StateSpace or control.TransferFunction
-        Discrete, its period that of the tick: from the mean tracking error of the last tick (um)
+        Discrete, with the period of the tick: from the mean tracking error of the last tick (um)
         to the voltage of the next (V).
     clock_period_s : float
         Period of the sample clock (s).
     model_sha256 : str
         Hash of the model's file, kept with the controller.
     method : str
-        What the report is to call it.
+        Name of the method in the report.
     delay_ticks : int
-        Of computing time, see `design_plant`.
+        Ticks of computing time, see `design_plant`.
 
     Returns
     -------
@@ -214,10 +214,10 @@ def feedback_from_control(system: control.StateSpace | control.TransferFunction,
     Raises
     ------
     UnstableLoop
-        See `check_stabilises`.
+        If the loop is unstable, see `check_stabilises`.
     ValueError
-        The system has no period, a period that is no multiple of the sample clock's, no state, or
-        more than one input or output.
+        If the system has no period, a period that is no multiple of the sample clock's, no state,
+        or more than one input or output.
     """
     system = control.ss(system)
     if (system.ninputs, system.noutputs) != (1, 1):
@@ -239,7 +239,7 @@ def feedback_from_control(system: control.StateSpace | control.TransferFunction,
 
 def check_stabilises(controller: FeedbackController, model: StageModel,
                      clock_period_s: float = 25e-6) -> None:
-    """Refuse a controller that does not stabilise a model in the loop of the stage.
+    """Raise if a controller does not stabilise a model in the loop of the stage.
 
     Parameters
     ----------
@@ -249,7 +249,7 @@ def check_stabilises(controller: FeedbackController, model: StageModel,
     Raises
     ------
     UnstableLoop
-        The loop is not stable at the lowest, the nominal or the highest gain of the hysteresis at
+        If the loop is unstable at the lowest, the nominal or the highest gain of the hysteresis at
         mid-travel.
     """
     plant, nominal = design_plant(model, controller.sample_period_s, clock_period_s,
@@ -269,7 +269,7 @@ def structured_singular_value(problem: control.StateSpace,
     Parameters
     ----------
     problem : control.StateSpace
-        From `generalised_plant`.
+        Generalised plant, from `generalised_plant`.
 
     Returns
     -------
@@ -283,7 +283,7 @@ def structured_singular_value(problem: control.StateSpace,
 
 def _measures(controller: control.StateSpace, model: StageModel, plant: control.StateSpace,
               gain_um_per_v: float) -> dict[str, Any]:
-    """Make the part of a report that every controller has."""
+    """Return the part of the report that all controllers have."""
     spread = hysteresis_gain_range(model)[1] / gain_um_per_v - 1
     return {"order": controller.nstates, "hysteresis_gain_um_per_v": gain_um_per_v,
             "hysteresis_gain_spread": spread,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The feedback while learning: it keeps the mean and leaves the period to the learning."""
+"""The feedback during learning: it holds the mean; the learning corrects the periodic part."""
 
 import control
 import numpy as np
@@ -9,16 +9,16 @@ from piezo_controller.feedback.synthesis.generalised_plant import design_plant
 from piezo_models.cascade import StageModel
 
 BANDWIDTH_HZ = 8.0
-# Of the second integration, which lets creep and drift leave no error, below the bandwidth.
+# Ratio of the bandwidth to the second integration, which removes the error of creep and drift.
 SEPARATION = 4.0
 
 
 def design_integral_feedback(model: StageModel, tick_s: float = 1e-3, clock_period_s: float = 25e-6,
                              model_sha256: str = "") -> FeedbackController:
-    """Design two integrations below the frequencies of what is learned.
+    """Design a double integrator with a bandwidth below the frequencies that are learned.
 
-    A fast feedback amplifies errors about its bandwidth, where what it makes of a correction hangs
-    on the hysteresis' gain as well; a slow one passes them, and a correction, nearly as they are.
+    A fast feedback amplifies errors near its bandwidth, where its response to a correction also
+    depends on the hysteresis' gain. A slow one passes errors and corrections almost unchanged.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ def design_integral_feedback(model: StageModel, tick_s: float = 1e-3, clock_peri
     Raises
     ------
     UnstableLoop
-        See `feedback_from_control`.
+        If the loop is unstable, see `feedback_from_control`.
     """
     _, gain_um_per_v = design_plant(model, tick_s, clock_period_s)
     rate = 2 * np.pi * BANDWIDTH_HZ * tick_s

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a feedback loop is worth: bandwidth, margins, settling."""
+"""Performance of a feedback loop: bandwidth, margins, settling."""
 
 from dataclasses import dataclass
 
@@ -13,24 +13,24 @@ BAND_EDGE = 1 / np.sqrt(2)
 SETTLED = 0.05
 LONGEST_SETTLING_TICKS = 2000
 LEAST_CROSSING = 1e-12
-"""Size of a loop on the real axis that is rounding."""
+"""Magnitude of a loop on the real axis below which a crossing is due to rounding."""
 
 
 @dataclass(frozen=True)
 class Margins:
-    """How far a loop is from instability, and at which frequencies.
+    """Distances of a loop from instability, and the frequencies at which they occur.
 
     Attributes
     ----------
     gain : float or None
-        Factor by which the gain may rise; None where the loop does not cross the real axis
+        Factor by which the gain may rise; None if the loop does not cross the real axis
         between -1 and 0.
     gain_hz : float or None
-        Where it crosses it.
+        Frequency of that crossing.
     phase_deg : float or None
-        By which the phase may fall; None where the loop does not cross the unit circle.
+        Angle by which the phase may fall; None if the loop does not cross the unit circle.
     phase_hz : float or None
-        Where it crosses it.
+        Frequency of that crossing.
     """
 
     gain: float | None = None
@@ -65,7 +65,7 @@ def measure_loop(plant: control.StateSpace, controller: control.StateSpace,
     Parameters
     ----------
     plant, controller : control.StateSpace
-        Discrete; negative feedback of the plant's output to the controller.
+        Discrete; the plant's output is fed back negatively to the controller.
     gain_spread : float
         The plant's gain may lie within ``1 +- gain_spread`` of its nominal value.
 
@@ -76,8 +76,8 @@ def measure_loop(plant: control.StateSpace, controller: control.StateSpace,
         open loop first falls to 1), ``peak_sensitivity`` and its ``peak_frequency_hz``,
         ``gain_margin`` and ``phase_margin_deg`` with ``_at_lowest_gain`` and
         ``_at_highest_gain``, ``settling_to_5_percent_s`` (after a step disturbance of the output),
-        ``stable_within_gain_spread``. None stands for what the loop does not have: it crosses
-        nothing from 0.1 Hz on, or has not settled after `LONGEST_SETTLING_TICKS`.
+        ``stable_within_gain_spread``. None if the loop has no such value: it crosses nothing from
+        0.1 Hz on, or has not settled after `LONGEST_SETTLING_TICKS`.
     """
     frequency_hz = _frequencies(plant.dt)
     loop, sensitivity = loop_responses(plant, controller, frequency_hz)
@@ -100,7 +100,7 @@ def measure_loop(plant: control.StateSpace, controller: control.StateSpace,
 
 
 def _first_rise_hz(frequency_hz: FloatArray, holds: BoolArray) -> float | None:
-    """Find the first frequency at which something begins to hold; None if it never does."""
+    """Return the first frequency at which a condition begins to hold; None if it never does."""
     begins = np.flatnonzero(~holds[:-1] & holds[1:])
     return float(frequency_hz[begins[0] + 1]) if begins.size else None
 
@@ -118,18 +118,18 @@ def _frequencies(tick_s: float) -> FloatArray:
 def margins_of(frequency_hz: FloatArray, loop: ComplexArray) -> Margins:
     """Return the margins of a loop from a dense frequency response.
 
-    The gain margin is that towards higher gains: only crossings between -1 and 0 count.
+    The gain margin is that for rising gain: only crossings between -1 and 0 count.
 
     Parameters
     ----------
     frequency_hz : ndarray, shape (F,)
-        Up to half the tick's rate.
+        Frequencies up to half the tick rate.
     loop : ndarray of complex, shape (F,)
     """
     real, imaginary, size = loop.real, loop.imag, np.abs(loop)
     crossing = np.flatnonzero(imaginary[:-1] * imaginary[1:] < 0)
     unity = np.flatnonzero((size[:-1] - 1) * (size[1:] - 1) < 0)
-    # At half the tick's rate, the last frequency, the response is real.
+    # At half the tick rate, the last frequency, the response is real.
     crossing = np.append(crossing, real.size - 1)
     crossing = crossing[(real[crossing] > -1) & (real[crossing] < -LEAST_CROSSING)]
     gain = gain_hz = phase_deg = phase_hz = None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Pictures of a feedback loop: Bode and Nyquist diagrams, weights, structured singular value."""
+"""Figures of a feedback loop: Bode and Nyquist diagrams, weights, structured singular value."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -37,12 +37,12 @@ MARKED: dict[str, Any] = {"color": VERMILION, "linewidth": 2.0}
 GAIN_STYLES: tuple[dict[str, Any], ...] = (
     {"color": ORANGE, "linestyle": "--"}, {"color": BLUE, "linestyle": "-"},
     {"color": VERMILION, "linestyle": "-."})
-"""These curves are of the loop at the lowest, the nominal and the highest hysteresis gain."""
+"""Styles of the loop at the lowest, the nominal and the highest hysteresis gain."""
 
 
 def bode_figure(plant: control.StateSpace, controller: control.StateSpace,
                 weights: DesignWeights | None) -> Figure:
-    """Draw the open loop with its margins, below it the closed one with the bounds of the weights.
+    """Draw the open loop with its margins, and below it the closed one with the weights' bounds.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def bode_figure(plant: control.StateSpace, controller: control.StateSpace,
 
 def _mark_margins(gain: Axes, phase: Axes, frequency_hz: FloatArray, loop: ComplexArray,
                   margins: Margins) -> None:
-    """Draw the gain and the phase that are missing to instability, where they are the margins."""
+    """Mark the gain margin and the phase margin at their frequencies."""
     gain.axhline(1.0, **LIMIT)
     if margins.gain is not None and margins.gain_hz is not None:
         gain.plot([margins.gain_hz] * 3, [1.0 / margins.gain, margins.gain**-0.5, 1.0],
@@ -144,7 +144,7 @@ def _mark_in_plane(axes: Axes, margins: Margins) -> None:
 
 def step_figure(plant: control.StateSpace, controller: control.StateSpace, gain_spread: float,
                 drawn: Sequence[control.StateSpace] = ()) -> Figure:
-    """Draw what a step of the reference makes of the displacement, and a disturbance of the error.
+    """Draw the responses of the displacement to a reference step and of the error to a disturbance.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def step_figure(plant: control.StateSpace, controller: control.StateSpace, gain_
     gain_spread : float
         The plant's gain may lie within ``1 +- gain_spread`` of its nominal value.
     drawn : sequence of control.StateSpace
-        Plants with errors, whose responses make the band.
+        Perturbed plants, whose responses make the band.
     """
     time_s = np.arange(_shown_ticks(plant, controller)) * plant.dt
     figure = new_figure(5.6, WIDE_IN)
@@ -180,7 +180,7 @@ def step_figure(plant: control.StateSpace, controller: control.StateSpace, gain_
 
 
 def _shown_ticks(plant: control.StateSpace, controller: control.StateSpace) -> int:
-    """Return for how long to look: several times as long as the error takes to fall for good."""
+    """Return the number of ticks to draw: several settling times of the error."""
     time_s = np.arange(STEPS_TICKS) * plant.dt
     error = control.step_response(control.feedback(1, plant * controller), time_s).outputs
     outside = np.flatnonzero(np.abs(error) > SETTLED)
@@ -190,7 +190,7 @@ def _shown_ticks(plant: control.StateSpace, controller: control.StateSpace) -> i
 
 def sensitivity_figure(plant: control.StateSpace, controller: control.StateSpace,
                        drawn: Sequence[control.StateSpace] = ()) -> Figure:
-    """Draw the sensitivity of the loop, and the band in which it is for models with errors.
+    """Draw the sensitivity of the loop, and its band for perturbed models.
 
     Parameters
     ----------
@@ -240,12 +240,12 @@ def weights_figure(weights: DesignWeights) -> Figure:
 
 
 def mu_figure(frequency_hz: FloatArray, mu: FloatArray, history: list[float]) -> Figure:
-    """Draw the structured singular value over frequency, and its peak from iterate to iterate.
+    """Draw the structured singular value over frequency, and its peak in each iteration.
 
     Parameters
     ----------
     frequency_hz, mu : ndarray, shape (F,)
-        Of the final controller; zero frequency is left out.
+        Frequencies without zero, and the value for the final controller.
     """
     figure = new_figure(4.0, WIDE_IN)
     over_frequency, over_iterates = figure.subplots(1, 2, sharey=True, width_ratios=(2, 1))

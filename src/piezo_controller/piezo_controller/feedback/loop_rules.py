@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Bandwidth and rate of the feedback: the rules (5.9) to (5.11) of the thesis."""
+"""Rules for bandwidth and rate of the feedback: (5.9) to (5.11) of the thesis."""
 
 import math
 from dataclasses import dataclass
 
-# The thesis is on the bound itself; an ultimate frequency is not known better than this.
+# The thesis lies on the bound itself, and the ultimate frequency is no more accurate than this.
 ON_THE_BOUND = 0.05
 
 
@@ -15,11 +15,11 @@ class LoopRules:
     Attributes
     ----------
     lowest_bandwidth_hz, highest_bandwidth_hz : float
-        (5.9).
+        Bandwidth of the feedback, (5.9).
     lowest_rate_hz, highest_rate_hz : float
-        Of the feedback, (5.10).
+        Rate of the feedback, (5.10).
     samples_per_tick : int
-        Of the rate that was chosen.
+        Samples per tick at the chosen rate.
     performance_hz, robustness_hz : float
         ``omega_p`` and ``omega_s`` of (5.11) at that rate.
     """
@@ -38,26 +38,26 @@ def choose_rates(ultimate_hz: float, clock_hz: float, computing_s: float,
                  suppression: float = 2.0) -> LoopRules:
     """Return the bounds of bandwidth and rate, and the rate to use.
 
-    The rate is the usual one if that is within its bounds; otherwise the slowest that is, since
-    a fast one amplifies noise and costs computing time.
+    The rate is the usual one if it is within its bounds; otherwise the slowest that is, since a
+    high rate amplifies noise and costs computing time.
 
     Parameters
     ----------
     ultimate_hz : float
-        At which a relay oscillates with the stage: ``omega_r``, and ``omega_bc`` too.
+        Frequency at which a relay oscillates with the stage; used for ``omega_r`` and ``omega_bc``.
     clock_hz : float
         Rate of the stage's sample clock, f_max.
     computing_s : float
-        What one answer of the feedback takes, T_FB.
+        Computing time of one answer of the feedback, T_FB.
     disturbance_hz : float
         Bandwidth of the disturbances, ``omega_d``.
     suppression : float
-        Bandwidth of the feedback over theirs, at least: ``gamma``.
+        Least ratio of the feedback's bandwidth to that of the disturbances, ``gamma``.
 
     Raises
     ------
     ValueError
-        No rate or no bandwidth is within the bounds.
+        If no rate or no bandwidth is within the bounds.
     """
     performance_hz = suppression * disturbance_hz
     highest_bandwidth_hz = min(clock_hz / 2, 1 / computing_s, ultimate_hz)

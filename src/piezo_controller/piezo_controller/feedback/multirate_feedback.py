@@ -12,18 +12,18 @@ from piezo_controller.feedback.feedback_design import FeedbackController
 class MultirateFeedback:
     """Runs a feedback controller tick by tick with a limited voltage.
 
-    Where the limit cuts the voltage, an observer keeps the controller's state in agreement with
-    the voltage that was given (anti-windup).
+    If the limit applies, an observer keeps the controller's state consistent with the limited
+    voltage (anti-windup).
 
     Parameters
     ----------
     max_feedback_v : float
-        Largest voltage given, of either sign (V).
+        Largest voltage, of either sign (V).
 
     Raises
     ------
     ValueError
-        `max_feedback_v` is not positive.
+        If `max_feedback_v` is not positive.
     """
 
     def __init__(self, controller: FeedbackController | control.StateSpace,
@@ -39,11 +39,11 @@ class MultirateFeedback:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all errors so far."""
+        """Reset the controller's state."""
         self._state = np.zeros(len(self._a))
 
     def step(self, expected_um: FloatArray | float, displacement_um: FloatArray | float) -> float:
-        """Answer the block of one tick.
+        """Return the answer to the block of one tick.
 
         Parameters
         ----------
@@ -53,7 +53,7 @@ class MultirateFeedback:
         Returns
         -------
         voltage_v : float
-            To be held over the tick after the one in which this is computed.
+            Voltage to hold over the tick after the one in which this is computed.
         """
         error_um = np.mean(expected_um) - np.mean(displacement_um)
         wanted_v = float(self._c @ self._state + self._d * error_um)
@@ -66,7 +66,7 @@ class MultirateFeedback:
 def observer_gain(controller: FeedbackController | control.StateSpace) -> FloatArray:
     """Return the gain that corrects the state by the part of the voltage that was cut off.
 
-    That of the Kalman predictor for an unknown error of 1 um and a voltage known within 1 V.
+    It is that of the Kalman predictor for an unknown error of 1 um and a voltage known to 1 V.
     """
     a, b, c, d = (np.atleast_2d(m) for m in (controller.A, controller.B, controller.C,
                                              controller.D))

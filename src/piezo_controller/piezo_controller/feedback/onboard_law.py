@@ -21,37 +21,38 @@ from piezo_models.feedback_law.feedback_law import (
 )
 
 FADE_S = 0.02
-"""Over which the error in which a law begins is faded in: many times what any loop of this suite
-takes to answer, and a part of the time before the run counts."""
+"""Time over which the initial error is faded in (s): many times the response time of any loop of
+this suite, and a part of the time before the run counts."""
 
 
 def onboard_law(controller: FeedbackController, model: StageModel, plan: FeedforwardPlan,
                 clock_period_s: float, max_feedback_v: float, before_inverse: bool = False,
                 hold_inverse: bool = False, max_error_um: float = np.inf) -> FeedbackLaw:
-    """Describe a feedback and what it was designed for.
+    """Return a feedback as a law, together with the plan that it acts on.
 
     Parameters
     ----------
     controller : FeedbackController
-        Of the tick's period, or of the sample clock's.
+        Controller with the period of the tick or of the sample clock.
     model : piezo_models.cascade.StageModel
-        That it was designed for.
+        Model that it was designed for.
     plan : FeedforwardPlan
-        What is played beside it.
+        Feedforward that is played.
     max_feedback_v : float
-        Largest voltage given, of either sign (V).
+        Largest voltage of the feedback, of either sign (V).
     before_inverse : bool
         Whether it passes the inverse hysteresis together with the feedforward.
     hold_inverse : bool
-        Whether the stage then holds the mean over a tick of what the inverse asks for, as it holds
+        Whether the stage then holds the mean of the inverse's voltages over a tick, as it holds
         the answer of a node.
     max_error_um : float
-        See `FeedbackLaw`.
+        Largest error of the law (um), see `FeedbackLaw`.
 
     Raises
     ------
     ValueError
-        The controller does not tell the gain that it was designed for, but is to be divided by it.
+        If the controller's report lacks the gain that it was designed for, and it must be divided
+        by it.
     """
     inverse = None
     if before_inverse:
@@ -78,12 +79,12 @@ def onboard_law(controller: FeedbackController, model: StageModel, plan: Feedfor
 
 
 def answers_samples(controller: FeedbackController, clock_period_s: float) -> bool:
-    """Tell whether a feedback has the period of the sample clock."""
+    """Return whether a feedback has the period of the sample clock."""
     return math.isclose(controller.sample_period_s, clock_period_s, rel_tol=1e-6)
 
 
 def _one_later(block: LinearBlock) -> LinearBlock:
-    """Return a block whose output comes one sample later."""
+    """Return a block whose output is delayed by one sample."""
     order = block.order
     a = np.zeros((order + 1, order + 1))
     a[:order, :order], a[order, :order] = block.a, block.c

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Whether a feedback endures what the model does not know: sampled, and at its worst."""
+"""Robustness of a feedback against errors of the model: random errors, and the worst case."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -23,14 +23,14 @@ DYNAMICS = ("time_constant_s", "mode_frequencies_rad_per_s", "damping_ratios",
 
 @dataclass(frozen=True)
 class Robustness:
-    """What a feedback endures.
+    """Robustness of a feedback.
 
     Attributes
     ----------
     samples, unstable_samples : int
-        Loops with random errors, and how many of them are unstable.
+        Number of loops with random errors, and of the unstable ones among them.
     worst_peak_sensitivity : float
-        At the worst errors found; infinite if the loop is unstable there.
+        Peak at the worst errors found; infinite if the loop is unstable there.
     """
 
     samples: int
@@ -39,26 +39,26 @@ class Robustness:
 
     @property
     def stable(self) -> bool:
-        """Tell whether every loop that was looked at is stable."""
+        """Return whether every loop that was tested is stable."""
         return self.unstable_samples == 0 and np.isfinite(self.worst_peak_sensitivity)
 
 
 def check_robustness(model: StageModel, controller: control.StateSpace, clock_period_s: float,
                      gain_spread: float, samples: int = SAMPLES, at_once: bool = False,
                      delay_ticks: int = 1) -> Robustness:
-    """Close the loop over models with errors in every parameter, and over gains.
+    """Close the loop with models with errors in every parameter, and with other gains.
 
-    The worst case is sought among the extremes of all errors: one after the other is turned to
-    where the peak of the sensitivity is higher, until none makes it so.
+    The worst case is searched for among the extremes of all errors: one error after another is
+    moved to the extreme with the higher peak of the sensitivity, until none raises it.
 
     Parameters
     ----------
     controller : control.StateSpace
         Discrete, from error (um) to voltage (V).
     gain_spread : float
-        The hysteresis' gain lies within ``1 +- gain_spread`` of its nominal value.
+        The gain of the hysteresis lies within ``1 +- gain_spread`` of its nominal value.
     delay_ticks : int
-        See `design_plant`.
+        Ticks of computing time, see `design_plant`.
     """
     frequency_hz = np.geomspace(0.1, 0.5 / controller.dt, FREQUENCIES)
     points = np.exp(2j * np.pi * frequency_hz * controller.dt)
@@ -89,16 +89,16 @@ def check_robustness(model: StageModel, controller: control.StateSpace, clock_pe
 def drawn_plants(model: StageModel, tick_s: float, clock_period_s: float, gain_spread: float,
                  samples: int, at_once: bool = False,
                  delay_ticks: int = 1) -> list[control.StateSpace]:
-    """Return plants with random errors of all parameters and of the gain, in um/V.
+    """Return plants (um/V) with random errors of all parameters and of the gain.
 
-    The first are those that `check_robustness` closes the loop over.
+    The first ones are those of `check_robustness`.
 
     Parameters
     ----------
     samples : int
-        How many.
+        Number of plants.
     delay_ticks : int
-        See `check_robustness`.
+        Ticks of computing time, see `design_plant`.
     """
     return [_plant(model, errors, tick_s, clock_period_s, gain_spread, at_once, delay_ticks)
             for errors in _draws(model, samples)]

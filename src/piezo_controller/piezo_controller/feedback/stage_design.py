@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A design from a model alone: the rules (5.9) to (5.11) choose the rate, then the feedback."""
+"""A design from a model alone: the rules (5.9) to (5.11) choose the rate of the feedback."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,14 +21,14 @@ from piezo_models.cascade import StageModel
 
 @dataclass(frozen=True)
 class StageDesign:
-    """A controller with what led to it.
+    """A controller, and the choices that led to it.
 
     Attributes
     ----------
     weights : DesignWeights
-        At the controller's tick, for the disturbances that were named.
+        Weights at the controller's tick, for the given bandwidth of the disturbances.
     clock_period_s : float
-        Of the stage's sample clock.
+        Period of the stage's sample clock (s).
     """
 
     controller: FeedbackController
@@ -49,20 +49,20 @@ def design_for_stage(
     Parameters
     ----------
     weights : str or Path
-        "default", "thesis", or a file (YAML); of `h_infinity` alone.
+        "default", "thesis", or a file (YAML); used by `h_infinity` only.
     method, scaling, at_once, reduce, delay_ticks, model_sha256
-        Of `piezo_controller.feedback.feedback_design.design_feedback`.
+        See `piezo_controller.feedback.feedback_design.design_feedback`.
     disturbance_hz : float
-        Bandwidth of the disturbances.
+        Bandwidth of the disturbances (Hz).
     samples_per_tick : int, optional
-        Feedback period; by the rules (5.10) by default.
+        Feedback period in samples; chosen by the rules (5.10) by default.
     sample_rate_hz : float
-        Of the stage's sample clock.
+        Rate of the stage's sample clock (Hz).
 
     Raises
     ------
     ValueError
-        See `design_feedback`; or the weights cannot be read.
+        See `design_feedback`; also if the weights cannot be read.
     """
     clock_s = 1.0 / sample_rate_hz
     chosen = load_weights(weights)

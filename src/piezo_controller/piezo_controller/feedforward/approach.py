@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How every run begins: ramps of whole ticks, within the range that amplifier and model share."""
+"""Approach at the beginning of every run, within the common range of amplifier and model."""
 
 import math
 
@@ -11,14 +11,14 @@ ALIGNMENT_SAMPLES = 40
 
 
 def aligned_samples(time_s: float, sample_period_s: float) -> int:
-    """Count the samples of a time, up to the next multiple of `ALIGNMENT_SAMPLES`."""
+    """Return the samples of a duration, rounded up to a multiple of `ALIGNMENT_SAMPLES`."""
     ticks = math.ceil(time_s / sample_period_s / ALIGNMENT_SAMPLES - 1e-9)
     return ticks * ALIGNMENT_SAMPLES
 
 
 def check_amplifier_range(hysteresis: PreisachModel, voltage_range_v: tuple[float, float],
                           start_voltage_v: float) -> None:
-    """Refuse an amplifier that cannot go to the voltage at which the model begins.
+    """Raise if an amplifier cannot reach the voltage at which the model begins.
 
     Raises
     ------

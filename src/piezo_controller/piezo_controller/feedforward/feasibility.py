@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a planner says of a reference that the amplifier cannot follow."""
+"""Errors and checks for a reference that the amplifier cannot follow."""
 
 import math
 from collections.abc import Callable
@@ -16,13 +16,13 @@ DISPLACEMENT = "displacements", "um"
 
 
 class UnreachableReference(ValueError):
-    """A reference that the amplifier cannot follow; says which amplitude it can.
+    """A reference that the amplifier cannot follow; the message gives a feasible amplitude.
 
     Attributes
     ----------
     reachable_um : float
-        Peak-to-peak amplitude within reach of the same reference scaled about its mean; zero if
-        its mean is out of reach already; NaN where it was not searched for.
+        Largest feasible peak-to-peak amplitude of the reference, scaled about its mean; zero if
+        the mean itself is out of reach, NaN if it was not searched for.
     """
 
     def __init__(self, message: str, reachable_um: float) -> None:
@@ -31,12 +31,12 @@ class UnreachableReference(ValueError):
 
 
 class Infeasible(Exception):
-    """Why the amplifier cannot follow."""
+    """The reason why the amplifier cannot follow a reference."""
 
 
 def check_range(values: FloatArray, lowest: float, highest: float,
                 quantity: tuple[str, str]) -> None:
-    """Refuse values beyond the limits.
+    """Raise if values are beyond the limits.
 
     Parameters
     ----------
@@ -54,12 +54,12 @@ def check_range(values: FloatArray, lowest: float, highest: float,
 
 
 def check_hysteresis_range(hysteresis_um: FloatArray, hysteresis: PreisachModel) -> None:
-    """Refuse what a hysteresis cannot put out; say about which voltages that would take.
+    """Raise if a hysteresis cannot reach an output; the message gives the voltages it would need.
 
     Parameters
     ----------
     hysteresis_um : ndarray
-        Output of the hysteresis.
+        Required output of the hysteresis (um).
 
     Raises
     ------
@@ -85,18 +85,19 @@ def check_slew(voltage_v: FloatArray, sample_period_s: float, slew_limit_v_per_s
 def unreachable(plan: Callable[[float, float], object], reference_um: FloatArray,
                 output_range_um: tuple[float, float], reason: Infeasible,
                 watch: Watch | None = None) -> UnreachableReference:
-    """Make the refusal that names the largest feasible amplitude, found by bisection.
+    """Return the error with the largest feasible amplitude, which is found by bisection.
 
     Parameters
     ----------
     plan : callable
-        ``plan(centre_um, scale)`` plans the reference scaled about a centre; raises `Infeasible`.
+        ``plan(centre_um, scale)`` plans the reference scaled about a centre, and raises
+        `Infeasible`.
     reference_um : ndarray
-        The reference, or as much of it as shows its mean and its extremes.
+        The reference, or a part of it with its mean and its extremes.
     output_range_um : tuple of float
-        Of the hysteresis.
+        Range of the hysteresis' output (um).
     watch : callable, optional
-        Called now and then with the part that is done; may raise.
+        Called from time to time with the fraction done; may raise.
     """
     mean_um, travel_um = reference_um.mean(), np.ptp(reference_um)
     watch = watch or (lambda fraction: None)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Voltage for a reference that is made while the stage plays, computed as soon as it is known."""
+"""Voltage for a reference that is published during the run, computed as soon as it is known."""
 
 import math
 from collections.abc import Callable
@@ -19,25 +19,25 @@ from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 
 DELAY_SAMPLES = 800
-"""What is loaded ahead of the stage, at 40 kHz the 20 ms that messages may take at worst."""
+"""Samples loaded ahead of the stage: at 40 kHz the 20 ms that messages may take at worst."""
 
 HOLD_BELOW_SAMPLES = 400
-"""With less ahead, what is not known is held. A stage in lockstep waits with still less ahead."""
+"""With fewer samples ahead, the last value is held. A stage in lockstep waits with still fewer."""
 
 HELD_AT_ONCE_SAMPLES = 40
 RANGE_MARGIN = 0.02
-"""This part of the travel is kept at both ends for the dynamics and for creep."""
+"""Part of the travel that is reserved at both ends for the dynamics and for creep."""
 
 
 class DeclaredRange:
-    """The values that a publisher may give: an amplitude, and a centre where one is declared.
+    """The range of values that a publisher may give: an amplitude, and optionally a centre.
 
     Parameters
     ----------
     centre_um : float
-        0 if the values tell by themselves about what they lie.
+        Declared centre (um); 0 if it is to be determined from the values.
     amplitude_um : float
-        From peak to peak.
+        Peak-to-peak amplitude.
     """
 
     def __init__(self, centre_um: float, amplitude_um: float) -> None:
@@ -47,7 +47,7 @@ class DeclaredRange:
         self._lowest_um, self._highest_um = centre_um - half_um, centre_um + half_um
 
     def check(self, values_um: FloatArray) -> None:
-        """Raise `InvalidReference` for values outside; those before count, too."""
+        """Raise `InvalidReference` if these values, or these and earlier ones, exceed the range."""
         if not values_um.size:
             return
         lowest_um, highest_um = float(values_um.min()), float(values_um.max())
@@ -60,34 +60,34 @@ class DeclaredRange:
 
 
 class LivePlan:
-    """Follow what comes, a constant time after it was published: a `TrackingPlan`.
+    """Follow published values with a constant delay: a `TrackingPlan`.
 
-    What is not known in time is held. Speed, acceleration and range are bounded, and nothing jumps
-    at the beginning: see `BoundedMotion`.
+    If no value comes in time, the last one is held. Speed, acceleration and range are bounded, and
+    there is no jump at the beginning: see `BoundedMotion`.
 
     Parameters
     ----------
     live : LiveReference
-        In which a value has come.
+        Published values, of which at least one has come.
     band_hz, amplitude_um : float
-        Of what is published, see `BoundedMotion`.
+        Band and amplitude of the published values, see `BoundedMotion`.
     run_samples : int
-        How much of the reference is followed.
+        Duration for which the reference is followed.
     centre_um : float
-        See `DeclaredRange`.
+        Centre of the published values, see `DeclaredRange`.
 
     Attributes
     ----------
     held_samples, clipped_samples, skipped : int
-        Samples that were held, and that were clipped to the reachable range; how often values were
-        left out because the publisher was faster than the stage.
+        Number of samples that were held, and that were clipped to the reachable range; number of
+        times that values were skipped because the publisher was faster than the stage.
 
     Raises
     ------
     Infeasible
-        The amplifier does not reach the first value.
+        If the amplifier does not reach the first value.
     InvalidReference
-        The first value is not within what was declared.
+        If the first value is not within the declared range.
     """
 
     streamed, open_ended = True, False
@@ -129,23 +129,23 @@ class LivePlan:
 
     @property
     def feedback_start_sample(self) -> int:
-        """Tell where feedback may begin."""
+        """Return the sample from which on feedback may act."""
         return len(self.once_voltage_v)
 
     @property
     def delay_samples(self) -> int:
-        """Return how long after it is published a value is reached, messages apart."""
+        """Return the delay from publishing a value to reaching it, without the time of messages."""
         return self._ahead_samples + self._inverse.preview.preview_samples - \
             self._live.preview_samples
 
     @property
     def _ahead_samples(self) -> int:
-        # Two messages: one that waits, while the other is played.
+        # Room for two messages: one waits while the other is played.
         return DELAY_SAMPLES + 2 * self._live.longest_samples
 
     @property
     def note(self) -> str:
-        """Return what to tell of the run; see `degraded`."""
+        """Return a note on the delay and the first moments of the run; see `degraded`."""
         delay_ms = 1e3 * self.delay_samples * self._limits.sample_period_s
         first = self._described(self._of_first_moments)
         return f"followed the reference {delay_ms:.3g} ms after it was published" + (
@@ -153,13 +153,13 @@ class LivePlan:
 
     @property
     def degraded(self) -> str:
-        """Return how the run departed from what was published, behind its first moments."""
+        """Return how the run departed from the published values after its first moments."""
         departed = self._described(self._departures - self._of_first_moments)
         return "; ".join(filter(None, (self._beyond, departed)))
 
     @property
     def _departures(self) -> IntArray:
-        """Count what `_described` tells."""
+        """Return the counts that `_described` describes."""
         return np.array([self.held_samples, self.clipped_samples, self._motion.far_samples,
                          self._live.bridged_samples, self.skipped])
 
@@ -190,11 +190,11 @@ class LivePlan:
         self._played += len(displacement_um)
 
     def continuation(self) -> Callable[[], FloatArray | None]:
-        """Return what gives the next voltages, None until they are due and known."""
+        """Return a function that gives the next voltages; None until they are due and known."""
         return self._next_voltages
 
     def _compile(self) -> None:
-        """Let everything that is compiled be so before the stage moves."""
+        """Compile all functions before the stage moves."""
         trial = self._inverse.copy()
         trial.before_linear(np.full(1, self._value_um))
         self._hysteresis.invert(np.full(1, self._value_um), trial.hysteresis)
@@ -222,9 +222,9 @@ class LivePlan:
         return voltage_v
 
     def _values(self, due: int, must: bool) -> FloatArray:
-        """Return values to follow next, those before where there must be some."""
+        """Return the next values to follow; the last one is repeated if some are needed."""
         if not self._following:
-            # What came on the way to the beginning is past.
+            # Values that came during the approach are obsolete.
             self._live.keep_newest(due)
             self._following = True
         values_um = self._live.give(due)
@@ -238,14 +238,14 @@ class LivePlan:
             self._live.keep_newest(self._live.longest_samples)
             self.skipped += 1
         if not values_um.size and must and self._live.silent:
-            # Who is only late is waited for tick by tick; one tick costs a call of the stage.
+            # A late publisher is waited for tick by tick; each tick costs one call of the stage.
             most = due if self._live.patience_s else HELD_AT_ONCE_SAMPLES
             values_um = np.full(min(due, most), self._value_um)
             self.held_samples += values_um.size
         return values_um
 
     def _voltages(self, values_um: FloatArray) -> FloatArray:
-        """Return the voltages for the next values, a margin earlier."""
+        """Return the voltages for the next values, shifted by the margin of the inverse."""
         hysteresis_um = self._inverse.before_linear(self._move(values_um))
         voltage_v = self._hysteresis.invert(
             np.clip(hysteresis_um, *self._hysteresis_range_um), self._inverse.hysteresis)
@@ -254,7 +254,7 @@ class LivePlan:
         return voltage_v
 
     def _move(self, values_um: FloatArray) -> FloatArray:
-        """Return the displacements to expect for the next values, and keep them."""
+        """Store and return the displacements to expect for the next values."""
         within_um = np.clip(values_um, *self.range_um)
         self.clipped_samples += int(np.count_nonzero(within_um != values_um))
         self._value_um = float(within_um[-1]) if within_um.size else self._value_um
@@ -264,7 +264,7 @@ class LivePlan:
 
 
 class _Recent:
-    """Displacements sample by sample, of which those that were asked for are forgotten."""
+    """A sequence of displacements that drops those that have been read."""
 
     def __init__(self, displacement_um: FloatArray) -> None:
         self._first, self._pieces = 0, [displacement_um]
@@ -290,25 +290,25 @@ def plan_live(live: LiveReference, band_hz: float, amplitude_um: float, run_samp
               voltage_range_v: tuple[float, float] = (-20.0, 120.0),
               slew_limit_v_per_s: float = 2e6, sample_period_s: float = 25e-6,
               start_voltage_v: float = 0.0) -> LivePlan:
-    """Plan to follow what is published; see `LivePlan`.
+    """Plan to follow a published reference; see `LivePlan`.
 
     Parameters
     ----------
     live : LiveReference
-        In which a value has come.
+        Published values, of which at least one has come.
     band_hz, amplitude_um : float
-        Highest frequency and peak-to-peak amplitude of what is published.
+        Highest frequency and peak-to-peak amplitude of the published values.
     run_samples : int
-        How much of the reference is followed.
+        Duration for which the reference is followed.
     centre_um : float
-        Of what is published; 0 if it is not declared.
+        Centre of the published values; 0 if it is not declared.
 
     Raises
     ------
     UnreachableReference
-        The amplifier does not reach the first value.
+        If the amplifier does not reach the first value.
     ValueError
-        The model's range does not fit the amplifier's, or there is too little preview for the band.
+        If the model's range does not fit the amplifier's, or the preview is too short for the band.
     """
     check_amplifier_range(model.hysteresis, voltage_range_v, start_voltage_v)
     limits = StreamLimits(model.hysteresis.voltage_min_v, voltage_range_v[1], slew_limit_v_per_s,
@@ -325,5 +325,5 @@ def plan_live(live: LiveReference, band_hz: float, amplitude_um: float, run_samp
 
 
 def _within(hysteresis: PreisachModel, highest_v: float) -> tuple[float, float]:
-    """Return the outputs that no past keeps the amplifier from (um)."""
+    """Return the range of outputs (um) that the amplifier reaches whatever the past."""
     return hysteresis.output_range_um[0], float(hysteresis.simulate([highest_v])[-1])

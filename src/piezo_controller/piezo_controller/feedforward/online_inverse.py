@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The inverse of a whole model, that goes on from chunk to chunk with a bounded memory."""
+"""Inverse of a whole model that is computed chunk by chunk with bounded memory."""
 
 from dataclasses import dataclass, replace
 
@@ -14,22 +14,22 @@ from piezo_models.effects import Effect
 from piezo_models.hysteresis.preisach import PreisachMemory
 from piezo_models.linear.dynamics import continue_linear
 
-# What the compensation of an effect looks at before and after the samples it compensates.
+# Samples before and after a chunk that the compensation of an effect needs.
 EFFECT_MARGIN_SAMPLES = 80
 
 
 def compensated_effects(model: StageModel) -> tuple[Effect, ...]:
-    """Return the effects that a stream compensates, the last first."""
+    """Return the effects that a stream compensates, in reverse order."""
     return tuple(effect for place in ("sensor", "displacement")
                  for effect in reversed(model.effects_at(place)) if effect.follows_voltage)
 
 
 @dataclass
 class OnlineInverse:
-    """The inverse of a model with its memory: displacements in, voltages out.
+    """Inverse of a model, with its state: displacements in, voltages out.
 
-    The dynamics by a filter with preview, the slow creep by its causal inverse, the hysteresis by
-    its exact inverse; the states of all three go on from chunk to chunk.
+    The dynamics are inverted by a filter with preview, the slow creep by its causal inverse, and
+    the hysteresis exactly. The states of all three are carried from chunk to chunk.
     """
 
     model: StageModel
@@ -42,25 +42,25 @@ class OnlineInverse:
     window_um: FloatArray
 
     def copy(self) -> "OnlineInverse":
-        """Return the same inverse with a memory of its own."""
+        """Return a copy with an independent state."""
         return replace(self, hysteresis=self.hysteresis.copy())
 
     def look_ahead(self, displacement_um: FloatArray) -> None:
-        """Take the first displacements, before any voltage is known."""
+        """Take the first displacements, before any voltage can be computed."""
         self._before_dynamics(displacement_um)
 
     def continue_with(self, displacement_um: FloatArray) -> FloatArray:
-        """Compute the voltages for which the stage will have followed the next displacements.
+        """Return the voltages with which the stage follows the next displacements.
 
         Parameters
         ----------
         displacement_um : ndarray, shape (n,)
-            What the sensor is to measure: the next of the preview.
+            Displacement that the sensor is to measure, ahead of the voltages by the preview.
 
         Returns
         -------
         voltage_v : ndarray, shape (n,)
-            Of the samples a preview earlier.
+            Voltages of the samples earlier by the preview.
 
         Raises
         ------
@@ -72,9 +72,9 @@ class OnlineInverse:
         return hysteresis.invert(hysteresis_um, self.hysteresis)
 
     def before_linear(self, displacement_um: FloatArray) -> FloatArray:
-        """Return the output of the hysteresis for which the stage would have followed.
+        """Return the output of the hysteresis with which the stage follows the displacements.
 
-        Parameters and result are as those of `continue_with`.
+        Parameters and result correspond to those of `continue_with`.
         """
         hysteresis_um, self.creep_state = continue_linear(
             self.creep_inverse, self._before_dynamics(displacement_um), self.creep_state)
@@ -87,13 +87,13 @@ class OnlineInverse:
         return wanted_um
 
     def _before_effects(self, displacement_um: FloatArray) -> FloatArray:
-        """Return the displacement in front of the effects on it, a margin earlier."""
+        """Return the displacement without the effects on it, earlier by the margin."""
         effects = compensated_effects(self.model)
         if not effects:
             return displacement_um
         window_um = np.r_[self.window_um, displacement_um]
         self.window_um = window_um[-2 * EFFECT_MARGIN_SAMPLES:]
-        # Mirrored it is a period, which is what effects compensate.
+        # Mirrored, the window is a period, as the compensation requires.
         period_um = np.r_[window_um, window_um[::-1]]
         for effect in effects:
             try:

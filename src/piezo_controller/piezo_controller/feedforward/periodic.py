@@ -31,11 +31,11 @@ from piezo_models.linear.periodic_inversion import invert_linear_periodic
 MODES = ("open_loop", "feedforward")
 
 SETTLE_S = 0.1
-# Above it the stage passes too little for an inverse. The little that a reference holds there is
-# left out, as long as that costs less than `LEFT_OUT` (rms) of its travel.
+# Above this the stage responds too little for an inverse. The reference's content there is omitted
+# if that costs less than `LEFT_OUT` (rms) of its travel.
 BANDWIDTH_HZ = 2500.0
 LEFT_OUT = 0.01
-# What the compensation of an effect adds at reversals is cut off lower where it takes too much.
+# Lower cut-offs of what the compensation adds at reversals, tried when it demands too much voltage.
 COMPENSATION_BANDWIDTHS_HZ = BANDWIDTH_HZ, 1200.0, 600.0, 300.0
 NEGLIGIBLE_CONTENT = 1e-3
 CORRECTIONS = 2
@@ -48,14 +48,14 @@ class FeedforwardPlan:
     Attributes
     ----------
     once_voltage_v, reference_once_um : ndarray, shape (n,)
-        Played first: from the start voltage down to the model's lowest voltage, which wipes out
-        the hysteresis' past, up to the reference's centre, then fading the reference in.
+        Played first: from the start voltage down to the model's lowest voltage, which erases the
+        memory of the hysteresis, then up to the reference's centre, with the reference faded in.
     period_voltage_v, reference_period_um : ndarray, shape (m,)
-        Repeated from then on.
+        Repeated after that.
     feedback_start_sample : int
-        Where feedback may begin: before it the stage's past is not the model's.
+        Sample from which on feedback may act; before it the stage's past differs from the model's.
     uncompensated : tuple of str
-        Effects of the model that come from outside at times of their own, and stay in the error.
+        Effects of the model that have causes outside the stage, and remain in the error.
     """
 
     once_voltage_v: FloatArray
@@ -70,7 +70,7 @@ class FeedforwardPlan:
 
     @property
     def begin_sample(self) -> int:
-        """Return where the reference begins: what is played once has ended."""
+        """Return the sample at which the periodic part begins."""
         return len(self.once_voltage_v)
 
     def voltage_v(self, first_sample: int, count: int) -> FloatArray:
@@ -90,7 +90,7 @@ class FeedforwardPlan:
         return None
 
     def take(self, displacement_um: FloatArray) -> None:
-        """Ignore what was measured: the plan does not depend on it."""
+        """Ignore the measurement, as the plan does not depend on it."""
 
 
 def plan_feedforward(reference_um: ArrayLike, model: StageModel, mode: str = "feedforward", *,
@@ -101,28 +101,28 @@ def plan_feedforward(reference_um: ArrayLike, model: StageModel, mode: str = "fe
     """Plan the voltage that makes a model at rest follow a periodic reference.
 
     The linear dynamics are inverted harmonic by harmonic on the sampled model (4.22), the
-    hysteresis exactly and with its memory. Creep does not end within a run: the mean is chosen
+    hysteresis exactly and with its memory. Creep continues throughout a run: the mean is chosen
     such that the displacement has the reference's mean over `duration_s`. Further effects of the
-    model are compensated at their places, so that it is what the sensor measures that follows.
+    model are compensated where they act, so that the measured displacement follows the reference.
 
     Parameters
     ----------
     reference_um : ndarray, shape (m,)
         One period of the displacement.
     mode : str
-        ``feedforward``; or ``open_loop``, which knows no more than the gain of the whole range
-        and the mean, and compensates nothing.
+        ``feedforward``; or ``open_loop``, which uses only the gain over the whole range and the
+        mean, and compensates nothing.
     duration_s : float
-        How long the periodic part is to be played (s).
+        Duration of the periodic part (s).
     watch : callable, optional
-        Called now and then with the part that is done; may raise.
+        Called from time to time with the fraction done; may raise.
 
     Raises
     ------
     UnreachableReference
-        The voltage would leave the range or exceed the slew limit; names what is reachable.
+        If the voltage would leave the range or exceed the slew limit; names what is reachable.
     ValueError
-        The model's range does not fit the amplifier's, or `mode` is unknown.
+        If the model's range does not fit the amplifier's, or `mode` is unknown.
     """
     reference_um = np.asarray(reference_um, dtype=float)
     planner = FeedforwardPlanner(
@@ -165,7 +165,7 @@ class FeedforwardPlanner:
         self.sampled = zoh(self.linear, sample_period_s)
 
         ramp, fade = self._aligned(RAMP_S), self._aligned(FADE_S)
-        # The hysteresis repeats itself once a whole period has been played.
+        # The hysteresis is periodic after one whole period.
         settle = self._aligned(max(SETTLE_S, period * sample_period_s))
         self.ramp = minimum_jerk(ramp)
         self.fade_start = 2 * ramp
@@ -188,9 +188,9 @@ class FeedforwardPlanner:
 
     def plan(self, reference_um: FloatArray,
              correction_um: FloatArray | float = 0.0) -> FeedforwardPlan:
-        """Plan one reference; raise `Infeasible`.
+        """Plan one reference; raise `Infeasible` if that is impossible.
 
-        A correction is played on top of the reference, but not expected.
+        A correction is added to the played reference, but not to the expected displacement.
         """
         for target_um in self._behind_linear(reference_um):
             try:
@@ -200,7 +200,7 @@ class FeedforwardPlanner:
         raise reason
 
     def _plan_target(self, target_um: FloatArray, reference_um: FloatArray) -> FeedforwardPlan:
-        """Make the plan for which the linear part's output is the target, period by period."""
+        """Return the plan for which the output of the linear part is the target."""
         mean_um = target_um.mean()
         wave = self._wave(target_um - mean_um, bandwidth_hz(reference_um, self.sample_period_s))
         level, level_gain = mean_um, self._mean_over_run_um(
@@ -220,9 +220,9 @@ class FeedforwardPlanner:
                                reference_um.copy(), self.fade_start, self.uncompensated)
 
     def _behind_linear(self, reference_um: FloatArray) -> list[FloatArray]:
-        """Return periods of the linear part's output for which the sensor measures the reference.
+        """Return candidate periods of the linear part's output for which the sensor measures it.
 
-        The best first; the further ones take less of the amplifier.
+        The best comes first; the others need less of the amplifier.
         """
         effects = self.model.effects_at("displacement") + self.model.effects_at("sensor")
         if self.mode == "open_loop" or not effects:
@@ -238,7 +238,7 @@ class FeedforwardPlanner:
                 if cut_hz >= min(highest_hz, BANDWIDTH_HZ)]
 
     def _compensated(self, wanted: FloatArray, places: tuple[str, ...]) -> FloatArray:
-        """Return the period in front of the effects at places for one behind them."""
+        """Return the period before the effects at some places, given the one after them."""
         for effect in (effect for place in places
                        for effect in reversed(self.model.effects_at(place))):
             try:
@@ -248,7 +248,7 @@ class FeedforwardPlanner:
         return wanted
 
     def _wave(self, alternating_um: FloatArray, highest_hz: float) -> FloatArray:
-        """Return a period of what drives the reference without its mean: um, or V in open loop."""
+        """Return a period of the input without its mean: in um, or in V for open loop."""
         if self.mode == "open_loop":
             return alternating_um / self.gain_um_per_v
         harmonics = np.fft.rfft(alternating_um)
@@ -258,7 +258,7 @@ class FeedforwardPlanner:
         return invert_linear_periodic(within_um, self.linear, self.sample_period_s)
 
     def _play(self, level: float, wave: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return voltage, and the model's hysteresis output, of the once part and one period."""
+        """Return voltage and hysteresis output of the part played once and of one period."""
         lowest_v = self.hysteresis.voltage_min_v
         target = level + self.fade * wave[self.fade_phase]
         if self.mode == "open_loop":
@@ -288,13 +288,13 @@ class FeedforwardPlanner:
             hysteresis_um - self.rest_hysteresis_um)
 
     def _mean_over_run_um(self, deviation_um: ArrayLike) -> float:
-        """Return the mean deviation of the displacement in the repeated part for a hysteresis."""
+        """Return the mean deviation of the displacement over the repeated part."""
         deviation_um = np.asarray(deviation_um, dtype=float)
         return mean_over_repeats(self.sampled, deviation_um[:self.once],
                                  deviation_um[self.once:], self.periods)
 
     def _expected_once_um(self, hysteresis_um: FloatArray, reference_um: FloatArray) -> FloatArray:
-        """Return what the model measures in the once part, led over to the reference by its end."""
+        """Return the modelled measurement of the part played once, blended into the reference."""
         deviation_um = hysteresis_um[:self.once] - self.rest_hysteresis_um
         expected_um = self.model.sensed(
             self.rest_displacement_um + simulate_linear(self.sampled, deviation_um),
@@ -316,13 +316,13 @@ def bandwidth_hz(reference_um: FloatArray, sample_period_s: float) -> float:
     Returns
     -------
     float
-        `BANDWIDTH_HZ`, or more where what the period holds above it exceeds `LEFT_OUT`.
+        `BANDWIDTH_HZ`, or more if the content above it exceeds `LEFT_OUT`.
     """
     harmonics_um = np.abs(np.fft.rfft(reference_um)) / reference_um.size
     harmonics_um[1:(reference_um.size + 1) // 2] *= np.sqrt(2)  # those that have a conjugate
     above_um = np.sqrt(np.cumsum(harmonics_um[::-1] ** 2)[::-1])  # by Parseval
     frequency_hz = np.fft.rfftfreq(reference_um.size, sample_period_s)
-    # No error of rounding counts, as of a reference that stands still.
+    # Rounding errors do not count, as for a constant reference.
     allowed_um = max(LEFT_OUT * np.ptp(reference_um), 1e-9 * np.abs(reference_um).max())
     needed_hz = frequency_hz[1:][above_um[1:] > allowed_um]
     return max(BANDWIDTH_HZ, needed_hz.max(initial=0.0))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Inverses of the electric and vibration dynamics that need no more than a short preview.
+"""Inverses of the electric and vibration dynamics with a short preview.
 
-The sampled dynamics have zeros outside the unit circle, so that no causal inverse is stable
-(thesis 6.2 asks for one online). Each of these knows the next samples of the reference, and is a
+The sampled dynamics have zeros outside the unit circle, so no causal inverse is stable (thesis
+6.2 suggests an online inverse). Each inverse here uses the next samples of the reference, and is a
 filter ``sum_k a[k] v[n - k] = sum_k b[k] r[n + preview - k]`` with a stable denominator.
 """
 
@@ -21,31 +21,31 @@ METHODS = ("least_squares", "zero_phase", "derivatives")
 
 PREVIEW_SAMPLES = 20
 BANDWIDTH_HZ = 2500.0
-# Weight of the taps in the least squares: bounds what the filter makes of noise.
+# Weight of the taps in the least squares; it limits the amplification of noise.
 TAP_WEIGHT = 1e-6
 GRID = 400
-# Of the polynomial through the samples around one; its slope and curvatures are the derivatives.
+# Degree of the polynomial through nearby samples, from which the derivatives are computed.
 POLYNOMIAL_DEGREE = 9
-# Of an inverse that predicts: how far it looks back, and the weight of its taps, which bounds what
-# it makes of what lies beyond the band.
+# For an inverse that predicts: length of its past, and weight of its taps, which limits the
+# amplification beyond the band.
 MEMORY_S = 4e-3
 PREDICTION_WEIGHT = 1e-3
 MOST_LEFT = 0.3
 # Zeros closer to the unit circle than this would ring for long if they were cancelled.
 LARGEST_CANCELLED_ZERO = 0.8
-# Newton's steps double the digits: one takes eight to all, the second confirms them.
+# Newton's method doubles the digits: one step reaches all of them, the second confirms it.
 ZERO_REFINEMENTS = 2
 
 
 @dataclass(frozen=True, eq=False)
 class PreviewInverse:
-    """A filter from reference to the input of the dynamics.
+    """A filter from the reference to the input of the dynamics.
 
     Attributes
     ----------
     numerator, denominator : ndarray
     preview_samples : int
-        How far ahead of the sample that it gives it looks.
+        Samples of the reference that it needs beyond the sample of its output.
     """
 
     numerator: FloatArray
@@ -53,13 +53,13 @@ class PreviewInverse:
     preview_samples: int
 
     def response(self, frequency_hz: ArrayLike, sample_period_s: float) -> ComplexArray:
-        """Return the complex response, the preview counted as an advance."""
+        """Return the complex response, with the preview counted as an advance."""
         z: ComplexArray = np.exp(2j * np.pi * np.asarray(frequency_hz) * sample_period_s)
         return (z**self.preview_samples * np.polyval(self.numerator[::-1], 1 / z)
                 / np.polyval(self.denominator[::-1], 1 / z))
 
     def state(self, rest: float) -> FloatArray:
-        """Return the memory of the filter after a long rest at a level of the reference."""
+        """Return the state of the filter after a long rest at a level of the reference."""
         return rest * lfilter_zi(self.numerator, self.denominator)
 
     def apply(self, reference: FloatArray, state: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -68,7 +68,7 @@ class PreviewInverse:
         Parameters
         ----------
         reference : ndarray, shape (N,)
-            From `preview_samples` after the first sample of the result on.
+            Samples from `preview_samples` after the first sample of the result on.
 
         Returns
         -------
@@ -81,7 +81,7 @@ class PreviewInverse:
 def preview_inverse(system: control.StateSpace, sample_period_s: float,
                     method: str = "least_squares",
                     preview_samples: int = PREVIEW_SAMPLES) -> PreviewInverse:
-    """Design an inverse of continuous dynamics behind a hold.
+    """Design an inverse of continuous dynamics with a hold at the input.
 
     Parameters
     ----------
@@ -89,16 +89,16 @@ def preview_inverse(system: control.StateSpace, sample_period_s: float,
         Continuous, strictly proper, without creep.
     method : str
         ``least_squares``: a finite filter that fits the inverse up to `BANDWIDTH_HZ`.
-        ``zero_phase``: zero phase error tracking (Tomizuka), whose gain error is removed by as many
-        powers of its series as the preview allows (extended bandwidth).
-        ``derivatives``: the polynomial in s of the inverse on the derivatives of the polynomial
-        that fits the samples around best; these average noise (Savitzky and Golay), for measured
-        or operator-given references. Half a sample of advance makes up for the hold.
+        ``zero_phase``: zero phase error tracking (Tomizuka), whose gain error is reduced by as many
+        terms of its series as the preview allows (extended bandwidth).
+        ``derivatives``: the polynomial in s of the inverse, applied to the derivatives of a
+        polynomial that is fitted to nearby samples (Savitzky and Golay). It averages the noise of
+        measured or manually given references. Half a sample of advance compensates the hold.
 
     Raises
     ------
     ValueError
-        The method is unknown or does not fit these dynamics or this preview.
+        If the method is unknown, or does not suit these dynamics or this preview.
     """
     if method not in METHODS:
         raise ValueError(f'unknown inversion {method!r}: use one of {", ".join(METHODS)}')
@@ -116,7 +116,7 @@ def _least_squares(system: control.StateSpace, sample_period_s: float,
 
 def _fitted_taps(system: control.StateSpace, sample_period_s: float, lag: NDArray[np.int64],
                  band_hz: float, tap_weight: float) -> FloatArray:
-    """Return the taps at some lags that fit the inverse best up to a frequency."""
+    """Return the taps at given lags with the best fit of the inverse up to a frequency."""
     frequency_hz = np.linspace(0.0, band_hz, GRID)
     response = zoh_response(system, frequency_hz, sample_period_s)
     turns = np.exp(-2j * np.pi * sample_period_s * np.outer(frequency_hz, lag))
@@ -132,21 +132,22 @@ def short_preview_inverse(system: control.StateSpace, sample_period_s: float,
                           preview_samples: int, band_hz: float) -> PreviewInverse:
     """Design an inverse for a reference that is known for less than `PREVIEW_SAMPLES`.
 
-    A finite filter that looks back as well: within a band the past tells what comes next.
+    It is a finite filter that also uses past samples, from which a band-limited signal is
+    predicted.
 
     Parameters
     ----------
     system : control.StateSpace
         Continuous, strictly proper, without creep.
     preview_samples : int
-        With `PREVIEW_SAMPLES` or more it is that of `preview_inverse`, whatever the band.
+        Preview; from `PREVIEW_SAMPLES` on the result is that of `preview_inverse` for any band.
     band_hz : float
         Highest frequency of the reference.
 
     Raises
     ------
     ValueError
-        Most of what lies at the end of the band would be left.
+        If the error at the end of the band exceeds `MOST_LEFT`.
     """
     if preview_samples >= PREVIEW_SAMPLES:
         return preview_inverse(system, sample_period_s)
@@ -170,9 +171,9 @@ def _zero_phase(system: control.StateSpace, sample_period_s: float,
     kept = zeros[np.abs(zeros) > LARGEST_CANCELLED_ZERO]
     cancelled = zeros[np.abs(zeros) <= LARGEST_CANCELLED_ZERO]
     uncancelled = np.real(np.poly(kept)) / np.real(np.prod(1 - kept))  # in falling powers of z
-    # B(z) B(1/z): symmetric, of size one at rest.
+    # B(z) B(1/z) is symmetric, with gain 1 at rest.
     zero_phase = np.convolve(uncancelled, uncancelled[::-1])
-    # 1 / x as the series of (1 - x)^k.
+    # 1 / x is expanded in powers of 1 - x.
     rest = -zero_phase
     rest[len(kept)] += 1.0
     relative_degree = poles.size - zeros.size
@@ -192,7 +193,7 @@ def _zero_phase(system: control.StateSpace, sample_period_s: float,
 
 
 def _exact_zeros(system: control.StateSpace) -> ComplexArray:
-    """Refine the zeros to the last digits, because the series multiplies what is left of them."""
+    """Refine the zeros to full accuracy, because the series amplifies their errors."""
     zeros = control.zeros(system).astype(complex)
     identity = np.eye(system.nstates)
     for _ in range(ZERO_REFINEMENTS):
@@ -219,7 +220,8 @@ def _derivatives(system: control.StateSpace, sample_period_s: float,
     if poles.size > degree:
         raise ValueError(f"a preview of {preview_samples} samples gives no derivative of order "
                          f"{poles.size}: take more")
-    # With time in half windows both the polynomial of the inverse and the fit are of order one.
+    # With time in half windows, the inverse's polynomial and the fit have coefficients of order
+    # one.
     half_window_s = preview_samples * sample_period_s
     inverse = np.real(np.poly(poles * half_window_s))[::-1]
     at_half_sample = 0.5 / preview_samples
@@ -232,13 +234,13 @@ def _derivatives(system: control.StateSpace, sample_period_s: float,
 
 
 def _projection_taps(half_window: int, degree: int, functional: FloatArray) -> FloatArray:
-    """Return the taps of a linear functional of the polynomial that fits a window best.
+    """Return the taps of a linear functional of the best polynomial fit to a window.
 
     Parameters
     ----------
     functional : ndarray, shape (degree + 1,)
-        Its value for each Legendre polynomial on the window. In powers of time the same least
-        squares have a condition of 1e12, and what is left of the taps depends on the processor.
+        Value of the functional for each Legendre polynomial on the window. With powers of time
+        the condition of the least squares is 1e12, and the taps depend on the processor.
 
     Returns
     -------

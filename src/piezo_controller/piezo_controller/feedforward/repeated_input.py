@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The mean output of a linear system whose input repeats itself, without playing every period."""
+"""Mean output of a linear system with a repeated input, without simulating every period."""
 
 import control
 import numpy as np
@@ -9,27 +9,27 @@ from piezo_models.linear.dynamics import continue_linear
 
 def mean_over_repeats(system: control.StateSpace, once: np.ndarray, period: np.ndarray,
                       repeats: int) -> float:
-    """Return the mean output while an input is repeated, after one that is played once.
+    """Return the mean output while an input is repeated, after another input is played once.
 
-    The states at the beginnings of the periods, and the sum of the outputs so far, go from one
-    period to the next by one affine map; a power of its matrix is all of the periods.
+    The state at the beginning of a period and the sum of the outputs so far follow from those of
+    the previous period by an affine map; a power of its matrix covers all periods.
 
     Parameters
     ----------
     system : control.StateSpace
-        Discrete, one input and one output, n states; it begins with all of them zero.
+        Discrete, with one input, one output and n states, all of which are initially zero.
     once : ndarray, shape (N,)
     period : ndarray, shape (m,)
 
     Returns
     -------
     float
-        Of ``repeats * m`` samples.
+        Mean over ``repeats * m`` samples.
     """
     n = system.nstates
     _, first_state = continue_linear(system, once, np.zeros(n))
     output, driven = continue_linear(system, period, np.zeros(n))
-    # Of the state at a period's beginning, on that at its end and on the sum of its outputs.
+    # Map from the state at a period's beginning to that at its end and to the sum of its outputs.
     free = np.linalg.matrix_power(
         np.block([[system.A, np.zeros((n, 1))], [system.C, np.ones((1, 1))]]), len(period))
     step = np.zeros((n + 2, n + 2))

@@ -49,35 +49,35 @@ from piezo_models.linear.dynamics import continue_linear, equilibrium_state, zoh
 REST_S = 0.02
 APPROACH_S = 0.15
 CHUNK_SAMPLES = 4000
-# As long as the longest period: of what repeats itself as fast all is checked before the run.
+# As long as the longest period, so that fast periodic references are checked completely.
 CHECKED_S = 20.0
 BAND_CHECK_SAMPLES, BAND_CHECKS = 8192, 4
 
 InverseDesign = Callable[[control.StateSpace, float], PreviewInverse]
-"""Makes the inverse of fast dynamics at a sample period (s)."""
+"""Designs the inverse of fast dynamics for a sample period (s)."""
 
 
 @dataclass(frozen=True, eq=False)
 class StreamPlan:
-    """What to play first, and what gives the voltages of the reference: a `TrackingPlan`.
+    """Voltages of the approach, and the source of those of the reference: a `TrackingPlan`.
 
     Attributes
     ----------
     once_voltage_v : ndarray, shape (n,)
-        Down to the model's lowest voltage, which wipes out the hysteresis' past, and up to the
-        first value of the reference.
+        Down to the model's lowest voltage, which erases the memory of the hysteresis, and up to
+        the first value of the reference.
     expected : Trajectory
         Displacement to expect, from the run's first sample on.
     samples : int
-        Of the reference that are played.
+        Number of samples of the reference that are played.
     begin_sample : int
-        Where the approach has ended and the reference begins.
+        Sample at which the approach ends and the reference begins.
     uncompensated : tuple of str
         Effects of the model that are not compensated.
     inverse : OnlineInverse
-        As it is when `once_voltage_v` has been played.
+        State of the inverse after `once_voltage_v`.
     margin_samples : int
-        How far ahead the inverse looks.
+        Samples of the reference that the inverse needs in advance.
     """
 
     once_voltage_v: FloatArray
@@ -100,7 +100,7 @@ class StreamPlan:
 
     @property
     def feedback_start_sample(self) -> int:
-        """Tell where feedback may begin."""
+        """Return the sample from which on feedback may act."""
         return len(self.once_voltage_v)
 
     def expected_um(self, first_sample: int, count: int) -> FloatArray:
@@ -110,27 +110,27 @@ class StreamPlan:
     def travel_um(self, samples: int) -> float:
         """Return the peak-to-peak displacement of the first samples of the reference (um).
 
-        Of a long one as far as a survey tells.
+        It is estimated by a survey if the reference is long.
         """
         return float(np.ptp(self.reference.survey(samples)))
 
     def continuation(self) -> Callable[[], FloatArray]:
-        """Return what gives the next of `chunks`, and at the end an empty array."""
+        """Return a function that gives the next of `chunks`, and at the end an empty array."""
         return partial(next, self.chunks(), np.empty(0))
 
     def take(self, displacement_um: FloatArray) -> None:
-        """Ignore what was measured: the plan does not depend on it."""
+        """Ignore the measurement, as the plan does not depend on it."""
 
     def chunks(self, chunk_samples: int = CHUNK_SAMPLES) -> Iterator[FloatArray]:
-        """Yield the voltages behind `once_voltage_v`, chunk by chunk.
+        """Yield the voltages after `once_voltage_v`, chunk by chunk.
 
-        A chunk is computed from the reference up to its end and the preview, no further; its time
-        and its memory do not depend on how long the stream has gone on.
+        A chunk depends only on the reference up to its end and the preview; computing time and
+        memory do not grow with the length of the stream.
 
         Raises
         ------
         UnreachableReference
-            Instead of a chunk that would leave the range or exceed the slew limit; names its time.
+            If a chunk would leave the range or exceed the slew limit; the message gives its time.
         """
         computed = self.feedback_start_sample
         try:
@@ -146,14 +146,14 @@ class StreamPlan:
                 math.nan) from None
 
     def check(self, end: int, watch: Watch) -> None:
-        """Compute the voltages up to a sample; raise `Infeasible` if one is beyond the limits."""
+        """Compute the voltages up to a sample; raise `Infeasible` if one exceeds the limits."""
         start = computed = self.feedback_start_sample
         for voltage_v in self._chunks(end, CHUNK_SAMPLES):
             computed += voltage_v.size
             watch((computed - start) / (end - start))
 
     def _chunks(self, end: int, chunk_samples: int) -> Iterator[FloatArray]:
-        """Yield the voltages up to a sample, each chunk within the limits."""
+        """Yield the voltages up to a sample, and check each chunk against the limits."""
         start, margin = self.feedback_start_sample, self.margin_samples
         inverse, last_v = self.inverse.copy(), self.once_voltage_v[-1:]
         inverse.look_ahead(self.expected_um(start, margin))
@@ -167,7 +167,7 @@ class StreamPlan:
 
 @dataclass(frozen=True)
 class StreamLimits:
-    """What the voltages of a stream must keep to."""
+    """Limits of the voltages of a stream."""
 
     lowest_v: float
     highest_v: float
@@ -175,7 +175,7 @@ class StreamLimits:
     sample_period_s: float
 
     def check(self, last_v: FloatArray, voltage_v: FloatArray) -> None:
-        """Raise `Infeasible` for voltages beyond the limits, behind those played last."""
+        """Raise `Infeasible` if voltages exceed the limits, given those played last."""
         check_range(voltage_v, self.lowest_v, self.highest_v, VOLTAGE)
         check_slew(np.r_[last_v, voltage_v], self.sample_period_s, self.slew_limit_v_per_s)
 
@@ -188,26 +188,26 @@ def plan_stream(reference: Trajectory, samples: int, model: StageModel,
                 watch: Watch | None = None) -> StreamPlan:
     """Plan the voltage that makes a model at rest follow any reference, with a short preview.
 
-    The first `CHECKED_S` are computed before, to know that they stay within the limits, and the
-    extremes of the whole are looked at; what comes later is checked chunk by chunk.
+    The first `CHECKED_S` are computed in advance to check the limits, and the extremes of the whole
+    reference are checked. The remainder is checked chunk by chunk.
 
     Parameters
     ----------
     reference : Trajectory
-        Displacement. `approach_samples` before its beginning it is faded in.
+        Displacement; it is faded in from `approach_samples` before its beginning.
     samples : int
-        How much of it is played.
+        Number of samples that are played.
     method : str
-        Of `preview_inverse`.
+        Method of `preview_inverse`.
     watch : callable, optional
-        Called now and then with the part that is done; may raise.
+        Called from time to time with the fraction done; may raise.
 
     Raises
     ------
     UnreachableReference
-        The voltage would leave the range or exceed the slew limit; names what is reachable.
+        If the voltage would leave the range or exceed the slew limit; names what is reachable.
     ValueError
-        The model's range does not fit the amplifier's, or `method` does not fit the model.
+        If the model's range does not fit the amplifier's, or `method` does not suit the model.
     """
     check_amplifier_range(model.hysteresis, voltage_range_v, start_voltage_v)
     limits = StreamLimits(model.hysteresis.voltage_min_v, voltage_range_v[1], slew_limit_v_per_s,
@@ -223,7 +223,7 @@ def plan_stream(reference: Trajectory, samples: int, model: StageModel,
 
 
 def approach_samples(sample_period_s: float = 25e-6) -> int:
-    """Count the samples of a reference before its beginning that `plan_stream` takes."""
+    """Return the number of samples before a reference's beginning that `plan_stream` uses."""
     return aligned_samples(APPROACH_S, sample_period_s)
 
 
@@ -232,7 +232,7 @@ class StreamPlanner:
 
     def __init__(self, model: StageModel, inverse_of: InverseDesign, limits: StreamLimits,
                  start_voltage_v: float, watch: Watch) -> None:
-        # A stream compensates what lies behind the hysteresis.
+        # A stream compensates the effects after the hysteresis.
         model = replace(model, effects=lag_behind_hysteresis(model.effects))
         self.model = model
         self.hysteresis = model.hysteresis
@@ -253,7 +253,7 @@ class StreamPlanner:
             if effect not in compensated and effect.place not in ("modes", "linear"))
 
     def plan(self, reference: Trajectory, samples: int) -> StreamPlan:
-        """Plan one reference; raise `Infeasible`."""
+        """Plan one reference; raise `Infeasible` if that is impossible."""
         approach = approach_samples(self.sample_period_s)
         once_v, slow_um, level_um, inverse = self.begin(reference.sample(-approach, 1)[0])
         expected = _FadedIn(slow_um, level_um, reference, approach,
@@ -268,10 +268,10 @@ class StreamPlanner:
         return plan
 
     def begin(self, first_um: float) -> tuple[FloatArray, FloatArray, float, OnlineInverse]:
-        """Plan the way to the first displacement; raise `Infeasible`.
+        """Plan the approach to the first displacement; raise `Infeasible` if that is impossible.
 
-        Return its voltages, the displacements of the slow part meanwhile, the displacement that the
-        sensor then measures, and the inverse that goes on from there.
+        Returns its voltages, the displacements of the slow part during it, the displacement that
+        the sensor then measures, and the inverse that continues from there.
         """
         once_v, memory, slow_um, slow_state = self._approach(first_um)
         rest_um = slow_um[-1]
@@ -283,7 +283,7 @@ class StreamPlanner:
 
     def refusal(self, reference: Trajectory, samples: int,
                 reason: Infeasible) -> UnreachableReference:
-        """Make the refusal of an infeasible reference."""
+        """Return the error for an infeasible reference."""
         checked = min(samples, round(CHECKED_S / self.sample_period_s))
 
         def scaled(centre_um: float, scale: float) -> StreamPlan:
@@ -293,7 +293,7 @@ class StreamPlanner:
             scaled, reference.survey(checked), self.hysteresis.output_range_um, reason)
 
     def _check_extremes(self, reference_um: FloatArray) -> None:
-        """Refuse displacements that no past of the hysteresis and no creep brings about."""
+        """Raise if displacements are out of reach for any past of hysteresis and creep."""
         if compensated_effects(self.model):
             return
         gains = np.array([1.0, float(np.real(self.slow(0.0)))])
@@ -301,7 +301,7 @@ class StreamPlanner:
         check_range(reference_um, reached_um.min(), reached_um.max(), DISPLACEMENT)
 
     def _check_band(self, reference: Trajectory, samples: int) -> None:
-        """Refuse a reference of which the inverse of the dynamics leaves too much."""
+        """Raise if the inverse of the dynamics has too large an error for a reference."""
         count = min(samples, BAND_CHECK_SAMPLES)
         reference_um = np.array([reference.sample(int(first), count)
                                  for first in np.linspace(0, samples - count, BAND_CHECKS)])
@@ -311,7 +311,7 @@ class StreamPlanner:
                       * zoh_response(self.fast, frequency_hz, self.sample_period_s))
         left_um = math.sqrt((left**2 * power_um2).sum() * frequency_hz[1])
         travel_um = np.ptp(reference_um)
-        # No error of rounding counts, as of a reference that stands still.
+        # Rounding errors do not count, as for a constant reference.
         if left_um > max(LEFT_OUT * travel_um, 1e-9 * np.abs(reference_um).max()):
             raise UnreachableReference(
                 f"the inverse with {self.preview.preview_samples} samples of preview leaves an "
@@ -320,10 +320,10 @@ class StreamPlanner:
 
     def _approach(self,
                   first_um: float) -> tuple[FloatArray, PreisachMemory, FloatArray, FloatArray]:
-        """Compute the voltages from rest down to the lowest and up to the first displacement.
+        """Return the voltages from rest down to the lowest and up to the first displacement.
 
-        Return with them what they leave: the memory of the hysteresis, and displacement and state
-        of the slow part.
+        They are followed by the state at their end: the memory of the hysteresis, and displacement
+        and state of the slow part.
         """
         lowest_v = self.hysteresis.voltage_min_v
         reachable_um = np.clip(first_um, *self.hysteresis.output_range_um)
@@ -341,7 +341,7 @@ class StreamPlanner:
 
 
 class _FadedIn(Trajectory):
-    """What a run displaces: its beginning, and then a reference that is faded in from a level."""
+    """Expected displacement of a run: its approach, and then a reference faded in from a level."""
 
     def __init__(self, once_um: FloatArray, level_um: float, reference: Trajectory, approach: int,
                  fade_samples: int) -> None:
@@ -349,7 +349,7 @@ class _FadedIn(Trajectory):
         self._approach, self._fade_samples = approach, fade_samples
 
     def sample(self, first: int, count: int) -> FloatArray:
-        """Do what `Trajectory` says."""
+        """See `Trajectory.sample`."""
         once_um = self._once_um[max(first, 0):max(first + count, 0)]
         at = first + once_um.size - self._once_um.size
         reference_um = self._reference.sample(at - self._approach, count - once_um.size)
@@ -359,22 +359,22 @@ class _FadedIn(Trajectory):
         return np.r_[once_um, reference_um]
 
     def survey(self, samples: int) -> FloatArray:
-        """Do what `Trajectory` says."""
+        """See `Trajectory.survey`."""
         return self._reference.survey(samples)
 
 
 class _Scaled(Trajectory):
-    """A trajectory, larger or smaller about a centre."""
+    """A trajectory that is scaled about a centre."""
 
     def __init__(self, trajectory: Trajectory, centre_um: float, scale: float) -> None:
         self._trajectory, self._centre_um, self._scale = trajectory, centre_um, scale
 
     def sample(self, first: int, count: int) -> FloatArray:
-        """Do what `Trajectory` says."""
+        """See `Trajectory.sample`."""
         return self._scaled(self._trajectory.sample(first, count))
 
     def survey(self, samples: int) -> FloatArray:
-        """Do what `Trajectory` says."""
+        """See `Trajectory.survey`."""
         return self._scaled(self._trajectory.survey(samples))
 
     def _scaled(self, displacement_um: FloatArray) -> FloatArray:
@@ -382,6 +382,6 @@ class _Scaled(Trajectory):
 
 
 def _inverse(system: control.StateSpace) -> control.StateSpace:
-    """Return inverse of a discrete system that passes its input on at once, in the same states."""
+    """Return the inverse, in the same states, of a discrete system with direct feedthrough."""
     a, b, c, d = system.A, system.B, system.C, system.D
     return control.ss(a - b @ c / d, b / d, -c / d, 1 / d, system.dt)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the slow feedback leaves of an error of the fast feedforward."""
+"""Effect of the slow feedback on a fast error of the feedforward."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,10 +13,10 @@ from piezo_models.linear.dynamics import zoh_response
 
 def fast_sensitivity(model: StageModel, controller: FeedbackController, frequency_hz: ArrayLike,
                      clock_period_s: float = 25e-6) -> ComplexArray:
-    """Return response from the displacement without feedback to that with it, at the sample clock.
+    """Return the response from the displacement without feedback to that with it.
 
-    The feedback sees the mean of a tick and answers with a held voltage: of what it answers, this
-    is the part at the frequency itself, not its images at other multiples of the tick.
+    The feedback sees the mean of a tick and answers with a held voltage. Only the part of its
+    answer at the frequency itself counts, not its images at other multiples of the tick.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def fast_sensitivity(model: StageModel, controller: FeedbackController, frequenc
     at_tick = np.exp(2j * np.pi * frequency_hz * tick_s)
     answer = controller.state_space()(at_tick, squeeze=False)[0, 0]
     loop = gain_um_per_v * plant(at_tick, squeeze=False)[0, 0] * answer
-    # Known in a tick is the mean of the one before; the answer is held over the one after.
+    # The mean of the previous tick is known in a tick; the answer is held over the next one.
     turns = np.exp(-2j * np.pi * clock_period_s * np.outer(frequency_hz, np.arange(samples)))
     mean = turns.conj().mean(axis=1) / at_tick
     held = turns.mean(axis=1) / at_tick

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What was learned of a reference: one versioned JSON document."""
+"""The file of a learned feedforward: one versioned JSON document."""
 
 import dataclasses
 import hashlib
@@ -20,17 +20,17 @@ from piezo_controller.references.kind import Reference
 FORMAT = "piezo_learned_feedforward"
 VERSION = 1
 MOST_FACTOR = 2.0
-"""Between the amplitudes of like references."""
+"""Largest factor between the amplitudes of similar references."""
 
 
 class LearnedFileError(ValueError):
-    """A file of a learned feedforward that cannot be used: says path and cure."""
+    """A file of a learned feedforward that cannot be used; the message gives path and cure."""
 
 
 class LearnedDocument(Document):
-    """The file of a learned feedforward: a correction, and what it was learned for."""
+    """The file of a learned feedforward: a correction, and the reference it was learned for."""
 
-    # Notes that a later release adds do not keep an older one from playing the correction.
+    # Entries that a later release adds must not keep an older one from playing the correction.
     model_config = ConfigDict(extra="ignore")
 
     TITLE: ClassVar[str] = "learned feedforward"
@@ -52,14 +52,14 @@ class LearnedDocument(Document):
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """A correction, and what it was learned for.
+    """A correction, and the conditions that it was learned for.
 
     Attributes
     ----------
     correction_um : (P,) array
-        One period of what is added to the reference before it is inverted.
+        One period of the correction, which is added to the reference before the inversion (um).
     error_rms_um : float
-        Of the harmonics that were learned, at its best.
+        Smallest rms error of the harmonics that were learned (um).
     """
 
     reference: Reference
@@ -71,13 +71,13 @@ class Learned:
 
 
 def learned_path(directory: str | Path, reference: Reference, model_sha256: str) -> Path:
-    """Tell where a directory keeps what was learned of a reference with a model."""
+    """Return the path in a directory for what was learned of a reference with a model."""
     key = json.dumps([_plain(reference), model_sha256], sort_keys=True)
     return Path(directory) / f"learned_{hashlib.sha256(key.encode()).hexdigest()[:16]}.json"
 
 
 def save_learned(path: str | Path, learned: Learned) -> None:
-    """Write the file at once, in place of one that is there."""
+    """Write the file atomically, replacing an existing one."""
     path = Path(path)
     document = {
         "format": FORMAT, "version": VERSION, "reference": _plain(learned.reference),
@@ -94,7 +94,7 @@ def save_learned(path: str | Path, learned: Learned) -> None:
 
 def load_correction(path: str | Path, reference: Reference, model_sha256: str,
                     sample_rate_hz: float) -> FloatArray:
-    """Read the correction of a file, which must have been learned for the same.
+    """Read the correction of a file that was learned for the same conditions.
 
     Returns
     -------
@@ -118,16 +118,16 @@ def load_correction(path: str | Path, reference: Reference, model_sha256: str,
 
 def find_like(directory: str | Path, reference: Reference, model_sha256: str,
               sample_rate_hz: float) -> tuple[Path, FloatArray] | None:
-    """Find what was learned of the like reference whose amplitude and centre are nearest.
+    """Find the file of the similar reference whose amplitude and centre are nearest.
 
-    Like are references that differ only in their centre and by one factor of all amplitudes: the
-    errors of a model grow about in proportion with the amplitude.
+    References are similar if they differ only in their centre and in a common factor of all
+    amplitudes: the errors of a model grow about in proportion to the amplitude.
 
     Returns
     -------
     path : Path
     correction_um : (P,) array
-        In proportion to the amplitude.
+        Correction, scaled with the amplitude.
     """
     found = []
     for path in sorted(Path(directory).glob("learned_*.json")):
@@ -147,9 +147,9 @@ def find_like(directory: str | Path, reference: Reference, model_sha256: str,
 
 
 def _likeness(reference: Reference, other: dict[str, Any]) -> tuple[float, float]:
-    """Return how much larger a reference is than another, and how far apart they are (um).
+    """Return the amplitude ratio of two references, and the distance of their centres (um).
 
-    The factor is zero if they are not alike.
+    The ratio is zero if they are not similar.
     """
     wanted = _plain(reference)
     differing = {name for name in wanted if wanted[name] != other.get(name)}
@@ -164,5 +164,5 @@ def _likeness(reference: Reference, other: dict[str, Any]) -> tuple[float, float
 
 
 def _plain(reference: Reference) -> dict[str, Any]:
-    """Return the reference as it looks after a way through JSON."""
+    """Return the reference as it reads after conversion to JSON and back."""
     return json.loads(json.dumps(dataclasses.asdict(reference)))

@@ -16,7 +16,7 @@ from piezo_controller.references.smooth_rise import minimum_jerk
 FADE_S = 0.01
 SETTLE_S = 0.04
 MEASURE_S = 0.05
-# Between the end of the measurement and that of what is loaded: what loading takes, paced.
+# Time from the end of the measurement to that of the loaded voltages, for loading when paced.
 SPARE_S = 0.1
 SPARE_AT_THE_END_S = 1.0
 HALVINGS = 6
@@ -25,33 +25,33 @@ HALVINGS = 6
 class LearningFeedforward:
     """Voltages of a learning run, part by part, and what to expect: a `TrackingPlan`.
 
-    Each part plays one iterate, faded in from the one before: it settles, is measured, and goes on
-    while the next is computed. The last part plays the best.
+    Each part plays one iterate, faded in from the previous one: it settles, is measured, and
+    continues while the next is computed. The last part plays the best one.
 
     Parameters
     ----------
     reference_um : (P,) array
-        One period.
+        One period of the reference.
     learner : PeriodicLearner
-        Of the same reference.
+        Learner of the same reference.
     iterations : int
-        At most.
+        Largest number of iterations.
     run_samples : int
-        How long to play the best.
+        Duration for which the best iterate is played.
 
     Attributes
     ----------
     begin_sample : int
-        Where the best has settled; the latest that is possible as long as it is not known.
+        Sample at which the best iterate has settled; the latest possible until it is known.
     iteration : int
-        The present one; 0 once the best is played.
+        Number of the present iteration; 0 once the best iterate is played.
     uncompensated : tuple of str
         Effects of the model that are not compensated.
 
     Raises
     ------
     UnreachableReference
-        The amplifier cannot follow half of the reference's amplitude by the model.
+        If the amplifier cannot follow half of the reference's amplitude according to the model.
     """
 
     streamed = open_ended = True
@@ -65,7 +65,7 @@ class LearningFeedforward:
         self._iterations = iterations
         self._run_samples = run_samples
         rate_hz = 1.0 / planner.sample_period_s
-        # Whole ticks and whole periods: the feedback repeats itself with both.
+        # Whole ticks and whole periods, as the feedback repeats with both.
         repeat = math.lcm(self._reference_um.size, samples_per_tick)
         self._fade = round(FADE_S * rate_hz)
         self._measure = max(2, math.ceil(MEASURE_S * rate_hz / repeat)) * repeat
@@ -87,7 +87,7 @@ class LearningFeedforward:
         self._left_samples: int | None = None
 
     def _plan_first(self) -> FeedforwardPlan:
-        """Plan the correction to begin with, or with as much of the reference as is in reach."""
+        """Plan with the initial correction, or with as much of the reference as is in reach."""
         alternating_um = self._reference_um - self._reference_um.mean()
         correction_um = self._learner.correction_um
         for step in range(HALVINGS):
@@ -111,7 +111,7 @@ class LearningFeedforward:
         return np.empty(0)
 
     def continuation(self) -> Callable[[], FloatArray | None]:
-        """Return the method that computes each next part."""
+        """Return the function that computes each next part."""
         return self.next_voltage_v
 
     def expected_um(self, first_sample: int, count: int) -> FloatArray:
@@ -131,12 +131,12 @@ class LearningFeedforward:
                 displacement_um[max(window[0] - first, 0):window[1] - first]))
 
     def next_voltage_v(self) -> FloatArray | None:
-        """Compute the next voltages behind `once_voltage_v`.
+        """Return the next voltages after `once_voltage_v`.
 
         Returns
         -------
         ndarray or None
-            Empty at the end; None while what they depend on is not measured.
+            Empty at the end; None while the measurement that they depend on is incomplete.
         """
         if self._left_samples is not None:
             return self._go_on(self._left_samples)
@@ -159,7 +159,7 @@ class LearningFeedforward:
         return self._load(self._part, voltage_v)
 
     def _go_on(self, left_samples: int) -> FloatArray:
-        """Load some more of the best."""
+        """Return further voltages of the best iterate."""
         count = min(left_samples, self._part)
         self._left_samples = left_samples - count
         return self._load(count, self._period_v)
@@ -179,7 +179,7 @@ class LearningFeedforward:
         return self._period_v
 
     def _load(self, count: int, period_v: FloatArray) -> FloatArray:
-        """Return the next voltages, faded over from the last period to a new one."""
+        """Return the next voltages, with a fade from the last period to a new one."""
         phase = np.arange(self._loaded, self._loaded + count) - self._expected_plan.begin_sample
         phase %= period_v.size
         voltage_v = period_v[phase]

@@ -2,9 +2,9 @@
 """Learn the feedforward of a periodic reference from its own errors.
 
 The correction is a Fourier series that is added to the reference before it is inverted. An
-iteration plays some periods, takes their mean error apart into harmonics, and changes each of them
-by the error over the response that is expected of it (iterative learning); what a change has
-brought about corrects that response (adaptive Fourier coefficients).
+iteration plays some periods, decomposes their mean error into harmonics, and changes each harmonic
+by the error divided by the expected response (iterative learning). The observed effect of a change
+then corrects that response (adaptive Fourier coefficients).
 """
 
 from collections.abc import Callable
@@ -17,21 +17,21 @@ from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
 from piezo_controller.feedforward.periodic import BANDWIDTH_HZ
 
 GAIN = 1.0
-# With less than this over the noise of the mean there is nothing to learn.
+# Ratio of the error to the noise of its mean below which the learning ends.
 FLOOR_RATIO = 1.5
-# An error that grew by this is none of the noise.
+# Factors by which an error grows that are not due to noise.
 GROWTH, DIVERGED_RATIO = 1.5, 3.0
 DIVERGENCES = 2
-# Iterations without an error lower by a twentieth.
+# The learning ends after so many iterations in which the error does not fall by a twentieth.
 PATIENCE = 3
 IMPROVEMENT = 0.95
-# How wrong the expected response may be, how far it may change in an iteration, and what part of
-# the largest harmonic's change the hysteresis may add to the others.
+# Relative errors of the expected response, its change per iteration, and the part of the largest
+# harmonic's change that the hysteresis may add to the others.
 RESPONSE_UNCERTAINTY = 0.3
 RESPONSE_DRIFT = 0.03
 COUPLING = 0.1
-# Noise of a harmonic that would take more than this part of the reference's drive is left alone:
-# near the reversals the hysteresis turns such ripples into errors of their own.
+# Harmonics whose noise would take more than this part of the reference's drive are not corrected:
+# near the reversals the hysteresis turns such ripples into further errors.
 LARGEST_RIPPLE = 5e-4
 NEGLIGIBLE_CONTENT = 1e-3
 
@@ -43,9 +43,9 @@ class Measured:
     Attributes
     ----------
     harmonics_um : (H,) array of complex
-        Of reference minus displacement; amplitude, phase that of a cosine at the period's start.
+        Reference minus displacement; the phase is that of a cosine from the period's start.
     noise_um : float
-        Standard deviation of each of them (of real and imaginary part together).
+        Standard deviation of each harmonic (of real and imaginary part together).
     """
 
     harmonics_um: ComplexArray
@@ -53,12 +53,12 @@ class Measured:
 
     @property
     def rms_um(self) -> float:
-        """Return the RMS of the harmonics together."""
+        """Return the rms of all harmonics together."""
         return float(np.sqrt(np.sum(np.abs(self.harmonics_um) ** 2) / 2))
 
     @property
     def floor_um(self) -> float:
-        """Tell what noise alone would make of `rms_um`."""
+        """Return the value of `rms_um` due to noise alone."""
         return float(np.sqrt(self.harmonics_um.size / 2) * self.noise_um)
 
 
@@ -68,21 +68,21 @@ class PeriodicLearner:
     Parameters
     ----------
     reference_um : (P,) array
-        One period.
+        One period of the reference.
     response : callable
-        Expected response from a correction to the displacement, complex, at frequencies in Hz: the
-        sensitivity of the feedback, where there is one.
+        Expected response from a correction to the displacement, complex, at frequencies in Hz:
+        the sensitivity of the feedback, if there is one.
     effort : callable
-        Expected size of what must drive the stage for a displacement of one, at frequencies in Hz.
+        Expected magnitude of the input per unit of displacement, at frequencies in Hz.
     correction_um : (P,) array, optional
-        To begin with.
+        Initial correction.
 
     Attributes
     ----------
     iterations : int
-        Measured so far.
+        Number of iterations that were measured.
     finished : str
-        Why there is nothing more to learn; empty as long as there is.
+        Why the learning has ended; empty while it continues.
     """
 
     def __init__(self, reference_um: ArrayLike, response: Callable[[FloatArray], ComplexArray],
@@ -120,16 +120,16 @@ class PeriodicLearner:
         return self._wave(self._best)
 
     def limit_to(self, correction_um: FloatArray) -> None:
-        """Say what was played in place of `correction_um`, where that was out of reach."""
+        """Set the correction that was played because `correction_um` was out of reach."""
         self._correction = self._harmonics(correction_um)
 
     def measure(self, displacement_um: FloatArray) -> Measured:
-        """Take the mean error of some periods apart.
+        """Decompose the mean error of some periods into harmonics.
 
         Parameters
         ----------
         displacement_um : (n P,) array
-            Measured over whole periods, two at least; their linear drift is removed.
+            Displacement over whole periods, at least two; a linear drift is removed.
         """
         error_um = np.resize(self._reference_um, displacement_um.size) - displacement_um
         periods = error_um.reshape(-1, self._period)
@@ -142,12 +142,12 @@ class PeriodicLearner:
         return Measured(mean, float(np.sqrt(scatter / (mean.size * means.size))))
 
     def learn(self, displacement_um: FloatArray) -> Measured:
-        """Take the periods that were measured under `correction_um`, and set the next.
+        """Evaluate the periods measured with `correction_um`, and compute the next correction.
 
         Parameters
         ----------
         displacement_um : (n P,) array
-            See `measure`.
+            Measured displacement over whole periods, see `measure`.
         """
         measured = self.measure(displacement_um)
         self.iterations += 1
@@ -178,17 +178,17 @@ class PeriodicLearner:
             self.finished = "the iteration diverged: the best is kept"
 
     def _forget_responses(self) -> None:
-        """Expect what the model says: each harmonic turned and scaled, as a real matrix."""
+        """Reset each harmonic's expected response to that of the model, as a real matrix."""
         real, imaginary = self._response.real, self._response.imag
         self._expected = np.moveaxis(np.array([[real, -imaginary], [imaginary, real]]), -1, 0)
         self._scale = np.abs(self._response)[:, None, None] ** 2 * np.eye(2)
         self._variance = RESPONSE_UNCERTAINTY**2 * self._scale
 
     def _adapt(self, measured: Measured) -> None:
-        """Correct the expected responses by what the last change has brought about (Kalman).
+        """Correct the expected responses by the observed effect of the last change (Kalman filter).
 
-        Around a large oscillation the hysteresis, and the feedback around it, answers to a change
-        of the amplitude otherwise than to one of the phase: a response is a real matrix.
+        Around a large oscillation the hysteresis, and the feedback around it, responds differently
+        to a change of the amplitude and of the phase. Each response is therefore a real matrix.
         """
         if self._last is None:
             return
@@ -214,7 +214,7 @@ class PeriodicLearner:
         self._correction = self._correction + self._gain * (change[:, 0] + 1j * change[:, 1])
 
     def _too_fine(self, noise_um: float) -> BoolArray:
-        """Mark harmonics which the reference lacks, and noise would take much of the drive."""
+        """Mark harmonics absent from the reference whose noise would take much of the drive."""
         content = np.abs(self._harmonics(self._reference_um))
         drive_um = np.max(content * self._effort)
         return ((content < NEGLIGIBLE_CONTENT * content.max())

@@ -93,7 +93,7 @@ class ControllerNode(LifecycleNode):
         autostart(self)
 
     def wind_down(self) -> bool:
-        """Cancel what runs; return whether it has ended."""
+        """Cancel the goal in progress; return whether it has ended."""
         return self._goals.end()
 
     def _track(self, goal: Track.Goal, result: Track.Result, progress: Progress) -> None:
@@ -160,22 +160,22 @@ class ControllerNode(LifecycleNode):
         result.message = "; ".join(filter(None, (account.note, *notes)))
 
     def _feedbacks(self, clock: StageClock) -> Feedbacks:
-        """Return what makes the feedbacks for a stage; designs are kept for as long as it stays."""
+        """Return the feedbacks for a stage; designs are cached until the stage changes."""
         if self._designed is None or self._designed[0] != clock:
             self._designed = clock, Feedbacks(self._feedback_settings, clock)
         return self._designed[1]
 
     def _check_model(self, model: StageModel, model_sha256: str, present: StageModel) -> None:
-        """Design the feedback for a model; refuse one that is not stable."""
+        """Design the feedback for a model; raise if it is unstable."""
         clock = _clock(self._stage.wait(lambda: None))
         self._feedbacks(clock).check_model(model, model_sha256, present)
 
     def _weights(self, given: str) -> str:
-        """Return the name of weights that come with the package, or the path of a file."""
+        """Return the name of built-in weights, or the path of a file."""
         return given if given in BUILT_IN else self._data_root.readable(given)
 
     def _locate_files(self, goal: Track.Goal) -> None:
-        """Take the relative paths of files to read from the data root."""
+        """Resolve relative paths of input files against the data root."""
         goal.model = self._data_root.readable(goal.model)
         goal.controller = self._data_root.readable(goal.controller)
         for reference in (goal.reference, *goal.then):
@@ -209,7 +209,7 @@ class ControllerNode(LifecycleNode):
 
 
 def _clock(described: StageDescription) -> StageClock:
-    """Return what plans are made for, as the stage describes it."""
+    """Return the clock and limits of a stage, from its description."""
     return StageClock(
         voltage_range_v=(described.minimum_voltage_v, described.maximum_voltage_v),
         slew_limit_v_per_s=described.slew_limit_v_per_s,
@@ -218,7 +218,7 @@ def _clock(described: StageDescription) -> StageClock:
 
 
 def _keep_learned(learning: Learning | None, result: Track.Result) -> str:
-    """Write what was learned, if anything was to be; return what to tell of it."""
+    """Write the learned feedforward, if there is one; return a note on it."""
     if learning is None:
         return ""
     learning.keep()
@@ -227,19 +227,19 @@ def _keep_learned(learning: Learning | None, result: Track.Result) -> str:
 
 
 class _Preparing:
-    """Tells what is done before the run, and lets it be cancelled."""
+    """Reports the steps before the run, and lets it be cancelled."""
 
     def __init__(self, progress: Progress, tolerance_um: float) -> None:
         self._progress, self._tolerance_um = progress, tolerance_um
         self._step, self._told_s = "", -math.inf
 
     def begin(self, step: str) -> None:
-        """Tell that another step begins."""
+        """Report that another step begins."""
         self._step, self._told_s = step, -math.inf
         self.watch(0.0)
 
     def watch(self, fraction: float) -> None:
-        """Tell how much of the present step is done; raise ``Cancelled`` if it shall end."""
+        """Report the fraction of the present step; raise ``Cancelled`` if the run is cancelled."""
         self._progress.check()
         now_s = time.monotonic()
         if now_s - self._told_s >= REPORT_PERIOD_S:
@@ -275,6 +275,6 @@ def _parameters(goal: Track.Goal) -> str:
 
 def main(args: list[str] | None = None) -> None:
     """Run the node ``controller``."""
-    # Of Python's threads, one that plans keeps the one that answers waiting no longer than this.
+    # A planning thread holds the interpreter lock for no longer than this while another answers.
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     run_node(ControllerNode, args)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The topic ``controller/reference``: what a run follows, sample by sample, to be recorded."""
+"""The topic ``controller/reference``: the reference that a run follows, to be recorded."""
 
 import array
 
@@ -12,11 +12,11 @@ from piezo_common.arrays import FloatArray
 from piezo_ros.quality import FEEDBACK
 
 SAMPLES_PER_MESSAGE = 4000
-"""A message for every tick would take the loop as long as an answer does."""
+"""One message per tick would take the loop as long as an answer does."""
 
 
 class FollowedReference:
-    """Publish the displacement to expect of the samples that a stage has measured."""
+    """Publish the expected displacements of the samples that a stage has measured."""
 
     def __init__(self, node: Node) -> None:
         self._publisher = node.create_publisher(TrackedReference, "controller/reference", FEEDBACK)
@@ -24,7 +24,7 @@ class FollowedReference:
         self._parts: list[FloatArray] = []
 
     def take(self, block: SampleBlock, expected_um: FloatArray) -> None:
-        """Take what was to be expected of a block; less than all of it at the end of a run."""
+        """Add the expected displacements of a block; fewer than its samples at the end of a run."""
         if not expected_um.size:
             return
         if self._begin is None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The feedback law as it goes out in a message."""
+"""Conversion of the feedback law to a message."""
 
 import array
 import math

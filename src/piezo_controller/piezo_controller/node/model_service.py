@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The service ``accept_extended_model``, and the topic that tells which model runs use."""
+"""The service ``accept_extended_model``, and the topic with the model that runs use."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -19,45 +19,45 @@ from piezo_ros.quality import DESCRIPTION
 
 
 class ModelService:
-    """Let an operator have runs use an extended model.
+    """Service by which an operator accepts an extended model for the runs.
 
     Parameters
     ----------
     readable : callable
-        Returns the path of a file to read, given what was asked for.
+        Returns the path of a file to read, given the requested one.
     check : callable
-        Makes the feedback for an extended model, and refuses what is not stable.
+        Designs the feedback for an extended model, and raises ValueError if it is unstable.
     """
 
     def __init__(self, node: Node, readable: Callable[[str], str], check: CheckFeedback) -> None:
         self._node, self._readable, self._check = node, readable, check
         self._accepted = AcceptedModels()
         self._present: PresentRun | None = None
-        # One model at a time, and none while a run begins or ends.
+        # One model is changed at a time, and none while a run begins or ends.
         self._changing = threading.Lock()
         self._told = node.create_publisher(String, "controller/model", DESCRIPTION)
         create_late_service(
             node, AcceptExtendedModel, "controller/accept_extended_model", self._begin)
 
     def model_for(self, path: str) -> tuple[ModelText, ModelText, str]:
-        """Return the model that a run uses, and tell everybody.
+        """Return the model that a run uses, and publish it.
 
         Parameters
         ----------
         path : str
-            Of the model that its goal names.
+            Path of the model that the goal names.
 
         Returns
         -------
         named, model : ModelText
-            That the goal names, and that is used.
+            The model that the goal names, and the one that is used.
         note : str
-            What to tell of it in the result; empty for the model that was named.
+            Note for the result; empty if the named model is used.
 
         Raises
         ------
         ValueError
-            If a file cannot be read, or was changed since it was accepted.
+            If a file cannot be read, or was changed after it was accepted.
         """
         named = ModelText(path, read_model_text(path))
         used = self._accepted.in_place_of(named, read_model_text)
@@ -67,7 +67,7 @@ class ModelService:
 
     @contextmanager
     def playing(self, run: PresentRun) -> Iterator[None]:
-        """Let a run go over to a model that is accepted meanwhile."""
+        """Context in which a run may switch to a model that is accepted meanwhile."""
         self._present = run
         try:
             yield
@@ -80,7 +80,7 @@ class ModelService:
         self._told.publish(String(data=model.path))
 
     def _begin(self, request: AcceptExtendedModel.Request, late: LateResponse) -> None:
-        # A design takes seconds, in which the loop goes on.
+        # A design takes seconds, during which the run continues.
         threading.Thread(target=self._answer, name="accept", args=(request, late)).start()
 
     def _answer(self, request: AcceptExtendedModel.Request, late: LateResponse) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The run that goes on, and its way over to another model between two ticks."""
+"""The run in progress, and how it switches to another model between two ticks."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,21 +14,21 @@ FROM_THE_NEXT = "from the next run on"
 
 
 class PresentRun:
-    """Lets a run that the stage plays by itself go over to another model.
+    """Lets a run that the stage plays by itself switch to another model.
 
-    A plan that is streamed or learned, and a feedback that answers, keep what they have come to in
-    this node: such a run keeps its model.
+    A streamed or learned plan, and a feedback that answers, have state in this node: such a run
+    keeps its model.
 
     Parameters
     ----------
     named : ModelText
         The model that the goal names.
     prepared : PreparedRun
-        What is played.
+        Run that is played.
     prepare : callable
-        Prepares the same request for another model; raises ValueError where that cannot be.
+        Prepares the same request for another model; raises ValueError if that is impossible.
     tracker : StageTracker
-        That plays it.
+        Plays the run.
 
     Attributes
     ----------
@@ -46,16 +46,16 @@ class PresentRun:
 
     @property
     def note(self) -> str:
-        """Return what to tell of the models in the result; may be empty."""
+        """Return the remarks on the models for the result; may be empty."""
         return "; ".join(self._notes)
 
     def go_over(self, model: ModelText, told: Callable[[ModelText], None]) -> str:
-        """Replace feedforward and law by those for a model, in one tick.
+        """Replace feedforward and law by those for another model, in one tick.
 
         Parameters
         ----------
         told : callable
-            Called once the stage has gone over.
+            Called once the stage has switched.
 
         Returns
         -------
@@ -65,8 +65,8 @@ class PresentRun:
         Raises
         ------
         ValueError
-            The reference is out of reach with the model, or the stage refuses what is to act; the
-            run then goes on as before.
+            If the reference is out of reach with the model, or the stage refuses the new voltages
+            or law; the run then continues as before.
         """
         kept = self._why_kept()
         if kept:
@@ -88,7 +88,7 @@ class PresentRun:
         return when
 
     def _why_kept(self) -> str:
-        """Tell why this run keeps its model; empty where it need not."""
+        """Return why this run keeps its model; empty if it need not."""
         if self._prepared.learning is not None:
             return "learns"
         if self._prepared.plan.streamed:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The topic ``reference``, on which others publish what the stage shall follow."""
+"""The topic ``reference``, on which other nodes publish what the stage shall follow."""
 
 import time
 from collections.abc import Callable
@@ -14,18 +14,18 @@ from piezo_ros.quality import FEEDBACK
 APPEARANCE_S = 10.0
 POLL_S = 0.02
 LOCKSTEP_PATIENCE_S = 5.0
-"""A stage in lockstep waits so long for who publishes (s); a paced one cannot wait."""
+"""How long a stage in lockstep waits for the publisher (s); a paced one cannot wait."""
 
 WARNING_PERIOD_S = 1.0
 
 
 class ReferenceTopic:
-    """Pass on what is published while a run follows it.
+    """Pass on published values while a run follows them.
 
     Parameters
     ----------
     wake : callable
-        Called once there is something new.
+        Called when there are new values.
     """
 
     def __init__(self, node: Node, wake: Callable[[], None]) -> None:
@@ -41,16 +41,16 @@ class ReferenceTopic:
         Parameters
         ----------
         sample_period_s : float
-            Of the stage's clock.
+            Sample period of the stage (s).
         lockstep : bool
-            Whether the stage waits for who publishes.
+            Whether the stage waits for the publisher.
         check : callable
-            Called now and then; may raise.
+            Called from time to time; may raise.
 
         Raises
         ------
         InvalidReference
-            If nobody or more than one node publishes.
+            If no node, or more than one, publishes.
         """
         live = self._live = LiveReference(
             sample_period_s, LOCKSTEP_PATIENCE_S if lockstep else 0.0, offset_um)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Follow values of which nobody knows what they do next, with bounded speed and acceleration.
+"""Follow values that are not known in advance, with bounded speed and acceleration.
 
-What moves within a band and an amplitude keeps to the bounds by Bernstein's inequality, and is
-followed exactly. Jumps, kinks and the way from another beginning go into an offset that fades out.
+A signal within the declared band and amplitude keeps to the bounds by Bernstein's inequality, and
+is followed exactly. Jumps, kinks and another initial position go into an offset that fades out.
 """
 
 import math
@@ -13,9 +13,10 @@ from numba import njit
 from piezo_common.arrays import FloatArray
 
 SLACK = 1.001
-"""For errors of rounding."""
+"""Factor on the bounds that allows for rounding errors."""
 FAR = 0.1
-"""Straight lines between slow values leave less, up to half of the declared band."""
+"""Deviation, as a part of the amplitude, from which on a sample counts as far from its value.
+Straight lines between slow values stay below it, up to half of the declared band."""
 
 
 class BoundedMotion:
@@ -24,14 +25,14 @@ class BoundedMotion:
     Parameters
     ----------
     start_um, first_um : float
-        Where the motion is at rest, and the value before the first that is followed.
+        Position at rest, and the value before the first that is followed.
     band_hz, amplitude_um : float
-        Highest frequency and peak-to-peak amplitude of values that are followed exactly.
+        Highest frequency, and peak-to-peak amplitude, of values that are followed exactly.
 
     Attributes
     ----------
     far_samples : int
-        Samples at which the bounds kept the motion more than `FAR` of the amplitude from its value.
+        Number of samples that the bounds kept more than `FAR` of the amplitude from their value.
     """
 
     def __init__(self, start_um: float, first_um: float, band_hz: float, amplitude_um: float,
@@ -40,7 +41,7 @@ class BoundedMotion:
         self._largest_step_um = SLACK * turn * amplitude_um / 2.0
         self._largest_bend_um = self._largest_step_um * turn
         self._decay = turn
-        # The value before, the step taken before, the offset and its step.
+        # Previous value, previous step, the offset and its step.
         self._state = np.array([first_um, 0.0, start_um - first_um, 0.0])
         self._far_um = FAR * amplitude_um
         self.far_samples = 0
@@ -63,7 +64,7 @@ def _follow(values: FloatArray, state: FloatArray, largest_step: float, largest_
         taken = min(max(wanted, step - largest_bend, -largest_step),
                     step + largest_bend, largest_step)
         offset += taken - wanted
-        # Critically damped: fades out without a swing.
+        # Critically damped: fades out without overshoot.
         fading -= decay * (2.0 * fading + decay * offset)
         fading = min(max(fading, -largest_step), largest_step)
         offset += fading

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What every kind of reference has in common: its fields, and what the controller asks of it."""
+"""Common to all kinds of references: the fields, and the interface that the controller uses."""
 
 import math
 from abc import ABC, abstractmethod
@@ -15,13 +15,13 @@ LONGEST_DURATION_S = 3600.0
 LOWEST_FREQUENCY_HZ = 0.001
 
 Watch = Callable[[float], None]
-"""Called now and then with the part that is done, from 0 to 1; may raise to end the work."""
+"""Called from time to time with the fraction done (0 to 1); may raise to end the work."""
 
 Components = tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]
 
 
 class InvalidReference(ValueError):
-    """A reference that has no whole period of samples, or no meaning."""
+    """A reference that has no period of whole samples, or whose fields make no sense."""
 
 
 class NoPeriod(InvalidReference):
@@ -38,23 +38,23 @@ class Reference:
         ``harmonic``, ``multi_frequency`` (sum of sines, (4.21)), ``triangle``, ``raster``,
         ``random`` or ``file``, or a kind of another package.
     frequency_hz, amplitude_um, phase_rad : tuple of float
-        Of each sine ``amplitude_um / 2 * sin(2 pi frequency_hz t + phase_rad)``; the amplitude is
-        peak to peak; a random reference stays within it, and comes close to it now and then. No
-        phase means zero. Of a raster the rate of the lines, and the range of the axis; of a random
-        reference the edges of its band, the lower one 0 if there is only one. Empty for ``file``.
+        Frequency, peak-to-peak amplitude and phase (0 if omitted) of each sine
+        ``amplitude_um / 2 * sin(2 pi frequency_hz t + phase_rad)``. For a raster the line rate and
+        the range of the axis. For a random reference the edges of its band (the lower one is 0 if
+        only one is given) and its range, which it approaches but never exceeds. Empty for ``file``.
     centre_um : float
         Mean displacement (um); for ``file`` it is added to the file's displacement.
     file : str
         CSV with the columns ``time_s,displacement_um``: one period at the sample rate.
     once : bool
-        A file that is not one period but the whole way; its last value is then held.
+        Whether a file is the whole trajectory rather than one period; its last value is then held.
     axis : str
-        Of a raster: ``fast``, whose lines are straight over the range and turn beyond it, or
+        Axis of a raster: ``fast``, whose lines are straight over the range and turn beyond it, or
         ``slow``, which steps from line to line and flies back after the last.
     lines : int
-        Of a raster's frame.
+        Number of lines in a frame of a raster.
     seed : int
-        Of a random reference.
+        Seed of a random reference.
     """
 
     kind: str
@@ -70,28 +70,28 @@ class Reference:
 
 
 class ReferenceKind(Protocol):
-    """What the controller asks of a kind of reference.
+    """The interface of a kind of reference.
 
     Displacements (um) contain the reference's `centre_um`, which is finite. Each method raises
     `InvalidReference` if the fields of the reference make no sense for the kind.
     """
 
     def is_periodic(self, reference: Reference, sample_rate_hz: float) -> bool:
-        """Tell whether `period_um` has a period for this reference."""
+        """Return whether `period_um` has a period for this reference."""
 
     def period_um(self, reference: Reference, sample_rate_hz: float) -> FloatArray:
         """Sample one period, shape (P,); its repetition must be exactly periodic."""
 
     def trajectory(self, reference: Reference, sample_rate_hz: float,
                    watch: Watch) -> Trajectory:
-        """Make the trajectory, which can be sampled anywhere, also before its beginning."""
+        """Return the trajectory, which can be sampled anywhere, also before its beginning."""
 
 
 class PeriodicKind(ABC):
     """Base of the kinds that always have a period: such a kind needs to define only `period_um`."""
 
     def is_periodic(self, reference: Reference, sample_rate_hz: float) -> bool:
-        """Tell whether the period is short enough to be uploaded."""
+        """Return whether the period is short enough to be uploaded."""
         return len(self.period_um(reference, sample_rate_hz)) <= LONGEST_PERIOD_S * sample_rate_hz
 
     @abstractmethod
@@ -99,18 +99,18 @@ class PeriodicKind(ABC):
         """Sample one period, shape (P,)."""
 
     def trajectory(self, reference: Reference, sample_rate_hz: float, watch: Watch) -> Trajectory:
-        """Repeat the period, also before the beginning."""
+        """Return the repeated period, also before the beginning."""
         period_um = self.period_um(reference, sample_rate_hz)
         return FormulaTrajectory(lambda at: period_um[at % len(period_um)])
 
 
 def one_component(reference: Reference, sample_rate_hz: float) -> tuple[float, float, float]:
-    """Check a reference of one frequency, and return it with its amplitude and phase.
+    """Check a reference of one frequency, and return its frequency, amplitude and phase.
 
     Raises
     ------
     InvalidReference
-        If it has more than one, or `components` refuses it.
+        If it has more than one frequency, or `components` raises it.
     """
     frequencies_hz, amplitudes_um, phases_rad = components(reference, sample_rate_hz, most=1)
     return frequencies_hz[0], amplitudes_um[0], phases_rad[0]
@@ -123,12 +123,12 @@ def components(reference: Reference, sample_rate_hz: float,
     Parameters
     ----------
     most : float
-        How many components the reference may have.
+        Largest number of components that the reference may have.
 
     Returns
     -------
     frequency_hz, amplitude_um, phase_rad : tuple of float
-        One of each per component; without phases they are zero.
+        One entry per component; phases that are not given are zero.
 
     Raises
     ------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A reference that is made while the stage follows it: what was published waits here in order."""
+"""A queue for a reference that is published while the stage follows it."""
 
 import threading
 import time
@@ -12,46 +12,46 @@ from piezo_common.arrays import FloatArray
 from piezo_controller.references.kind import InvalidReference
 
 TOPIC = "topic"
-"""The kind of such a reference."""
+"""Kind of a reference that is published on a topic."""
 
 LONGEST_GAP_S = 0.1
-"""Values left out for longer are not bridged."""
+"""Longest gap of omitted values that is bridged by a straight line (s)."""
 
 LONGEST_WAIT_S = 2.0
-"""What has waited longer than this to be followed is forgotten."""
+"""Values that have waited longer than this are dropped (s)."""
 
 
 class LiveReference:
-    """Take pieces of a reference from who publishes them, and give them sample by sample.
+    """Queue the published pieces of a reference, and return them sample by sample.
 
-    May be used from several threads.
+    Safe to use from several threads.
 
     Parameters
     ----------
     sample_period_s : float
-        Of the stage's clock.
+        Sample period of the stage (s).
     patience_s : float
-        Who has published nothing for longer counts as silent.
+        Time without a message after which the publisher counts as silent (s).
     offset_um : float
-        Added to every value.
+        Offset that is added to every value (um).
     clock : callable
         Returns the time (s).
 
     Attributes
     ----------
     preview_samples : int
-        How far the values lie ahead of the publisher's present, as its first message declares.
+        How far the values lie ahead of the publisher's present (samples), from its first message.
     longest_samples : int
-        Samples of the longest message.
+        Number of samples in the longest message.
     latest_um : float
-        The last value; NaN before the first.
+        Last value (um); NaN before the first.
     bridged_samples : int
-        Samples between values that were left out.
+        Number of omitted samples that were bridged.
 
     Raises
     ------
     InvalidReference
-        `offset_um` is not finite.
+        If `offset_um` is not finite.
     """
 
     def __init__(self, sample_period_s: float, patience_s: float = 0.0, offset_um: float = 0.0,
@@ -71,27 +71,27 @@ class LiveReference:
 
     @property
     def begun(self) -> bool:
-        """Tell whether a value has come."""
+        """Return whether a value has been received."""
         return not np.isnan(self.latest_um)
 
     @property
     def silent(self) -> bool:
-        """Tell whether nothing has been published for too long."""
+        """Return whether nothing has been published for `patience_s`."""
         return self._clock() - self._heard_s >= self.patience_s
 
     @property
     def waiting_samples(self) -> int:
-        """Count the samples that wait."""
+        """Return the number of samples in the queue."""
         return self._waiting.size
 
     def take(self, first_sample: int, sample_period_s: float, preview_samples: int,
              displacement_um: ArrayLike) -> None:
-        """Take a message, see ``piezo_interfaces/ReferenceSamples``.
+        """Queue a message, see ``piezo_interfaces/ReferenceSamples``.
 
         Raises
         ------
         InvalidReference
-            If it makes no sense; it then has no effect.
+            If the message is invalid; it then has no effect.
         """
         values_um = np.asarray(displacement_um, dtype=float) + self._offset_um
         repeat = self._clock_samples(sample_period_s)
@@ -115,7 +115,7 @@ class LiveReference:
                 self._next_number = first_sample + len(np.atleast_1d(displacement_um))
 
     def _append(self, values_um: FloatArray, left_out: int, repeat: int) -> None:
-        """Let values wait, and straight lines between them and to the one before."""
+        """Queue values, joined to one another and to the previous value by straight lines."""
         before_um = self.latest_um if self.begun else values_um[0]
         at = np.r_[0, left_out + 1 + np.arange(values_um.size)] * repeat
         samples_um = np.interp(np.arange(1, at[-1] + 1), at, np.r_[before_um, values_um])
@@ -125,7 +125,7 @@ class LiveReference:
         self.latest_um = float(values_um[-1])
 
     def _clock_samples(self, sample_period_s: float) -> int:
-        """Count the samples of the clock from value to value."""
+        """Return the number of clock samples from one value to the next."""
         ratio = sample_period_s / self._sample_period_s if sample_period_s else 1.0
         if not 0.5 <= ratio <= self._most_samples or abs(ratio - round(ratio)) > 1e-6 * ratio:
             raise InvalidReference(
@@ -134,12 +134,12 @@ class LiveReference:
         return round(ratio)
 
     def give(self, most_samples: int) -> FloatArray:
-        """Return the next samples (um), shape (n,), and forget them; n may be 0."""
+        """Remove the next samples from the queue and return them (um), shape (n,); n may be 0."""
         with self._lock:
             given, self._waiting = np.split(self._waiting, [most_samples])
             return given
 
     def keep_newest(self, samples: int) -> None:
-        """Forget all that waits but the newest."""
+        """Drop all but the newest samples of the queue."""
         with self._lock:
             self._waiting = self._waiting[max(self._waiting.size - samples, 0):]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Random displacements within a band of frequencies that go on for as long as one likes."""
+"""Random displacements within a frequency band, of unlimited duration."""
 
 import math
 from functools import lru_cache
@@ -18,31 +18,31 @@ from piezo_controller.references.smooth_rise import smooth_rise
 from piezo_controller.references.trajectory import Trajectory
 
 LINES = 512
-"""Sines of a block, at equal distances in the band; a block is one period of that distance."""
+"""Number of sines of a block, equally spaced in the band; a block is one period of the spacing."""
 FADE = 1 / 8
-"""Part of a block in which the one before fades out."""
-# The fade widens each line; within this part of the band at its edges none lies.
+"""Part of a block in which the previous one fades out."""
+# The fade widens each line, so none lies within this part of the band at its edges.
 EDGE = 0.05
 ROW_SAMPLES = 64
-# The envelope of the sines on so many points for each of them misses its peak by 2 % at most.
+# With this number of points per sine the sampled envelope misses its peak by 2 % at most.
 ENVELOPE_POINTS = 8
 SURVEYED_BLOCKS, SURVEYED_PIECES, SURVEYED_SAMPLES = 8, 1000, 100
-# Sequences of random numbers are counted from 0, blocks from before the beginning.
+# Seeds must not be negative: this is added to the numbers of blocks before the beginning.
 FIRST_SEQUENCE = 2**40
 
 
 class RandomTrajectory(Trajectory):
     """Noise with a flat spectrum from one frequency to another, never beyond its amplitude.
 
-    Blocks of sines of random amplitude and phase are faded into one another. Each is drawn from
-    the seed and its number, so that any piece is computed by itself, and scaled by its envelope.
+    Blocks of sines of random amplitude and phase are faded into one another. Each block is drawn
+    from the seed and its number, and scaled by its envelope, so any piece can be computed alone.
 
     Parameters
     ----------
     low_hz, high_hz : float
         Edges of the band.
     amplitude_um : float
-        Peak-to-peak range that is used and not left.
+        Peak-to-peak range that is used and never exceeded.
     """
 
     def __init__(self, low_hz: float, high_hz: float, amplitude_um: float, centre_um: float = 0.0,
@@ -54,11 +54,11 @@ class RandomTrajectory(Trajectory):
         self._fade = max(math.ceil(FADE * self._samples), 1)
         self._amplitude_um, self._centre_um, self._seed = amplitude_um, centre_um, seed
         self._row = _turns(self._lines, np.arange(ROW_SAMPLES))
-        # Two threads ask for neighbours.
+        # Two threads need neighbouring blocks.
         self._coefficients = lru_cache(maxsize=8)(self._draw)
 
     def sample(self, first: int, count: int) -> FloatArray:
-        """Do what `Trajectory` says."""
+        """See `Trajectory.sample`."""
         values, hop = np.zeros(count), self._samples - self._fade
         for number in range((first - self._fade) // hop, (first + count - 1) // hop + 1):
             begin = number * hop
@@ -70,7 +70,7 @@ class RandomTrajectory(Trajectory):
         return self._centre_um + values
 
     def survey(self, samples: int) -> FloatArray:
-        """See `Trajectory`: pieces of its first blocks; longer runs come closer to the range."""
+        """See `Trajectory.survey`: pieces of the first blocks."""
         if samples <= SURVEYED_PIECES * SURVEYED_SAMPLES:
             return self.sample(0, samples)
         end = min(samples, SURVEYED_BLOCKS * self._samples) - SURVEYED_SAMPLES
@@ -78,7 +78,7 @@ class RandomTrajectory(Trajectory):
         return np.concatenate([self.sample(int(begin), SURVEYED_SAMPLES) for begin in begins])
 
     def _block(self, number: int, first: int, count: int) -> FloatArray:
-        """Return the samples of a block, row by row of a table, as sines of sums are products."""
+        """Return samples of a block (um), computed row by row by the addition theorem."""
         rows = np.arange(first // ROW_SAMPLES, (first + count - 1) // ROW_SAMPLES + 1)
         columns = self._coefficients(number) * _turns(self._lines, rows * ROW_SAMPLES)
         table = columns.real @ self._row.real.T - columns.imag @ self._row.imag.T
@@ -100,19 +100,19 @@ def _turns(lines: FloatArray, samples: NDArray[np.int64]) -> ComplexArray:
 
 
 class RandomKind:
-    """Random references have no period: they are streamed."""
+    """Random references, which have no period and are streamed."""
 
     def is_periodic(self, reference: Reference, sample_rate_hz: float) -> bool:
-        """Tell that there is no period."""
+        """Return False: there is no period."""
         return False
 
     def period_um(self, reference: Reference, sample_rate_hz: float) -> FloatArray:
-        """Refuse to sample a period, as there is none."""
+        """Raise `InvalidReference`, as there is no period."""
         raise InvalidReference("a random reference that is not repeated has no period: "
                                "use a mode that streams it")
 
     def trajectory(self, reference: Reference, sample_rate_hz: float, watch: Watch) -> Trajectory:
-        """Check the band, and draw from the seed."""
+        """Check the band, and return noise that is drawn from the seed."""
         edges_hz, amplitude_um = tuple(reference.frequency_hz), tuple(reference.amplitude_um)
         if len(edges_hz) not in (1, 2) or len(amplitude_um) != 1:
             raise InvalidReference("a random reference has one or two frequencies, the edges of "

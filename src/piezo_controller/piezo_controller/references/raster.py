@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Raster scan of a microscope: the fast axis draws lines, the slow axis steps from one to the next.
 
-Both axes share one clock: a line goes forward, on which the picture is taken, and back. The fast
-axis turns at the beginning and in the middle of the line's period; the slow axis steps while the
-fast one goes back, and after the last line it flies back to the first.
+Both axes share one clock. A line goes forward, while the picture is taken, and back. The fast
+axis turns at the beginning and in the middle of the line's period. The slow axis steps while the
+fast one goes back, and flies back to the first line after the last.
 """
 
 import numpy as np
@@ -29,13 +29,13 @@ STEP_BEGINS, STEP_ENDS = 0.55, 0.95
 """Part of a line's period in which the slow axis steps."""
 
 FLYBACK = 0.05
-"""Lines that the slow axis' way back takes, as a part of those of the frame."""
+"""Duration of the slow axis' flyback, as a part of the frame's number of lines."""
 
 
 def fast_axis(lines: ArrayLike) -> FloatArray:
-    """Draw the lines, which begin in the middle of the way forward.
+    """Return the fast axis' displacement, beginning in the middle of the way forward.
 
-    Its speed is constant between the turns, where the displacement goes from -0.5 to 0.5; in the
+    The speed is constant between the turns, where the displacement goes from -0.5 to 0.5; in the
     turns it overshoots.
 
     Parameters
@@ -47,7 +47,7 @@ def fast_axis(lines: ArrayLike) -> FloatArray:
     -------
     (N,) array
     """
-    # Integrals of a speed of one forward and back that changes its sign smoothly in the turns.
+    # Integrals of a speed of +1 forward and -1 back that changes its sign smoothly in the turns.
     since_begin = (np.asarray(lines) + 0.75) % 1.0 - 0.5
     since_middle = (np.asarray(lines) + 0.25) % 1.0 - 0.5
     position = np.where(
@@ -64,19 +64,19 @@ def _risen(share: FloatArray) -> FloatArray:
 
 
 def flyback_lines(lines: int) -> int:
-    """Count the lines that the way back of a frame takes."""
+    """Return the number of lines that the flyback of a frame takes."""
     return max(1, round(FLYBACK * lines))
 
 
 def slow_axis(at_line: FloatArray, lines: int) -> FloatArray:
-    """Step from line to line on a staircase from -0.5 to 0.5, and fly back.
+    """Return the slow axis' staircase from -0.5 to 0.5, followed by the flyback.
 
     Parameters
     ----------
     at_line : (N,) array
         Time since the frame's beginning, counted in lines, within the frame and its flyback.
     lines : int
-        Of a frame.
+        Number of lines of a frame.
 
     Returns
     -------
@@ -87,17 +87,17 @@ def slow_axis(at_line: FloatArray, lines: int) -> FloatArray:
     line = np.floor(clock)
     step = smooth_rise((clock - line - STEP_BEGINS) / (STEP_ENDS - STEP_BEGINS))
     staircase = np.minimum(line + step, lines - 1) / (lines - 1)
-    # The way back begins when the last line has been drawn and ends before the frame does.
+    # The flyback begins when the last line has been drawn and ends before the frame does.
     way = smooth_rise((clock - (lines - 1 + STEP_BEGINS)) / (back + STEP_ENDS - STEP_BEGINS))
-    # What lies behind the frame's end on the common clock belongs to the next first line.
+    # Beyond the frame's end on the common clock lies the first line of the next frame.
     return np.where(clock < lines + back, staircase * (1.0 - way), 0.0) - 0.5
 
 
 class Raster:
-    """One axis of a raster; its period is a line of the fast axis, or a frame of the slow one."""
+    """One axis of a raster; the period is a line of the fast axis, or a frame of the slow one."""
 
     def is_periodic(self, reference: Reference, sample_rate_hz: float) -> bool:
-        """Tell whether the period is short enough to be uploaded."""
+        """Return whether the period is short enough to be uploaded."""
         return _period_samples(reference, sample_rate_hz) <= LONGEST_PERIOD_S * sample_rate_hz
 
     def period_um(self, reference: Reference, sample_rate_hz: float) -> FloatArray:
@@ -106,7 +106,7 @@ class Raster:
                                 np.arange(_period_samples(reference, sample_rate_hz)))
 
     def trajectory(self, reference: Reference, sample_rate_hz: float, watch: Watch) -> Trajectory:
-        """Repeat the period, however long it is, without keeping it."""
+        """Return the repeated period, which is computed piece by piece and may be long."""
         samples = _period_samples(reference, sample_rate_hz)
         return FormulaTrajectory(
             lambda at: _displacement_um(reference, sample_rate_hz, at % samples))

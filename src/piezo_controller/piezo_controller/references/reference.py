@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Reference trajectories of the displacement: one period of samples, or as long as one likes.
+"""Reference trajectories of the displacement: one period of samples, or of unlimited duration.
 
 A kind of reference is one module here and one line of `KINDS`. A package of its own adds one
 through an entry point of the group `piezo_controller.references`.
@@ -33,7 +33,7 @@ __all__ = [
 ]
 
 GROUP = "piezo_controller.references"
-"""Entry points by which other packages offer kinds of references."""
+"""Group of entry points by which other packages add kinds of references."""
 
 KINDS: dict[str, ReferenceKind] = {
     "harmonic": HARMONIC,
@@ -43,16 +43,16 @@ KINDS: dict[str, ReferenceKind] = {
     "random": RandomKind(),
     "file": FileKind(),
 }
-"""These kinds come with this package."""
+"""Kinds that come with this package."""
 
 
 def is_periodic(reference: Reference, sample_rate_hz: float = 40000.0) -> bool:
-    """Tell whether `sample_reference` has a period for it; False for one that has only a way.
+    """Return whether `sample_reference` has a period for a reference.
 
     Raises
     ------
     InvalidReference
-        If it has no meaning.
+        If the reference is not valid.
     """
     return _kind(reference).is_periodic(reference, sample_rate_hz)
 
@@ -71,7 +71,7 @@ def sample_reference(reference: Reference,
     Raises
     ------
     InvalidReference
-        Says what is wrong; for a frequency without a whole period, names the nearest that has one.
+        The message names the cause; for a frequency without a whole period, the nearest with one.
     """
     period_um = _checked(_kind(reference).period_um(reference, sample_rate_hz), reference)
     if not 2 <= period_um.size <= LONGEST_PERIOD_S * sample_rate_hz:
@@ -82,20 +82,21 @@ def sample_reference(reference: Reference,
 
 def trajectory(reference: Reference, sample_rate_hz: float = 40000.0,
                watch: Watch | None = None) -> Trajectory:
-    """Make the trajectory of a reference, whether it has a period or not.
+    """Return the trajectory of a reference, with or without a period.
 
-    Before its beginning it is what the reference would have been there; of a file that is not
-    repeated its first value, and behind it the last.
+    It is also defined before its beginning. A file that is not repeated rests at its first value
+    before, and at its last value after.
 
     Parameters
     ----------
     watch : callable, optional
-        Called now and then, with the part that is done, while a file is read; may raise.
+        Called from time to time with the fraction done while a file is read; may raise.
 
     Returns
     -------
     Trajectory
-        Raises InvalidReference where a kind of another package gives no finite displacements.
+        Sampling it raises InvalidReference if a kind of another package gives displacements that
+        are not finite.
 
     Raises
     ------
@@ -121,13 +122,13 @@ def _kind(reference: Reference) -> ReferenceKind:
 
 
 class _CheckedTrajectory(Trajectory):
-    """A trajectory whose displacements are finite, and as many as were asked for."""
+    """A trajectory whose displacements are checked to be finite and as many as requested."""
 
     def __init__(self, trajectory: Trajectory, reference: Reference) -> None:
         self._trajectory, self._reference = trajectory, reference
 
     def sample(self, first: int, count: int) -> FloatArray:
-        """Do what `Trajectory` says."""
+        """See `Trajectory.sample`."""
         displacement_um = _checked(self._trajectory.sample(first, count), self._reference)
         if displacement_um.size != count:
             raise InvalidReference(f"the {self._reference.kind} reference gives "
@@ -136,7 +137,7 @@ class _CheckedTrajectory(Trajectory):
         return displacement_um
 
     def survey(self, samples: int) -> FloatArray:
-        """Do what `Trajectory` says."""
+        """See `Trajectory.survey`."""
         return _checked(self._trajectory.survey(samples), self._reference)
 
 

@@ -25,21 +25,21 @@ COLUMNS = ["time_s", "displacement_um"]
 LINES_AT_ONCE = 100_000
 LONGEST_LINE = 1000
 LARGEST_BYTES = 16_000_000_000
-"""The longest reference takes less than half of it, with 17 digits of both numbers."""
+"""Largest size of a file; the longest reference takes less than half, with 17 digits per number."""
 
 
 def read_samples(path: str, sample_rate_hz: float, longest_s: float,
                  watch: Watch | None = None) -> FloatArray:
-    """Read a reference that is sampled at the sample rate.
+    """Read a reference that is given at the sample rate.
 
-    The samples are kept in a temporary file that is mapped: a long way takes no memory.
+    The samples are kept in a temporary file that is memory-mapped, so a long one takes no memory.
 
     Parameters
     ----------
     path : str
         CSV with the columns ``time_s,displacement_um``.
     watch : callable, optional
-        Called now and then with the part that is read; may raise.
+        Called from time to time with the fraction read; may raise.
 
     Returns
     -------
@@ -48,7 +48,7 @@ def read_samples(path: str, sample_rate_hz: float, longest_s: float,
     Raises
     ------
     ValueError
-        Says what is wrong with the file.
+        The message names what is wrong with the file.
     """
     samples, begin_s = 0, 0.0
     with tempfile.TemporaryFile() as kept:
@@ -80,7 +80,7 @@ def _keep(kept: BinaryIO, displacement_um: FloatArray) -> None:
 
 
 def _pieces(path: str, watch: Watch) -> Iterator[FloatArray]:
-    """Yield times and displacements of the file, some lines at a time."""
+    """Yield times and displacements of the file, in pieces of some lines."""
     try:
         with open_regular(path, LARGEST_BYTES) as raw, io.TextIOWrapper(
                 io.BufferedReader(raw), encoding="utf-8") as stream:
@@ -103,7 +103,7 @@ def _pieces(path: str, watch: Watch) -> Iterator[FloatArray]:
 
 
 def _lines(path: str, stream: TextIO) -> Iterator[str]:
-    """Yield the lines of a file, of which none may be endless."""
+    """Yield the lines of a file; each must be of bounded length."""
     while line := stream.readline(LONGEST_LINE):
         if len(line) == LONGEST_LINE:
             raise ValueError(f"the reference file {path!r} has a row of more than {LONGEST_LINE} "
@@ -126,10 +126,10 @@ def _numbers(path: str, lines: list[str]) -> FloatArray:
 
 
 class FileKind:
-    """A reference from a file: one period, or with `once` the whole way, whose end is held."""
+    """A reference from a file: one period, or with `once` a trajectory whose last value is held."""
 
     def is_periodic(self, reference: Reference, sample_rate_hz: float) -> bool:
-        """Tell whether the file is one period."""
+        """Return whether the file is one period."""
         return not reference.once
 
     def period_um(self, reference: Reference, sample_rate_hz: float) -> FloatArray:
@@ -140,7 +140,7 @@ class FileKind:
         return reference.centre_um + _read(reference, sample_rate_hz, LONGEST_PERIOD_S)
 
     def trajectory(self, reference: Reference, sample_rate_hz: float, watch: Watch) -> Trajectory:
-        """Read the way, which rests at its first and its last value, or repeat the period."""
+        """Return the trajectory, which rests at its first and last value, or repeats the period."""
         centre_um, once = float(reference.centre_um), reference.once
         way_um = _read(reference, sample_rate_hz,
                        LONGEST_DURATION_S if once else LONGEST_PERIOD_S, watch)

@@ -28,9 +28,9 @@ class Waves:
     Parameters
     ----------
     shape : callable
-        Wave between -1 and 1 from its angle (rad) and its frequency (Hz).
+        Returns the wave (-1 to 1), given its angle (rad) and frequency (Hz).
     most : float
-        How many waves a reference may have.
+        Largest number of waves in a reference.
     """
 
     def __init__(self, shape: Shape, most: float = 1) -> None:
@@ -38,7 +38,7 @@ class Waves:
         self._most = most
 
     def is_periodic(self, reference: Reference, sample_rate_hz: float) -> bool:
-        """Tell whether a common period of all waves is short enough."""
+        """Return whether a common period of all waves is short enough."""
         try:
             _common_period(self._components(reference, sample_rate_hz)[0], sample_rate_hz)
         except NoPeriod:
@@ -58,7 +58,7 @@ class Waves:
         return displacement_um
 
     def trajectory(self, reference: Reference, sample_rate_hz: float, watch: Watch) -> Trajectory:
-        """Sample the formula, whether it has a period or not."""
+        """Return the formula's trajectory, with or without a period."""
         waves = list(zip(*self._components(reference, sample_rate_hz), strict=True))
         centre_um = float(reference.centre_um)
 
@@ -89,10 +89,10 @@ def _common_period(frequencies_hz: Sequence[float],
 
 
 def _cycles_per_sample(frequency_hz: float, sample_rate_hz: float) -> Fraction:
-    """Return the frequency, in cycles a sample, whose period is short enough to upload."""
+    """Return the frequency (cycles per sample) as a fraction whose period is short enough."""
     wanted = frequency_hz / sample_rate_hz
     longest = int(LONGEST_PERIOD_S * sample_rate_hz)
-    # The continued fraction meets the shortest exact period first.
+    # The continued fraction finds the shortest exact period first.
     for limit in np.unique(np.geomspace(2, longest, 200).astype(int)):
         fraction = Fraction(wanted).limit_denominator(int(limit))
         if abs(float(fraction) - wanted) <= 1e-10 * wanted:

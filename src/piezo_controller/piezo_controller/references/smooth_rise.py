@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The smooth rise that all transitions take: the reference's and the voltage's."""
+"""The smooth rise of all transitions, of the reference and of the voltage."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -8,9 +8,9 @@ from piezo_common.arrays import FloatArray
 
 
 def minimum_jerk(count: int) -> FloatArray:
-    """Rise smoothly from 0 towards 1, which the sample after the last would reach.
+    """Rise smoothly from 0 towards 1, which would be reached by the sample after the last.
 
-    The quintic has neither speed nor acceleration at its ends, and so excites no vibration.
+    The quintic has zero speed and acceleration at its ends, so it excites no vibration.
     """
     return smooth_rise(np.arange(count) / count)
 
@@ -21,7 +21,7 @@ def smooth_rise(share: ArrayLike) -> FloatArray:
     Parameters
     ----------
     share : array_like
-        Of the rise's duration.
+        Time as a fraction of the rise's duration.
     """
     t = np.clip(share, 0.0, 1.0)
     return t**3 * (10 - 15 * t + 6 * t**2)

@@ -14,18 +14,18 @@ from piezo_controller.references.smooth_rise import smooth_rise
 
 SURVEYED_SAMPLES = 20_000
 BLOCK_SAMPLES = 4000
-# What a stream has loaded ahead, and the block that is answered.
+# Enough for what a stream has loaded ahead, and the block that is answered.
 KEPT_BLOCKS = 12
 
 
 class Trajectory(ABC):
-    """A displacement over time; its samples do not depend on the pieces they are asked for in."""
+    """A displacement over time; its samples do not depend on how they are divided into pieces."""
 
     @abstractmethod
     def sample(self, first: int, count: int) -> FloatArray:
         """Return the displacements (um) of `count` samples from `first` on, shape (count,).
 
-        Sample 0 is where the trajectory begins; negative ones lie before.
+        Sample 0 is where the trajectory begins; negative ones lie before it.
         """
 
     @abstractmethod
@@ -39,36 +39,36 @@ class FormulaTrajectory(Trajectory):
     Parameters
     ----------
     formula : callable
-        Displacements (um) of sample numbers, shape (N,).
+        Returns the displacements (um) at given sample numbers, shape (N,).
     """
 
     def __init__(self, formula: Callable[[NDArray[np.int64]], FloatArray]) -> None:
         self._formula = formula
 
     def sample(self, first: int, count: int) -> FloatArray:
-        """Do what `Trajectory` says."""
+        """See `Trajectory.sample`."""
         return self._formula(np.arange(first, first + count))
 
     def survey(self, samples: int) -> FloatArray:
-        """See `Trajectory`: all of a short one, of a long one samples at irregular distances."""
+        """See `Trajectory.survey`: all samples of a short one, irregular ones of a long one."""
         if samples <= SURVEYED_SAMPLES:
             return self.sample(0, samples)
-        # A sample of each of as many stretches: a regular distance might meet one phase only.
+        # One random sample per stretch: regular distances might meet a single phase of the period.
         edges = np.linspace(0, samples, SURVEYED_SAMPLES + 1).astype(np.int64)
         drawn = np.random.default_rng(0).random(SURVEYED_SAMPLES)
         return self._formula(edges[:-1] + (drawn * np.diff(edges)).astype(np.int64))
 
 
 class JoinedTrajectory(Trajectory):
-    """Trajectories that follow each other, each faded into the next without a jump.
+    """A sequence of trajectories, each faded into the next without a jump.
 
     Parameters
     ----------
     durations : list of int
-        Samples of each; the last goes on.
+        Duration of each part (samples); the last one continues.
     transition : int
-        Samples in which the next takes over from its beginning on, while the one before goes on:
-        no derivative up to the second jumps.
+        Samples in which the next part takes over from its beginning on, while the previous one
+        continues; no derivative up to the second jumps.
     """
 
     def __init__(self, parts: Sequence[Trajectory], durations: Sequence[int],
@@ -77,7 +77,7 @@ class JoinedTrajectory(Trajectory):
         self._begins = np.r_[0, np.cumsum(durations[:-1], dtype=np.int64)]
 
     def sample(self, first: int, count: int) -> FloatArray:
-        """Do what `Trajectory` says."""
+        """See `Trajectory.sample`."""
         joined = np.empty(count)
         ends = np.r_[self._begins[1:], np.iinfo(np.int64).max]
         for n, (begin, end) in enumerate(zip(self._begins, ends, strict=True)):
@@ -95,7 +95,7 @@ class JoinedTrajectory(Trajectory):
         return joined
 
     def survey(self, samples: int) -> FloatArray:
-        """Do what `Trajectory` says."""
+        """See `Trajectory.survey`."""
         left = np.clip(samples - self._begins, 0, self._durations)
         left[-1] = max(samples - self._begins[-1], 0)
         return np.concatenate([part.survey(int(count)) for part, count in
@@ -103,9 +103,9 @@ class JoinedTrajectory(Trajectory):
 
 
 class KeptTrajectory(Trajectory):
-    """A trajectory whose last blocks are kept: what is asked for again is not computed again.
+    """A trajectory that caches its last blocks, so that repeated samples are not computed again.
 
-    It may be asked from several threads.
+    Safe to use from several threads.
     """
 
     def __init__(self, trajectory: Trajectory) -> None:
@@ -114,7 +114,7 @@ class KeptTrajectory(Trajectory):
         self._lock = threading.Lock()
 
     def sample(self, first: int, count: int) -> FloatArray:
-        """Do what `Trajectory` says."""
+        """See `Trajectory.sample`."""
         at, last, pieces = first, first + count, [np.empty(0)]
         while at < last:
             number, offset = divmod(at, BLOCK_SAMPLES)
@@ -124,7 +124,7 @@ class KeptTrajectory(Trajectory):
         return np.concatenate(pieces)
 
     def survey(self, samples: int) -> FloatArray:
-        """Do what `Trajectory` says."""
+        """See `Trajectory.survey`."""
         return self._trajectory.survey(samples)
 
     def _block(self, number: int) -> FloatArray:
@@ -132,7 +132,7 @@ class KeptTrajectory(Trajectory):
             if number in self._blocks:
                 self._blocks.move_to_end(number)
                 return self._blocks[number]
-        # Without the lock: who asks for a block that is there does not wait for another.
+        # Computed without the lock, so that other threads need not wait for this block.
         block = self._trajectory.sample(number * BLOCK_SAMPLES, BLOCK_SAMPLES)
         with self._lock:
             self._blocks[number] = block

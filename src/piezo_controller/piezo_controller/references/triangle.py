@@ -8,7 +8,7 @@ from piezo_common.arrays import FloatArray
 from piezo_controller.references.sines import Waves
 
 BANDWIDTH_HZ = 2000.0
-# Of more sines the sum is the triangle without what they lack, which has a formula.
+# For more sines a closed formula is used: the ideal triangle less the remaining terms.
 MOST_SUMMED = 500
 
 
@@ -18,7 +18,7 @@ def triangle_wave(angle_rad: FloatArray, frequency_hz: float) -> FloatArray:
     Parameters
     ----------
     angle_rad : ndarray
-        The wave rises through zero at 0.
+        Angle of the wave, which rises through zero at 0.
 
     Returns
     -------
@@ -38,7 +38,7 @@ def _summed(angle_rad: FloatArray, orders: int) -> FloatArray:
 
 
 def _closed(angle_rad: FloatArray, orders: int) -> FloatArray:
-    """Return the same to 1e-9, at a cost that does not depend on the number of orders."""
+    """Return the same to within 1e-9, at a cost that does not depend on the number of orders."""
     from_crest = np.abs(np.mod(angle_rad + np.pi / 2, 2 * np.pi) - np.pi)
     from_tip = np.minimum(from_crest, np.pi - from_crest)
     sign = np.where(from_crest < np.pi / 2, 1.0, -1.0)
@@ -48,9 +48,9 @@ def _closed(angle_rad: FloatArray, orders: int) -> FloatArray:
 
 
 def _left_out(distance: FloatArray, orders: int) -> FloatArray:
-    """Sum of cos(k d) / k**2 over the odd k above 2 orders.
+    """Return the sum of cos(k d) / k**2 over the odd k above 2 orders.
 
-    The integral over k, and what the middle of steps of two misses of it: sin(d) / d.
+    The sum is replaced by an integral over k; sin(d) / d corrects the error of the midpoint rule.
     """
     first = 2.0 * orders
     integral = np.cos(first * distance) / first - distance * (

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Extended models that an operator lets runs use in place of the models they were made from.
+"""Extended models that an operator has accepted in place of the models they were made from.
 
-A run takes feedforward and feedback from one model: both change together, between two runs or
-between two ticks of one.
+Feedforward and feedback of a run come from the same model. Both change together, between two runs
+or between two ticks of one run.
 """
 
 import hashlib
@@ -17,7 +17,7 @@ from piezo_models.model_file import load_model
 
 @dataclass(frozen=True)
 class ModelText:
-    """A model file as it was read."""
+    """The text of a model file."""
 
     path: str
     text: str
@@ -29,19 +29,19 @@ class ModelText:
 
 
 MOST_FACTOR = 2.0
-"""By which gain or modes of one stage change; what is beyond was identified on another."""
+"""Largest factor between gains or modes of one stage; a larger one means another stage."""
 
 CheckFeedback = Callable[[StageModel, str, StageModel], None]
-"""Raises ValueError where the feedback for a model, of a hash, is not stable with it or another."""
+"""Raises ValueError if the feedback for a model (given its hash) is unstable with it or another."""
 
 
 def gross_difference(present: StageModel, following: StageModel) -> str:
-    """Return in what a model differs by more than `MOST_FACTOR` from another; empty if in nothing.
+    """Return a property in which models differ by more than `MOST_FACTOR`; empty if there is none.
 
     Parameters
     ----------
     present : StageModel
-        With which runs are played, and which they have found to be the stage's.
+        Model that runs use at present, and that has described the stage correctly.
     """
     before, after = ([("gain", "um/V", _gain_um_per_v(model)), *(
         ("mode", "Hz", frequency / (2.0 * np.pi))
@@ -61,7 +61,7 @@ def _gain_um_per_v(model: StageModel) -> float:
 
 
 class AcceptedModels:
-    """Which model is used in place of which; models are told apart by the hash of their text."""
+    """Which model replaces which; models are identified by the hash of their text."""
 
     def __init__(self) -> None:
         self._extended: dict[str, ModelText] = {}
@@ -73,20 +73,21 @@ class AcceptedModels:
         Parameters
         ----------
         check : callable
-            Makes the feedback for the extended model, and refuses what is not stable.
+            Designs the feedback for the extended model, and raises ValueError if it is unstable.
         go_over : callable
-            Has a run that goes on use the model; may raise, and says from when on it is used.
+            Switches the run in progress to the model; returns from when on it is used, and may
+            raise.
 
         Returns
         -------
         str
-            What `go_over` said.
+            What `go_over` returned.
 
         Raises
         ------
         ValueError
-            If a file cannot be used, the models differ grossly, the feedback is unstable, or
-            the run cannot go over; what was used before then stays.
+            If a file cannot be used, the models differ grossly, the feedback is unstable, or the
+            run in progress cannot switch; nothing changes then.
         """
         present, following = (load_model(one.path).model for one in (model, extended))
         before, after = present.hysteresis, following.hysteresis
@@ -116,7 +117,7 @@ class AcceptedModels:
         Parameters
         ----------
         read : callable
-            Returns the text of a file.
+            Returns the text of a file, given its path.
 
         Raises
         ------

@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How long the answers of a run took to compute, as counts between bounds."""
+"""Histogram of the time that the answers of a run took to compute."""
 
 import numpy as np
 
 BOUNDS_S = np.geomspace(1e-6, 100.0, 161)
-"""Twenty to a decade: a percentile is told to 12 %."""
+"""Bounds of the histogram (s), twenty per decade: a percentile is exact to 12 %."""
 
 
 class AnswerTimes:
-    """Counts of computing times: a run of any length takes the same memory.
+    """Histogram of computing times, which takes the same memory for a run of any length.
 
     Parameters
     ----------
     limit_s : float
-        Answers beyond it are late (s).
+        Answers that take longer are late (s).
     """
 
     def __init__(self, limit_s: float) -> None:
@@ -28,9 +28,9 @@ class AnswerTimes:
         self._counts[np.searchsorted(BOUNDS_S, time_s)] += 1
 
     def percentile_s(self, percent: float) -> float:
-        """Return time (s) within which so many percent of the answers came, up to the next bound.
+        """Return the bound (s) within which that percentage of the answers came.
 
-        Infinite beyond the last bound.
+        It is infinite beyond the last bound.
         """
         reached = np.searchsorted(np.cumsum(self._counts), percent / 100 * self.count)
         return float(np.append(BOUNDS_S, np.inf)[reached])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The feedback that each mode of tracking adds, designed for the model or read from a file."""
+"""The feedback of each mode of tracking, designed for the model or read from a file."""
 
 import math
 from dataclasses import dataclass, replace
@@ -37,7 +37,7 @@ LOOPS = ("onboard", "remote")
 
 
 class Feedback(Protocol):
-    """What answers the blocks of a run."""
+    """Interface of what answers the blocks of a run."""
 
     def step(self, expected_um: FloatArray,
              displacement_um: FloatArray) -> float:
@@ -46,25 +46,26 @@ class Feedback(Protocol):
 
 @dataclass(frozen=True)
 class FeedbackSettings:
-    """Which feedback the modes take.
+    """Which feedback the modes use.
 
     Attributes
     ----------
     max_feedback_v : float
-        Largest voltage of a feedback beside a feedforward, of either sign (V); the stage's own
-        limit holds where that is less.
+        Largest voltage of a feedback that acts together with a feedforward, of either sign (V);
+        the stage's own limit applies where it is lower.
     weights : str
-        Weights of the design: a file, a name of those that come with the package, or empty.
+        Weights of the design: a file, the name of weights of the package, or empty for the default.
     controller_file : str
-        Controller of the composite modes; empty to design it for the model.
+        File of the controller of the composite modes; empty to design it for the model.
     place : str
-        Of `PLACES`: where the feedback of the composite modes enters. That of a streamed
-        feedforward is always behind the inverse.
+        One of `PLACES`: where the feedback of the composite modes enters. With a streamed
+        feedforward it is always behind the inverse.
     loop : str
-        Of `LOOPS`: ``onboard`` where the stage evaluates the feedback by itself, ``remote`` where
-        it is answered block by block. A streamed or learned feedforward takes the latter.
+        One of `LOOPS`: ``onboard`` where the stage evaluates the feedback by itself, ``remote``
+        where it is answered block by block. A streamed or learned feedforward requires ``remote``.
     max_error_um : float
-        Of a law on board, see `FeedbackLaw`; PID and PI have none, as all of the travel is theirs.
+        Largest error for a law on board, see `FeedbackLaw`. PID and PI have no such limit, as they
+        must provide the whole travel.
     """
 
     max_feedback_v: float = 20.0
@@ -76,7 +77,7 @@ class FeedbackSettings:
 
 
 class Feedbacks:
-    """Makes the feedback of a run; a design for the same model is made once."""
+    """Makes the feedback of a run; designs are cached by model."""
 
     def __init__(self, settings: FeedbackSettings, stage: StageClock) -> None:
         self._settings, self._stage = settings, stage
@@ -85,19 +86,19 @@ class Feedbacks:
 
     def of_mode(self, mode: str, model: StageModel, model_sha256: str,
                 plan: TrackingPlan) -> Feedback:
-        """Make the feedback of a mode of `FEEDBACK_METHODS`.
+        """Return the feedback of a mode of `FEEDBACK_METHODS`.
 
         Parameters
         ----------
         model_sha256 : str
             Hash of the model's file.
         plan : TrackingPlan
-            What is played beside it.
+            Feedforward that acts together with it.
 
         Raises
         ------
         ValueError
-            If the file, the weights or the design are unusable.
+            If the file, the weights or the design cannot be used.
         """
         settings, stage = self._settings, self._stage
         composite = FEEDBACK_METHODS[mode] == "h_infinity"
@@ -112,12 +113,12 @@ class Feedbacks:
 
     def law_of_mode(self, mode: str, model: StageModel, model_sha256: str,
                     plan: TrackingPlan) -> FeedbackLaw | None:
-        """Make the feedback of a mode for the stage to evaluate; see `of_mode`.
+        """Return the feedback of a mode as a law for the stage to evaluate; see `of_mode`.
 
         Returns
         -------
         FeedbackLaw or None
-            None where the feedback is to be answered block by block.
+            None where the feedback is answered block by block.
         """
         if self._settings.loop != "onboard" or not isinstance(plan, FeedforwardPlan):
             return None
@@ -130,7 +131,7 @@ class Feedbacks:
             max_error_um=self._settings.max_error_um if composite else math.inf)
 
     def sensitivity(self, mode: str, model: StageModel, model_sha256: str) -> Sensitivity:
-        """Return what a mode without an inverse leaves of a reference, over frequency.
+        """Return the part of a reference that remains as error in a mode without an inverse.
 
         Parameters
         ----------
@@ -145,7 +146,7 @@ class Feedbacks:
         controller = self._controller(mode, model, model_sha256, answered=True)
 
         def left(frequency_hz: FloatArray) -> ComplexArray:
-            within = frequency_hz < 0.5 / stage.tick_s  # above, the ticks show an image of it
+            within = frequency_hz < 0.5 / stage.tick_s  # above this, the ticks see an alias
             left = np.ones(frequency_hz.size, dtype=complex)
             left[within] = fast_sensitivity(
                 model, controller, frequency_hz[within], stage.sample_period_s)
@@ -154,16 +155,16 @@ class Feedbacks:
         return left
 
     def check_model(self, model: StageModel, model_sha256: str, present: StageModel) -> None:
-        """Refuse a model whose composite feedback is unstable with it, or with the present one.
+        """Raise if the composite feedback for a model is unstable with it or the present model.
 
-        A stage that has changed lies near both. The design is kept for the next run.
+        A stage that has changed lies near both. The design is cached for the next run.
 
         Parameters
         ----------
         model_sha256 : str
             Hash of the model's file.
         present : StageModel
-            That the model is to replace.
+            Model that is to be replaced.
 
         Raises
         ------
@@ -179,7 +180,7 @@ class Feedbacks:
                                  f"{reason}") from None
 
     def _room_v(self, plan: TrackingPlan) -> float:
-        """Return what a feedback may give that has all of the travel as its work (V)."""
+        """Return the largest voltage (V) of a feedback that must provide the whole travel."""
         stage = self._stage
         return min(feedback_room_v(plan, stage.voltage_range_v), stage.max_feedback_v)
 
@@ -204,26 +205,26 @@ class Feedbacks:
                 "of computing time, but answers take 1; set feedback to onboard, or design it "
                 "with --delay-ticks 1")
         if "hysteresis_gain_um_per_v" not in controller.report:
-            # Of another tool: it stabilises the model, at this gain too.
+            # A controller of another tool: it stabilises the model, so also at this gain.
             nominal = float(np.mean(hysteresis_gain_range(model)))
             controller = replace(controller, report={
                 **controller.report, "hysteresis_gain_um_per_v": nominal})
         return controller
 
     def with_controller(self, path: str, mode: str) -> "Feedbacks":
-        """Return what makes the same feedbacks, but takes that of the composite modes from a file.
+        """Return a copy that takes the controller of the composite modes from a file.
 
         Parameters
         ----------
         path : str
-            Controller file; with an empty one nothing changes.
+            Controller file; if empty, this object itself is returned.
         mode : str
-            That the file is meant for.
+            Mode that the file is meant for.
 
         Raises
         ------
         ValueError
-            If the feedback of the mode comes from no file.
+            If the feedback of the mode does not come from a file.
         """
         if not path:
             return self
@@ -233,7 +234,7 @@ class Feedbacks:
         return Feedbacks(replace(self._settings, controller_file=path), self._stage)
 
     def limited(self, controller: FeedbackController) -> Feedback:
-        """Run a controller behind the inverse, within the largest voltage of a feedback."""
+        """Return a feedback that acts behind the inverse, limited to its largest voltage."""
         return MultirateFeedback(controller, self._max_feedback_v)
 
     def _design(self, method: str, model: StageModel, model_sha256: str,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a mode without an inverse leaves of a reference, as its linear loop foresees it."""
+"""Error that a mode without an inverse is expected to have, predicted from its linear loop."""
 
 from collections.abc import Callable
 
@@ -12,24 +12,25 @@ from piezo_models.cascade import StageModel
 from piezo_models.linear.dynamics import zoh_response
 
 SHARE_AT_REST = 0.9
-"""An rms error of this part of that at rest leaves four fifths of the power: no following."""
+"""Rms error, as a part of that at rest, from which on a reference counts as not followed.
+Four fifths of its power then remain as error."""
 
-# What a harmonic contributes below this part of the largest is less than a millionth of the power.
+# Harmonics below this part of the largest contribute less than a millionth of the power.
 NEGLIGIBLE_HARMONIC = 1e-3
 
 Sensitivity = Callable[[FloatArray], ComplexArray]
-"""Returns, for frequencies (Hz), the part of the reference that is left as an error."""
+"""Returns, for frequencies (Hz), the part of the reference that remains as error."""
 
 
 def open_loop_sensitivity(model: StageModel, sample_period_s: float) -> Sensitivity:
-    """Return what the linear part of a model leaves where nothing inverts it."""
+    """Return the sensitivity of the linear part of a model without an inverse."""
     linear = model.linear()
     return lambda frequency_hz: 1.0 - zoh_response(linear, frequency_hz, sample_period_s)
 
 
 def foreseen_share(period_um: FloatArray, sample_period_s: float,
                    sensitivity: Sensitivity) -> float:
-    """Foresee the rms error, as a part of that of a stage at rest at the reference's mean.
+    """Predict the rms error, as a part of the error of a stage at rest at the reference's mean.
 
     Parameters
     ----------
@@ -39,7 +40,7 @@ def foreseen_share(period_um: FloatArray, sample_period_s: float,
     Returns
     -------
     float
-        0 for a reference that stands still.
+        0 for a constant reference.
     """
     harmonics = np.abs(np.fft.rfft(period_um - period_um.mean()))
     harmonics[0] = 0.0
@@ -54,24 +55,24 @@ def foreseen_share(period_um: FloatArray, sample_period_s: float,
 def check_reach(period_um: FloatArray, sensitivity: Sensitivity, reference: Reference,
                 model: StageModel, stage: StageClock, duration_s: float,
                 watch: Watch | None = None) -> None:
-    """Refuse a reference that a mode would not follow, and that the exact inverse cannot either.
+    """Raise if neither the mode nor the exact inverse can follow a reference.
 
-    What the inverse could follow is played, so that modes can be compared; the run then tells
-    that the stage did not follow.
+    A reference that the inverse could follow is played, so that modes can be compared; the run then
+    reports that the stage did not follow.
 
     Parameters
     ----------
     period_um : ndarray, shape (m,)
         One period of the reference.
     sensitivity : callable
-        Of the mode.
+        Sensitivity of the mode.
     reference, model, stage, duration_s, watch
         See `plan_mode`.
 
     Raises
     ------
     UnreachableReference
-        Names the amplitude within reach.
+        The message names the amplitude within reach.
     """
     if foreseen_share(period_um, stage.sample_period_s, sensitivity) >= SHARE_AT_REST:
         plan_mode("feedforward", reference, model, stage, duration_s, watch)

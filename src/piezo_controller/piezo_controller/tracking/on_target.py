@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Since when the error of a run has been within its tolerance."""
+"""Time from which on the error of a run has been within its tolerance."""
 
 import numpy as np
 
@@ -12,13 +12,13 @@ STEP_SAMPLES = 40
 class OnTarget:
     """Compare the rms error of the last 10 ms at 40 kHz with a tolerance, once a millisecond.
 
-    What it tells does not depend on how the samples are divided into blocks.
+    The result does not depend on how the samples are divided into blocks.
 
     Attributes
     ----------
     since_sample : int or None
-        First sample of the first window from which on all were within the tolerance; None where
-        the last one is not.
+        First sample of the earliest window from which on all windows were within the tolerance;
+        None if the last one is not.
     """
 
     def __init__(self, tolerance_um: float) -> None:
@@ -28,7 +28,7 @@ class OnTarget:
         self.since_sample: int | None = None
 
     def add(self, error_um: FloatArray) -> None:
-        """Take the errors that follow, shape (n,)."""
+        """Add the next errors (um), shape (n,)."""
         rest = np.concatenate([self._rest, error_um * error_um])
         whole = len(rest) // STEP_SAMPLES * STEP_SAMPLES
         self._rest = rest[whole:]
@@ -42,8 +42,8 @@ class OnTarget:
         self._steps = steps
 
     def _judge(self, windows: FloatArray) -> None:
-        """Look at the sums of the windows that are complete, shape (n,)."""
-        # Not "larger": an error that is no number is not on target.
+        """Compare the sums of complete windows, shape (n,), with the tolerance."""
+        # Negated, so that NaN counts as outside.
         outside = np.flatnonzero(~(windows <= self._largest))
         if outside.size:
             self.since_sample = None

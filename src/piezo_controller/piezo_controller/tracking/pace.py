@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Whether this computer, as busy as it is now, keeps the pace of answers to a stage."""
+"""Check whether this computer, at its present load, is fast enough to answer a stage."""
 
 import os
 import time
@@ -11,18 +11,18 @@ PROBED_TICKS = 500
 
 
 class TooSlow(ValueError):
-    """A computer that would miss too many answers in a row; says how late it was."""
+    """The computer would miss too many answers in a row; the message gives the largest delay."""
 
 
 def check_pace(tick_s: float, max_missed: int, check: Callable[[], None] = lambda: None) -> None:
-    """Wake up at every tick for a while, as who answers does; refuse what comes too late.
+    """Wake up at every tick for a while, as the answering thread does; raise if it is too late.
 
     Parameters
     ----------
     max_missed : int
-        More answers missed in a row stop the stage.
+        Largest number of consecutive missed answers; more stop the stage.
     check : callable
-        Called now and then; may raise to end the wait.
+        Called from time to time; may raise to end the check.
 
     Raises
     ------

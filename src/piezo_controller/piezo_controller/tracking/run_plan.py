@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which way a goal's references are played: as a period, streamed, or learned."""
+"""Plan the references of a goal: as a repeated period, streamed, or learned."""
 
 from collections.abc import Sequence
 from typing import TypedDict
@@ -31,7 +31,7 @@ TRANSITION_S = 0.05
 
 
 class _Limits(TypedDict):
-    """What every planner takes of the stage."""
+    """Limits of the stage that every planner needs."""
 
     voltage_range_v: tuple[float, float]
     slew_limit_v_per_s: float
@@ -47,19 +47,20 @@ def plan_references(mode: str, references: Sequence[Reference], durations_s: Seq
     Parameters
     ----------
     mode : str
-        Of `plan_mode`.
+        One of the modes of `plan_mode`.
     durations_s : list of float
-        Of each; a transition begins where the one before has ended, and is part of the next.
+        Duration of each reference; a transition begins where the previous reference ends, and is
+        part of the next one.
     inversion : str
-        Empty for the exact inverse of one period where there is one; a method of
+        Empty for the exact inverse of a period, if there is one; otherwise the method of
         `preview_inverse` for an online inverse.
     watch : callable, optional
-        Called now and then with the part of the planning that is done; may raise.
+        Called from time to time with the fraction planned; may raise.
 
     Raises
     ------
     ValueError
-        Of the references, or of the planners.
+        If a reference is invalid, or a planner cannot reach it.
     """
     if len(references) != len(durations_s):
         raise InvalidReference(f"then has {len(references) - 1} references and then_duration_s "
@@ -85,20 +86,20 @@ def plan_references(mode: str, references: Sequence[Reference], durations_s: Seq
 
 def plan_topic(mode: str, references: Sequence[Reference], run_samples: int, model: StageModel,
                stage: StageClock, inversion: str, live: LiveReference | None) -> LivePlan:
-    """Plan to follow a reference that is published meanwhile.
+    """Plan to follow a reference that is published during the run.
 
     Parameters
     ----------
     mode, references, model, stage, inversion
         See `plan_references`.
     live : LiveReference or None
-        What was published so far.
+        What has been published so far.
 
     Raises
     ------
     ValueError
-        There is more than the one reference, it does not declare its frequency and amplitude, or
-        the planner refuses it.
+        If there is more than one reference, it does not declare its frequency and amplitude, or
+        the planner cannot reach it.
     """
     reference = references[0]
     if live is None or len(references) > 1 or inversion or mode not in STREAMED_MODES:
@@ -114,18 +115,18 @@ def plan_learning(reference: Reference, run_samples: int, model: StageModel,
                   controller: FeedbackController, stage: StageClock, iterations: int,
                   correction_um: FloatArray | None = None,
                   ) -> tuple[LearningFeedforward, PeriodicLearner]:
-    """Plan to learn the feedforward of a periodic reference, and to play the best for a while.
+    """Plan to learn the feedforward of a periodic reference, and then to play the best one.
 
     Parameters
     ----------
     run_samples : int
-        How long to play the best; whole ticks.
+        Duration for which the best feedforward is played (samples); whole ticks.
     controller : FeedbackController
-        That acts meanwhile.
+        Controller that acts during the learning.
     iterations : int
-        At most.
+        Largest number of iterations.
     correction_um : (P,) array, optional
-        To begin with.
+        Correction to begin with.
 
     Returns
     -------
@@ -135,7 +136,7 @@ def plan_learning(reference: Reference, run_samples: int, model: StageModel,
     Raises
     ------
     ValueError
-        The reference has no period, or is out of reach by far.
+        If the reference has no period, or is far out of reach.
     """
     reference_um = sample_reference(reference, stage.sample_rate_hz)
     if correction_um is not None and correction_um.size != reference_um.size:
@@ -155,7 +156,7 @@ def plan_learning(reference: Reference, run_samples: int, model: StageModel,
 
 
 def _limits(stage: StageClock) -> _Limits:
-    """Return what the planners take of the stage, by their names for it."""
+    """Return the limits of the stage, as keyword arguments of the planners."""
     return _Limits(voltage_range_v=stage.voltage_range_v,
                    slew_limit_v_per_s=stage.slew_limit_v_per_s,
                    sample_period_s=stage.sample_period_s, start_voltage_v=stage.rest_voltage_v)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The way from a request to track to the run that answers the stage's blocks, step by step.
+"""The steps from a request to track to the run that answers the stage's blocks.
 
 `prepare` checks the request, loads the model, plans the voltages, makes the feedback, and joins
 them in a `TrackingRun`. The stage then plays the plan; each block of samples goes to
@@ -41,7 +41,7 @@ WITHOUT_INVERSE = "open_loop", "pid", "pi"
 
 @dataclass(frozen=True)
 class TrackRequest:
-    """What a goal of ``controller/track`` asks for.
+    """The contents of a goal of ``controller/track``.
 
     Attributes
     ----------
@@ -50,19 +50,19 @@ class TrackRequest:
     model, model_sha256 : str
         Path of the model's file, and the hash of its text.
     references : sequence of Reference
-        They follow each other.
+        References in the order in which they are followed.
     durations_s : sequence of float
-        Of each.
+        Duration of each reference.
     tolerance_um : float
-        See `TrackingRun`.
+        Tolerance of the rms error, see `TrackingRun`.
     inversion : str
-        See `plan_references`.
+        Method of the inverse, see `plan_references`.
     learned : str
-        File of a learned feedforward; empty for one in `directory`, named by what it is for.
+        File of a learned feedforward; empty to derive its name from the request, in `directory`.
     iterations : int
-        Of the learning at most; 0 for `LEARNING_ITERATIONS`.
+        Largest number of iterations of the learning; 0 for `LEARNING_ITERATIONS`.
     directory : str
-        Where a learned feedforward is kept.
+        Directory of learned feedforwards.
     """
 
     mode: str
@@ -78,28 +78,28 @@ class TrackRequest:
 
 
 class Steps(Protocol):
-    """Who is told of the steps of a preparation; both calls may raise to end it."""
+    """Observer of the steps of a preparation; both methods may raise to end it."""
 
     def begin(self, step: str) -> None:
-        """Hear that a step begins."""
+        """Called when a step begins."""
 
     def watch(self, fraction: float) -> None:
-        """Hear how much of the present step is done, from 0 to 1."""
+        """Called with the fraction of the present step that is done (0 to 1)."""
 
 
 class Unwatched:
-    """Nobody is told of the steps."""
+    """An observer that ignores the steps."""
 
     def begin(self, step: str) -> None:
-        """Ignore that a step begins."""
+        """Do nothing."""
 
     def watch(self, fraction: float) -> None:
-        """Ignore how much of the present step is done."""
+        """Do nothing."""
 
 
 @dataclass(frozen=True, eq=False)
 class Learning:
-    """What a learning run learns, the file that keeps it, and what it began from."""
+    """A learning run: its learner, the file of the result, and what it started from."""
 
     learner: PeriodicLearner
     path: Path
@@ -110,12 +110,12 @@ class Learning:
 
     @property
     def account(self) -> str:
-        """Return what to tell of the learning at its end."""
+        """Return a sentence that describes the learning at its end."""
         return (f"learning{self.beginning} ended after {self.learner.iterations} iterations: "
                 f"{self.learner.finished}")
 
     def keep(self) -> None:
-        """Write the best correction; raises `LearnedFileError`."""
+        """Write the best correction; raise `LearnedFileError` if that fails."""
         save_learned(self.path, Learned(
             self.reference, self.model_sha256, self.sample_rate_hz, self.learner.best_um,
             self.learner.best_rms_um, self.learner.iterations))
@@ -123,14 +123,14 @@ class Learning:
 
 @dataclass(frozen=True, eq=False)
 class PreparedRun:
-    """A run that the stage can begin.
+    """A run that is ready to be played by the stage.
 
     Attributes
     ----------
     learning : Learning or None
-        Of the mode ``learning``.
+        Only in the mode ``learning``.
     law : FeedbackLaw or None
-        Evaluated by the stage, in place of a feedback that answers.
+        Law that the stage evaluates, instead of a feedback that answers block by block.
     """
 
     plan: TrackingPlan
@@ -140,14 +140,14 @@ class PreparedRun:
     law: FeedbackLaw | None = None
 
     def ticks(self, samples_per_tick: int) -> int:
-        """Count the ticks to play; 0 if how long is not known before."""
+        """Return the number of ticks to play; 0 if the length is not known in advance."""
         if self.plan.open_ended:
             return 0
         return math.ceil(self.run.total_samples / samples_per_tick)
 
     @property
     def over(self) -> bool:
-        """Tell whether the stage must be stopped, as it was not told how long to play."""
+        """Return whether an open-ended run is complete, so that the stage must be stopped."""
         return self.plan.open_ended and self.run.complete
 
     def take(self, displacement_um: FloatArray) -> float:
@@ -164,18 +164,18 @@ def prepare(request: TrackRequest, stage: StageClock, feedbacks: Feedbacks, step
     Parameters
     ----------
     steps : Steps
-        Is told of the planning and of the design.
+        Observer of the planning and the design.
     writable : callable
-        Returns the path under which a file may be written; raises ValueError if none may.
+        Returns the path under which a file may be written; raises ValueError if it may not.
     window_s : float
-        Of the running error (s).
+        Window of the running error (s).
     live : LiveReference, optional
-        Of a request of the kind ``topic``, which begins with a value that has come.
+        Published values of a request of the kind ``topic``, of which at least one has come.
 
     Raises
     ------
     ValueError
-        Says what cannot be done, and what to change.
+        The message says what cannot be done, and what to change.
     """
     check_times(request)
     model = load_model(request.model).model
@@ -206,7 +206,7 @@ def prepare(request: TrackRequest, stage: StageClock, feedbacks: Feedbacks, step
 
 
 def check_times(request: TrackRequest) -> None:
-    """Refuse a first duration or a tolerance without meaning; raise ValueError."""
+    """Raise ValueError if the first duration or the tolerance makes no sense."""
     duration_s, tolerance_um = request.durations_s[0], request.tolerance_um
     if not 0.0 < duration_s <= LONGEST_DURATION_S:
         raise ValueError(f"duration_s is {duration_s:g}: "
@@ -218,20 +218,20 @@ def check_times(request: TrackRequest) -> None:
 def prepare_learning(request: TrackRequest, model: StageModel, stage: StageClock,
                      feedbacks: Feedbacks, writable: Callable[[str | Path], str | Path],
                      ) -> tuple[TrackingPlan, Feedback, Learning]:
-    """Plan to learn one reference, beginning with what a file holds of it.
+    """Plan to learn one reference, starting from the contents of its file if there is one.
 
     Parameters
     ----------
     request : TrackRequest
-        Of one reference, without an inversion.
+        Request with one reference, without an inversion.
     writable : callable
-        Returns the path under which a file may be written; raises ValueError if none may.
+        Returns the path under which a file may be written; raises ValueError if it may not.
 
     Raises
     ------
     ValueError
-        If several references or an inversion are asked for, the file was learned for something
-        else, or the planner refuses the reference.
+        If there are several references or an inversion, the file was learned for something else,
+        or the planner cannot reach the reference.
     """
     if len(request.references) > 1 or request.inversion:
         raise ValueError("learning repeats one reference by its exact inverse: "
@@ -252,5 +252,5 @@ def prepare_learning(request: TrackRequest, model: StageModel, stage: StageClock
 
 
 def whole_ticks(duration_s: float, stage: StageClock) -> int:
-    """Count the samples of a time, up to the end of a tick."""
+    """Return the number of samples of a duration, rounded up to whole ticks."""
     return math.ceil(duration_s / stage.tick_s - 1e-9) * stage.samples_per_tick

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What each mode of tracking plays ahead, and which feedback it adds."""
+"""What is played in advance in each mode of tracking, and which feedback is added."""
 
 import math
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ MODES = ("open_loop", "pid", "pi", "feedforward", "composite", "composite_single
          "learning")
 FEEDBACK_METHODS = {"pid": "pid", "pi": "pi", "composite": "h_infinity",
                     "composite_single_rate": "h_infinity"}
-"""Method of `design_feedback` for each mode that has feedback."""
+"""Method of `design_feedback` for each mode with feedback."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class StageClock:
     Attributes
     ----------
     max_feedback_v : float
-        Largest answer that the stage takes, of either sign (V).
+        Largest feedback voltage that the stage accepts, of either sign (V).
     """
 
     voltage_range_v: tuple[float, float] = (-20.0, 120.0)
@@ -52,27 +52,27 @@ class StageClock:
 
 def plan_mode(mode: str, reference: Reference, model: StageModel, stage: StageClock,
               duration_s: float, watch: Watch | None = None) -> FeedforwardPlan:
-    """Plan what the stage plays in a mode.
+    """Plan the voltages that the stage plays in a mode.
 
     Parameters
     ----------
     mode : str
-        One of `MODES`. ``pid`` and ``pi`` hold the voltage of the reference's mean and leave all
-        else to the feedback. ``composite_single_rate`` updates the feedforward once a tick, as
-        often as the feedback. ``learning`` begins with the feedforward.
+        One of `MODES`. ``pid`` and ``pi`` hold the voltage of the reference's mean, and the rest
+        comes from the feedback. ``composite_single_rate`` updates the feedforward once per tick,
+        as often as the feedback. ``learning`` begins with the feedforward.
     duration_s : float
-        How long the periodic part is to be played (s).
+        Duration of the periodic part (s).
     watch : callable, optional
-        Called now and then with the part that is done; may raise.
+        Called from time to time with the fraction done; may raise.
 
     Raises
     ------
     InvalidReference
-        The reference has no period of whole samples, or of whole ticks at a single rate.
+        If the reference has no period of whole samples, or of whole ticks at a single rate.
     UnreachableReference
-        See `plan_feedforward`.
+        If the voltage would exceed the limits, see `plan_feedforward`.
     ValueError
-        The mode is unknown.
+        If the mode is unknown.
     """
     if mode not in MODES:
         raise ValueError(f"unknown mode {mode!r}: use one of {', '.join(MODES)}")
@@ -98,7 +98,7 @@ def plan_mode(mode: str, reference: Reference, model: StageModel, stage: StageCl
 
 def _with_reference(plan: FeedforwardPlan, reference_um: FloatArray,
                     sample_period_s: float) -> FeedforwardPlan:
-    """Make a plan that holds the mean, but expects the reference, faded in."""
+    """Return a plan that holds the mean, but expects the reference, faded in."""
     once = plan.reference_once_um.size
     fade_start = plan.feedback_start_sample
     fading = min(round(FADE_S / sample_period_s), once - fade_start)
@@ -110,7 +110,7 @@ def _with_reference(plan: FeedforwardPlan, reference_um: FloatArray,
 
 
 def _held(plan: FeedforwardPlan, samples: int, reference_um: FloatArray) -> FeedforwardPlan:
-    """Make a plan at the tick's rate, played by the sample clock."""
+    """Return a plan at the tick rate, resampled to the sample clock."""
     once = plan.reference_once_um.size
     expected_um = np.interp(np.arange(once * samples) / samples, np.arange(once),
                             plan.reference_once_um)
@@ -123,7 +123,7 @@ def _held(plan: FeedforwardPlan, samples: int, reference_um: FloatArray) -> Feed
 
 
 def feedback_room_v(plan: TrackingPlan, voltage_range_v: tuple[float, float]) -> float:
-    """Tell how far a feedback may go from a plan, of either sign, without leaving the range (V)."""
+    """Return the largest feedback voltage (V), of either sign, that keeps within the range."""
     played_v = plan.period_voltage_v
     lowest_v, highest_v = voltage_range_v
     return float(min(played_v.min() - lowest_v, highest_v - played_v.max()))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""One run of the loop: answers every block, and keeps the account of the error."""
+"""One run of the loop: answers every block, and computes the tracking error."""
 
 import math
 import time
@@ -18,7 +18,7 @@ from piezo_controller.tracking.plan import TrackingPlan
 USUAL_PERCENT = 99
 TOLERANCE_OF_TRAVEL, LEAST_TOLERANCE_UM = 0.01, 0.03
 NOT_FOLLOWED = "the stage did not follow the reference"
-"""How the note begins of a run whose error is that of a stage at rest."""
+"""Beginning of the note for a run whose error is that of a stage at rest."""
 
 
 class TrackingRun:
@@ -27,25 +27,26 @@ class TrackingRun:
     Parameters
     ----------
     plan : TrackingPlan
-        What the stage plays from the run's first sample on.
+        Voltages that the stage plays from the run's first sample on.
     run_samples : int
-        How long the reference is to be followed after the approach; the error is that of this part.
+        Duration for which the reference is followed after the approach; the error is evaluated
+        here.
     feedback : MultirateFeedback, optional
-        Answers the blocks; None where only the feedforward acts.
+        Answers the blocks; None if only the feedforward acts.
     tick_s : float
         Period of the feedback (s).
     tolerance_um : float
-        On target is a displacement whose rms error over 10 ms at 40 kHz is at most this; 0 for
-        1 % of the travel, but at least 0.03 um.
+        The displacement is on target if its rms error over 10 ms at 40 kHz is at most this (um);
+        0 for 1 % of the travel, but at least 0.03 um.
     window_samples : int
-        Of the running error.
+        Window of the running error.
     fade_s : float
-        Over which the error in which the feedback begins is faded in (s), as `FeedbackLaw` does.
+        Time over which the error at the start of the feedback is faded in (s), see `FeedbackLaw`.
 
     Attributes
     ----------
     expected_um : ndarray, shape (n,)
-        Reference of the samples that were taken last; without those beyond the end of the run.
+        Reference of the last block, up to the end of the run.
     """
 
     def __init__(self, plan: TrackingPlan, run_samples: int, feedback: Feedback | None = None,
@@ -78,29 +79,29 @@ class TrackingRun:
 
     @property
     def complete(self) -> bool:
-        """Tell whether every sample that counts has been taken."""
+        """Return whether all samples that count have been taken."""
         return self.samples >= self.total_samples
 
     @property
     def begun(self) -> bool:
-        """Tell whether a sample that counts has been taken."""
+        """Return whether a sample that counts has been taken."""
         return self._counted > 0
 
     @property
     def fraction(self) -> float:
-        """Return the part of the whole that is done, 0 to 1."""
+        """Return the fraction of the run that is done (0 to 1)."""
         return min(1.0, self.samples / self.total_samples)
 
     @property
     def on_target(self) -> bool:
-        """Tell whether the error is within the tolerance now."""
+        """Return whether the error is within the tolerance now."""
         return self._target.since_sample is not None
 
     @property
     def settled_after_sample(self) -> float:
-        """Sample of the part that counts from which on the error was within the tolerance.
+        """Return the sample of the counted part from which on the error was within the tolerance.
 
-        NaN if it is not.
+        It is NaN if the error is not within the tolerance now.
         """
         since_sample = self._target.since_sample
         return math.nan if since_sample is None else since_sample
@@ -111,12 +112,12 @@ class TrackingRun:
         Parameters
         ----------
         displacement_um : ndarray, shape (n,)
-            Measured.
+            Measured displacements.
 
         Returns
         -------
         feedback_v : float
-            The answer to the block (V); zero where there is no feedback or not yet.
+            Answer to the block (V); zero without feedback, and before it begins.
         """
         first, total = self.samples, self.total_samples
         self.samples += len(displacement_um)
@@ -141,7 +142,7 @@ class TrackingRun:
         return voltage_v
 
     def _faded_um(self, since: int, count: int) -> FloatArray:
-        """Return what the feedback does not see yet of the error in which it began, (count,)."""
+        """Return the part of the initial error that is still hidden from the feedback, (count,)."""
         samples = self._fade_s / self._tick_s * count
         if since >= samples:
             return np.zeros(count)
@@ -149,7 +150,7 @@ class TrackingRun:
 
     @property
     def lateness(self) -> str:
-        """Return what to tell of answers that no stage at the wall clock could have waited for."""
+        """Return a warning if answers took longer than a tick; empty otherwise."""
         times = self._answer_times
         if 100 * times.late <= (100 - USUAL_PERCENT) * times.count:
             return ""
@@ -160,7 +161,7 @@ class TrackingRun:
 
     @property
     def not_followed(self) -> str:
-        """Return what to tell of a run whose error was about that at rest; empty otherwise."""
+        """Return a warning if the error was about that of a stage at rest; empty otherwise."""
         if not self._counted:
             return ""
         mean_um = self._expected_sum / self._counted
@@ -172,7 +173,7 @@ class TrackingRun:
                 f"rests at the mean {at_rest_um:.3g} um; use composite, or a slower reference")
 
     def _account(self, before: int, expected_um: FloatArray, displacement_um: FloatArray) -> None:
-        """Add a block to the account, except its samples before the part that counts."""
+        """Add a block to the error statistics, except its samples before the counted part."""
         expected_um, displacement_um = expected_um[before:], displacement_um[before:]
         if not expected_um.size:
             return
@@ -190,16 +191,16 @@ class TrackingRun:
 
     @property
     def _travel_um(self) -> float:
-        """Return the travel as far as it is known: of all that was expected, and of the plan."""
+        """Return the larger of the planned travel and that of the samples so far (um)."""
         return max(self._planned_travel_um, self._highest_um - self._lowest_um)
 
     def e_rms_percent(self, running: bool = False) -> float:
-        """Return the error (2.32) so far of the part that counts; of its last samples if so asked.
+        """Return the error (2.32) of the counted part so far; with `running`, of its last samples.
 
         Returns
         -------
         float
-            NaN before that part begins.
+            In percent; NaN before that part begins.
         """
         if running:
             return 100.0 * self._window.rms / self._travel_um
@@ -209,12 +210,12 @@ class TrackingRun:
 
 
 class RunningSquares:
-    """Root mean square of the last samples, block by block.
+    """Root mean square of the last samples, updated block by block.
 
     Parameters
     ----------
     samples : int
-        At least so many are kept, if there are, and less than a block more.
+        Smallest number of samples that are kept; there may be up to a block more.
     """
 
     def __init__(self, samples: int) -> None:
@@ -223,7 +224,7 @@ class RunningSquares:
         self.samples = 0
 
     def add(self, squares: float, samples: int) -> None:
-        """Take the sum of squares of a block."""
+        """Add the sum of squares of a block."""
         self._blocks.append((squares, samples))
         self.samples += samples
         while self.samples - self._blocks[0][1] >= self._wanted:
@@ -231,8 +232,8 @@ class RunningSquares:
 
     @property
     def rms(self) -> float:
-        """Return the root mean square, NaN before the first block."""
-        # Copied at once: one thread asks while another adds.
+        """Return the root mean square; NaN before the first block."""
+        # Copied at once, as one thread reads while another adds.
         blocks = tuple(self._blocks)
         if not blocks:
             return math.nan

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Whether each component of a model fits its own recording as well as the noise allows."""
+"""Test whether each component of a model fits its own recording down to the noise."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The verdict on each component of a model: what it leaves of its recording, beside the noise."""
+"""The verdict on each component of a model: its residual compared with the noise."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
@@ -16,13 +16,13 @@ from piezo_recorder.reading.recording import Recording
 ADEQUATE, INADEQUATE = "adequate", "inadequate"
 
 COMPONENTS = ("creep", "dynamics", "hysteresis")
-"""Components bear the names of the recordings that they are estimated from."""
+"""Components, named like the recordings from which they are estimated."""
 
 NUMBERS = {"creep": "--creep-pairs", "dynamics": "--modes"}
-"""Options that ask for the number of their parts."""
+"""Options that set the number of modes or creep pairs of a component."""
 
 SLOW_HZ = 5.0
-"""Frequency below which what is left of loops may be creep, above it fast dynamics."""
+"""Frequency below which a residual of loops may be creep; above it, fast dynamics."""
 
 
 @dataclass(frozen=True)
@@ -32,18 +32,18 @@ class ComponentAdequacy:
     Parameters
     ----------
     residual_rms_um, noise_rms_um, ratio : float
-        What is left, the noise in the same samples, and the first over the second. Of the mean
-        period where the voltage repeats itself.
+        RMS of the residual, RMS of the noise in the same samples, and their ratio; of the mean
+        period if the voltage is periodic.
     verdict : str
         `ADEQUATE` or `INADEQUATE`.
     error_percent : float
         Relative error e_y (4.20) on the data that were fitted.
     noise_from : str
-        What told the noise.
+        Source of the noise estimate.
     left : str
-        Of what is left beyond the noise: how much, and where; empty if adequate.
+        Size and location of the systematic error; empty if adequate.
     advice : str
-        What to do; empty if adequate.
+        Recommended action; empty if adequate.
     """
 
     residual_rms_um: float
@@ -61,22 +61,22 @@ def adequacy_of(
     delays_s: Mapping[str, float] | None = None,
     asked_for: Collection[str] = (),
 ) -> dict[str, ComponentAdequacy]:
-    """Set what each component leaves of its recording against the noise.
+    """Compare the residual of each component on its recordings with the noise.
 
     Parameters
     ----------
     recordings : dict of str to Recording or FrequencyResponse
-        Conditioned and without gaps, by the names of `COMPONENTS`; further ones of the same are
-        numbered: creep, creep 2. Any others are not looked at.
+        Conditioned data without gaps by the names of `COMPONENTS`; further recordings of a
+        component are numbered: creep, creep 2. Other names are ignored.
     delays_s : dict of str to float, optional
-        Delays of the rows of some of them, beside the model.
+        Delays of rows by name of the recording, in addition to those of the model.
     asked_for : collection of str
-        Components whose number of parts was asked for.
+        Components whose number of parts was given by the user.
 
     Returns
     -------
     dict of str to ComponentAdequacy
-        By the names of the recordings; stretches of a few samples are left out.
+        Adequacy by name of the recording; short stretches are omitted.
     """
     delays_s = delays_s or {}
     return {
@@ -106,18 +106,18 @@ def _component_adequacy(
 
 def advice_on(component: str, model: StageModel, location: ResidualLocation, path: str,
               recordings: Mapping[str, Any], is_asked_for: bool = False) -> str:
-    """Say what to do about a component that is inadequate.
+    """Return advice on an inadequate component.
 
     Parameters
     ----------
     location : ResidualLocation
-        Of what it leaves.
+        Location of its residual.
     path : str
-        Of its recording.
+        Path of its recording.
     recordings : dict of str to Recording or FrequencyResponse
-        All that was given.
+        All given data.
     is_asked_for : bool
-        Whether the number of its parts was.
+        Whether the number of its parts was given by the user.
     """
     steps = []
     if component == "hysteresis":
@@ -136,7 +136,7 @@ def advice_on(component: str, model: StageModel, location: ResidualLocation, pat
 
 
 def adequacy_document(adequacy: Mapping[str, ComponentAdequacy]) -> dict[str, dict[str, Any]]:
-    """Return the adequacy as plain numbers and texts, as the model file keeps it."""
+    """Return the adequacy as plain numbers and strings for the model file."""
     return {component: {name: value for name, value in asdict(part).items() if value != ""}
             for component, part in adequacy.items()}
 
@@ -147,7 +147,7 @@ def overall_verdict(document: Mapping[str, Mapping[str, Any]]) -> str:
     Parameters
     ----------
     document : dict of str to dict
-        Of `adequacy_document`, or from a model file.
+        Adequacy from `adequacy_document` or from a model file.
     """
     verdicts = {part["verdict"] for part in document.values()}
     if not verdicts:
@@ -156,12 +156,12 @@ def overall_verdict(document: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def adequacy_table(document: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the adequacy as a table for people, with what is left and what to do below it.
+    """Return the adequacy as a text table, followed by residuals and advice.
 
     Parameters
     ----------
     document : dict of str to dict
-        Of `adequacy_document`.
+        Adequacy from `adequacy_document`.
     """
     lines = [f"{'on the data that were fitted':30}{'left (um)':>12}{'noise (um)':>12}{'ratio':>10}"
              f"{'e_y (%)':>10}"]

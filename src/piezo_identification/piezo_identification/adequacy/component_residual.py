@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a model leaves of the recording that one of its components was estimated from."""
+"""The residual of a model on the recording from which one of its components was estimated."""
 
 from dataclasses import dataclass
 
@@ -42,26 +42,26 @@ from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
 
 WITH_FREE_GAIN = ("creep", "dynamics")
-"""Components whose gain is that of the hysteresis, and so is not theirs to answer for."""
+"""Components whose gain is fitted, as it belongs to the hysteresis."""
 
 
 @dataclass(frozen=True, eq=False)
 class ComponentResidual:
-    """Samples of a recording that count, and what the model leaves of them.
+    """Samples of a recording, and the residual of the model.
 
     Parameters
     ----------
     time_s, voltage_v, measured_um, residual_um : ndarray, shape (N,)
-        Of a frequency response, the time is none: it is the number of the frequency, and what is
-        measured is its magnitude at the travel of the model.
+        Time, voltage, measured displacement and residual. For a frequency response, the time is an
+        index, and the displacement holds real and imaginary parts, scaled to the model's travel.
     good : ndarray of bool, shape (N,)
-        False where an outlier stands, or a step has not settled yet that the component leaves out.
+        False for outliers, and for samples after a step that the component excludes.
     period : int or None
-        Samples after which the voltage repeats itself.
+        Period of the voltage in samples; None if it is not periodic.
     steps : ndarray of int
         Samples at which a square wave changes its level; empty for any other input.
     frequency_hz : ndarray, shape (N,), optional
-        Of a frequency response.
+        Frequencies of a frequency response.
     """
 
     path: str
@@ -76,7 +76,7 @@ class ComponentResidual:
 
     @property
     def sample_period_s(self) -> float:
-        """Time from sample to sample."""
+        """Sample period."""
         return float(self.time_s[1] - self.time_s[0])
 
     @property
@@ -91,20 +91,20 @@ class ComponentResidual:
 def component_residual(
     component: str, model: StageModel, data: Recording | FrequencyResponse, delay_s: float = 0.0,
 ) -> ComponentResidual:
-    """Simulate a model under the data of one component, and remove what is not of the component.
+    """Simulate a model for the data of one component, and project out all other causes of error.
 
-    That is the offset, the state in which the recording begins, and for creep and dynamics the gain
-    of the hysteresis. Under a square wave the hysteresis is an offset and a gain (4.5), so that it
-    does not enter at all, unless the model lags in front of it.
+    These are the offset, the initial state and, for creep and dynamics, the gain of the hysteresis.
+    For a square wave, the hysteresis is an offset and a gain (4.5) and need not be simulated unless
+    the model has a lag before it.
 
     Parameters
     ----------
     component : str
-        creep, dynamics or hysteresis.
+        ``creep``, ``dynamics`` or ``hysteresis``.
     data : Recording or FrequencyResponse
-        That the component was estimated from.
+        Data from which the component was estimated.
     delay_s : float
-        Of the rows of the recording, beside the model.
+        Delay of the rows of the recording, in addition to that of the model.
 
     Raises
     ------
@@ -137,12 +137,12 @@ def _of_square_wave(
         first = max(first, int(wave.steps[0]))
     good = good_samples(part)[first:]
     if component == "creep":
-        # The fast dynamics are not what this recording shows.
+        # Exclude the fast dynamics, which this recording does not resolve.
         since = np.arange(time_s.size) - np.concatenate([[0], wave.steps])[
             np.searchsorted(wave.steps, np.arange(time_s.size), side="right")]
         settled_s = left_out_s(slow_dynamics(model.dynamics, model.effects), behind_s + delay_s)
         good = good & (since[first:] * part.sample_period_s >= settled_s)
-        # A free-running generator steps between this row and the next.
+        # A free-running generator steps between two rows.
         good[wave.steps[wave.steps > first] - first - 1] = False
     measured_um = part.displacement_um[first:]
     beside = np.column_stack([
@@ -175,7 +175,7 @@ def _of_square_wave(
 
 
 def _first_used(part: Recording, steps: NDArray[np.intp], creep: CreepDynamics) -> int:
-    """First sample that the estimate of the dynamics uses, within the first half."""
+    """Return the first sample used to estimate the dynamics, within the first half."""
     earliest = int(np.searchsorted(part.time_s, WARM_UP_S))
     quick_um = remove_creep(part.displacement_um, creep, part.sample_period_s)
     settled = first_settled_step(quick_um, steps, earliest)
@@ -185,7 +185,7 @@ def _first_used(part: Recording, steps: NDArray[np.intp], creep: CreepDynamics) 
 
 
 def _behind_amplifier(model: StageModel, part: Recording, level: FloatArray) -> FloatArray:
-    """Output of the hysteresis where the voltage between the levels passes it; else the levels."""
+    """Return the output of the hysteresis if an effect acts on the voltage; else the levels."""
     ahead = model.effects_at("voltage")
     if not ahead:
         return level
@@ -213,7 +213,7 @@ def _of_any_wave(free_gain: bool, model: StageModel, data: Recording) -> Compone
 
 
 def _of_response(model: StageModel, data: FrequencyResponse) -> ComponentResidual:
-    """Real and imaginary parts one after the other, at the travel of the model."""
+    """Return the residual of real and imaginary parts, scaled to the travel of the model."""
     lags, _ = leading_lags(model.effects_at("displacement") + model.effects_at("sensor"), 1)
     system, delay_s = behind_lags(model.linear(), lags)
     measured = without_hold(data, system, delay_s)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What linear dynamics leave of the answer to a generator whose edges lie between the samples."""
+"""The residual of linear dynamics for a generator whose edges lie between the samples."""
 
 import control
 import numpy as np
@@ -18,26 +18,27 @@ def left_of_generator(
     system: control.StateSpace, held: HeldInput, delay_s: float, edges: GeneratorEdges,
     measured_um: FloatArray, beside: FloatArray, good: BoolArray,
 ) -> FloatArray:
-    """Return what a system leaves, with the gain and the edges that fit best.
+    """Return the residual of a system with the best-fitting gain and edge times.
 
-    The rows leave period, duty and instant of the edges open, each within its sample period.
+    The samples determine period, duty and time of the edges only to within a sample period.
 
     Parameters
     ----------
     system : control.StateSpace
-        Continuous, without direct feedthrough.
+        Continuous system without direct feedthrough.
     held : HeldInput
-        Levels as sampled, N of them.
+        The N sampled levels.
     measured_um : ndarray, shape (K,)
-        Of the last K samples.
+        Measured displacement of the last K samples.
     beside : ndarray, shape (N, M)
-        What else the record may hold.
+        Further regressors, such as offset and initial creep.
     good : ndarray of bool, shape (K,)
-        Samples that count.
+        True for samples that are fitted.
 
     Returns
     -------
     ndarray, shape (K,)
+        Residual in um.
     """
     poles, vectors = np.linalg.eig(system.A)
     residues = (system.C @ vectors)[0] * np.linalg.solve(vectors, system.B)[:, 0]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The lack-of-fit test: a residual beside noise, in single samples and in means of them."""
+"""The lack-of-fit test: compare a residual with noise, in single samples and in their means."""
 
 from dataclasses import dataclass
 
@@ -13,32 +13,32 @@ from piezo_identification.conditioning.sensor_noise import noise_floor_um
 
 @dataclass(frozen=True)
 class LackOfFitSettings:
-    """Numbers that steer the test.
+    """Settings of the test.
 
     Attributes
     ----------
     significance : float
-        Probability at which noise alone is called a lack of fit, for each length of the means.
+        Probability of a false lack of fit from noise alone, for each length of the means.
     growth : int
-        Factor between the lengths of the means that are tested.
+        Factor between the tested lengths of the means.
     fewest_means : int
-        Of one length that are tested; fewer tell nothing.
+        Fewest means of one length for which that length is tested.
     fewest_at_rest : int
-        Samples of a rest that tells the noise.
+        Fewest samples of a rest from which the noise is estimated.
     at_rest_at_most : float
-        Part of a recording that may rest where the rests tell the noise. In a square wave all of it
-        rests, so that the rests would hide what the model lacks.
+        Largest fraction of a recording at rest for which the rests give the noise. A square wave
+        rests throughout, so its rests would hide the errors of the model.
     fewest_for_a_spectrum : int
-        Samples from which the noise is taken from the highest frequencies; of fewer, it is taken
-        from the second differences of neighbours.
+        Fewest samples for which the noise is estimated from the highest frequencies; below it,
+        second differences are used.
     drift_order : int
-        Degree of the polynomial by which repeats, or a rest, may drift.
+        Degree of the polynomial that is removed as drift from repeats or from a rest.
     tolerance : float
-        Part of the travel: a systematic error below it is of no account, as it is lost in rounding,
-        in the grid of the density, and in the errors of the other components.
+        Fraction of the travel below which a systematic error is negligible: rounding, the grid of
+        the density and errors of other components are as large.
     of_noise : float
-        Part of the noise of a sample: a systematic error below it adds an eighth to what a sample
-        is off, and many samples show it still.
+        Fraction of the noise of a sample below which a systematic error is negligible. It adds an
+        eighth to the RMS error of a sample, although it may be significant.
     """
 
     significance: float = 1e-4
@@ -57,18 +57,19 @@ SETTINGS = LackOfFitSettings()
 
 @dataclass(frozen=True, eq=False)
 class LackOfFit:
-    """What is left of a recording, beside its noise.
+    """The residual on a recording compared with the noise.
 
     Parameters
     ----------
     residual_rms_um, noise_rms_um : float
-        Of the same samples: of the mean period where the voltage repeats itself.
+        RMS of residual and noise in the same samples; of the mean period if the voltage is
+        periodic.
     systematic_rms_um : float
-        What noise does not explain; the largest among the means of different lengths.
+        RMS of the residual beyond the noise: the largest for the tested lengths of the means.
     significant : bool
-        Noise alone would hardly leave as much.
+        Whether noise alone is very unlikely to give this residual.
     noise_from : str
-        What told the noise: repeats, rests or the sensor's band.
+        Source of the noise estimate: repeats, rests or the sensor's band.
     sequence_um : ndarray, shape (M,)
         The residual, or its mean period.
     """
@@ -88,14 +89,14 @@ class LackOfFit:
 
     @property
     def is_adequate(self) -> bool:
-        """Whether what is left is noise, or too little to matter."""
+        """Whether the residual is noise, or negligible."""
         small_um = max(self.tolerance_um, SETTINGS.of_noise * self.noise_rms_um)
         return not self.significant or self.systematic_rms_um <= small_um
 
 
 @dataclass(frozen=True, eq=False)
 class _Noise:
-    """Mean squares of the means of noise, by the samples of each mean, and their freedom."""
+    """Mean squares of means of the noise and their degrees of freedom, by length of the means."""
 
     source: str
     mean_squares: dict[int, float]
@@ -105,11 +106,11 @@ class _Noise:
 def lack_of_fit(residual: ComponentResidual) -> LackOfFit:
     """Test whether a residual is noise.
 
-    Where the voltage repeats itself, the mean period is set against the scatter of the periods, the
-    pure error of the classical test (Draper and Smith, Applied Regression Analysis, 1998). Else the
-    noise is that of rests, or of the highest frequencies, taken for white. Means over more and more
-    samples are tested, in which slow errors stand out of the noise: F is their mean square over
-    that of the noise.
+    For a periodic voltage, the mean period is compared with the scatter of the periods, the pure
+    error of the classical test (Draper and Smith, Applied Regression Analysis, 1998). Otherwise,
+    the noise is estimated from rests, or from the highest frequencies and assumed to be white.
+    Means over increasing numbers of samples are tested, in which slow errors exceed the noise. F is
+    their mean square over that of the noise.
     """
     values_um = np.where(residual.good, residual.residual_um, 0.0)
     period = residual.period or values_um.size
@@ -144,13 +145,13 @@ def _lengths(samples: int) -> list[int]:
 
 
 def _means(values: FloatArray, length: int) -> FloatArray:
-    """Means of successive samples along the last axis."""
+    """Return the means of successive samples along the last axis."""
     count = values.shape[-1] // length
     return values[..., : count * length].reshape(*values.shape[:-1], count, length).mean(axis=-1)
 
 
 def _without_drift(values: FloatArray) -> FloatArray:
-    """Each row without its polynomial."""
+    """Return the rows without their polynomial drift."""
     basis = np.polynomial.legendre.legvander(
         np.linspace(-1.0, 1.0, values.shape[-1]), SETTINGS.drift_order)
     return values - (basis @ np.linalg.lstsq(basis, values.T, rcond=None)[0]).T
@@ -174,7 +175,7 @@ def _of_rests(residual: ComponentResidual, values_um: FloatArray) -> _Noise | No
         np.diff(residual.voltage_v, prepend=np.nan, append=np.nan) != 0.0)
     longest = int(np.argmax(np.diff(edges)))
     start, end = edges[longest], edges[longest + 1]
-    # The first half may still move.
+    # The stage may still settle in the first half.
     start += (end - start) // 2
     at_rest = np.sum(np.diff(edges)[np.diff(edges) >= SETTINGS.fewest_at_rest])
     if end - start < SETTINGS.fewest_at_rest or (
@@ -197,7 +198,7 @@ def _of_band(residual: ComponentResidual, values_um: FloatArray) -> _Noise:
     if size >= SETTINGS.fewest_for_a_spectrum:
         noise_um, freedom = noise_floor_um(values_um), size / 8.0
     else:
-        # Of white noise, the mean square of the second differences is six times its own.
+        # For white noise, second differences have six times its mean square.
         noise_um, freedom = np.sqrt(np.mean(np.diff(values_um, 2) ** 2) / 6.0), size / 3
     squares = {length: noise_um**2 / length for length in _lengths(size)}
     return _Noise("the sensor's band", _above_rounding(squares, values_um),
@@ -205,6 +206,6 @@ def _of_band(residual: ComponentResidual, values_um: FloatArray) -> _Noise:
 
 
 def _above_rounding(squares: dict[int, float], values_um: FloatArray) -> dict[int, float]:
-    """Mean squares that are never zero, as those of simulated data are."""
+    """Return mean squares of at least the rounding error; those of simulated data may be 0."""
     least = (np.finfo(float).eps * (np.abs(values_um).max() + np.finfo(float).tiny)) ** 2
     return {length: max(square, least) for length, square in squares.items()}

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Loops that no Preisach model with positive relays can make, refused by name.
+"""Refuse loops that no Preisach model with positive relays can represent.
 
-Each relay switches on as the voltage rises and off as it falls. So the displacement never moves
-against the voltage, falling branches lie above rising ones, and a minor loop closes.
+Each relay switches on as the voltage rises and off as it falls. Thus the displacement never moves
+against the voltage, falling branches lie above rising ones, and minor loops close.
 
-Creep and dynamics do the same without any fault of the loops, and are taken out before. Where they
-were not found well, that makes faults that the stage does not have. So loops are refused for what
-they show both as measured and without creep and dynamics.
+Creep and dynamics violate these conditions, too, and are removed before the test. If they were
+estimated badly, their removal can distort the loops. Loops are therefore refused only if they
+violate a condition both as measured and with creep and dynamics removed.
 """
 
 from collections.abc import Callable
@@ -28,24 +28,25 @@ from piezo_recorder.reading.recording import Recording
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """Sizes below which a loop may be drift, noise or unknown creep.
+    """Tolerances for drift, noise and unknown creep in loops.
 
     Attributes
     ----------
     smallest_reversal : float
-        Part of the voltage's range by which a branch reverses.
+        Smallest reversal between branches, as a fraction of the voltage range.
     long_branch : float
-        Part of the voltage's range from which the shape of a branch counts.
+        Shortest branch whose shape is tested, as a fraction of the voltage range.
     bins : int
-        Parts of a branch in which samples are averaged.
+        Number of bins of a branch in which samples are averaged.
     against : float
-        Part of the displacement's range by which it may move against the voltage.
+        Largest movement against the voltage, as a fraction of the displacement range.
     clockwise : float
-        Part of the displacement's range by which a falling branch may lie below a rising one.
+        Largest distance of a falling branch below a rising one, as a fraction of the displacement
+        range.
     open_loop : float
-        Part of the swing of a minor loop by which it may fail to close.
+        Largest gap of a minor loop, as a fraction of its swing.
     fewest_minor_loops : int
-        That tell whether minor loops close.
+        Fewest minor loops for which closing is tested.
     """
 
     smallest_reversal: float = 0.02
@@ -62,12 +63,12 @@ SETTINGS = LoopSettings()
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """The way between two reversals, in bins of the voltage.
+    """The motion between two reversals, averaged in bins of the voltage.
 
     Parameters
     ----------
     voltage_v, output_um : ndarray, shape (B,)
-        In the order of time.
+        Voltage and output in the order of time.
     """
 
     voltage_v: FloatArray
@@ -95,7 +96,7 @@ class Loops:
     ----------
     voltage_v, output_um : ndarray, shape (N,)
     points : ndarray of int
-        Samples at which the voltage reverses, with the first and the last one.
+        Samples at which the voltage reverses, and the first and last sample.
     """
 
     path: str
@@ -105,7 +106,7 @@ class Loops:
 
     @property
     def branches(self) -> list[Branch]:
-        """Those that are long enough to have a shape."""
+        """Branches that are long enough to test their shape."""
         long_v = SETTINGS.long_branch * float(np.ptp(self.voltage_v))
         return [
             _binned(self.voltage_v[start : end + 1], self.output_um[start : end + 1])
@@ -117,25 +118,25 @@ def refuse_impossible_loops(
     recording: Recording, creep: CreepDynamics, dynamics: ElectricVibrationDynamics,
     delay_s: float = 0.0,
 ) -> list[str]:
-    """Refuse a recording of loops that no Preisach model can make.
+    """Refuse a recording of loops that no Preisach model can represent.
 
     Parameters
     ----------
     recording : Recording
-        Of the hysteresis; nothing is refused of one that is too fast to be static.
+        Recording of the hysteresis; it is not tested if it is too fast to be quasi-static.
     delay_s : float
-        Of the measurement.
+        Delay of the measurement.
 
     Returns
     -------
     list of str
-        Sentences on what the loops show only where creep, dynamics and delay are taken out.
+        Sentences on violations that appear only with creep, dynamics and delay removed.
 
     Raises
     ------
     ValueError
-        If the displacement moves against the voltage, loops are run through clockwise, or minor
-        loops do not close, both as measured and with all three taken out.
+        If the displacement moves against the voltage, loops are clockwise, or minor loops do not
+        close, both as measured and with creep, dynamics and delay removed.
     """
     part = played(recording)
     used = good_samples(part) & (
@@ -201,7 +202,7 @@ def _refuse_clockwise(loops: Loops) -> None:
 
 
 def _width_um(first: Branch, second: Branch) -> float | None:
-    """By how much the falling branch lies above the rising one, where both have been."""
+    """Return the mean height of the falling branch above the rising one where both overlap."""
     if first.rises == second.rises:
         return None
     low_v = max(first.voltage_v.min(), second.voltage_v.min())
@@ -216,11 +217,11 @@ def _width_um(first: Branch, second: Branch) -> float | None:
 
 
 def _refuse_open_loops(loops: Loops) -> None:
-    """Refuse loops of which the way back to a reversal ends elsewhere than it left."""
+    """Refuse minor loops that do not return to the displacement where they began."""
     voltage_v, output_um, points = loops.voltage_v, loops.output_um, loops.points
     open_parts = []
     for leave, turn, end in zip(points[:-2], points[1:-1], points[2:], strict=True):
-        # The way back from `turn` passes the voltage of `leave`, if it goes far enough.
+        # The branch from `turn` passes the voltage of `leave` if it is long enough.
         back = voltage_v[turn : end + 1]
         sign = np.sign(voltage_v[leave] - voltage_v[turn])
         passed = np.flatnonzero(sign * (back - voltage_v[leave]) >= 0.0)
@@ -244,7 +245,7 @@ def _refuse_open_loops(loops: Loops) -> None:
 
 
 def _binned(voltage_v: FloatArray, output_um: FloatArray) -> Branch:
-    """Means in bins of the voltage; the samples themselves where they are few."""
+    """Return means in bins of the voltage; the samples themselves if there are few."""
     if voltage_v.size <= 2 * SETTINGS.bins:
         return Branch(voltage_v, output_um)
     edges_v = np.linspace(voltage_v[0], voltage_v[-1], SETTINGS.bins + 1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is implausible in recordings for their experiment, or in a model of a piezo stage."""
+"""Find implausible recordings for an experiment, and implausible models of a piezo stage."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -15,17 +15,17 @@ from piezo_recorder.reading.plausibility import USUAL, implausible
 
 
 def implausible_data(recordings: Mapping[str, Any]) -> list[str]:
-    """Tell what is implausible in recordings, whatever model is made of them.
+    """Return warnings about implausible recordings.
 
     Parameters
     ----------
     recordings : dict of str to Recording or FrequencyResponse
-        By the name of the experiment.
+        Data by name of the experiment.
 
     Returns
     -------
     list of str
-        Without what the notes of the recordings tell already.
+        Sentences, except those already in the notes of the recordings.
     """
     told = []
     for name, data in recordings.items():
@@ -43,12 +43,12 @@ def implausible_data(recordings: Mapping[str, Any]) -> list[str]:
 
 
 def implausible_model(model: StageModel, recordings: Mapping[str, Any]) -> list[str]:
-    """Tell what is implausible in a model of a piezo stage.
+    """Return warnings about an implausible model of a piezo stage.
 
     Parameters
     ----------
     recordings : dict of str to Recording or FrequencyResponse
-        It was made from, by the name of the experiment.
+        Data of the identification by name of the experiment.
     """
     told, dynamics = [], model.dynamics
     slow_s = WAVEFORM.slow_branch_s

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where a residual is left: at which frequencies, when, and at which voltages."""
+"""Locate a residual in frequency, time and voltage."""
 
 from dataclasses import dataclass
 
@@ -11,28 +11,28 @@ from piezo_identification.adequacy.component_residual import ComponentResidual
 from piezo_identification.adequacy.lack_of_fit import LackOfFit
 
 BINS = 10
-"""Parts of a recording, of the time after a step, and of the voltages that are compared."""
+"""Number of bins of the recording time, of the time after a step, and of the voltage."""
 
 NARROW = 1.5
-"""Highest over lowest frequency of the middle half of the power, below which it is one peak."""
+"""Ratio of the band limits of the middle half of the power below which it is a single peak."""
 
 MIDDLE_HALF = (0.25, 0.75)
-"""The frequencies are told between which these parts of the power lie."""
+"""Quantiles of the power at the limits of the reported band."""
 
 LOPSIDED = 2.0
-"""Mean square of one direction over that of the other, from which the direction is told."""
+"""Ratio of the mean squares for rising and falling voltage above which the direction is named."""
 
 
 @dataclass(frozen=True)
 class ResidualLocation:
-    """Where most of a residual is.
+    """The location of most of a residual.
 
     Parameters
     ----------
     band_hz : (float, float)
-        Between which the middle half of its power lies.
+        Band that contains the middle half of its power.
     words : str
-        All of it for people: frequency, time and voltage.
+        Description of frequency, time and voltage.
     """
 
     band_hz: tuple[float, float]
@@ -40,12 +40,12 @@ class ResidualLocation:
 
 
 def residual_location(residual: ComponentResidual, fit: LackOfFit) -> ResidualLocation:
-    """Find where a residual is larger than elsewhere.
+    """Find the frequencies, times and voltages at which a residual is largest.
 
     Parameters
     ----------
     fit : LackOfFit
-        Of this residual.
+        Lack of fit of this residual.
     """
     values_um = fit.sequence_um
     band_hz = _band(detrend(values_um, type="constant"), residual.sample_period_s)
@@ -81,7 +81,7 @@ def _time_words(residual: ComponentResidual, values_um: FloatArray) -> str:
     if residual.steps.size:
         steps = np.unique(residual.steps % (residual.period or values_um.size + 1))
         steps = steps[steps < values_um.size]
-        # What comes before the first step of a period follows the last one of the period before.
+        # Samples before the first step follow the last step of the previous period.
         since = samples - np.concatenate([[steps[-1] - values_um.size], steps])[
             np.searchsorted(steps, samples, side="right")]
         seconds = np.maximum(since, 1) * residual.sample_period_s
@@ -111,7 +111,7 @@ def _voltage_words(residual: ComponentResidual, values_um: FloatArray) -> str:
 def _largest_bin(
     place: FloatArray, values_um: FloatArray, good: BoolArray, edges: FloatArray,
 ) -> tuple[float, float]:
-    """Edges of the bin of the largest mean square."""
+    """Return the edges of the bin with the largest mean square."""
     number = np.clip(np.searchsorted(edges, place, side="right") - 1, 0, edges.size - 2)[good]
     counts = np.bincount(number, minlength=edges.size - 1)
     squares = np.bincount(number, values_um[good] ** 2, minlength=edges.size - 1)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What recordings show before any model is asked."""
+"""Analysis of recordings without a model."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Noise, even and odd distortion over frequency, as a picture and as a table of bands."""
+"""Noise, even and odd distortion over frequency, as a figure and as a table of bands."""
 
 from dataclasses import replace
 
@@ -20,19 +20,19 @@ from piezo_common.picture_style import (
 from piezo_identification.analysis.nonlinear_distortion import NonlinearDistortion
 
 MOST_BANDS = 6
-"""So many bands of a table fit beside each other on a phone."""
+"""Most bands of a table, so that it fits on the screen of a phone."""
 
 FEWEST_LEFT_OUT = 3
-"""Odd lines left out that a band has at least, so that it has a mean of odd distortion."""
+"""Fewest omitted odd lines in a band, so that the mean odd distortion can be computed."""
 
 
 def distortion_bands(found: NonlinearDistortion) -> list[NonlinearDistortion]:
-    """Cut what was found into bands of frequency that are about equally wide as logarithms.
+    """Divide the distortion into frequency bands of about equal logarithmic width.
 
     Returns
     -------
     list of NonlinearDistortion
-        Each with the lines of its band; together they have all lines.
+        Distortion for the lines of each band; together they contain all lines.
     """
     count = found.frequency_hz.size
     edges_hz = np.geomspace(found.frequency_hz[0], found.frequency_hz[-1], MOST_BANDS + 1)
@@ -52,7 +52,7 @@ def distortion_rows(found: NonlinearDistortion) -> list[tuple[str, ...]]:
     Returns
     -------
     list of tuple of str
-        RMS in nm; distortion that is not told from the noise is given as an upper bound.
+        Cells with RMS values in nm; insignificant distortion is given as an upper bound.
     """
     heads = ("frequency (Hz)", "answer (nm)", "noise of a period (nm)", "even (nm)", "odd (nm)")
     bands = distortion_bands(found)
@@ -61,7 +61,7 @@ def distortion_rows(found: NonlinearDistortion) -> list[tuple[str, ...]]:
 
 
 def draw_distortion(axes: Axes, found: NonlinearDistortion) -> None:
-    """Draw answer, noise, even and odd distortion line by line."""
+    """Draw response, noise, even and odd distortion over the lines."""
     noise_nm = 1e3 * found.noise_um / np.sqrt(found.periods)
     axes.loglog(found.frequency_hz, noise_nm, color=GREY, linewidth=1.0, zorder=1,
                 label=f"noise of the mean of {found.periods} periods")

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a multisine with lines left out says of the cause before any effect is fitted.
+"""Narrow down the cause of a model error with a multisine that omits lines, before any fit.
 
-An error at the excited lines alone has a linear cause. An error at odd lines that were left out is
-odd distortion, that of a symmetric cause such as play or a cubic spring; at even lines it is even
-distortion, that of an asymmetric one.
+An error only at the excited lines has a linear cause. An error at omitted odd lines is odd
+distortion, which has a symmetric cause such as play or a cubic spring. An error at even lines is
+even distortion, which has an asymmetric cause.
 """
 
 from collections.abc import Sequence
@@ -20,14 +20,14 @@ from piezo_models.effects import Effect
 
 @dataclass(frozen=True)
 class EvidenceSettings:
-    """When distortion decides between causes.
+    """Threshold at which distortion excludes causes.
 
     Attributes
     ----------
     absent : float
-        Part of the linear error below which distortion must lie to count as absent. A spring or a
-        sensor that is curved over the range has its linear part and its distortion within a factor
-        of ten over the quarter of the range that the experiment moves; a play has more.
+        Fraction of the linear error below which distortion counts as absent. A spring or sensor
+        with a curved characteristic has distortion of at least a tenth of its linear error over
+        the quarter of the range that the experiment uses; play has more.
     """
 
     absent: float = 0.02
@@ -36,24 +36,24 @@ class EvidenceSettings:
 SETTINGS = EvidenceSettings()
 
 NEGLIGIBLE = 1e-3
-"""Part of the answer that a good model may be wrong by."""
+"""Error that is acceptable for a good model, as a fraction of the response."""
 
 
 @dataclass(frozen=True)
 class ErrorDistortion:
-    """The answer of a stage to an odd multisine, and the error of a model of it.
+    """The response of a stage to an odd multisine, and the error of a model.
 
     Attributes
     ----------
     answer, error : NonlinearDistortion
-        Of the measured displacement, and of measured minus simulated.
+        Distortion of the measured displacement, and of measured minus simulated displacement.
     """
 
     answer: NonlinearDistortion
     error: NonlinearDistortion
 
     def shown(self) -> frozenset[str]:
-        """Return which of "linear", "even" and "odd" the error has, beyond noise and rounding."""
+        """Return those of "linear", "even" and "odd" that the error contains significantly."""
         parts = {"linear": self.error.linear_um, "even": self.error.even_um,
                  "odd": self.error.odd_um}
         least_um = max(self.error.significant_um, NEGLIGIBLE * self.answer.answer_um)
@@ -61,7 +61,7 @@ class ErrorDistortion:
                          and not (name != "linear" and self.is_absent(name)))
 
     def is_absent(self, kind: str) -> bool:
-        """Return whether distortion is so small beside the linear error that its cause has none.
+        """Return whether distortion is so small against the linear error that its cause has none.
 
         Parameters
         ----------
@@ -73,7 +73,7 @@ class ErrorDistortion:
         return most_um < SETTINGS.absent * self.error.linear_um
 
     def sentence(self) -> str:
-        """Tell what the error is made of, and of which causes that speaks."""
+        """Describe the parts of the error and the causes that they indicate."""
         answer_um = self.answer.answer_um
         parts = ", ".join(f"{name} {100.0 * part_um / answer_um:.3g} %" for name, part_um in (
             ("linear", self.error.linear_um), ("even", self.error.even_um),
@@ -99,15 +99,15 @@ def error_distortion(part: SimulatedRecording, residual_um: FloatArray) -> Error
     Parameters
     ----------
     residual_um : ndarray, shape (N,)
-        Measured minus simulated.
+        Measured minus simulated displacement.
 
     Returns
     -------
     ErrorDistortion or None
-        None where the voltage is no repeated multisine with odd and even lines left out.
+        None if the voltage is not a repeated multisine that omits odd and even lines.
     """
     answer = distortion_of_signal(part.voltage_v, part.measured_um, part.sample_period_s)
-    # A delay passes the distortion of the hysteresis on, and is linear all the same.
+    # A linear cause such as a delay also acts on the distortion of the hysteresis.
     error = distortion_of_signal(
         part.voltage_v, residual_um, part.sample_period_s, part.simulate())
     return None if answer is None or error is None else ErrorDistortion(answer, error)
@@ -115,17 +115,17 @@ def error_distortion(part: SimulatedRecording, residual_um: FloatArray) -> Error
 
 def excluded_by_distortion(parts: Sequence[SimulatedRecording],
                            kinds: Sequence[type[Effect]]) -> dict[str, str]:
-    """Return the effects that the error of a model rules out by the distortion it lacks, and why.
+    """Return the effects that are excluded because the error lacks their distortion.
 
     Parameters
     ----------
     kinds : sequence of type
-        Effects.
+        Classes of effects.
 
     Returns
     -------
     dict of str to str
-        Reasons by the name of the effect; empty without an odd multisine among the recordings.
+        Reasons by name of the effect; empty without an odd multisine among the recordings.
     """
     excluded: dict[str, str] = {}
     for part in parts:

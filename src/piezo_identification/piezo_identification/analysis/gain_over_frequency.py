@@ -7,31 +7,31 @@ from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.conditioning.segment_spectra import spectra_of_segments
 
 LINES = 2048
-"""Samples of which a spectrum is estimated, unless there are few of them."""
+"""Most samples of a segment for a spectrum; short signals have shorter segments."""
 
 EXCITED = 1e-4
-"""Part of the largest power of an input below which its lines show no gain."""
+"""Smallest power of an excited line, as a fraction of the largest power of the input."""
 
 
 def gain_of(input: FloatArray, output: FloatArray, sample_period_s: float,
             segment: int | None = None, least_power: float = EXCITED,
             ) -> tuple[FloatArray, ComplexArray, FloatArray]:
-    """Estimate the response from one signal to another where the first excites.
+    """Estimate the response from one signal to another at the excited lines.
 
     Parameters
     ----------
     input, output : ndarray, shape (N,)
     segment : int, optional
-        Samples of each spectrum that is averaged; a quarter of all, up to `LINES`, by default.
+        Samples of each averaged segment; by default a quarter of all, up to `LINES`.
     least_power : float
-        Part of the largest power of the input from which on a line counts as excited.
+        Smallest power of an excited line, as a fraction of the largest power of the input.
 
     Returns
     -------
     frequency_hz : ndarray, shape (M,)
     response : ndarray of complex, shape (M,)
     coherence : ndarray, shape (M,)
-        Part of the output's power that goes with the input.
+        Fraction of the output power that is coherent with the input.
     """
     size = min(segment or min(LINES, max(16, input.size // 4)), input.size)
     lines = size // 2 + 1

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Separate noise, even and odd distortion by the lines that a repeated odd multisine leaves out.
+"""Separate noise, even and odd distortion with the lines that a repeated odd multisine omits.
 
-The fast method of Pintelon and Schoukens, System Identification: A Frequency Domain Approach,
-2nd ed., 4.3: what differs between periods is noise; what repeats at even lines is even distortion,
-and at odd lines that are not excited odd distortion.
+This is the fast method of Pintelon and Schoukens, System Identification: A Frequency Domain
+Approach, 2nd ed., 4.3. Differences between periods are noise. A periodic response is even
+distortion at even lines, and odd distortion at odd lines that are not excited.
 """
 
 from dataclasses import dataclass
@@ -15,33 +15,34 @@ from piezo_identification.conditioning.sensor_noise import repeated_period
 from piezo_recorder.reading.recording import Recording
 
 EXCITED = 1e-3
-"""A line is excited where the voltage has more than this part of its largest line."""
+"""Smallest amplitude of an excited line, as a fraction of the largest line of the voltage."""
 
 FEWEST_LINES = 8
-"""A voltage with fewer tones says too little about the lines between them."""
+"""Fewest tones of the voltage for which distortion is estimated."""
 
 DRIFT_ORDER = 2
-"""Degree of the polynomial of time that is taken for creep or drift over the periods."""
+"""Degree of the polynomial of time that is removed as creep or drift over the periods."""
 
 FEWEST_PERIODS = 2
-"""Periods without the one that settles: noise is what differs between them."""
+"""Fewest periods after the one in which the motion settles; their differences are the noise."""
 
 
 @dataclass(frozen=True)
 class NonlinearDistortion:
-    """What a stage answers to a repeated odd multisine, line by line.
+    """The response of a stage to a repeated odd multisine at each line.
 
     Parameters
     ----------
     frequency_hz : ndarray, shape (L,)
-        Of all lines up to the highest excited one, without 0.
+        Frequencies of all lines up to the highest excited one, without 0.
     is_excited, is_even : ndarray of bool, shape (L,)
     amplitude_um : ndarray, shape (L,)
-        Of the mean period; at lines that are not excited without what a linear cause passes on.
+        Amplitude of the mean period; at lines that are not excited, the linear response to the
+        input at that line is subtracted.
     noise_um : ndarray, shape (L,)
         Standard deviation of the amplitude of one period.
     periods : int
-        Of which the mean was taken.
+        Number of averaged periods.
     """
 
     frequency_hz: FloatArray
@@ -53,17 +54,17 @@ class NonlinearDistortion:
 
     @property
     def is_odd_detection(self) -> BoolArray:
-        """Mark the odd lines that are not excited."""
+        """Mask of the odd lines that are not excited."""
         return ~self.is_excited & ~self.is_even
 
     @property
     def answer_um(self) -> float:
-        """RMS over lines, as all below: the root of the sum of the squares at excited lines."""
+        """Response at excited lines: root of the sum of squares, like the following properties."""
         return float(np.sqrt(np.sum(self.amplitude_um[self.is_excited] ** 2)))
 
     @property
     def linear_um(self) -> float:
-        """Answer at excited lines, less what noise and odd distortion give there."""
+        """Response at excited lines, less noise and odd distortion."""
         power = self._power_um2(self.is_excited, int(np.count_nonzero(self.is_excited)))
         odd = self._power_um2(self.is_odd_detection, int(np.count_nonzero(self.is_excited)))
         return float(np.sqrt(max(0.0, power - odd)))
@@ -75,47 +76,47 @@ class NonlinearDistortion:
 
     @property
     def even_um(self) -> float:
-        """Even distortion, less what noise gives."""
+        """Even distortion, less the noise."""
         return float(np.sqrt(
             self._power_um2(self.is_even, int(np.count_nonzero(self.is_even)))))
 
     @property
     def odd_um(self) -> float:
-        """Odd distortion, less what noise gives.
+        """Odd distortion, less the noise.
 
-        Excited lines are taken to have as much of it as the odd ones that are left out.
+        It is assumed to be as large at excited lines as at omitted odd lines.
         """
         return float(np.sqrt(
             self._power_um2(self.is_odd_detection, int(np.count_nonzero(~self.is_even)))))
 
     @property
     def significant_um(self) -> float:
-        """Distortion above which it is told from the noise: three standard deviations of it."""
+        """Smallest significant distortion: three standard deviations of its estimate."""
         lines = max(1, int(np.count_nonzero(self.is_odd_detection)))
         return self.noise_of_period_um * float(np.sqrt(3.0 / (self.periods * np.sqrt(lines))))
 
     @property
     def noise_percent(self) -> float:
-        """Noise of one period over the answer."""
+        """Noise of one period in percent of the response."""
         return 100.0 * self.noise_of_period_um / self.answer_um
 
     @property
     def even_percent(self) -> float:
-        """Even distortion over the answer."""
+        """Even distortion in percent of the response."""
         return 100.0 * self.even_um / self.answer_um
 
     @property
     def odd_percent(self) -> float:
-        """Odd distortion over the answer."""
+        """Odd distortion in percent of the response."""
         return 100.0 * self.odd_um / self.answer_um
 
     @property
     def significant_percent(self) -> float:
-        """Distortion that is told from the noise over the answer."""
+        """Smallest significant distortion in percent of the response."""
         return 100.0 * self.significant_um / self.answer_um
 
     def _power_um2(self, lines: BoolArray, count: int) -> float:
-        """Power that so many lines have, by the mean of some and without the noise."""
+        """Return the power of `count` lines from the mean over some, less the noise."""
         if not np.any(lines):
             return 0.0
         power = self.amplitude_um[lines] ** 2 - self.noise_um[lines] ** 2 / self.periods
@@ -130,14 +131,14 @@ def nonlinear_distortion(voltage_v: FloatArray, displacement_um: FloatArray,
     Parameters
     ----------
     voltage_v, displacement_um : ndarray, shape (P, N)
-        Periods of the multisine, without the one in which the stage settles.
+        Periods of the multisine, without the one in which the motion settles.
     driving : ndarray, shape (P, N), optional
-        What a linear cause would pass on, distortion and all; the voltage by default.
+        Input of a linear cause, including its distortion; the voltage by default.
 
     Raises
     ------
     ValueError
-        If there are too few periods, or the voltage leaves no odd line or no even line out.
+        If there are too few periods, or the voltage omits no odd or no even line.
     """
     periods, samples = displacement_um.shape
     if periods < FEWEST_PERIODS:
@@ -166,7 +167,7 @@ def nonlinear_distortion(voltage_v: FloatArray, displacement_um: FloatArray,
 
 
 def _without_drift(periods_um: FloatArray) -> FloatArray:
-    """Remove the drift that the means of the periods show: creep would leak into all lines."""
+    """Remove the drift of the period means, as creep would leak into all lines."""
     count, samples = periods_um.shape
     order = min(DRIFT_ORDER, count - 1)
     basis = np.polynomial.legendre.legvander(
@@ -178,24 +179,24 @@ def _without_drift(periods_um: FloatArray) -> FloatArray:
 
 
 def _linear_um(inputs: ComplexArray, mean_um: ComplexArray, is_excited: BoolArray) -> ComplexArray:
-    """Return the answer to what the input has at each line, by the gain of excited lines."""
+    """Return the linear response at each line, with the gain interpolated from excited lines."""
     lines = np.arange(inputs.size)
     gains = mean_um[is_excited] / inputs[is_excited]
     return np.asarray(np.interp(lines, lines[is_excited], gains) * inputs)
 
 
 def distortion_of(recording: Recording) -> NonlinearDistortion | None:
-    """Separate noise and distortion of a recording, of which the first period settles.
+    """Separate noise and distortion of a recording; the motion settles in the first period.
 
     Parameters
     ----------
     recording : Recording
-        Without gaps, what plays only.
+        Samples in which the waveform is played, without gaps.
 
     Returns
     -------
     NonlinearDistortion or None
-        None where the voltage is no repeated multisine with odd and even lines left out.
+        None if the voltage is not a repeated multisine that omits odd and even lines.
     """
     return distortion_of_signal(
         np.asarray(recording.voltage_v, dtype=float),
@@ -204,19 +205,19 @@ def distortion_of(recording: Recording) -> NonlinearDistortion | None:
 
 def distortion_of_signal(voltage_v: FloatArray, signal_um: FloatArray, sample_period_s: float,
                          driving: FloatArray | None = None) -> NonlinearDistortion | None:
-    """Separate noise and distortion of what comes of a voltage, such as a model's residual.
+    """Separate noise and distortion of any response to a voltage, such as a model's residual.
 
     Parameters
     ----------
     voltage_v, signal_um : ndarray, shape (N,)
-        Of which the first period settles.
+        Voltage and response; the motion settles in the first period.
     driving : ndarray, shape (N,), optional
-        What a linear cause would pass on; the voltage by default.
+        Input of a linear cause; the voltage by default.
 
     Returns
     -------
     NonlinearDistortion or None
-        None where the voltage is no repeated multisine with odd and even lines left out.
+        None if the voltage is not a repeated multisine that omits odd and even lines.
     """
     period = repeated_period(voltage_v)
     if period is None or voltage_v.size // period < FEWEST_PERIODS + 1:

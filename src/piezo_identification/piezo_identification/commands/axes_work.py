@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What `identify`, `simulate` and `check` do with files of several axes."""
+"""The work of `identify`, `simulate` and `check` for files of several axes."""
 
 import argparse
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,16 +18,16 @@ from piezo_models.axes_model_file import load_axes_model, save_axes_model
 from piezo_recorder.reading.axes import AxesRecording, is_of_axes, read_axes
 
 OF_ONE_AXIS = ("creep_pairs", "antiresonances", "band", "grid", "smoothing", "translation_weight")
-"""Options of `identify` for parts that a model of several axes does not have."""
+"""Options of `identify` that apply only to models of one axis."""
 
 
 def are_of_axes(paths: Iterable[Path]) -> bool:
-    """Tell whether files are recordings of several axes.
+    """Return whether files are recordings of several axes.
 
     Raises
     ------
     ValueError
-        If some are and others are not.
+        If some files are of one axis and others of several.
     """
     listed = list(paths)
     of_axes = [is_of_axes(path) for path in listed]
@@ -39,17 +39,17 @@ def are_of_axes(paths: Iterable[Path]) -> bool:
 
 def identify_axes_files(options: argparse.Namespace,
                         paths: Mapping[str, Sequence[Path]]) -> int | None:
-    """Identify a model of several axes; write it, and print what was found.
+    """Identify a model of several axes, write it, and print a summary.
 
     Parameters
     ----------
     paths : dict of str to list of Path
-        By experiment; see `identify_several_axes`.
+        Files by experiment; see `identify_several_axes`.
 
     Returns
     -------
     int or None
-        Exit status, where the work was interrupted.
+        Exit status if the work was interrupted.
     """
     for name in OF_ONE_AXIS:
         if getattr(options, name) is not None:
@@ -73,7 +73,7 @@ def identify_axes_files(options: argparse.Namespace,
 
 
 def simulate_axes_file(options: argparse.Namespace) -> None:
-    """Simulate a model of several axes under recordings; print the errors and draw both."""
+    """Simulate a model of several axes for recordings, print the errors, and draw both."""
     if options.voltage:
         raise ValueError("--voltage is for a model of one axis: give --data, or use "
                          "CoupledModel.simulate in Python")
@@ -94,13 +94,13 @@ def simulate_axes_file(options: argparse.Namespace) -> None:
 
 
 def check_axes_file(path: Path) -> None:
-    """Print what the recordings of a file of several axes are good for."""
+    """Print a table of the recordings in a file of several axes."""
     recordings = _read([path])
     print(axes_table(str(path), recordings))
 
 
 def axes_table(name: str, recordings: Sequence[AxesRecording]) -> SummaryTable:
-    """Return what each axis does in each recording, as a table with notes."""
+    """Return a table of the motion and the noise of each axis in each recording, with notes."""
     rows: list[tuple[str | float | None, ...]] = []
     for recording in recordings:
         moves = np.ptp(recording.voltage_v, axis=0) > 0.0
@@ -131,7 +131,7 @@ def axes_table(name: str, recordings: Sequence[AxesRecording]) -> SummaryTable:
 
 
 def _noise_um(recording: AxesRecording) -> np.ndarray | None:
-    """Return the noise by the differences of equal periods, (n,); None where there are none."""
+    """Return the noise from the differences of equal periods, shape (n,); None without periods."""
     if recording.periods < 2:
         return None
     periods = recording.displacement_um.reshape(recording.periods, -1, len(recording.axes))

@@ -29,7 +29,7 @@ from piezo_recorder.reading.data_options import read_all_given
 from piezo_recorder.reading.recording import Recording
 
 DRAWN_UNTIL = 0.5
-"""Share of the time that a check may take, after which nothing more is drawn."""
+"""Fraction of the time budget after which nothing more is drawn."""
 
 
 def check_files(options: argparse.Namespace) -> None:
@@ -69,7 +69,7 @@ def check_files(options: argparse.Namespace) -> None:
     if budget.not_tried:
         print(budget.sentence("done"))
     given = given_as(fit_for)
-    # A frequency response stands alone for the dynamics.
+    # A frequency response cannot be combined with other files for the dynamics.
     given |= {"dynamics": responses[:1] or of_axes} if responses or of_axes else {}
     named = [word for experiment, paths in given.items() for word in (f"--{experiment}", *paths)]
     if options.columns:

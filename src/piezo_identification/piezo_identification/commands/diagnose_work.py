@@ -24,19 +24,19 @@ from piezo_models.model_file import announced_model
 from piezo_recorder.reading.data_options import read_all_given
 
 PAGE_S, RESPONSE_PAGE_S = 5.0, 1.0
-"""Time in which the results are drawn and written: of recordings, and of a response."""
+"""Time (s) reserved to draw and write the results of recordings and of a response."""
 
 LEAST_PROBABILITY = 1e-3
-"""Smaller ones are not printed."""
+"""Smallest probability that is printed."""
 
 
 def diagnose_given(options: argparse.Namespace) -> int | None:
-    """Diagnose the recordings of the options; write the results and print them.
+    """Diagnose the recordings given as options, and write and print the results.
 
     Returns
     -------
     int or None
-        Exit status, where the comparison was interrupted.
+        Exit status if the comparison was interrupted.
     """
     if is_frequency_response(options.data[0]):
         if len(options.data) > 1 or options.holdout or options.identified_from:

@@ -24,7 +24,7 @@ EXPERIMENTS = {
 }
 PURPOSES = {"sweep": "hysteresis", "multisine": "dynamics", "diagnostic": "dynamics",
             "distortion": "dynamics"}
-"""The further waveforms of `waveforms`, by name, and the experiment that each can stand for."""
+"""Further waveforms of `waveforms`, and the experiment that each can replace."""
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:

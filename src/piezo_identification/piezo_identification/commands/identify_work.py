@@ -34,16 +34,16 @@ from piezo_models.model_file import save_model
 from piezo_recorder.reading.data_options import read_given
 
 PAGE_S = 5.0
-"""Time in which the page of a model is drawn."""
+"""Time (s) reserved to draw the page of a model."""
 
 
 def identify_files(options: argparse.Namespace) -> int | None:
-    """Identify a model from the files of the options; write it, and print what was found.
+    """Identify a model from the files given as options, write it, and print a summary.
 
     Returns
     -------
     int or None
-        Exit status, where the work was interrupted.
+        Exit status if the work was interrupted.
     """
     paths = {name: getattr(options, name) for name in EXPERIMENTS}
     by_name = {name: [given] if isinstance(given, Path) else given
@@ -88,7 +88,7 @@ def identify_files(options: argparse.Namespace) -> int | None:
 
 def _write_report(identified: IdentifiedModel, data: Mapping[str, Any],
                   options: argparse.Namespace) -> None:
-    # Drawing is slow to import, and not everybody wants the page.
+    # Imported here, as drawing is slow to import and the page is optional.
     from piezo_identification.report.identification_report import identification_page
 
     given = given_data(data.get("creep"), data.get("dynamics"), data.get("hysteresis"),
@@ -99,7 +99,7 @@ def _write_report(identified: IdentifiedModel, data: Mapping[str, Any],
 
 
 def _read(name: str, paths: Path | Sequence[Path], options: argparse.Namespace) -> Any:
-    """Read the files of an option: one recording or response, or a list of recordings."""
+    """Read the files of an option; return one recording or response, or a list of recordings."""
     listed = [paths] if isinstance(paths, Path) else paths
     read: list[Any] = []
     for path in listed:
@@ -114,7 +114,7 @@ def _read(name: str, paths: Path | Sequence[Path], options: argparse.Namespace) 
 def _check_options(
     dynamics: Recordings | FrequencyResponse | None, options: argparse.Namespace,
 ) -> None:
-    """Refuse options that what was given for the dynamics has no use for."""
+    """Raise ValueError for options that do not apply to the given data."""
     is_response = isinstance(dynamics, FrequencyResponse)
     useless = {
         "--modes": options.modes is not None and dynamics is None,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The work of `propose`: fit the alternatives, look for the waveform, write and print it."""
+"""The work of `propose`: fit the alternatives, design the waveform, write and print it."""
 
 import argparse
 import json
@@ -24,7 +24,7 @@ from piezo_recorder.reading.reader import read_recordings
 
 
 def propose_given(options: argparse.Namespace) -> None:
-    """Design the recording that decides, by the files of the options; write and print it."""
+    """Design the recording that decides between the alternatives, and write and print it."""
     verdict = _read_verdict(options.verdict)
     identified = announced_model(options.model)
     known = find_identification_recordings(

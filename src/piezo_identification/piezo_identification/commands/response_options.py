@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Options of the commands that take a frequency response: whether it holds the hold."""
+"""Options for frequency responses, which may include a zero-order hold."""
 
 import argparse
 import math
@@ -21,17 +21,17 @@ def add_response_options(parser: argparse.ArgumentParser) -> None:
 
 
 def hold_s_of(options: argparse.Namespace) -> float:
-    """Return the sample period that is held in a response, 0 where none is; say what is assumed.
+    """Return the hold time included in a response, 0 if there is none, and print it.
 
     Parameters
     ----------
     options : argparse.Namespace
-        Of a parser with `add_response_options`.
+        Options of a parser with `add_response_options`.
 
     Raises
     ------
     ValueError
-        If the rate has nothing to act on, or cannot be one.
+        If the rate does not apply to the response, or is not positive.
     """
     rate_hz = options.response_rate_hz
     if options.response != HELD:
@@ -47,6 +47,6 @@ def hold_s_of(options: argparse.Namespace) -> float:
 
 
 def useless_response_options(options: argparse.Namespace) -> dict[str, bool]:
-    """Tell for each option whether it was given, for data that are no frequency response."""
+    """Return for each option whether it was given; they apply only to frequency responses."""
     return {"--response": options.response is not None,
             "--response-rate-hz": options.response_rate_hz is not None}

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The option that tells when a logger reads the displacement of a row."""
+"""The option that sets when a logger reads the displacement of a row."""
 
 import argparse
 
 READINGS = {"start": 0.0, "end": 1.0}
-"""Instants, in sample periods after the voltage of a row changes."""
+"""Reading times, in sample periods after the change of the voltage of a row."""
 
 
 def add_rows_option(parser: argparse.ArgumentParser) -> None:

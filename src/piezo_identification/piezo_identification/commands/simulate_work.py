@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The work of `simulate`: set the model beside the recording."""
+"""The work of `simulate`: compare the model with a recording."""
 
 import argparse
 from pathlib import Path
@@ -28,7 +28,7 @@ DOTS_PER_INCH = 120
 
 
 def simulate_file(options: argparse.Namespace) -> None:
-    """Simulate the model of the options under a recording; print the error and draw both."""
+    """Simulate the model for the voltage of a recording, print the error, and draw both."""
     if is_of_several_axes(options.model):
         simulate_axes_file(options)
         return
@@ -64,7 +64,7 @@ def simulate_file(options: argparse.Namespace) -> None:
 
 
 def _predict(identified: IdentifiedModel, path: Path, directory: Path) -> None:
-    """Write the displacement under a voltage that was never played."""
+    """Write the simulated displacement for a voltage without a measurement."""
     voltage_v, period_s, axes = read_waveform(path)
     if axes:
         raise ValueError(f"{path} has the axes {', '.join(axes)}, the model one: give the voltage "

@@ -53,7 +53,7 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def waveform_paths(options: argparse.Namespace) -> dict[str, Path]:
-    """Return the file of each experiment of the options, by its name."""
+    """Return the files of the selected experiments by name."""
     return {name: options.directory / f"{name}.csv" for name in options.experiments}
 
 

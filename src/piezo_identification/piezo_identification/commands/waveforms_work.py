@@ -15,15 +15,15 @@ from piezo_identification.experiments.input_designs import arc
 from piezo_identification.experiments.stage_limits import StageLimits
 
 SLOW_PERIODS_S = {"creep": 0.01, "hysteresis": 0.001, "sweep": 0.001}
-"""For how long an experiment holds a value where the clock is faster."""
+"""Shortest time (s) for which an experiment holds a value."""
 REST_ROWS = 20
-"""Before and behind an experiment: `check` sees in them that the stage was at rest."""
+"""Rows at rest before and after an experiment; `check` finds from them that the stage rested."""
 SWEEP_ARC_S, SWEEPS = 2.0, 2
 LINES_AT_ONCE = 100_000
 
 
 def write_waveforms(options: argparse.Namespace) -> None:
-    """Write a file for each experiment of the options.
+    """Write a file for each selected experiment.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def write_waveforms(options: argparse.Namespace) -> None:
 
 
 def with_ramps(experiment: Experiment, rest_v: float, ramp_v_per_s: float) -> FloatArray:
-    """Return every value of an experiment, shape (N,), with the ways from rest and back to it."""
+    """Return all values of an experiment, with ramps from rest and back to it, shape (N,)."""
     played_v = np.tile(experiment.voltage_v, experiment.repeats)
     step_v = ramp_v_per_s * experiment.sample_period_s
 
@@ -60,7 +60,7 @@ def with_ramps(experiment: Experiment, rest_v: float, ramp_v_per_s: float) -> Fl
 
 
 def sweep(limits: StageLimits, sample_period_s: float) -> Experiment:
-    """Return slow ways over the whole range, which leave one known state behind."""
+    """Return slow arcs over the whole range, which leave the hysteresis in a known state."""
     samples = round(SWEEP_ARC_S / sample_period_s)
     once = np.concatenate([arc(0.0, 1.0, samples), arc(1.0, 0.0, samples)])
     return Experiment("sweep", limits.voltage_min_v + limits.span_v * once, sample_period_s,
@@ -77,7 +77,7 @@ def _experiment(name: str, limits: StageLimits, levels: int | None) -> Experimen
     if name == "sweep":
         return sweep(limits, parameters["sample_period_s"])
     experiment = named_experiment(name, limits, parameters)
-    assert isinstance(experiment, Experiment)  # those that act in feedback are not offered
+    assert isinstance(experiment, Experiment)  # experiments in feedback are not offered
     return experiment
 
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Recordings made ready for the estimators: waveforms, outliers, sign and settling."""
+"""Preparation of recordings for the estimators: waveforms, outliers, sign and settling."""

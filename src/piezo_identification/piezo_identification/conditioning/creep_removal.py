@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The creep taken out of a measured signal, before anything that is faster is estimated."""
+"""Remove the creep from a measured signal before faster components are estimated."""
 
 import numpy as np
 from scipy.signal import lfilter, lfilter_zi
@@ -15,12 +15,13 @@ def remove_creep(signal: FloatArray, creep: CreepDynamics, sample_period_s: floa
     ----------
     signal : ndarray, shape (N,)
     sample_period_s : float
-        Short beside the creep; the signal is taken for linear between samples (bilinear rule).
+        Sample period, short compared with the creep; the signal is assumed linear between samples
+        (bilinear rule).
 
     Returns
     -------
     ndarray, shape (N,)
-        Begins in equilibrium with the first sample.
+        Signal without creep, which begins in equilibrium with the first sample.
     """
     for pole, zero in zip(creep.poles_rad_per_s, creep.zeros_rad_per_s, strict=True):
         halves = 0.5 * sample_period_s * np.array([pole, zero])
@@ -34,23 +35,23 @@ def remove_creep(signal: FloatArray, creep: CreepDynamics, sample_period_s: floa
 def remove_creep_of_held(
     signal: FloatArray, creep: CreepDynamics, sample_period_s: float,
 ) -> FloatArray:
-    """Return the input, held for a sample period each, to which the creep answers with a signal.
+    """Return the held input whose response, including the creep, is the given signal.
 
-    Each sample of the signal is the answer at the end of its hold.
+    Each sample of the signal is the response at the end of its hold.
 
     Parameters
     ----------
     signal : ndarray, shape (N,)
     creep : CreepDynamics
-        If one of its exponentials goes backwards, as no material does, or two of its poles are
-        equal, `remove_creep` does it.
+        If it has an exponential with negative gain, as no material does, or two equal poles,
+        `remove_creep` is used instead.
     sample_period_s : float
-        Of any length.
+        Sample period of any length.
 
     Returns
     -------
     ndarray, shape (N,)
-        Begins in equilibrium with the first sample.
+        Input that begins in equilibrium with the first sample.
     """
     rates, zeros = np.array(creep.poles_rad_per_s), np.array(creep.zeros_rad_per_s)
     apart = rates[None, :] - rates[:, None] + np.eye(rates.size)
@@ -67,18 +68,18 @@ def input_of_creep(
     signal: FloatArray, rates: FloatArray, gains: FloatArray, sample_period_s: float,
     unanswered: FloatArray,
 ) -> FloatArray:
-    """Return the input, held for a sample period each, of a signal that exponentials crept behind.
+    """Return the held input of creep exponentials whose response is the given signal.
 
     Parameters
     ----------
     signal : ndarray, shape (N,)
     rates, gains, unanswered : ndarray, shape (P,)
-        As of `inverse_of_creep`.
+        Parameters as in `inverse_of_creep`.
 
     Returns
     -------
     ndarray, shape (N,)
-        Begins in equilibrium with the first sample.
+        Input that begins in equilibrium with the first sample.
     """
     at_once, forgotten, weights = inverse_of_creep(rates, gains, sample_period_s, unanswered)
     moved = signal - signal[0]
@@ -92,27 +93,27 @@ def input_of_creep(
 def inverse_of_creep(
     rates: FloatArray, gains: FloatArray, sample_period_s: float, unanswered: FloatArray,
 ) -> tuple[float, FloatArray, FloatArray]:
-    """Return the inverse of exponentials that creep behind a held input, as a sum of such.
+    """Return the inverse of the response of creep to a held input, as a sum of exponentials.
 
-    An exponential has come to x when a hold of h begins, and answers in it with x m + h (1 - m).
-    With the states x[n+1] = a x[n] + b h[n] the signal is y[n] = b' x[n] + d h[n], with diagonal a.
-    That of the inverse, a - b b' / d, is symmetric, so that it is a sum of exponentials, too. One
-    filter of high order would lose all digits, as all poles are near 1.
+    An exponential with the state x at the beginning of a hold h contributes x m + h (1 - m). With
+    the states x[n+1] = a x[n] + b h[n], the signal is y[n] = b' x[n] + d h[n], with diagonal a. The
+    state matrix of the inverse, a - b b' / d, is symmetric, so the inverse is also a sum of
+    exponentials. A single filter of high order would lose all digits, as all poles are near 1.
 
     Parameters
     ----------
     rates, gains : ndarray, shape (P,)
-        Of creep 1 + sum g p / (s + p): rates p in rad/s, and gains g, none of them negative.
+        Rates p in rad/s and gains g of the creep 1 + sum g p / (s + p); no gain is negative.
     unanswered : ndarray, shape (P,)
-        Part m of a step of the input by which each is still behind in the signal of that sample.
+        Fraction m of a step of the input that each exponential still lacks in the same sample.
 
     Returns
     -------
     at_once : float
-        The direct part d.
+        Direct feedthrough d.
     forgotten, weights : ndarray, shape (P,)
-        The input is y[n] less the sums of weight y[m] (1 - forgotten)^(n - 1 - m) over all m < n,
-        over d.
+        Decay and weight of each exponential. The input is y[n] less the sums of
+        weight y[m] (1 - forgotten)^(n - 1 - m) over all m < n, divided by d.
     """
     gone = -np.expm1(-rates * sample_period_s)
     at_once = float(1.0 + gains @ (1.0 - unanswered))

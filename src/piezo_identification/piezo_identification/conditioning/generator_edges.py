@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""When a generator that runs freely changed its level, between the samples that show it."""
+"""Find when a free-running generator changed its level, between the samples."""
 
 from dataclasses import dataclass
 
@@ -10,26 +10,26 @@ from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.waveforms import SquareWave
 
 FEWEST_EDGES = 6
-"""Changes of the level that tell period, duty and the instant of the first one beyond doubt."""
+"""Fewest changes of the level for which period, duty and time of the edges are estimated."""
 
 LATE_EDGE = 0.1
-"""Part of a sample period by which the edges of a generator may miss one period and one duty."""
+"""Largest deviation of the edges from a constant period and duty, in sample periods."""
 
 
 @dataclass(frozen=True, eq=False)
 class GeneratorEdges:
-    """Edges of a generator, and what the rows leave open of them.
+    """Edges of a generator, and their remaining uncertainty.
 
     Parameters
     ----------
     early : ndarray, shape (N,)
-        Part of a sample period by which each change of the level came before the sample that shows
-        it; 0 where the level stays.
+        Time from each change of the level to the sample that shows it, in sample periods; 0 where
+        the level does not change.
     directions : ndarray, shape (N, 3)
-        Derivatives of these parts by the period and by the duty, which leave their mean as it is,
-        and by the instant of all edges, which no record tells from a delay.
+        Derivatives of `early` by period and duty, without effect on its mean, and by the time of
+        all edges, which is indistinguishable from a delay.
     phase_room : float
-        Part of a sample period by which all edges may be earlier or later together.
+        Shift of all edges that the samples allow, in sample periods, either way.
     """
 
     early: FloatArray
@@ -38,21 +38,21 @@ class GeneratorEdges:
 
 
 def generator_edges(wave: SquareWave) -> GeneratorEdges | None:
-    """Find the edges of a generator of one period and duty.
+    """Find the edges of a generator with constant period and duty.
 
-    An edge is seen at the first sample after it. So many such bounds leave little room, of which
-    the middle is taken: the edges that keep farthest from their bounds, by linear programming.
+    An edge shows in the first sample after it, which bounds its time. Linear programming finds the
+    period, duty and time for which all edges are farthest from their bounds.
 
     Parameters
     ----------
     wave : SquareWave
-        As sampled.
+        Sampled square wave.
 
     Returns
     -------
     GeneratorEdges or None
-        None where one period and one duty do not explain the steps, or the period is a whole
-        number of samples.
+        None if constant period and duty do not explain the steps, or the period is a whole number
+        of samples.
     """
     steps = wave.steps
     if steps.size < FEWEST_EDGES or np.all(steps[2:] - steps[:-2] == steps[2] - steps[0]):
@@ -75,21 +75,21 @@ def generator_edges(wave: SquareWave) -> GeneratorEdges | None:
 
 
 def free_running_level(wave: SquareWave) -> FloatArray | None:
-    """Return levels, held for a sample period each, that act as a generator's on what is slow.
+    """Return held levels that have the same effect on slow dynamics as those of the generator.
 
-    The levels held before and after the sample that shows a step are changed, so that area and
-    centre of what that adds are those of the step between the samples: what follows it differs by
-    the third power of the sample period only.
+    The two levels around a step are changed so that area and centroid of the change are those of
+    the step between the samples. The error of a slow response is then of third order in the sample
+    period.
 
     Parameters
     ----------
     wave : SquareWave
-        As sampled.
+        Sampled square wave.
 
     Returns
     -------
     ndarray, shape (N,), or None
-        None where `generator_edges` finds none.
+        Levels; None if `generator_edges` returns None.
     """
     edges = generator_edges(wave)
     if edges is None:

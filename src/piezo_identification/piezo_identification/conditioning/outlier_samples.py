@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Samples that the sensor got wrong: found, left out of fits and errors, and told of."""
+"""Find outliers of the sensor, exclude them from fits and errors, and report them."""
 
 from dataclasses import replace
 
@@ -18,31 +18,31 @@ from piezo_models.effects.outliers import FEWEST
 from piezo_recorder.reading.recording import Recording
 
 OUTLIER = "outlier_um"
-"""Further column of a recording: by how much the displacement was off, where it is not to be used;
-zero elsewhere. A CSV file may bring its own, which is taken as it is."""
+"""Column of a recording with the error of the displacement at outliers, zero elsewhere. A column of
+this name in a CSV file is used unchanged."""
 
 SMALL = 1e-4
-"""Part of the travel that counts as noise, at least."""
+"""Smallest assumed noise, as a fraction of the travel."""
 
 MOST_TOLD = 5
-"""Places that are told; the others are counted."""
+"""Most outliers listed singly; the others are counted."""
 
 
 def with_outliers_marked(recording: Recording) -> Recording:
-    """Mark the outliers of a recording, and put them among the good samples beside them.
+    """Mark the outliers of a recording, and replace them by interpolation between good samples.
 
-    Estimators that take a mask leave the marked samples out, by `good_samples`; the others use the
-    values in their place.
+    Estimators that accept a mask exclude the marked samples by `good_samples`; the others use the
+    interpolated values.
 
     Parameters
     ----------
     recording : Recording
-        Returned as it is where it has the column `OUTLIER`.
+        Recording; it is returned unchanged if it has the column `OUTLIER`.
 
     Returns
     -------
     Recording
-        With the column `OUTLIER`.
+        Recording with the column `OUTLIER`.
     """
     if OUTLIER in recording.columns:
         return recording
@@ -72,35 +72,31 @@ def good_samples(recording: Recording) -> NDArray[np.bool_]:
 def outliers_of_residual(
     residual_um: FloatArray, measured_um: FloatArray, voltage_v: FloatArray, noise_um: float = 0.0,
 ) -> NDArray[np.bool_]:
-    """Mark the samples that stand out of the difference from a model.
+    """Mark the outliers in the residual of a model.
 
     Parameters
     ----------
     residual_um, measured_um, voltage_v : (N,) array
     noise_um : float
-        Standard deviation of the noise of a sample, at least.
+        Lower bound of the standard deviation of the noise of a sample.
 
     Returns
     -------
     (N,) array of bool
     """
-    # Model and stage may answer a jump at different times: what is left moves as the stage does.
+    # Model and stage may respond to a jump at different times, which moves the residual.
     return isolated(residual_um, voltage_v, typical_answer_per_v(measured_um, voltage_v),
                     max(noise_um, SMALL * typical_range(measured_um)), JUMP)
 
 
 def outlier_text(path: object, wrong: NDArray[np.bool_], time_s: FloatArray) -> str:
-    """Tell people in one sentence how many samples are left out, and where.
+    """Return a sentence on the number and times of excluded samples; empty if there are none.
 
     Parameters
     ----------
     wrong : (N,) array of bool
+        True for excluded samples.
     time_s : (N,) array
-
-    Returns
-    -------
-    str
-        Empty if there are none.
     """
     count = int(np.count_nonzero(wrong))
     if not count:

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The state in which a recording begins: at rest off its levels, or not yet in its periodic state.
+"""The state in which a recording begins: at rest, or not yet in its periodic state.
 
-A stage that follows a square wave is in its periodic state from the first step on at the latest:
-the way to the second level closes the loop, whatever came before. Until then the hysteresis may be
-anywhere.
+The hysteresis of a stage under a square wave is periodic from the first step on at the latest: the
+step to the second level closes the loop, whatever the past. Before it, the state is unknown.
 """
 
 from dataclasses import dataclass
@@ -17,21 +16,20 @@ from piezo_recorder.reading.recording import Recording
 
 @dataclass(frozen=True)
 class StartSettings:
-    """Numbers that steer how the start of a recording is read.
+    """Settings for the start of a recording.
 
     Attributes
     ----------
     significant : float
-        Standard deviations by which the displacement has to change at the start to count as in
-        motion.
+        Standard deviations above which a change of the displacement at the start is motion.
     first_samples, fewest_samples : int
-        Samples at the start, as far as the voltage rests there, that tell of a motion; with fewer,
-        nothing is told.
+        Most and fewest samples at the start, while the voltage rests, from which motion is
+        estimated.
     least_motion : float
-        Part of the displacement's span below which a motion at the start is of no account.
+        Fraction of the displacement's span below which motion at the start is negligible.
     fewest_steps : int
-        Between two levels, with other voltages before or after, that make a square wave: fewer
-        never return to a level, and are steps among others.
+        Fewest steps between two levels that form a square wave within other voltages; fewer steps
+        never return to a level.
     """
 
     significant: float = 5.0
@@ -45,18 +43,18 @@ SETTINGS = StartSettings()
 
 
 def square_part(recording: Recording) -> Recording:
-    """Leave out the rest, or the way from it, before and after a square wave between two levels.
+    """Remove rests and ramps before and after a square wave between two levels.
 
     Parameters
     ----------
     recording : Recording
-        Its middle half tells the levels.
+        Recording; the levels are those of its middle half.
 
     Returns
     -------
     Recording
-        From the first sample to the last between which the voltage takes no third value; the same
-        where the middle half has no two levels, or the voltage never returns to one of them.
+        The part in which the voltage takes only two values; the whole recording if the middle half
+        does not have two levels, or the voltage never returns to one of them.
     """
     voltage_v = recording.voltage_v
     middle = voltage_v[voltage_v.size // 4 : voltage_v.size - voltage_v.size // 4]
@@ -79,7 +77,7 @@ def square_part(recording: Recording) -> Recording:
 
 
 def first_run_length(voltage_v: FloatArray) -> int:
-    """Count the samples until the voltage changes for the first time; all where it never does.
+    """Count the samples until the voltage first changes; all samples if it never does.
 
     Parameters
     ----------
@@ -96,12 +94,12 @@ def without_first(recording: Recording, samples: int) -> Recording:
 
 
 def motion_um_per_s(recording: Recording) -> float:
-    """Return the velocity in which a recording begins while its voltage rests; 0 for none shown.
+    """Return the velocity at the start of a recording while its voltage rests.
 
     Returns
     -------
     float
-        0 where the voltage moves at once, or the change is within the scatter of the samples.
+        Velocity in um/s; 0 if the voltage moves at once, or the change is within the noise.
     """
     count = min(first_run_length(recording.voltage_v), SETTINGS.first_samples)
     if count < SETTINGS.fewest_samples:
@@ -109,7 +107,7 @@ def motion_um_per_s(recording: Recording) -> float:
     time_s = recording.time_s[:count] - recording.time_s[:count].mean()
     displacement_um = recording.displacement_um[:count]
     slope = float(time_s @ displacement_um / (time_s @ time_s))
-    # Differences of neighbours are noise even where the displacement moves along a curve.
+    # Differences of neighbours give the noise even if the displacement moves along a curve.
     noise_um = float(np.std(np.diff(displacement_um)) / np.sqrt(2.0))
     moved_um = abs(slope) * 2.0 * time_s[-1]
     least_um = SETTINGS.least_motion * float(np.ptp(recording.displacement_um))

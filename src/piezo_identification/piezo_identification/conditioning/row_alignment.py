@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""When a logger reads the displacement of a row: recordings aligned to the convention of the suite.
+"""Align recordings with the reading time of the displacement that the suite assumes.
 
-A row holds the voltage that is applied from its instant on, and the displacement at that instant.
-Many a logger reads the displacement at the end of the hold instead. That is the logger's habit, and
-not the stage's: it is taken out of the recording, and does not enter the model.
+A row holds the voltage that is applied from its time on, and the displacement at that time. Some
+loggers read the displacement at the end of the hold instead. This is a property of the logger and
+not of the stage, so it is corrected in the recording and does not enter the model.
 """
 
 from dataclasses import dataclass, replace
@@ -21,47 +21,47 @@ from piezo_identification.conditioning.waveforms import (
 from piezo_recorder.reading.recording import Recording
 
 LATEST_READING = 1.5
-"""Sample periods after its voltage at which a row may have been read."""
+"""Latest reading time of a row, in sample periods after its voltage."""
 
 POINT_STEP = 0.01
-"""Part of the voltage's range by which it changes from row to row where rows are points of a loop,
-each read when the stage has come to rest. Whether such a displacement belongs to its own voltage or
-to the one before decides how wide the loop is."""
+"""Smallest change of the voltage from row to row, as a fraction of its range, for rows that are
+points of a loop, each read at rest. The width of the loop depends on whether a displacement belongs
+to its own voltage or to the one before."""
 
 CLEARLY_READ = 0.25
-"""Part of a jump's displacement by which what the row of the jump shows of it may differ from none,
-or from all of it, for that to tell when the row is read."""
+"""The row of a jump shows its reading time if its displacement differs by less than this fraction
+of the jump from none or all of it."""
 
 HELD = 0.02
-"""Part of the range within which a voltage is held from one row to the next."""
+"""Largest change between rows of a held voltage, as a fraction of the range."""
 
 JUMP = 0.1
-"""Part of the range by which the voltage jumps from one sample to the next."""
+"""Smallest jump of the voltage between samples, as a fraction of the range."""
 
 SIGNIFICANT = 3.0
-"""Standard deviations by which a delay that is left has to differ from none."""
+"""Standard deviations above which a remaining delay is significant."""
 
 MOST_UNCERTAIN = 0.5
-"""Standard deviation of a delay, in sample periods, beyond which rows do not tell it: rows that are
-read at the end of the hold could then not be told from those that are read at its beginning."""
+"""Largest standard deviation, in sample periods, of an identifiable delay. Beyond it, rows read at
+the end of the hold cannot be distinguished from rows read at its beginning."""
 
 WHOLE = 1e-9
-"""An instant within this part of a sample period counts as that of the sample."""
+"""Times within this fraction of a sample period of a sample are equal to its time."""
 
 
 @dataclass(frozen=True)
 class RowDelay:
-    """What a recording tells of the delay of its displacement behind its voltage.
+    """The delay of the displacement of a recording after its voltage.
 
     Parameters
     ----------
     read_at_samples : float
-        Instant at which the displacement of a row is read, in sample periods after its voltage
-        changes: the habit of the logger, which was taken out of the recording.
+        Time at which the displacement of a row is read, in sample periods after its voltage
+        changes; it was corrected in the recording.
     delay_s : float
-        Of the displacement that is left, beside the dynamics of the model and its delay.
+        Remaining delay of the displacement, in addition to dynamics and delay of the model.
     sample_period_s : float
-        Of the recording.
+        Sample period of the recording.
     """
 
     read_at_samples: float
@@ -71,37 +71,36 @@ class RowDelay:
 
     @property
     def is_identifiable(self) -> bool:
-        """Whether the rows tell a delay at all."""
+        """Whether the rows determine the delay."""
         return self.standard_deviation_s < MOST_UNCERTAIN * self.sample_period_s
 
     @property
     def is_significant(self) -> bool:
-        """Whether a delay is left that differs from none by more than chance."""
+        """Whether the remaining delay differs significantly from 0."""
         return (self.is_identifiable
                 and abs(self.delay_s) > SIGNIFICANT * self.standard_deviation_s)
 
     def fields(self) -> dict[str, float]:
-        """Return the numbers by their names in a model file; no delay that the rows do not tell."""
+        """Return the numbers by their names in a model file; the delay only if identifiable."""
         told = {"delay_s": self.delay_s} if self.is_identifiable else {}
         return {"read_at_samples": self.read_at_samples, **told,
                 "standard_deviation_s": self.standard_deviation_s}
 
 
 def rows_read_at_start(recording: Recording, read_at_samples: float) -> Recording:
-    """Return a recording whose displacements are those at the instants of its rows.
+    """Return a recording whose displacements are those at the times of its rows.
 
     Parameters
     ----------
-    recording : Recording
-        Each displacement was read so many sample periods after the voltage of its row changed.
     read_at_samples : float
-        1 for the end of the hold.
+        Time at which the displacements were read, in sample periods after the voltage of their row
+        changed; 1 for the end of the hold.
 
     Returns
     -------
     Recording
-        With as many rows fewer at the start as tell no displacement of theirs. A fraction of a
-        period is interpolated between rows, by cubic splines.
+        Recording without the rows whose displacement is unknown. Fractions of a period are
+        interpolated by cubic splines.
 
     Raises
     ------
@@ -124,13 +123,13 @@ def rows_read_at_start(recording: Recording, read_at_samples: float) -> Recordin
 
 
 def read_as(recording: Recording, read_at_samples: float) -> float:
-    """Return when a logger of this habit reads rows; means of samples are read as they are."""
+    """Return the reading time of the rows in sample periods; it is 0 for means of samples."""
     is_means = read_at_samples != 0.0 and samples_per_mean(played(recording)) > 1
     return 0.0 if is_means else read_at_samples
 
 
 def is_point_by_point(recording: Recording) -> bool:
-    """Tell whether rows are points of a static loop: slow, most of them steps of the voltage."""
+    """Return whether rows are points of a static loop: slow, and mostly steps of the voltage."""
     part = played(recording)
     steps_v = np.abs(np.diff(part.voltage_v))
     is_step = steps_v > POINT_STEP * np.ptp(part.voltage_v)
@@ -139,18 +138,19 @@ def is_point_by_point(recording: Recording) -> bool:
 
 
 def reading_at_jumps(recording: Recording) -> float | None:
-    """Tell from its jumps when slow rows are read: with their voltage, or at the end of the hold.
+    """Determine from jumps whether slow rows are read with their voltage or after the hold.
 
-    A stage answers within a slow row. The row in which the voltage jumps holds the displacement
-    from before the jump if it is read with its voltage. It holds that from after the jump if it is
-    read at the end of its hold, or if the voltage was measured together with the displacement.
-    Jumps count whose voltage is held for a row before and a row after them.
+    A stage responds within a slow row. The row of a jump holds the displacement before the jump if
+    it is read with its voltage. It holds that after the jump if it is read at the end of its hold,
+    or if the voltage was measured together with the displacement. Only jumps with a held voltage in
+    the rows before and after them are used.
 
     Returns
     -------
     float or None
-        0 with their voltage, 1 at the end of the hold; None where no jump counts, rows are fast,
-        means over several samples or missing, or the row of the jump shows only a part of it.
+        0 if rows are read with their voltage, 1 at the end of the hold. None if there is no such
+        jump, if rows are fast, averaged or missing, or if the row of the jump shows only part of
+        it.
     """
     if recording.gaps:
         return None
@@ -159,7 +159,7 @@ def reading_at_jumps(recording: Recording) -> float | None:
         return None
     steps_v = np.diff(part.voltage_v)
     jumps = np.flatnonzero(np.abs(steps_v) > JUMP * np.ptp(part.voltage_v))
-    # Held on both sides, so that it is no row of a ramp.
+    # Require a hold on both sides, which excludes ramps.
     held = np.abs(steps_v) < HELD * np.ptp(part.voltage_v)
     jumps = jumps[(jumps > 0) & (jumps + 1 < steps_v.size)]
     jumps = jumps[held[jumps - 1] & held[jumps + 1]]
@@ -180,9 +180,9 @@ def _at(signal: FloatArray, instants: FloatArray) -> FloatArray:
 
 
 def away_from_jumps(voltage_v: FloatArray) -> NDArray[np.bool_]:
-    """Mark the samples that lie beside no jump of the voltage.
+    """Mark the samples that are not next to a jump of the voltage.
 
-    What a stage does within one sample period of a jump looks the same for any delay in it.
+    Within one sample period of a jump, the motion of a stage looks the same for any delay in it.
 
     Parameters
     ----------
@@ -203,23 +203,23 @@ def remaining_delay(
     measured_um: FloatArray, simulated_um: FloatArray, sample_period_s: float,
     nuisance: FloatArray, kept: NDArray[np.bool_] | None = None,
 ) -> tuple[float, float]:
-    """Estimate by how much a measured signal is later than a simulated one.
+    """Estimate the delay of a measured signal after a simulated one.
 
-    A short delay removes the velocity times it. Errors may be alike within a fiftieth of a
-    recording; from one to the next they count as independent.
+    A short delay subtracts the velocity times the delay. Errors may be correlated within a fiftieth
+    of the recording; errors of different fiftieths are assumed to be independent.
 
     Parameters
     ----------
     measured_um, simulated_um : ndarray, shape (N,)
     nuisance : ndarray, shape (N, K)
-        What else the difference may hold, such as an offset.
+        Regressors for other differences, such as an offset.
     kept : ndarray of bool, shape (N,), optional
-        Samples that tell; all by default.
+        Samples to use; all by default.
 
     Returns
     -------
     delay_s, standard_deviation_s : float
-        Infinitely uncertain where nothing moves.
+        Delay and its standard deviation, which is infinite if nothing moves.
     """
     velocity = -np.gradient(simulated_um, sample_period_s)
     both = np.column_stack([velocity, measured_um - simulated_um])

@@ -10,14 +10,14 @@ from scipy.signal.windows import hann
 from piezo_common.arrays import ComplexArray, FloatArray
 
 AT_ONCE = 128
-"""Segments that are transformed together, which is much faster than one by one."""
+"""Number of segments transformed together, which is much faster than one by one."""
 
 
 def spectra_of_segments(signal: FloatArray, size: int,
                         drift_order: int) -> Iterator[ComplexArray]:
-    """Yield the spectra of segments, some at a time, each of shape (segments, lines).
+    """Yield the spectra of segments in batches of shape (segments, lines).
 
-    Each segment is without its drift, and windowed by a Hann window.
+    The drift of each segment is removed, and a Hann window is applied.
 
     Parameters
     ----------

@@ -7,25 +7,26 @@ from typing import Any
 
 import numpy as np
 
+from piezo_identification.conditioning.waveforms import SETTINGS as WAVEFORM
 from piezo_recorder.reading.recording import Recording
 
 FEWEST_SAMPLES = 3
-"""A stretch between gaps that is shorter tells nothing beside its own offset."""
+"""Fewest samples of a stretch between gaps that determines more than its own offset."""
 
 FEWEST_TO_TEST = 30
-"""A stretch that is shorter says little of a model: most of it goes into its unknown past."""
+"""Fewest samples of a stretch to test a model; a shorter one depends mostly on its unknown past."""
 
 Recordings = Recording | Sequence[Recording]
 """One recording, or several of one kind."""
 
 
 def listed(recordings: Recordings) -> tuple[Recording, ...]:
-    """Return recordings that may be one or several as a tuple."""
+    """Return one recording or several as a tuple."""
     return (recordings,) if isinstance(recordings, Recording) else tuple(recordings)
 
 
 def experiment_of(name: str) -> str:
-    """Return the experiment of a recording that may be numbered: creep of creep 2."""
+    """Return the experiment of a recording without its number: "creep" for "creep 2"."""
     return name.split()[0]
 
 
@@ -35,12 +36,12 @@ def testable(recordings: Mapping[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     recordings : dict of str to Recording or FrequencyResponse
-        By the name of the experiment; further ones of the same are numbered: creep, creep 2.
+        Data by name of the experiment; further recordings are numbered: creep, creep 2.
 
     Returns
     -------
     dict of str to Recording or FrequencyResponse
-        Without stretches that are too short, unless an experiment has no others.
+        Data without short stretches, unless an experiment has no others.
     """
     def is_long(data: Any) -> bool:
         return not isinstance(data, Recording) or data.voltage_v.size >= FEWEST_TO_TEST
@@ -51,14 +52,15 @@ def testable(recordings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def played_segments(recordings: Recordings) -> list[Recording]:
-    """Cut recordings into stretches without gaps, of what plays in them.
+    """Divide recordings into stretches without gaps in which a waveform is played.
 
-    What the stage did in a gap is not known, so each stretch begins with an unknown past.
+    The motion in a gap is unknown, so each stretch begins with an unknown past. Stretches in which
+    the voltage rests show only noise and drift, and are omitted.
 
     Raises
     ------
     ValueError
-        If nothing plays, or no stretch is long enough.
+        If no waveform is played, or no stretch is long enough.
     """
     segments = []
     for recording in listed(recordings):
@@ -66,11 +68,12 @@ def played_segments(recordings: Recordings) -> list[Recording]:
         starts = [gap[0] for gap in part.gaps]
         number = np.searchsorted(starts, part.sample_index, side="right")
         stretches = [part.select(number == each) for each in np.unique(number)]
+        least_v = WAVEFORM.level_tolerance * np.ptp(part.voltage_v) if part.voltage_v.size else 0.0
         kept = [replace(each, gaps=[]) for each in stretches
-                if each.voltage_v.size >= FEWEST_SAMPLES]
+                if each.voltage_v.size >= FEWEST_SAMPLES and np.ptp(each.voltage_v) >= least_v]
         if not kept:
             raise ValueError(
-                f"{recording.path} has fewer than {FEWEST_SAMPLES} samples between its gaps: "
-                "record it again")
+                f"{recording.path} has fewer than {FEWEST_SAMPLES} samples between its gaps while "
+                "the voltage moves: record it again")
         segments += kept
     return segments

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How large the sensor's noise is: between repeats, at rest, or in its own band."""
+"""Estimate the sensor's noise from repeats, from rests, or from high frequencies."""
 
 from dataclasses import dataclass
 from hashlib import blake2b
@@ -14,24 +14,25 @@ from piezo_identification.conditioning.segment_spectra import spectra_of_segment
 
 @dataclass(frozen=True)
 class NoiseSettings:
-    """Where the noise of the sensor is looked for.
+    """Settings of the noise estimates.
 
     Attributes
     ----------
     high_bands : int
-        Parts of the upper half of the spectrum; the quietest tells the noise.
+        Number of bands in the upper half of the spectrum; the quietest gives the noise.
     segment : int
-        Samples of which a spectrum is estimated: short, so that the median is over many.
+        Samples of a segment for the spectrum; short segments allow a median over many.
     energy_tolerance, span_tolerance : float
-        Parts of the voltage's energy and span by which repeats may differ: rounding.
+        Largest difference between repeats as fractions of the voltage's energy and span, for
+        rounding.
     fewest_at_rest : int
-        Samples of a rest that counts.
+        Fewest samples of a rest.
     drift_order : int
-        Degree of the polynomial that repeats may drift by, one from the other, as creep does.
+        Degree of the polynomial that is removed as drift between repeats.
     over_sampled : float
-        White noise as strong as the quietest band of a displacement, over its RMS, below which the
-        band shows the sensor's noise. A misfit in proportion to the motion then adds at most a
-        hundredth of its power to it, and stands out.
+        Noise estimate from the quietest band over the RMS displacement, below which the band
+        shows the sensor's noise. A model error in proportion to the motion then adds at most a
+        hundredth of its power to the band.
     """
 
     high_bands: int = 4
@@ -46,20 +47,20 @@ class NoiseSettings:
 SETTINGS = NoiseSettings()
 
 _PERIODS: dict[bytes, int | None] = {}
-"""What was found, by the hash of the voltages."""
+"""Periods already found, by the hash of the voltages."""
 
 
 def sensor_noise_um(displacement_um: FloatArray, voltage_v: FloatArray, residual_um: FloatArray,
                     period: int | None) -> float:
     """Estimate the standard deviation of the sensor's noise in three ways, and return the least.
 
-    What a model lacks can only add to it.
+    Model errors can only increase the estimates.
 
     Parameters
     ----------
     displacement_um, voltage_v, residual_um : (N,) array
     period : int or None
-        Samples after which the voltage repeats, as `repeated_period` finds it.
+        Period of the voltage in samples from `repeated_period`.
     """
     found = [
         noise_floor_um(residual_um),
@@ -70,10 +71,10 @@ def sensor_noise_um(displacement_um: FloatArray, voltage_v: FloatArray, residual
 
 
 def shows_noise(displacement_um: FloatArray, voltage_v: FloatArray) -> bool:
-    """Tell whether a recording shows the sensor's noise, and does not only bound it from above.
+    """Return whether a recording determines the sensor's noise, and not only an upper bound.
 
-    A rest and repeats show it, and a band in which the stage moves little. Where it moves as much
-    in all bands, what a model lacks there looks like noise.
+    Rests, repeats, or a band with little motion determine it. If the stage moves in all bands,
+    errors of the model look like noise.
 
     Parameters
     ----------
@@ -86,13 +87,13 @@ def shows_noise(displacement_um: FloatArray, voltage_v: FloatArray) -> bool:
 
 
 def repeated_period(voltage_v: FloatArray) -> int | None:
-    """Find the samples after which the voltage repeats itself to the end; None if it does not.
+    """Return the period in samples with which the voltage repeats; None if it is not periodic.
 
     Parameters
     ----------
     voltage_v : (N,) array
     """
-    # Each model that is compared asks again for the same voltages.
+    # Cached, as every compared model needs the period of the same voltages.
     digest = blake2b(np.ascontiguousarray(voltage_v, dtype=float).tobytes()).digest()
     if digest not in _PERIODS:
         _PERIODS[digest] = _found_period(voltage_v)
@@ -103,7 +104,7 @@ def _found_period(voltage_v: FloatArray) -> int | None:
     varying_v = voltage_v - voltage_v.mean()
     if not np.any(varying_v):
         return None
-    # Sum of the squares of the differences between the voltage and itself, some samples later.
+    # Sums of squared differences between the voltage and its shifted copies.
     energy = np.cumsum(varying_v**2)
     lags = np.arange(1, voltage_v.size // 2 + 1)
     products = correlate(varying_v, varying_v, method="fft")[voltage_v.size :][: lags.size]
@@ -116,11 +117,10 @@ def _found_period(voltage_v: FloatArray) -> int | None:
 
 
 def noise_floor_um(residual_um: FloatArray) -> float:
-    """Estimate the standard deviation of white noise as large as the residual's high frequencies.
+    """Estimate the standard deviation of white noise from the high frequencies of a residual.
 
-    The stage follows nothing at the highest frequencies of a fast recording; what is there is the
-    sensor's. The quietest part of the upper half is taken, and the median in it, so that a tone
-    does not count.
+    At the highest frequencies of a fast recording, the stage does not move, so that the signal is
+    sensor noise. The median in the quietest band of the upper half is used, which ignores tones.
 
     Parameters
     ----------
@@ -137,23 +137,23 @@ def noise_floor_um(residual_um: FloatArray) -> float:
 
 
 def _median_of_exponentials(count: int) -> float:
-    """Return the expected median of so many exponential variables of mean one."""
+    """Return the expected median of `count` exponential variables with mean 1."""
     even = 2.0 * np.arange(1, (count - 1) // 2 + 1)
     return float(1.0 + np.sum(1.0 / (even + 1.0) - 1.0 / even))
 
 
 def noise_from_rest_um(displacement_um: FloatArray, voltage_v: FloatArray,
                        fewest: int = SETTINGS.fewest_at_rest) -> float | None:
-    """Estimate the noise where the voltage rests; None if it never does for long.
+    """Estimate the noise while the voltage rests; None if it never rests for long enough.
 
     Parameters
     ----------
     displacement_um, voltage_v : (N,) array
     fewest : int
-        Samples of a rest that counts.
+        Fewest samples of a rest.
     """
     edges = np.flatnonzero(np.diff(voltage_v, prepend=np.nan, append=np.nan) != 0.0)
-    # The first half may still move.
+    # The stage may still settle in the first half.
     starts, ends = edges[:-1] + np.diff(edges) // 2, edges[1:]
     long = ends - starts >= fewest
     spreads = [_spread_about_line(displacement_um[start:end])
@@ -162,7 +162,7 @@ def noise_from_rest_um(displacement_um: FloatArray, voltage_v: FloatArray,
 
 
 def _spread_about_line(values: FloatArray) -> float:
-    """Return the standard deviation about a straight line; there may be thousands of rests."""
+    """Return the standard deviation about a line; written for speed with thousands of rests."""
     at = np.arange(values.size) - 0.5 * (values.size - 1)
     about = values - values.mean()
     return float(np.std(about - at * ((at @ about) / (at @ at))))
@@ -175,12 +175,12 @@ def noise_from_repeats_um(displacement_um: FloatArray, period: int) -> float | N
     ----------
     displacement_um : (N,) array
     period : int
-        Samples of the waveform; `repeated_period` finds it.
+        Period of the waveform in samples from `repeated_period`.
 
     Returns
     -------
     float or None
-        None with fewer than two repeats.
+        Standard deviation in um; None for fewer than two repeats.
     """
     repeats = displacement_um.size // period
     if repeats < 2:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The direction in which the sensor counts: models rise with the voltage.
+"""The sign of the sensor; the displacement of models rises with the voltage.
 
-One rule for every command: the sign is changed where the slowest motion of the displacement goes
-against a reference that rises with the voltage. That is the model's displacement where there is a
-model, and the voltage where there is none yet. Beyond a resonance every stage moves against its
-voltage, so that faster motion tells nothing.
+All commands use the same rule. The sign is changed if the slowest motion of the displacement is
+opposite to a reference that rises with the voltage. The reference is the displacement of the model
+or, without a model, the voltage. Faster motion is ignored, as every stage moves against its voltage
+above a resonance.
 """
 
 from dataclasses import replace
@@ -18,19 +18,19 @@ from piezo_identification.conditioning.waveforms import played
 from piezo_recorder.reading.recording import Recording
 
 SLOWEST = 0.05
-"""Part of the reference's power, from the lowest frequency on, in which the sign is read."""
+"""Fraction of the reference's power, from the lowest frequency on, that determines the sign."""
 
 
 def moves_against(
     displacement_um: FloatArray, reference: FloatArray, free: FloatArray | None = None,
 ) -> bool:
-    """Tell whether the slowest motion of a displacement goes against that of a reference.
+    """Return whether the slowest motion of a displacement is opposite to that of a reference.
 
     Parameters
     ----------
     displacement_um, reference : (N,) array
     free : (N, k) array, optional
-        Nuisance regressors, which are removed from both; by default the mean.
+        Nuisance regressors that are projected out of both; by default the mean.
     """
     free = np.ones((reference.size, 1)) if free is None else free
     both = np.column_stack([displacement_um, reference])
@@ -42,12 +42,13 @@ def moves_against(
 
 
 def displacement_falls(recording: Recording) -> bool:
-    """Tell whether the displacement falls, on the whole, as the voltage rises.
+    """Return whether the displacement falls overall as the voltage rises.
 
     Parameters
     ----------
     recording : Recording
-        Of a voltage that is slow beside the vibrations. Of several stretches the longest counts.
+        Recording with a voltage that is slow compared with the vibrations; its longest stretch is
+        used.
     """
     stretches = played_segments(recording) if recording.gaps else [played(recording)]
     part = max(stretches, key=lambda each: each.voltage_v.size)
@@ -61,5 +62,5 @@ def reversed_displacement(recording: Recording) -> Recording:
 
 
 def sign_text(path: object) -> str:
-    """Return the sentence that tells people of a sign that was changed."""
+    """Return the message that the sign of the displacement was changed."""
     return f"{path}: the displacement moves against the model: its sign is changed"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What slow signals see of the electric and vibration dynamics."""
+"""Settling time and low-frequency delay of the electric and vibration dynamics."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -17,38 +17,39 @@ from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.linear.dynamics import ElectricVibrationDynamics, zoh
 
 NEGLIGIBLE = 1e-5
-"""Part of a step below which what is left of its ringing does not count."""
+"""Fraction of a step below which its ringing is negligible."""
 
 SMALL_PART = 0.01
-"""Part of the displacement below which a mode beside others rings too little to wait for: it rings
-about a mean that is right."""
+"""Participation below which the ringing of a parallel mode is not waited for, as its mean is
+correct."""
 
 AT_REST = 20
-"""First samples without a change of the voltage, from which a recording begins at rest."""
+"""Number of first samples with constant voltage for which a recording begins at rest."""
 
 MOST_OF_RECORDING = 0.25
-"""Part of a recording that is given away to settle, however slowly a mode decays."""
+"""Largest fraction of a recording that is excluded while it settles, however slowly a mode
+decays."""
 
 
 @dataclass(frozen=True)
 class SlowDynamics(ElectricVibrationDynamics):
-    """Electric and vibration dynamics with the further modes that have to settle beside theirs.
+    """Electric and vibration dynamics with further parallel modes that have to settle.
 
     Parameters
     ----------
     beside : tuple of VibrationMode
-        Each takes its participation of the displacement from the modes in series.
+        Parallel modes; the participation of each is taken from the modes in series.
     """
 
     beside: tuple[VibrationMode, ...] = ()
 
     @property
     def is_static(self) -> bool:
-        """Tell whether there is neither a lag nor a mode."""
+        """Whether there is neither a lag nor a mode."""
         return super().is_static and not self.beside
 
     def state_space(self, beside: Sequence[Any] = ()) -> control.StateSpace:
-        """Return the continuous state space, with still further modes."""
+        """Return the continuous state space, including the modes in `beside`."""
         return super().state_space((*self.beside, *beside))
 
     def response(self, frequency_hz: ArrayLike, beside: Sequence[Any] = ()) -> ComplexArray:
@@ -59,8 +60,8 @@ class SlowDynamics(ElectricVibrationDynamics):
 def low_frequency_delay_s(dynamics: ElectricVibrationDynamics) -> float:
     """Return the delay of the dynamics at low frequency, the coefficient of (4.18) and (4.19).
 
-    It is tau + sum 2 d / w over the modes, less the same sum over the antiresonances. Of modes
-    beside each other, each delays its part of the displacement only.
+    It is tau + sum 2 d / w over the modes, less the same sum over the antiresonances. Each parallel
+    mode delays only its part of the displacement.
     """
     def sum_of_modes(frequencies: Sequence[float], dampings: Sequence[float]) -> float:
         return sum(2.0 * d / w for w, d in zip(frequencies, dampings, strict=True))
@@ -76,16 +77,16 @@ def low_frequency_delay_s(dynamics: ElectricVibrationDynamics) -> float:
 
 
 def _delay_of_mode_s(mode: VibrationMode, in_series_s: float) -> float:
-    """By how much a mode delays the displacement beyond the modes in series."""
+    """Return the delay that a parallel mode adds to that of the modes in series."""
     return mode.branch_delay_s() - mode.participation * in_series_s
 
 
 def held_delay_s(dynamics: ElectricVibrationDynamics, sample_period_s: float) -> float:
     """Return the delay at low frequency from held voltages to samples read before they change.
 
-    Of H(z) = C (zI - A)^-1 B + D, with the hold, it is -H'(1) periods. Half a period is added to
-    `low_frequency_delay_s` where the dynamics are slow beside the period; where they are fast, the
-    delay is a whole period.
+    It is -H'(1) sample periods for H(z) = C (zI - A)^-1 B + D, which includes the hold. If the
+    dynamics are slow compared with the period, it is `low_frequency_delay_s` plus half a period; if
+    they are fast, it is a whole period.
     """
     system = zoh(dynamics.state_space(), sample_period_s)
     away = np.eye(system.nstates) - system.A
@@ -101,7 +102,7 @@ def slow_dynamics(
     Parameters
     ----------
     effects : sequence of Effect
-        Of them, modes beside those of the dynamics are taken, unless their part is small.
+        Effects, of which the parallel modes with a notable participation are included.
     """
     own = {each.name: getattr(dynamics, each.name) for each in fields(ElectricVibrationDynamics)}
     return SlowDynamics(
@@ -109,12 +110,12 @@ def slow_dynamics(
 
 
 def slow_delay_s(dynamics: ElectricVibrationDynamics, effects: Sequence[Effect]) -> float:
-    """Return the delay of slow signals by dynamics and effects, beside that of `slow_dynamics`.
+    """Return the delay of slow signals from effects, in addition to that of `slow_dynamics`.
 
     Parameters
     ----------
     effects : sequence of Effect
-        Delays, lags of the amplifier or the sensor, and modes too small to wait for.
+        Effects, of which delays, lags of amplifier or sensor, and small parallel modes count.
     """
     in_series_s = low_frequency_delay_s(dynamics) - dynamics.time_constant_s
     delay_s = 0.0
@@ -133,7 +134,7 @@ def _has_to_settle(effect: Effect) -> TypeGuard[VibrationMode]:
 
 
 def settling_time_s(dynamics: ElectricVibrationDynamics) -> float:
-    """Return the time after which the response to a step has decayed to its end value."""
+    """Return the time after which the response to a step has settled."""
     if dynamics.is_static:
         return 0.0
     slowest_rad_per_s = -dynamics.state_space().poles().real.max()
@@ -142,14 +143,16 @@ def settling_time_s(dynamics: ElectricVibrationDynamics) -> float:
 
 def first_settled(dynamics: ElectricVibrationDynamics, time_s: FloatArray,
                   effects: Sequence[Effect] = ()) -> int:
-    """Find the first sample of a recording at which its start has settled, if it is long enough.
+    """Find the first sample of a recording after its start has settled.
+
+    At most the fraction `MOST_OF_RECORDING` of the recording is excluded.
 
     Parameters
     ----------
     time_s : (N,) array
-        Since the start.
+        Time since the start.
     effects : sequence of Effect
-        Of them, lags have to settle, too.
+        Effects, of which lags have to settle, too.
     """
     longest_lag_s = max((effect.time_constant_s for effect in effects
                          if isinstance(effect, Lag)), default=0.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the estimators read off a recording before they fit anything."""
+"""Properties of the voltage of a recording that the estimators need before fitting."""
 
 from dataclasses import dataclass
 
@@ -13,19 +13,19 @@ from piezo_recorder.reading.recording import Recording
 
 @dataclass(frozen=True)
 class WaveformSettings:
-    """Numbers that steer how the voltage of a recording is read.
+    """Settings for the classification of voltages.
 
     Attributes
     ----------
     level_tolerance : float
-        Part of the swing by which a square wave may miss its two levels, such as by the noise and
-        the quantum of the converter that measured it.
+        Largest deviation of a square wave from its two levels, as a fraction of the swing; it
+        allows noise and resolution of the converter.
     slow_branch_s : float
         A branch between two reversals that takes longer shows hysteresis, a shorter one dynamics.
-        The slowest modes and lags of a stage have decayed in this time.
+        The slowest modes and lags of a stage decay in this time.
     smallest_reversal : float
-        Part of the voltage's range below which a way back is noise and no reversal, where branches
-        are told apart by their duration.
+        Smallest reversal that is not noise, as a fraction of the voltage range, where branches are
+        classified by their duration.
     """
 
     level_tolerance: float = 0.01
@@ -36,20 +36,19 @@ class WaveformSettings:
 SETTINGS = WaveformSettings()
 
 SAMPLES_WHILE_FAST = 10.0
-"""Samples that the fast dynamics need within `WaveformSettings.slow_branch_s`, in which they
-settle."""
+"""Fewest samples in `WaveformSettings.slow_branch_s`, in which the fast dynamics settle."""
 
 SLOWEST_FAST_ROWS_S = SETTINGS.slow_branch_s / SAMPLES_WHILE_FAST
-"""Sample period beyond which nothing that is called dynamics shows: what rings is folded then."""
+"""Longest sample period (s) that shows dynamics; beyond it, ringing is aliased."""
 
 
 def played(recording: Recording) -> Recording:
-    """Return the part of a recording in which a waveform or a trajectory plays, without ramps.
+    """Return the part of a recording in which a waveform or trajectory is played, without ramps.
 
     Raises
     ------
     ValueError
-        If nothing plays, or samples are missing in it.
+        If nothing is played, or samples are missing.
     """
     part = recording.select(recording.playing | recording.tracking)
     if part.gaps:
@@ -62,22 +61,22 @@ def played(recording: Recording) -> Recording:
 
 
 def with_voltage_before(recording: Recording, part: Recording) -> tuple[FloatArray, int]:
-    """Return the voltage of a part of a recording, with that before it.
+    """Return the voltage of a part of a recording, preceded by the voltage before it.
 
-    The hysteresis remembers what came before the part, too.
+    The hysteresis depends on the voltage before the part, too.
 
     Returns
     -------
     voltage_v : ndarray, shape (M,)
     lead : int
-        Samples of it that come before the part.
+        Number of samples before the part.
     """
     before = np.asarray(recording.voltage_v)[recording.sample_index < part.sample_index[0]]
     return np.concatenate([before, part.voltage_v]).astype(float), before.size
 
 
 def samples_per_mean(recording: Recording) -> int:
-    """Count the clock samples of which each displacement is the mean; 1 without averaging."""
+    """Return the number of clock samples averaged in each displacement; 1 without averaging."""
     return max(1, round(recording.sample_period_s * recording.sample_rate_hz))
 
 
@@ -98,7 +97,7 @@ class SquareWave:
 
 
 def two_levels(recording: Recording) -> SquareWave | None:
-    """Read a recording's voltage as a square wave; None where it takes other than two values."""
+    """Return the voltage of a recording as a square wave; None if it does not have two levels."""
     voltage_v = recording.voltage_v
     low_v, high_v = voltage_v.min(), voltage_v.max()
     swing_v = high_v - low_v
@@ -110,7 +109,7 @@ def two_levels(recording: Recording) -> SquareWave | None:
 
 
 def square_wave(recording: Recording) -> SquareWave:
-    """Read a recording's voltage as a square wave.
+    """Return the voltage of a recording as a square wave.
 
     Raises
     ------
@@ -127,13 +126,13 @@ def square_wave(recording: Recording) -> SquareWave:
 
 
 def turning_points(voltage_v: FloatArray, threshold_v: float) -> NDArray[np.intp]:
-    """Find the samples at which the voltage reverses, with the first and the last sample.
+    """Find the samples at which the voltage reverses, including the first and last sample.
 
     Parameters
     ----------
     voltage_v : ndarray, shape (N,)
     threshold_v : float
-        A way back shorter than this is no reversal.
+        Smallest change back that is a reversal.
     """
     return np.flatnonzero(_turns(np.ascontiguousarray(voltage_v, dtype=float), threshold_v))
 
@@ -160,7 +159,7 @@ def _turns(voltage_v: FloatArray, threshold_v: float) -> NDArray[np.bool_]:
 
 
 def slow_branches(time_s: FloatArray, voltage_v: FloatArray) -> NDArray[np.bool_]:
-    """Mark the samples between reversals that are farther apart than `SETTINGS.slow_branch_s`.
+    """Mark the samples of branches that take longer than `SETTINGS.slow_branch_s`.
 
     Parameters
     ----------

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""From the residual of a model to the effect that it lacks."""
+"""Diagnosis of the effects that a model lacks, from its residual."""

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""From a model and recordings to a verdict: what the model lacks, and how much better it gets.
+"""Diagnosis of a model with recordings: what it lacks, and how much the effects found improve it.
 
-`diagnose` reads from top to bottom. Each step takes what the steps before have returned:
-recordings, conditioned, simulated, residual, candidates, fits, comparison, competition, decision,
-ceiling, verdict. The report of it is written by `piezo_identification.diagnosis.report.results`.
+`diagnose` reads from top to bottom. Each step uses the results of the steps before: recordings,
+conditioned, simulated, residual, candidates, fits, comparison, competition, decision, ceiling,
+verdict. The report is written by `piezo_identification.diagnosis.report.results`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -84,8 +84,8 @@ class VerdictSettings:
     Attributes
     ----------
     guess : float
-        Part of the power of the lack of fit that may be left before the effects found are mere
-        guesses.
+        Largest part of the power of the lack of fit that may remain before the effects found are
+        regarded as guesses.
     """
 
     guess: float = 0.5
@@ -94,13 +94,13 @@ class VerdictSettings:
 SETTINGS = VerdictSettings()
 
 ALONE_UNTIL = 0.5
-"""Share of the time until which the new recordings are looked at alone, where there are others."""
+"""Share of the time limit for the new recordings alone, if there are others."""
 
 IN_THE_IDENTIFICATION = "which effects were there at the identification"
-"""What is left out where the time ends before the recordings of the identification are fitted."""
+"""What is omitted if time runs out before the recordings of the identification are fitted."""
 
 SHARE_ALONE = 0.4
-"""Part of the work for the new recordings alone, where others are asked as well."""
+"""Part of the work for the new recordings alone, if others are fitted as well."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -110,11 +110,11 @@ class Diagnosis(Verdict):
     Attributes
     ----------
     selection : Selection
-        The comparison that led to it, for the report.
+        The comparison of effects that led to the verdict.
     noise : KnownNoise
-        To which what remains was held.
+        Noise with which the remaining error was compared.
     stated_um : float
-        RMS of what the model is known to be wrong by.
+        RMS of the known error of the model.
     """
 
     selection: Selection
@@ -129,11 +129,11 @@ class Conditioned:
     Attributes
     ----------
     recordings : list of Recording
-        To be diagnosed.
+        Recordings to diagnose.
     holdout : Recording or None
-        On which the errors are measured.
+        Recording on which the errors are measured.
     faults : list of RecordingFault
-        That were taken out of them.
+        Faults that were corrected in them.
     """
 
     recordings: list[Recording]
@@ -142,31 +142,30 @@ class Conditioned:
 
     @property
     def reversed(self) -> list[str]:
-        """Return the paths of those whose sign was changed."""
+        """Return the paths of recordings whose sign was changed."""
         return [fault.recording for fault in self.faults if fault.name == WRONG_SIGN]
 
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """What is decided of the effects that a comparison selected.
+    """Decision on the effects that a comparison selected.
 
     Attributes
     ----------
     verdict : str
         "none", "explained" or "unexplained".
     fit : Fit
-        With the effects that are named.
-    outliers : FoundOutliers or None
+        Fit with the effects that are named.
     refused : dict of str to Undecided
         Effects that the held-out data refuse, and why.
     came : Came
-        When the effects came, as far as the recordings of the identification show.
+        When the effects appeared, as far as the recordings of the identification show.
     probabilities : dict of str to float
-        From which the verdict follows.
+        Probabilities from which the verdict follows.
     remains : str
-        How many times the noise what remains is, and what shows the noise.
+        Sentence on the remaining error relative to the noise, and the source of the noise.
     predicted : Ceiling or None
-        What a learner predicts of what remains; None where it was not asked yet.
+        Predictable part of the remaining error; None if not yet computed.
     """
 
     verdict: str
@@ -189,20 +188,20 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
     Parameters
     ----------
     holdout : Recording, optional
-        On which the errors before and after are measured; by default they are measured on the
-        stretches of the recordings that were not fitted.
+        Recording on which the errors before and after are measured; by default they are measured on
+        the stretches of the recordings that were not fitted.
     progress : callable, optional
         Called with (what is done, fraction).
     identified_from : IdentificationRecordings, optional
-        What is at hand of the recordings that the model was identified from; by default nothing.
+        Available recordings from which the model was identified; by default none.
     stated_um : float, optional
-        RMS of what the model is known to be wrong by; by default what the recordings of the
-        identification tell.
+        RMS of the known error of the model; by default estimated from the recordings of the
+        identification.
     noise : KnownNoise, optional
-        What the model file tells of the noise; the recordings at hand tell the rest.
+        Noise according to the model file, in addition to that of the recordings.
     budget : Budget, optional
-        Time that the work may take: the comparison then ends with the best that it has found, as
-        it does with Ctrl-C.
+        Time limit. When it is reached, or with Ctrl-C, the comparison ends with the best result so
+        far.
 
     Raises
     ------
@@ -222,7 +221,7 @@ def _diagnosed(model: StageModel, recordings: Sequence[Recording], holdout: Reco
                progress: Progress | None, known: IdentificationRecordings, stated_um: float | None,
                noise: KnownNoise | None, budget: Budget) -> Diagnosis:
     given = condition(model, recordings, holdout)
-    # The end of the time ends the comparison alone: what was found until then becomes a verdict.
+    # The time limit ends only the comparison: what was found until then becomes a verdict.
     share = SHARE_ALONE if known.recordings else 1.0
     selection = compare_effects(model, given.recordings, part_of(progress, 0.0, share),
                                 ALONE_UNTIL if known.recordings else SEARCH)
@@ -252,17 +251,18 @@ def _diagnosed(model: StageModel, recordings: Sequence[Recording], holdout: Reco
 
 def refuse_known_holdout(holdout: Recording | None, recordings: Sequence[Recording],
                          identified_from: IdentificationRecordings | None) -> None:
-    """Refuse a held-out recording that is diagnosed, or that the model was identified from.
+    """Raise an error if the held-out recording is also diagnosed, or used in the identification.
 
     Parameters
     ----------
     recordings : sequence of Recording
-        That are diagnosed.
+        Recordings to diagnose.
 
     Raises
     ------
     ValueError
-        If it has the SHA-256 of one of them; the validation of an identification was not fitted.
+        If it has the SHA-256 of one of them. The validation recording of an identification is
+        allowed, because it was not fitted.
     """
     digest = "" if holdout is None else digest_of(holdout)
     if holdout is None or not digest:
@@ -280,7 +280,7 @@ def refuse_known_holdout(holdout: Recording | None, recordings: Sequence[Recordi
 
 def condition(model: StageModel, recordings: Sequence[Recording],
               holdout: Recording | None) -> Conditioned:
-    """Give the recordings the sign and the rows of the model, and mark their outliers.
+    """Give the recordings the sign and rows of the model, and mark their outliers.
 
     Raises
     ------
@@ -300,15 +300,16 @@ def compare_effects(model: StageModel, recordings: Sequence[Recording],
                     progress: Progress | None, share: float = SEARCH) -> Selection:
     """Simulate the recordings, and compare the effects that may explain the residual.
 
-    A past of the hysteresis that fits best beside a model that lacks something may be there only to
-    make up for it. The comparison is made without any past too, and the better one is returned.
+    With an incomplete model, the best-fitting past of the hysteresis may only compensate for what
+    the model lacks. The comparison is therefore also made without a past, and the better one is
+    returned.
 
     Parameters
     ----------
     recordings : sequence of Recording
-        With the sign of the model, and their outliers marked.
+        Recordings with the sign of the model and with marked outliers.
     share : float
-        Of the time that the work may take, after which the best until then is returned.
+        Share of the time limit after which the best result so far is returned.
     """
     simulated = [simulate_recordings(model, recordings)]
     if any(part.past_v for part in simulated[0].simulated):
@@ -330,19 +331,19 @@ def decide(selection: Selection, validation: Validation,
            competition: Competition, noise: KnownNoise) -> tuple[Decision, Selection, Validation]:
     """Decide which effects are named, and whether they explain the residual.
 
-    Where the model that is believed has an effect that was there all along, everything is measured
-    beside that model.
+    If the most probable model contains an effect that was present at the identification, everything
+    is measured relative to that model.
 
     Parameters
     ----------
     noise : KnownNoise
-        What remains is held to the least of it.
+        Noise with which the remaining error is compared.
 
     Returns
     -------
     Decision
     Selection, Validation
-        Beside the model that is believed.
+        Relative to the most probable model.
     """
     best, regression = competition.best, selection.regression
     fit, refused = validation.accepted(selection.end)
@@ -350,9 +351,9 @@ def decide(selection: Selection, validation: Validation,
     if best is not None and not best.since:
         beside = beside_alternative(selection, competition, best)
         validation_beside = validation.beside(beside.regression)
-        # Where the model that is believed explains nothing, its names are better than those of
-        # the new recordings alone only if it leaves less of held-out data; for the same effects
-        # the parameters of these may be better.
+        # If the most probable model explains nothing, its effects replace those of the new
+        # recordings only if it reduces the held-out error. For the same effects, the parameters
+        # from the new recordings may be better.
         explains = competition.probabilities[SOMETHING_ELSE] < PROBABILITIES.believed
         is_better = validation_beside.rms_um(beside.end) < validation.rms_um(fit) or (
             competition.is_plain or explains and _names(beside.end) != _names(fit))
@@ -361,7 +362,7 @@ def decide(selection: Selection, validation: Validation,
     outliers = found_outliers(found.regression, fit.effects)
     shares = competition.probabilities
     if refused or best is not None and found is selection:
-        # Those of the competition are of fits that are not named here.
+        # The probabilities of the competition belong to fits that are not named here.
         shares = probabilities_of_named(competition, regression, fit, refused)
 
     held = hold_to_noise(shares, found, believed, fit, noise, competition.stated_um,
@@ -379,7 +380,7 @@ def decide(selection: Selection, validation: Validation,
     if is_explained:
         verdict = "explained" if fit.effects or outliers else "none"
     if found is selection:
-        # The recordings of the identification did not take part: its errors are in the effects.
+        # The recordings of the identification were not fitted: model errors affect the effects.
         fit = with_model_errors(found.regression, fit)
     came = competition.came(_names(fit))
     return (Decision(verdict, fit, outliers, refused, came, held.probabilities, held.sentence,
@@ -388,19 +389,22 @@ def decide(selection: Selection, validation: Validation,
 
 def hold_to_noise(shares: Mapping[str, float], found: Selection, believed: Validation, fit: Fit,
                   noise: KnownNoise, stated_um: float, finds_nothing: bool) -> HeldToNoise:
-    """Hold what a fit leaves to the noise, and where nothing shows that, to what is predicted.
+    """Compare the residual of a fit with the noise.
+
+    If the noise is unknown, the predictable part of the residual is used instead.
 
     Parameters
     ----------
     shares : dict of str to float
-        Probabilities by the noise that each recording shows itself.
+        Probabilities based on the noise that each recording shows itself.
     found, believed : Selection, Validation
-        Beside the model that is believed.
+        Relative to the most probable model.
     noise : KnownNoise
-        Of the recordings at hand and the model file.
+        Noise of the available recordings and the model file.
     stated_um : float
-        RMS of what the model is known to be wrong by.
+        RMS of the known error of the model.
     finds_nothing : bool
+        True if no effect is named.
         No effect is named.
     """
     remainders = believed.remainders(fit)
@@ -417,13 +421,12 @@ def _names(fit: Fit) -> list[str]:
 
 
 def ceiling_of(selection: Selection, decision: Decision) -> "Ceiling | None":
-    """Ask how much of what is left any learner could predict, where it is more than noise.
+    """Return how much of the residual any learner could predict, if it is more than noise.
 
     Returns
     -------
     Ceiling or None
-        None where what is left passes for noise that is known, and where the comparison was
-        interrupted.
+        None if the residual is compatible with known noise, or the comparison was interrupted.
     """
     if decision.predicted is not None:
         return decision.predicted
@@ -433,7 +436,7 @@ def ceiling_of(selection: Selection, decision: Decision) -> "Ceiling | None":
 
 
 def _learned(selection: Selection, fit: Fit) -> "Ceiling":
-    # Its library takes a second to import, and most verdicts do not ask.
+    # Importing its library takes a second, and most verdicts do not need it.
     from piezo_identification.diagnosis.evidence.ceiling import ceiling
 
     return ceiling(selection.regression, fit)
@@ -441,13 +444,13 @@ def _learned(selection: Selection, fit: Fit) -> "Ceiling":
 
 def tell(model: StageModel, given: Conditioned, selection: Selection, validation: Validation,
          decision: Decision, predictable: "Ceiling | None") -> Diagnosis:
-    """Put the verdict together with its numbers and reasons."""
+    """Assemble the verdict with its numbers and reasons."""
     regression, fit, outliers = selection.regression, decision.fit, decision.outliers
     effects = with_stand_ins(
         [entry | {"came": decision.came} for entry in effect_entries(regression, fit)],
         regression.dataset.extent, decision.probabilities)
-    # Outliers had bent the parameters of a model that was identified with them; and where no effect
-    # is named, the parameters may explain what the given ones do not.
+    # Outliers biased the parameters of a model that was identified with them. If no effect is
+    # named, refitted parameters may explain what the given ones do not.
     may_move = outliers or decision.verdict == "none" and not is_noise(
         regression, regression.as_given())
     is_changed = bool(fit.effects or regression.dataset.model is not model
@@ -474,7 +477,7 @@ def tell(model: StageModel, given: Conditioned, selection: Selection, validation
 
 
 def _left(regression: Regression, decision: Decision, predictable: "Ceiling | None") -> str:
-    """Describe what an unexplained recording leaves, or one in which nothing shows the noise."""
+    """Describe the residual of an unexplained recording, or of one with unknown noise."""
     if decision.verdict != "unexplained":
         return decision.remains if decision.predicted is not None else ""
     told = [decision.remains, describe_residual(regression, decision.fit)]
@@ -484,7 +487,7 @@ def _left(regression: Regression, decision: Decision, predictable: "Ceiling | No
 
 
 def _not_told_from(selection: Selection, effects: Sequence[dict[str, Any]]) -> dict[str, str]:
-    """Return the effects that the data does not tell from one that is named, and which."""
+    """Return the effects that the data cannot distinguish from a named effect, and that effect."""
     named = {entry["name"] for entry in effects}
     return {name: found for name, found in selection.indistinguishable.items()
             if name not in named and found in named}
@@ -492,7 +495,7 @@ def _not_told_from(selection: Selection, effects: Sequence[dict[str, Any]]) -> d
 
 def _undecided(selection: Selection, decision: Decision,
                effects: Sequence[dict[str, Any]]) -> dict[str, Undecided]:
-    """Return the effects that are not named though they are not excluded either, and why."""
+    """Return the effects that are neither named nor excluded, and why."""
     named = {entry["name"] for entry in effects}
     reasons = {name: why for name, why in (selection.not_shown | decision.refused).items()
                if name not in named}

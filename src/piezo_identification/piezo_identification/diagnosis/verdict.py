@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The verdict that every diagnosis ends with, and the files that keep it."""
+"""The verdict of a diagnosis, and the files that contain it."""
 
 import json
 from collections.abc import Collection, Sequence
@@ -27,50 +27,49 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Verdict:
-    """What a model lacks, and how much better it gets.
+    """What a model lacks, and how much the effects found improve it.
 
     Attributes
     ----------
     verdict : str
         "none", "explained" or "unexplained".
     effects : list of dict
-        Name, parameters and error reduction of each.
+        Name, parameters and error reduction of each effect.
     model : StageModel
-        Extended by the effects; the given one without any.
+        Model extended by the effects; the given one if there are none.
     before, after : dict
         `rms_um` and `e_y_percent` on held-out data.
-    noise_floor_um : float
     holdout : dict
-        Where the held-out data is from, and how many samples.
+        Source of the held-out data, and number of samples.
     not_decidable : dict of str to str
-        Effects that the data cannot tell, and why.
+        Effects that the data can neither show nor exclude, and why.
     reasons : dict of str to Reason
-        Of what kind the reason of each is.
+        Kind of reason for each of them.
     not_told_from : dict of str to str
-        Of these, the ones that the data cannot tell from an effect that is named, and which.
+        Those that the data cannot distinguish from a named effect, and that effect.
     left : str
-        What is left if it is more than noise, or nothing shows the noise; empty otherwise.
+        Sentence on the residual if it is more than noise, or the noise is unknown; otherwise empty.
     reversed : list of str
-        Recordings whose sign was changed: their sensor counts against the model.
+        Recordings whose sign was changed, because the sensor has the opposite direction.
     left_out : list of str
-        Sentences on the samples that were left out as outliers.
+        Sentences on the samples that were excluded as outliers.
     ceiling : dict of str to float or None
-        How much of what is left a learner without any knowledge of stages predicts; None where
-        what is left passes for known noise, or was not asked. See `evidence.ceiling.Ceiling`.
+        Part of the residual that a learner without knowledge of stages predicts; None if the
+        residual is compatible with known noise, or if not computed. See `evidence.ceiling.Ceiling`.
     probabilities : dict of str to float
-        Of each set of effects that matters, its names joined by +, of `none` and of
-        `something_else`; the largest first, and they sum to one. Empty where they were not asked.
+        Probability of each relevant set of effects (names joined by +), of `none` and of
+        `something_else`, in descending order; they sum to one. Empty if not computed.
     identified_from : dict
-        `recordings` of the identification that were asked as well, and in `not_asked` what could
-        not be asked without the others; empty where nothing was asked of them.
+        `recordings` of the identification that were also used, and in `not_asked` what could not be
+        determined without the others; empty if none were used.
     recording_faults : list of dict
-        What is wrong with the recordings themselves: `name` (`wrong_sign`, `misaligned_rows`),
-        `recording`, `sentence`, `remedy` and its numbers. See `evidence.recording_faults`.
+        Faults of the recordings: `name` (`wrong_sign`, `misaligned_rows`), `recording`, `sentence`,
+        `remedy` and related numbers. See `evidence.recording_faults`.
     next_experiment : dict or None
-        The recording that would decide between the explanations that remain, and what each of them
-        predicts; None where it was not designed. See `experiment_design.propose.Proposal`.
+        The recording that would decide between the remaining explanations, and what each of them
+        predicts; None if it was not designed. See `experiment_design.propose.Proposal`.
     not_tried : str
-        Why the comparison ended early, and what it has not tried; empty where it was done.
+        Why the comparison ended early, and what it has not tried; empty if it was completed.
     """
 
     verdict: str
@@ -108,7 +107,7 @@ class Verdict:
         return draw_verdict(self)
 
     def without_undecided(self, names: Collection[str]) -> Self:
-        """Return the verdict where some effects are decided."""
+        """Return the verdict without undecided effects that are now decided."""
         left = [name for name in self.not_decidable if name not in names]
         return replace(
             self, not_decidable={name: self.not_decidable[name] for name in left},
@@ -150,24 +149,24 @@ def write_verdict(path: Path, verdict: Verdict) -> None:
 
 def save_extended_model(path: Path, identified: IdentifiedModel, verdict: Verdict,
                         data: Sequence[str | PathLike[str] | Recording]) -> None:
-    """Save the model that a verdict leads to.
+    """Save the model with the effects of a verdict.
 
     Parameters
     ----------
     identified, verdict, data
-        Of `extended_model`.
+        As in `extended_model`.
     """
     save_model(path, extended_model(identified, verdict, data))
 
 
 def extended_model(identified: IdentifiedModel, verdict: Verdict,
                    data: Sequence[str | PathLike[str] | Recording]) -> IdentifiedModel:
-    """Return the model that a verdict leads to, with what it was found in.
+    """Return the model with the effects of a verdict, and the origin of its data.
 
     Parameters
     ----------
     data : sequence of path-like or Recording
-        What was diagnosed.
+        Recordings that were diagnosed.
 
     Returns
     -------

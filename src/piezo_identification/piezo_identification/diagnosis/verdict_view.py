@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A verdict as people see it: one line, a table, a picture of its errors and effects."""
+"""Presentation of a verdict: one line, a table, and a figure of its errors and effects."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
@@ -58,7 +58,7 @@ def _effect_rows(entry: dict[str, Any]) -> Iterator[tuple[Cell, ...]]:
 
 
 def draw_verdict(verdict: "Verdict") -> "Figure":
-    """Draw the error before and after beside the noise, and what each effect reduces it by."""
+    """Draw the errors before and after with the noise, and the error reduction of each effect."""
     from piezo_common.picture_style import BLACK, BLUE, GREY, ORANGE, WIDE_IN, label, new_figure
 
     figure = new_figure(3.0, WIDE_IN)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What an estimator found, how sure it is, and why it chose the order."""
+"""Result of an estimator, with standard deviations and the reasons for the chosen order."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,30 +15,32 @@ from piezo_models.effects.effect import Effect
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
 SHOWN = 12
-"""Trials in a table of orders."""
+"""Number of trials shown in a table of orders."""
 
 RANK_TOLERANCE = 1e-12
-"""Singular value over the largest, of scaled columns, from which a direction is rounding."""
+"""Singular value, relative to the largest, below which a direction of scaled columns is
+rounding."""
 
 SIGNIFICANT = 3.0
-"""Standard deviations by which a delay has to differ from none, and a mode from an antiresonance
-that would cancel it."""
+"""Number of standard deviations by which a delay must differ from zero, and a mode from an
+antiresonance that would cancel it."""
 
 LEAST_DELAY = 0.01
-"""Sample periods below which a delay is of no account: clocks jitter by as much."""
+"""Delays below this, in sample periods, are neglected: clocks jitter by as much."""
 
 FINEST = 1e-9
-"""Part of a signal that no converter resolves: orders that leave less differ by rounding alone."""
+"""Residual relative to the signal that no converter resolves: smaller ones differ by rounding
+only."""
 
 ROWS_OF_DECAY = 1.0
-"""Rows of a recording that the time constant of creep has to last: of what decays faster, the rows
-show no more than a part of each step."""
+"""Smallest time constant of creep, in rows of a recording. The rows show only a part of each step
+of faster decays."""
 
 UNIDENTIFIED_SHARE = 1e-3
-"""A parameter that has this share in a direction that is rounding is not identifiable either."""
+"""Smallest share in a direction lost to rounding that makes a parameter not identifiable."""
 
 MOST_ALIKE = 0.98
-"""Correlation of neighbouring samples of a residual up to which it counts."""
+"""Largest correlation of neighbouring samples of a residual that is taken into account."""
 
 
 @dataclass(frozen=True)
@@ -48,15 +50,15 @@ class OrderTrial:
     Parameters
     ----------
     order : object
-        What was counted: pairs of creep poles and zeros, or vibration modes.
+        Orders of the fit: pairs of creep poles and zeros, or vibration modes.
     parameters : int
-        Free parameters of the fit.
+        Number of free parameters of the fit.
     residual_rms : float
-        In the unit of the fitted output.
+        RMS residual in the unit of the fitted output.
     information : float
-        Bayesian information criterion; the least is best.
+        Bayesian information criterion; the smallest is best.
     refusal : str
-        Why the fit cannot be taken whatever the criterion says; empty otherwise.
+        Why the fit cannot be used whatever the criterion says; empty otherwise.
     """
 
     order: Any
@@ -68,16 +70,16 @@ class OrderTrial:
 
 @dataclass(frozen=True)
 class DelayEstimate:
-    """Delay of a recording's displacement behind its voltage, beside what the dynamics explain.
+    """Delay of a recording's displacement behind its voltage, in addition to the dynamics.
 
     Parameters
     ----------
     delay_s : float
-        Negative where the displacement of a row is read later than its voltage changes.
+        Negative if the displacement of a row is read after its voltage changes.
     standard_deviation_s : float
-        Decides on the significance too.
+        Standard deviation of the delay, on which its significance depends.
     sample_period_s : float
-        Of the recording.
+        Sample period of the recording.
     """
 
     delay_s: float
@@ -91,13 +93,13 @@ class DelayEstimate:
 
     @property
     def is_significant(self) -> bool:
-        """Whether it differs from none by more than chance, and a clock, let it."""
+        """Whether the delay is longer than its uncertainty and clock jitter explain."""
         return (abs(self.samples) > LEAST_DELAY
                 and abs(self.delay_s) > SIGNIFICANT * self.standard_deviation_s)
 
     @property
     def is_identifiable(self) -> bool:
-        """Whether the rows show anything of it: that it is there, or that it is short."""
+        """Whether the rows determine the delay, or at least that it is short."""
         return self.is_significant or (
             self.standard_deviation_s < MOST_UNCERTAIN * self.sample_period_s)
 
@@ -116,23 +118,23 @@ class Estimate:
     Parameters
     ----------
     standard_deviations : dict of str to float or tuple of float
-        Of every physical parameter, under the names and in the shapes of the model's fields. They
-        follow from the sensitivities at the optimum and the variance of the residual, which holds
-        where the residual is white.
+        Standard deviation of every physical parameter, with the names and shapes of the model's
+        fields. They follow from the sensitivities at the optimum and the variance of the residual,
+        which is valid for a white residual.
     trials : tuple of OrderTrial
         Every order that was fitted.
     order_given : bool
-        True if the user asked for this order.
+        True if the user specified this order.
     start : str
-        What is reported of the state in which the recording begins.
+        Description of the initial state of the recording.
     effects : tuple of Effect
-        What the stage model needs beside `model`: modes beside its modes, a sensor's lag.
+        Additional effects of the stage model: modes in addition to those of `model`, a sensor lag.
     effect_deviations : tuple of dict
         Standard deviations of the parameters of each effect, by their names.
     delay : DelayEstimate, optional
-        None where no delay was fitted.
+        None if no delay was fitted.
     creep : CreepDynamics
-        Beside the one that was known, for dynamics.
+        For dynamics, creep in addition to the known one.
     creep_deviations : dict
         Standard deviations of its poles and zeros.
     """
@@ -156,11 +158,11 @@ class Estimate:
 
     @property
     def delay_s(self) -> float:
-        """Delay of the displacement where it is significant; negative where rows are read late."""
+        """Delay of the displacement if it is significant; negative if rows are read late."""
         return self.delay.delay_s if self.delay is not None and self.delay.is_significant else 0.0
 
     def order_table(self) -> str:
-        """Return the best trials, each in a line, with the chosen one marked."""
+        """Return the best trials, one per line, with the chosen one marked."""
         lines = ["order  parameters  residual RMS  information"]
         worst = sorted(trial.information for trial in self.trials)[:SHOWN][-1]
         for trial in self.trials:
@@ -185,12 +187,12 @@ def order_trial(
     Parameters
     ----------
     residual : ndarray, shape (N,)
-        Of equal variance.
+        Residual with equal variances.
     signal : ndarray, optional
-        What was fitted, in the unit of the residual: an exact one leaves only rounding, which
-        is no reason for more parameters.
+        Fitted signal, in the unit of the residual. An exact fit leaves only rounding, which does
+        not justify more parameters.
     independent : float, optional
-        How many of the errors are independent; by default all.
+        Number of independent errors; by default all.
     """
     mean_square = np.mean(residual**2)
     least = 0.0 if signal is None else finest_power(signal)
@@ -200,12 +202,12 @@ def order_trial(
 
 
 def finest_power(signal: FloatArray) -> float:
-    """Return the mean square of a residual that is rounding of a signal of shape (N,)."""
+    """Return the mean square of a residual caused by rounding of a signal of shape (N,)."""
     return float(FINEST**2 * np.var(signal))
 
 
 def independent_rows(residual: FloatArray) -> float:
-    """Return how many errors are independent, where neighbours are alike, of shape (N,)."""
+    """Return the number of independent errors in a correlated residual of shape (N,)."""
     power = float(residual @ residual) or 1.0
     alike = float(np.clip(residual[1:] @ residual[:-1] / power, 0.0, MOST_ALIKE))
     return residual.size * (1.0 - alike) / (1.0 + alike)
@@ -219,15 +221,16 @@ def parameter_covariance(
     Parameters
     ----------
     jacobian : ndarray, shape (N, P)
-        Of the residual at the optimum, scaled alike; linear parameters may be projected out of it.
+        Jacobian of the residual at the optimum, in the same scale; linear parameters may be
+        projected out.
     residual : ndarray, shape (N,)
     parameters : int, optional
-        Free parameters altogether, where the Jacobian has fewer columns.
+        Total number of free parameters, if the Jacobian has fewer columns.
 
     Returns
     -------
     ndarray, shape (P, P)
-        Of a parameter that is not identifiable, the variance is infinite and the rest is zero.
+        A parameter that is not identifiable has an infinite variance and zero covariances.
     """
     variance = np.sum(residual**2) / (residual.size - (parameters or jacobian.shape[1]))
     spread, unknown = scaled_inverse(jacobian)
@@ -238,13 +241,13 @@ def parameter_covariance(
 
 
 def propagated(sensitivity: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Covariance of quantities that depend on parameters; infinite where on one that is unknown.
+    """Covariance of quantities that depend on parameters; infinite if a parameter is unknown.
 
     Parameters
     ----------
     sensitivity : ndarray, shape (Q, P)
     covariance : ndarray, shape (P, P)
-        Of `parameter_covariance`.
+        Result of `parameter_covariance`.
 
     Returns
     -------
@@ -265,7 +268,7 @@ def parameter_deviations(jacobian: FloatArray) -> FloatArray:
     Parameters
     ----------
     jacobian : ndarray, shape (N, P)
-        Of the residual at the optimum.
+        Jacobian of the residual at the optimum.
 
     Returns
     -------
@@ -277,24 +280,24 @@ def parameter_deviations(jacobian: FloatArray) -> FloatArray:
 
 
 def scaled_inverse(jacobian: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Square root of the inverse normal matrix of a Jacobian, without the square of its condition.
+    """Square root of the inverse normal matrix of a Jacobian, without squaring its condition.
 
     Parameters
     ----------
     jacobian : ndarray, shape (N, P)
-        With at least as many rows as columns.
+        Jacobian with at least as many rows as columns.
 
     Returns
     -------
     spread : ndarray, shape (P, P)
-        ``spread @ spread.T`` is the inverse of ``jacobian.T @ jacobian``; directions that are
-        rounding are left out.
+        ``spread @ spread.T`` is the inverse of ``jacobian.T @ jacobian``, without the directions
+        lost to rounding.
     unknown : ndarray of bool, shape (P,)
-        The parameters that take part in such a direction: they are not identifiable.
+        Parameters that are part of such a direction, and therefore not identifiable.
     """
     scale = np.linalg.norm(jacobian, axis=0)
     scale[scale == 0.0] = 1.0
-    # Scaled columns keep rates of hundredths and of thousands apart from the rounding.
+    # Scaling prevents rates of very different size from being lost to rounding.
     _, values, right = np.linalg.svd(jacobian / scale, full_matrices=False)
     kept = values > RANK_TOLERANCE * values.max(initial=0.0)
     inverse = np.divide(1.0, values, out=np.zeros_like(values), where=kept)
@@ -305,14 +308,14 @@ def scaled_inverse(jacobian: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]
 def unidentified_parameters(
     model: StageModel, standard_deviations: Mapping[str, Mapping[str, Any]],
 ) -> list[str]:
-    """Name the parameters whose standard deviation is larger than they are.
+    """Return the names of parameters whose standard deviation is larger than their value.
 
-    A lag is none of them: that it is short, or none at all, is what its deviation shows.
+    A lag is excluded: a large deviation shows that it is short or absent.
 
     Parameters
     ----------
     standard_deviations : dict of str to dict
-        Of its creep and its dynamics, under the names and in the shapes of their fields.
+        Standard deviations of creep and dynamics, with the names and shapes of their fields.
 
     Returns
     -------
@@ -371,7 +374,7 @@ def creep_of_partial_fractions(
     rates, gains : ndarray, shape (P,)
         Poles p and positive gains g.
     covariance : ndarray, shape (2 P, 2 P), optional
-        Of the rates, then of the gains.
+        Covariance of the rates, followed by the gains.
 
     Returns
     -------

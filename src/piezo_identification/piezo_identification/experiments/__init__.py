@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The designed experiments: which voltage is played, and how fast."""
+"""The designed experiments: the voltage waveforms and their sample periods."""

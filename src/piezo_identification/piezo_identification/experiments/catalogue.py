@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The named experiments of the identification: which voltage is played, and how fast.
 
-A package of its own adds an experiment through an entry point of the group
+Other packages can add experiments through entry points of the group
 `piezo_identification.experiments`.
 """
 
@@ -21,19 +21,20 @@ from piezo_identification.experiments.relay_feedback import RelayExperiment, rel
 from piezo_identification.experiments.stage_limits import USUAL_LIMITS, StageLimits
 
 SWING_FRACTION = 0.3
-"""Step of the square waves over the voltage range; less where the slew limit asks for it."""
+"""Step of the square waves as a fraction of the voltage range; the slew limit can reduce it."""
 
 VALIDATION_TURNS = (0.0, 0.836, 0.236, 0.747, 0.305, 0.652, 0.415, 0.933, 0.09, 0.585, 0.207, 0.5)
-"""Turning points of the slow validation part as fractions of the voltage range, off any level."""
+"""Turning points of the slow validation part as fractions of the voltage range, between levels."""
 
 VALIDATION_TONES = ((100.0, 0.06), (300.0, 0.03), (400.0, 0.03), (500.0, 0.03), (1000.0, 0.03))
-"""Frequency in Hz and amplitude over the voltage range of each tone of the fast validation part."""
+"""Frequency (Hz) and amplitude, as a fraction of the voltage range, of each validation tone."""
 
 MULTISINE_TURNS = (0.0, 0.5)
 MULTISINE_TONES = (
     (100.0, 0.05), (200.0, 0.1), (300.0, 0.05), (400.0, 0.05), (500.0, 0.05), (600.0, 0.05)
 )
-"""Frequency in Hz and amplitude over the voltage range, in the proportions of the thesis."""
+"""Frequency (Hz) and amplitude, as a fraction of the voltage range, proportioned as in the
+thesis."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Experiment:
     Parameters
     ----------
     name : str
-        Name under which it is asked for.
+        Name that selects the experiment.
     voltage_v : ndarray, shape (N,) or (N, axes)
         One run of the waveform, each value held for `sample_period_s`.
     sample_period_s : float
@@ -51,9 +52,10 @@ class Experiment:
     repeats : int
         How often the waveform is played.
     description : str
-        One line for people.
+        One line for users.
     settling_repeats : int
-        How many of the repeats settle: those behind them are equal periods, if it is not 0.
+        Number of repeats until the motion has settled. If it is not 0, the later repeats are equal
+        periods.
     """
 
     name: str
@@ -65,11 +67,11 @@ class Experiment:
 
     @property
     def duration_s(self) -> float:
-        """Return the time that all repeats take, without the ramps from and to rest."""
+        """Return the duration of all repeats, without the ramps from and to rest."""
         return len(self.voltage_v) * self.sample_period_s * self.repeats
 
     def parameters(self) -> dict[str, float]:
-        """Return what a recording should keep of the experiment."""
+        """Return the parameters to store with a recording of the experiment."""
         settling = {"settling_repeats": self.settling_repeats} if self.settling_repeats else {}
         return {"sample_period_s": self.sample_period_s, "repeats": self.repeats,
                 "samples": len(self.voltage_v), **settling}
@@ -81,8 +83,8 @@ def creep(
 ) -> Experiment:
     """Design a long square wave, which shows the creep (thesis 4.5).
 
-    It begins at the upper level: the loop between the levels is then closed from the first sample
-    on, and the hysteresis has exactly two outputs, as (4.5) asks.
+    It begins at the upper level. The loop between the levels is then closed from the first sample
+    on, and the hysteresis has exactly two outputs, as (4.5) requires.
 
     Parameters
     ----------
@@ -118,7 +120,7 @@ def dynamics(
     limits : StageLimits
         What the stage allows.
     period_s, duration_s : float
-        Period of the square wave and length of the whole.
+        Period of the square wave and duration of the experiment.
     swing_v : float, optional
         Difference of the two levels, which lie around the middle of the range.
 
@@ -139,7 +141,7 @@ def hysteresis(
     limits: StageLimits = USUAL_LIMITS, level_count: int = 70, harmonic_period_s: float = 2.0,
     sample_period_s: float = 0.001,
 ) -> Experiment:
-    """Design harmonics of stair amplitude (4.6)-(4.8), from the bottom over the whole range.
+    """Design harmonics of rising amplitude (4.6)-(4.8) that cover the whole voltage range.
 
     Harmonic i rises from the lowest voltage to level i and returns, so each begins and ends at
     negative saturation, where the memory is known.
@@ -173,7 +175,7 @@ def validation(
     limits: StageLimits = USUAL_LIMITS, arc_s: float = 0.25, tones_s: float = 1.0,
     tones: Sequence[Sequence[float]] = VALIDATION_TONES,
 ) -> Experiment:
-    """Design an unseen input: slow arcs between turning points off the levels, then tones.
+    """Design a validation input: slow arcs between the levels of the hysteresis, then tones.
 
     It begins at the lowest voltage, where the memory of the hysteresis is known.
 
@@ -184,9 +186,9 @@ def validation(
     arc_s : float
         Time from one turning point to the next.
     tones_s : float
-        Length of the part with many frequencies.
+        Duration of the tones.
     tones : sequence of (float, float)
-        Frequency in Hz and amplitude over the voltage range of each.
+        Frequency (Hz) and amplitude, as a fraction of the voltage range, of each tone.
 
     Raises
     ------
@@ -204,19 +206,20 @@ def multisine(
     limits: StageLimits = USUAL_LIMITS, arc_s: float = 0.5, tones_s: float = 1.0,
     tones: Sequence[Sequence[float]] = MULTISINE_TONES,
 ) -> Experiment:
-    """Design six tones around mid-range (3.4.2), which show the modes.
+    """Design six tones around mid-range (3.4.2), which excite the modes.
 
     It climbs from the lowest voltage, where the memory of the hysteresis is known, so that an
-    identified Preisach model tells the input of the dynamics.
+    identified Preisach model gives the input of the dynamics.
 
     Parameters
     ----------
     limits : StageLimits
         What the stage allows.
     arc_s, tones_s : float
-        Length of the climb and of the tones.
+        Durations of the climb and of the tones.
     tones : sequence of (float, float)
-        Frequency in Hz and amplitude over the voltage range of each; by default 100 to 600 Hz.
+        Frequency (Hz) and amplitude, as a fraction of the voltage range, of each tone; by default
+        100 to 600 Hz.
 
     Raises
     ------
@@ -231,17 +234,17 @@ def multisine(
 
 
 def diagnostic(limits: StageLimits = USUAL_LIMITS, repeats: int = 4) -> Experiment:
-    """Design what shows every effect that a model may lack: rest, loops, rates, steps, tones.
+    """Design a waveform that shows effects a model may lack: rest, loops, rates, steps, tones.
 
-    It begins at the lowest voltage, where the memory of the hysteresis is known. Repeats tell the
-    noise from what the voltage causes, and drift from both.
+    It begins at the lowest voltage, where the memory of the hysteresis is known. The repeats
+    separate noise, drift and the response to the voltage.
 
     Parameters
     ----------
     limits : StageLimits
         What the stage allows.
     repeats : int
-        How often the whole is played.
+        How often the waveform is played.
 
     Raises
     ------
@@ -259,23 +262,24 @@ def distortion(
     limits: StageLimits = USUAL_LIMITS, swing: float = 0.25, period_s: float = 1.0,
     periods: int = 8, highest_hz: float = 1000.0,
 ) -> Experiment:
-    """Design odd tones with some left out, which tell noise, even and odd distortion apart.
+    """Design odd tones, some omitted, which separate noise, even distortion and odd distortion.
 
     Parameters
     ----------
     limits : StageLimits
         What the stage allows.
     swing : float
-        Largest way from the middle over the voltage range; less where the slew limit asks for it.
+        Largest deviation from the middle as a fraction of the voltage range; the slew limit can
+        reduce it.
     period_s, highest_hz : float
-        One over the distance of the lines, and the highest excited one.
+        Period (the reciprocal of the line spacing) and highest excited frequency.
     periods : int
-        The first settles, the others tell the noise.
+        Number of periods. The motion settles in the first; the others give the noise.
 
     Raises
     ------
     ValueError
-        If fewer than three periods are asked for, or the band holds too few lines.
+        If there are fewer than three periods, or the band holds too few lines.
     """
     if periods < 3:
         raise ValueError(f"experiment 'distortion' has {periods} periods: give at least 3, of "
@@ -289,15 +293,15 @@ def distortion(
 EXPERIMENTS = {
     "creep": creep, "dynamics": dynamics, "hysteresis": hysteresis, "validation": validation
 }
-"""These make up the identification sequence, in its order."""
+"""Experiments of the identification sequence, in their order."""
 
 FURTHER_EXPERIMENTS = {"multisine": multisine, "relay": relay, "diagnostic": diagnostic,
                        "distortion": distortion}
-"""These run when asked for; `relay` acts in feedback, the others play a waveform."""
+"""Experiments that run only on request; `relay` acts in feedback, the others play a waveform."""
 
 
 GROUP = "piezo_identification.experiments"
-"""Entry points by which other packages offer their experiments: functions of the stage's limits."""
+"""Entry points through which other packages add experiments: functions of the stage's limits."""
 
 
 def named_experiment(
@@ -308,17 +312,17 @@ def named_experiment(
     Parameters
     ----------
     name : str
-        Of an experiment of this module, or of another package's.
+        Name of an experiment of this module or of another package.
     limits : StageLimits
         What the stage allows.
     parameters : dict of str to object, optional
-        Those that are not the defaults.
+        Parameters that differ from the defaults.
 
     Raises
     ------
     ValueError
-        If there is none of this name, it does not fit into the limits, or another package's
-        cannot be imported or makes something else than an experiment.
+        If there is no experiment of this name, it exceeds the limits, or that of another package
+        cannot be imported or does not return an experiment.
     """
     known = registered(GROUP, EXPERIMENTS | FURTHER_EXPERIMENTS)
     if name not in known:
@@ -353,7 +357,10 @@ def _arcs_and_tones(
     limits: StageLimits, turns: Sequence[float], tones: Sequence[Sequence[float]], arc_s: float,
     tones_s: float,
 ) -> FloatArray:
-    """Smooth ways from turn to turn (N,), then tones about the last; both in parts of the range."""
+    """Return arcs from turn to turn, then tones about the last (N,).
+
+    Turns and amplitudes are fractions of the voltage range.
+    """
     highest_hz = max(frequency_hz for frequency_hz, _ in tones)
     if limits.sample_rate_hz <= 2.0 * highest_hz:
         raise ValueError(
@@ -375,7 +382,7 @@ def _band(tones: Sequence[Sequence[float]]) -> str:
 
 
 def fitting(limits: StageLimits, experiment: Experiment) -> Experiment:
-    """Return the experiment; refuse it if the stage would not play it unchanged."""
+    """Return the experiment; raise ValueError if the stage cannot play it unchanged."""
     if experiment.voltage_v.ndim != 1 or not np.isfinite(experiment.voltage_v).all() or (
             experiment.voltage_v.size == 0):
         raise ValueError(f"experiment '{experiment.name}' has no waveform of finite voltages: "

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The waveform that lets every effect show which a model may lack."""
+"""A waveform that shows the effects a model may lack."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -11,27 +11,28 @@ from piezo_identification.experiments.input_designs import arc
 from piezo_identification.experiments.stage_limits import StageLimits
 
 REST_S = 0.8
-"""Silence: noise, disturbances from outside, outliers, drift."""
+"""Time at rest, which shows noise, disturbances from outside, outliers and drift."""
 
 LOOPS = (0.0, 1.0, 0.12, 0.78, 0.35, 0.61, 0.0, 0.93, 0.05, 0.5)
-"""Turning points over the range: the major loop, loops within it, and back into the middle."""
+"""Turning points as fractions of the range: the major loop, loops within it, then the middle."""
 ARC_S, DWELL_S = 0.1, 0.25
-"""An arc leads from one turning point to the next, where the voltage dwells: that shows hysteresis,
-play, creep and, at the ends of the range, clipping."""
+"""Durations of an arc from one turning point to the next and of the dwell there. They show
+hysteresis, play, creep and, at the ends of the range, clipping."""
 
 RATES_HZ, CYCLES, RATE_SWING = (4.0, 25.0, 150.0), (1, 5, 20), 0.16
-"""The same loop about the middle, ever faster: what depends on the rate, and large fast motion."""
+"""Frequencies, cycles and amplitude (fraction of the range) of a loop about the middle. It is
+repeated at rising rates, which shows rate dependence."""
 
 STEPS = (0.3, -0.05, 0.1, -0.2, 0.05, -0.3, 0.2, -0.1) * 3
 STEP_S = 0.025
-"""Heights over the range, each for so long: slewing, ringing, delay."""
+"""Heights as fractions of the range, and duration of each: they show slewing, ringing, delay."""
 
 TONES_HZ, TONES_S, TONE_SWINGS = (20.0, 3000.0), 1.0, (0.02, 0.07)
-"""Tones side by side, together of a small and of a large RMS: modes, delay, lags, and whether they
-go with the size."""
+"""Band of the tones, their duration and their total RMS (fraction of the range), a small one and a
+large one. They show modes, delay, lags and how these depend on the amplitude."""
 TONES_PER_S = 10
 PHASES = 0
-"""Seed of their phases."""
+"""Seed of the phases of the tones."""
 
 
 def diagnostic_block(limits: StageLimits) -> FloatArray:
@@ -40,7 +41,7 @@ def diagnostic_block(limits: StageLimits) -> FloatArray:
     Returns
     -------
     ndarray, shape (N,)
-        Voltage.
+        Voltage in V.
 
     Raises
     ------
@@ -52,7 +53,7 @@ def diagnostic_block(limits: StageLimits) -> FloatArray:
         raise ValueError(
             f"the diagnostic loops of up to {max(RATES_HZ):g} Hz need a sample clock of more than "
             f"{2.0 * max(RATES_HZ):g} Hz, the stage has {rate_hz:g} Hz: take a faster clock")
-    # A jump happens within a sample, and the stage may not allow the largest ones.
+    # A step happens within one sample, and the slew limit may not allow the largest ones.
     highest_step = limits.slew_limit_v_per_s / rate_hz / limits.span_v
     parts = [
         np.zeros(round(REST_S * rate_hz)), *_loops(rate_hz), *_faster_and_faster(rate_hz),
@@ -90,7 +91,7 @@ def _tones(rate_hz: float, highest_step: float) -> Iterator[FloatArray]:
     phases = np.random.default_rng(PHASES).uniform(0.0, 2.0 * np.pi, lines.size)
     harmonics[np.round(lines).astype(int)] = np.exp(1j * phases)
     wave = np.fft.irfft(harmonics, samples)
-    # Smooth at both ends, so that nothing else rings.
+    # Fade in and out, so that the ends excite no ringing.
     wave *= np.minimum(1.0, np.minimum(np.arange(samples), np.arange(samples)[::-1]) / (
         0.05 * rate_hz))
     wave /= wave.std()

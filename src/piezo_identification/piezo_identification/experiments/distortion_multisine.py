@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The multisine that tells noise, even and odd distortion apart before any model is asked."""
+"""A multisine that separates noise, even distortion and odd distortion without a model."""
 
 import numpy as np
 
@@ -7,25 +7,26 @@ from piezo_common.arrays import FloatArray, IntArray
 from piezo_identification.experiments.stage_limits import StageLimits
 
 HIGHEST_OF_CLOCK = 0.1
-"""Highest excited frequency over the sample rate: above, a held voltage is stairs."""
+"""Highest excited frequency over the sample rate. Above it, the held voltage is a coarse
+staircase."""
 
 GROUP = 3
-"""Of so many odd lines in a row one is not excited: it shows odd distortion."""
+"""Number of consecutive odd lines of which one is not excited; that line shows odd distortion."""
 
 CREST_DRAWS = 32
-"""Draws of the phases, of which the one of least peak is taken."""
+"""Number of random phase sets; the one with the lowest crest factor is used."""
 
 SEED = 0
-"""Of the lines left out and the phases."""
+"""Seed of the omitted lines and of the phases."""
 
 
 def excited_lines(highest_line: int, random: np.random.Generator) -> IntArray:
-    """Draw the lines of a random odd multisine, with one odd line left out of each group.
+    """Draw the lines of a random odd multisine, omitting one odd line of each group.
 
     Returns
     -------
     ndarray of int
-        Increasing: whole periods of the multisine in each.
+        Increasing line numbers: cycles in one period of the multisine.
     """
     odd = np.arange(1, highest_line + 1, 2)
     left_out = [begin + random.integers(min(GROUP, odd.size - begin))
@@ -35,13 +36,7 @@ def excited_lines(highest_line: int, random: np.random.Generator) -> IntArray:
 
 def random_phase_multisine(lines: IntArray, samples: int,
                            random: np.random.Generator) -> FloatArray:
-    """Return one period (N,) of equal tones with random phases, scaled to a peak of 1.
-
-    Parameters
-    ----------
-    samples : int
-        N.
-    """
+    """Return one period (N,) of equal tones with random phases, scaled to a peak of 1."""
     best = np.zeros(samples)
     least = np.inf
     for _ in range(CREST_DRAWS):
@@ -63,7 +58,8 @@ def distortion_period(limits: StageLimits, swing: float, period_s: float,
     Parameters
     ----------
     swing : float
-        Largest way from the middle over the voltage range; less where the slew limit asks for it.
+        Largest deviation from the middle as a fraction of the voltage range; the slew limit can
+        reduce it.
 
     Raises
     ------

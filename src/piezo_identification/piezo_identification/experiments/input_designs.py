@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Smooth ways between voltages, and inputs of stair amplitude."""
+"""Smooth arcs between voltages, and harmonics whose amplitude rises in steps."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from piezo_common.arrays import FloatArray
 
 
 def arc(start: float, end: float, samples: int) -> FloatArray:
-    """Return half a cosine from start towards end, which the sample after the last would reach.
+    """Return half a cosine from start to end; the sample after the last would reach the end.
 
     Returns
     -------
@@ -17,14 +17,14 @@ def arc(start: float, end: float, samples: int) -> FloatArray:
 
 
 def stair_amplitudes(level_count: int, highest_v: float, below_the_top: float = 0.0) -> FloatArray:
-    """Return the amplitudes of the harmonics, (3.7), (4.7), (4.8): steps up to the highest voltage.
+    """Return equally spaced amplitudes up to the highest voltage, (3.7), (4.7), (4.8).
 
     Parameters
     ----------
     level_count : int
-        L.
+        Number of amplitudes L.
     below_the_top : float
-        Part of a step by which each stays lower; 0.5 for (3.6).
+        Fraction of a step by which each amplitude is lowered; 0.5 for (3.6).
 
     Returns
     -------
@@ -42,13 +42,13 @@ def stair_harmonics(
     ----------
     time_s : ndarray, shape (N,)
     amplitudes_v : ndarray, shape (L,)
-        Begun again after L periods.
+        Repeated after L periods.
 
     Returns
     -------
     ndarray, shape (N,)
     """
-    # A whole number of periods is one but for rounding.
+    # Rounding must not put a whole number of periods into the period before.
     periods = np.asarray(time_s) / harmonic_period_s
     harmonic = np.floor(periods + 1e-9).astype(int) % len(amplitudes_v)
     return 0.5 * np.asarray(amplitudes_v)[harmonic] * (1.0 - np.cos(2.0 * np.pi * periods))

@@ -12,43 +12,44 @@ from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 
 AMPLITUDE_FRACTION = 0.05
-"""Step of the relay over the voltage range, to either side of the working voltage."""
+"""Step of the relay to either side of the working voltage, as a fraction of the voltage range."""
 
 ARC_S, CYCLE_S, HOLD_S = 0.25, 0.2, 0.05
-"""Ways to the ends of the range, slow cycle of the relay's amplitude, and rest before it starts."""
+"""Durations of the arcs to the ends of the range, of the slow cycle with the relay's amplitude, and
+of the rest before the relay starts."""
 
 NOISE_FACTOR = 4.0
-"""Half width of the relay's hysteresis over the noise of the means that it compares."""
+"""Half width of the relay's hysteresis over the noise of the means it compares."""
 
 SETTLING_CYCLES = 5
-"""Cycles at the start that are not counted."""
+"""Cycles at the start that are excluded."""
 
 HARMONICS = (1, 3, 5)
-"""A relay excites these harmonics of the oscillation."""
+"""Harmonics of the oscillation that a relay excites."""
 
 
 @dataclass(frozen=True)
 class RelayExperiment:
-    """A slow way to the working voltage, and then a relay in feedback.
+    """Slow arcs to the working voltage, and then a relay in feedback.
 
     Parameters
     ----------
     name : str
-        Name under which it is asked for.
+        Name that selects the experiment.
     feedforward_v : ndarray, shape (N,)
-        Played at the sample clock before the relay starts, and its last voltage held from then on.
+        Voltage played at the sample clock before the relay starts; its last value is then held.
     lowest_sample : int
-        At which the feedforward is at the lowest voltage.
+        Sample at which the feedforward reaches the lowest voltage.
     cycle : slice
-        Samples of the slow cycle, by the amplitude around the working voltage.
+        Samples of the slow cycle with the relay's amplitude around the working voltage.
     amplitude_v : float
-        Of the relay.
+        Amplitude of the relay.
     samples_per_tick : int
-        Samples whose mean the relay takes, and for which it holds its answer.
+        Samples that the relay averages, and for which it holds its output.
     sample_period_s, duration_s : float
-        Of the sample clock; of the whole.
+        Period of the sample clock; duration of the experiment.
     description : str
-        One line for people.
+        One line for users.
     """
 
     name: str
@@ -63,7 +64,7 @@ class RelayExperiment:
 
     @property
     def ticks(self) -> int:
-        """Return the feedback periods that the whole takes."""
+        """Return the number of feedback periods in the experiment."""
         return round(self.duration_s / self.tick_s)
 
     @property
@@ -75,26 +76,26 @@ class RelayExperiment:
     def delay_s(self) -> float:
         """Return the declared delay of the loop, from the middle of a mean to that of the hold.
 
-        The answer to a tick's mean acts in the tick after the next.
+        The output for the mean of a tick acts in the tick after the next.
         """
         return 2.5 * self.tick_s - 0.5 * (self.samples_per_tick - 1) * self.sample_period_s
 
     def parameters(self) -> dict[str, float]:
-        """Return what a recording should keep of the experiment."""
+        """Return the parameters to store with a recording of the experiment."""
         return {"amplitude_v": self.amplitude_v, "tick_s": self.tick_s, "delay_s": self.delay_s}
 
 
 def relay(limits: StageLimits, oscillation_s: float = 0.5) -> RelayExperiment:
-    """Design a relay around mid-range, and measure before what its gain is compared to.
+    """Design a relay around mid-range, preceded by a measurement of the gains of the hysteresis.
 
-    From rest to the lowest voltage, to the highest one, and down into a slow cycle of the relay's
-    amplitude. That shows the gains of the hysteresis (3.16): the secant from the lowest voltage,
-    and that of the minor loop in which the relay will move.
+    The voltage goes from rest to the lowest value, to the highest one, and down into a slow cycle
+    of the relay's amplitude. That shows the gains of the hysteresis (3.16): the secant from the
+    lowest voltage, and the gain of the minor loop in which the relay moves.
 
     Parameters
     ----------
     oscillation_s : float
-        For which the relay acts.
+        Duration of the relay feedback.
 
     Raises
     ------
@@ -129,10 +130,10 @@ def relay(limits: StageLimits, oscillation_s: float = 0.5) -> RelayExperiment:
 
 
 class RelayRun:
-    """Answer the blocks of a relay experiment.
+    """Compute the relay's output for each tick of a relay experiment.
 
-    The relay switches where the mean displacement of a tick passes the middle of the slow cycle,
-    with as much hysteresis as keeps the noise from switching it.
+    The relay switches when the mean displacement of a tick passes the middle of the slow cycle. Its
+    hysteresis keeps noise from switching it.
     """
 
     def __init__(self, experiment: RelayExperiment) -> None:
@@ -143,7 +144,7 @@ class RelayRun:
 
     @property
     def fraction(self) -> float:
-        """Return the part of the whole that is done, 0 to 1."""
+        """Return the fraction of the experiment that is done (0 to 1)."""
         return min(1.0, len(self._means_um) / self._experiment.ticks)
 
     def take(self, displacement_um: FloatArray) -> float:
@@ -156,7 +157,7 @@ class RelayRun:
         Returns
         -------
         feedback_v : float
-            Zero until the feedforward is over.
+            Output of the relay; zero until the feedforward has ended.
         """
         experiment = self._experiment
         mean_um = float(np.mean(displacement_um))
@@ -176,33 +177,34 @@ class RelayRun:
                       for sample in (experiment.cycle.start, experiment.cycle.stop))
         middle_um = float(np.mean(_ends(means_um[begin:end])))
         held = round(HOLD_S / experiment.tick_s)
-        # Differences leave the creep out.
+        # Differences remove the creep.
         noise_um = float(np.std(np.diff(means_um[-held:])) / np.sqrt(2.0))
         return middle_um, NOISE_FACTOR * noise_um
 
 
 @dataclass(frozen=True)
 class RelayOscillation:
-    """What the oscillation of a relay experiment tells.
+    """The oscillation of a relay experiment.
 
     Parameters
     ----------
     frequency_hz : float
-        Of the loop with its delay.
+        Frequency of the loop with its delay.
     shortest_ticks, longest_ticks : int
-        Of the periods counted: a relay that answers ticks switches in whole ones.
+        Shortest and longest period in ticks; the relay switches only at whole ticks.
     harmonics_hz : ndarray, shape (K,)
-        Odd ones.
+        Frequencies of the odd harmonics.
     response_um_per_v : ndarray of complex, shape (K,)
-        Of the stage alone at these frequencies.
+        Frequency response of the stage alone at the harmonics.
     loop_gain_v_per_um : float
-        At which the loop would just oscillate, at this amplitude: what a relay measures.
+        Ultimate gain at this amplitude, at which the loop just oscillates.
     cycle_gain_um_per_v : float
-        Of the hysteresis in the slow cycle of the same amplitude.
+        Gain of the hysteresis in the slow cycle of the same amplitude.
     largest_gain_um_per_v : float
-        Of the hysteresis over the cycle's voltages, the secant from the lowest voltage (3.16).
+        Largest secant gain of the hysteresis from the lowest voltage (3.16), over the voltages of
+        the cycle.
     delay_s, tick_s : float
-        Declared ones of the loop.
+        Declared delay and feedback period of the loop.
     """
 
     frequency_hz: float
@@ -218,9 +220,9 @@ class RelayOscillation:
 
     @property
     def gain_margin(self) -> float:
-        """Return the gain margin g_m (3.18) of the dynamics without hysteresis at the oscillation.
+        """Return the gain margin g_m (3.18) of the dynamics without hysteresis.
 
-        It is the gain of the loop times that of the hysteresis in the slow cycle.
+        It is the ultimate gain of the loop times the gain of the hysteresis in the slow cycle.
         """
         return self.loop_gain_v_per_um * self.cycle_gain_um_per_v
 
@@ -231,7 +233,7 @@ class RelayOscillation:
 
     @property
     def summary(self) -> str:
-        """Return the lines for people, the PI controller (3.20) among them."""
+        """Return the results as text, including the PI controller (3.20)."""
         gain, part = 0.6 * self.ultimate_gain_v_per_um, self.tick_s * self.frequency_hz
         ticks = " to ".join(str(n) for n in sorted({self.shortest_ticks, self.longest_ticks}))
         phases_deg = np.degrees(np.unwrap(np.angle(self.response_um_per_v)))
@@ -258,7 +260,7 @@ def relay_oscillation(recording: Recording, experiment: RelayExperiment) -> Rela
     Parameters
     ----------
     experiment : RelayExperiment
-        Which was recorded.
+        The recorded experiment.
 
     Raises
     ------
@@ -270,7 +272,7 @@ def relay_oscillation(recording: Recording, experiment: RelayExperiment) -> Rela
         raise ValueError(f"{recording.path} lacks samples: record it again")
     voltage_v, displacement_um = part.voltage_v, part.displacement_um
     held = part.has(Flag.FEEDFORWARD_HELD)
-    # The first tick behind the feedforward has no answer of the relay yet.
+    # The relay does not act yet in the first tick after the feedforward.
     begin = int(np.flatnonzero(held)[0]) + 2 * experiment.samples_per_tick if held.any() else 0
     switched = np.flatnonzero(np.diff(voltage_v[begin:]) > experiment.amplitude_v) + 1 + begin
     rises = switched[SETTLING_CYCLES:]
@@ -294,7 +296,7 @@ def relay_oscillation(recording: Recording, experiment: RelayExperiment) -> Rela
     )
     # A voltage that is held for a sample acts half a sample late.
     held_back = np.exp(1j * np.pi * harmonics_hz * experiment.sample_period_s)
-    # Of the mean over a tick, and of the hold for one.
+    # The mean over a tick and the hold for a tick attenuate by the same factor.
     attenuation = np.sinc(harmonics_hz[0] * experiment.tick_s) ** 2
     cycle_v, cycle_um = (
         np.subtract(*_ends(signal[experiment.cycle])) for signal in (voltage_v, displacement_um)
@@ -312,8 +314,8 @@ def relay_oscillation(recording: Recording, experiment: RelayExperiment) -> Rela
 
 
 def _ends(cycle: FloatArray) -> tuple[float, float]:
-    """Return signal at the top and at the bottom of the slow cycle, which begins at the bottom."""
-    # Around its turns, where voltage and displacement stand nearly still.
+    """Return the signal at the top and bottom of the slow cycle, which begins at the bottom."""
+    # Average around the turns, where voltage and displacement hardly change.
     near = max(1, cycle.size // 40)
     middle = cycle.size // 2
     return cycle[middle - near : middle + near].mean(), cycle[-near:].mean()
@@ -322,9 +324,9 @@ def _ends(cycle: FloatArray) -> tuple[float, float]:
 def _largest_secant(
     voltage_v: FloatArray, displacement_um: FloatArray, experiment: RelayExperiment,
 ) -> float:
-    """Return the largest gain from the lowest voltage over the way down to the cycle, (3.16)."""
+    """Return the largest secant gain from the lowest voltage on the descent to the cycle (3.16)."""
     lowest = experiment.lowest_sample
-    # The mean over a tick takes the noise out of the end that all secants share.
+    # The mean over a tick reduces the noise of the end that all secants share.
     origin_um = displacement_um[lowest - experiment.samples_per_tick : lowest].mean()
     high_v = voltage_v[experiment.cycle].max()
     down = np.arange(lowest, experiment.cycle.start)
@@ -335,7 +337,7 @@ def _largest_secant(
 
 
 def _lines(signal: FloatArray, cycles_per_sample: FloatArray) -> ComplexArray:
-    """Return complex amplitudes at some frequencies, beside offset, drift and even lines."""
+    """Return complex amplitudes at some frequencies, fitted with offset, drift and even lines."""
     samples = np.arange(signal.size)
     even = 2.0 * cycles_per_sample[0] * np.arange(1, 4)
     waves = np.exp(2j * np.pi * np.outer(samples, np.concatenate([cycles_per_sample, even])))

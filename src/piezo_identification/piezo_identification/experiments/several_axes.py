@@ -11,16 +11,18 @@ from piezo_identification.experiments.relay_feedback import RelayExperiment
 from piezo_identification.experiments.stage_limits import StageLimits
 
 MULTISINE_RMS = 0.03
-"""RMS of each axis' voltage over its range: of 140 V it is 4 V, with peaks of up to 20 V."""
+"""RMS voltage of each axis as a fraction of its range: 4 V for 140 V, with peaks of up to 20 V."""
 
 SETTLING_REPEATS, KEPT_REPEATS = 2, 2
-"""Periods of a realisation: the creep after the approach fades in the first, two tell the noise."""
+"""Periods of a realisation: the creep after the approach fades in the first two, the others give
+the noise."""
 
 BLOCKS = 2
-"""Sets of as many realisations as axes: one more than determines a response tells its scatter."""
+"""Sets of realisations, each with as many as axes. One set determines a response, a second its
+scatter."""
 
 SEED = 1
-"""Of the phases, so that a stage is played the same each time."""
+"""Seed of the phases, so that the waveform is the same each time."""
 
 
 def axes_experiments(name: str, limits: Mapping[str, StageLimits]) -> list[Experiment]:
@@ -38,12 +40,12 @@ def axes_experiments(name: str, limits: Mapping[str, StageLimits]) -> list[Exper
     Returns
     -------
     list of Experiment
-        With voltages (N, axes); their names begin with `name`.
+        Experiments with voltages of shape (N, axes); their names begin with `name`.
 
     Raises
     ------
     ValueError
-        See `named_experiment`; or the experiment acts in feedback.
+        If the experiment acts in feedback, or for the reasons given in `named_experiment`.
     """
     if name == "multisine":
         return orthogonal_multisines(limits)
@@ -64,14 +66,14 @@ def orthogonal_multisines(
 ) -> list[Experiment]:
     """Design multisines that move all axes at once, at the sample clock.
 
-    Of as many realisations as axes, the spectra of the axes are orthogonal at every line: the
-    entries of the response come out as if each axis had moved alone, with the power of all
+    There are as many realisations as axes, and the spectra of the axes are orthogonal at every
+    line. The response is then obtained as if each axis had moved alone, with the power of all
     (Dobrowiecki and Schoukens, Automatica 43, 2007).
 
     Parameters
     ----------
     period_s, highest_hz : float
-        One over the distance of the lines, and the highest excited one.
+        Period (the reciprocal of the line spacing) and highest excited frequency.
 
     Raises
     ------
@@ -105,7 +107,7 @@ def orthogonal_multisines(
 
 
 def _alone(axis: str, experiment: Experiment, limits: Mapping[str, StageLimits]) -> Experiment:
-    """Return an experiment of one axis while the others rest."""
+    """Return an experiment in which one axis moves and the others rest."""
     voltage_v = np.tile([own.rest_voltage_v for own in limits.values()],
                         (len(experiment.voltage_v), 1))
     voltage_v[:, list(limits).index(axis)] = experiment.voltage_v
@@ -114,7 +116,7 @@ def _alone(axis: str, experiment: Experiment, limits: Mapping[str, StageLimits])
 
 
 def _together(each: Mapping[str, Experiment], limits: Mapping[str, StageLimits]) -> Experiment:
-    """Return all axes at once, each later than the one before: none does what another does."""
+    """Return all axes at once, each delayed against the one before so that they differ."""
     first, last = next(iter(each.values())), len(each) - 1
     step = len(first.voltage_v) // (2 * len(each))
     voltage_v = np.column_stack([
@@ -126,7 +128,7 @@ def _together(each: Mapping[str, Experiment], limits: Mapping[str, StageLimits])
 
 
 def _fitting(experiment: Experiment, limits: Mapping[str, StageLimits]) -> Experiment:
-    """Return the experiment; refuse it, with the name of the axis, if that would not play it."""
+    """Return the experiment; raise ValueError if an axis cannot play it unchanged."""
     fitted = []
     for (axis, own), column in zip(limits.items(), experiment.voltage_v.T, strict=True):
         try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the stage allows an experiment to play."""
+"""The limits of a stage that experiments must respect."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from piezo_common.arrays import FloatArray
 
 @dataclass(frozen=True)
 class StageLimits:
-    """What the stage allows.
+    """Limits of a stage.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ class StageLimits:
     samples_per_tick : int
         Samples of one feedback period.
     displacement_min_um, displacement_max_um : float
-        Range of the sensor's readings that the stage takes for real.
+        Range of valid sensor readings.
     """
 
     voltage_min_v: float = -20.0
@@ -44,7 +44,7 @@ class StageLimits:
 
     @property
     def displacement_span_um(self) -> float:
-        """Return the width of the sensor's range; 0 where it is not bounded on both sides."""
+        """Return the width of the sensor's range; 0 if it is not bounded on both sides."""
         span_um = self.displacement_max_um - self.displacement_min_um
         return span_um if np.isfinite(span_um) else 0.0
 
@@ -54,9 +54,9 @@ class StageLimits:
         return 0.5 * (self.voltage_min_v + self.voltage_max_v)
 
     def clip(self, voltage_v: FloatArray) -> FloatArray:
-        """Return the voltage without the rounding that would put it a hair outside the range."""
+        """Return the voltage clipped to the range, which removes excess from rounding."""
         return np.clip(voltage_v, self.voltage_min_v, self.voltage_max_v)
 
 
 USUAL_LIMITS = StageLimits()
-"""The defaults of `StageLimits`, for experiments that are made without a stage."""
+"""Default limits, for experiments that are designed without a stage."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Covariance of fitted numbers where neighbouring errors are alike (Liang and Zeger 1986)."""
+"""Covariance of fitted parameters with errors correlated in clusters (Liang and Zeger 1986)."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,24 +7,24 @@ from numpy.typing import NDArray
 from piezo_common.arrays import FloatArray
 
 MANY = 10
-"""So many neighbouring clusters are one where errors are alike for longer than one of them."""
+"""Neighbouring clusters merged into one, in case errors stay correlated over several clusters."""
 
 
 def clustered_covariance(jacobian: FloatArray, residual: FloatArray,
                          cluster: NDArray[np.intp]) -> FloatArray:
-    """Return the covariance of numbers that were fitted by least squares.
+    """Return the covariance of parameters estimated by least squares.
 
-    Errors of one cluster may be correlated in any way; those of different clusters are not. Where
-    all are independent and of one variance, it is that variance over the information, as usual.
-    What the errors of ten neighbouring clusters together say of a number counts where it says more.
+    Errors in the same cluster may be correlated in any way; errors in different clusters are
+    assumed independent. The variances are also computed with ten neighbouring clusters merged
+    into one, and the larger variance is used.
 
     Parameters
     ----------
     jacobian : (n + p, m) array
-        Derivatives of the residual; those of a prior come last.
+        Derivatives of the residual; the rows of a prior come last.
     residual : (n + p,) array
     cluster : (n,) array of int
-        Number of the cluster of each row that is no prior; rows of one are neighbours.
+        Cluster of each row that does not belong to the prior; the rows of a cluster are adjacent.
 
     Returns
     -------
@@ -42,6 +42,6 @@ def clustered_covariance(jacobian: FloatArray, residual: FloatArray,
 
 
 def _of_clusters(pushes: FloatArray, cluster: NDArray[np.intp]) -> FloatArray:
-    """Return the covariance where the errors of each cluster push together."""
+    """Return the covariance for the given clusters."""
     together = np.add.reduceat(pushes, np.flatnonzero(np.diff(cluster, prepend=-1)))
     return np.asarray(together.T @ together)

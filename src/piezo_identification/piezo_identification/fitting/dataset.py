@@ -19,18 +19,19 @@ from piezo_recorder.reading.recording import Recording
 
 @dataclass(frozen=True)
 class SplitSettings:
-    """How rows are chosen, and which of them are the validation set.
+    """How samples are selected, and which of them form the validation set.
 
     Attributes
     ----------
     most_rows : int
-        Samples that are used, so that a fit of a million samples takes seconds.
+        Largest number of samples used, so that a fit to a million samples takes seconds.
     stretches : int
-        Of a recording. Each is fitted or held out as a whole, as neighbouring errors are alike. Of
-        longer recordings one chunk of each is used: slow and fast errors both show, and a mode that
-        a chirp passes within a few stretches does.
+        Number of stretches per recording. Each is fitted or held out as a whole, because
+        neighbouring errors are correlated. From a longer recording, one chunk of each stretch is
+        used: this shows slow and fast errors alike, and a mode that a chirp crosses within a few
+        stretches.
     held_out : int
-        One stretch in so many is held out.
+        One stretch out of this many is held out.
     """
 
     most_rows: int = 30_000
@@ -49,21 +50,18 @@ class Dataset:
 
     Attributes
     ----------
-    model : StageModel
-    recordings : tuple of Recording
-    simulated : tuple of SimulatedRecording
     rows : tuple of array of int
-        Samples of each recording that are used, r in all.
+        Indices of the samples used in each recording, r in total.
     stretch : (r,) array of int
-        Number of the stretch of each row.
+        Number of the stretch that each row belongs to.
     for_estimation : (r,) array of bool
-        Rows that fits may use; the others are the validation set.
+        Rows that may be fitted; the others are the validation set.
     regressors : (r, m) array
-        The nuisance regressors of each recording, then the parameter sensitivities, in um.
+        Nuisance regressors of each recording, followed by the parameter sensitivities, in um.
     nuisance_count : int
-        How many of the regressors are nuisance regressors.
+        Number of nuisance regressors.
     extent : Extent
-        How far the recordings go.
+        Ranges that the recordings cover.
     """
 
     model: StageModel
@@ -85,18 +83,18 @@ class Dataset:
             yield mask
 
     def at_rows(self, signals: Sequence[NDArray]) -> NDArray:
-        """Return the values of a signal of each recording at the rows, (r,)."""
+        """Return the values of one signal per recording at the rows, (r,)."""
         return np.concatenate(
             [signal[rows] for signal, rows in zip(signals, self.rows, strict=True)])
 
     def of_each(self, values: Iterable[float]) -> FloatArray:
-        """Return a value of each recording at its rows, (r,)."""
+        """Return one value per recording, repeated for each of its rows, (r,)."""
         return np.concatenate(
             [np.full(rows.size, value) for value, rows in zip(values, self.rows, strict=True)])
 
     def difference_um(self, effects: Sequence[Effect] = (),
                       quick: Sequence[Effect] = ()) -> FloatArray:
-        """Return measured minus simulated at the rows; see `SimulatedRecording.simulate`."""
+        """Return measured minus simulated displacement; see `SimulatedRecording.simulate`."""
         return np.concatenate([
             part.measured_um[rows] - part.simulate(effects, quick, rows)
             for part, rows in zip(self.simulated, self.rows, strict=True)])
@@ -111,15 +109,15 @@ def simulate_recordings(model: StageModel, recordings: Sequence[Recording],
     Parameters
     ----------
     recordings : sequence of Recording
-        With the sign of the model, and their outliers marked.
+        Recordings with the sign of the model and with marked outliers.
     past_v : (float, float) or (), optional
-        Voltages that the hysteresis met before each recording; by default those of
+        Voltages that the hysteresis went through before each recording; by default those of
         `starting_past_v`.
     sensitivities : callable
-        Returns the change of the displacement with each parameter that is free.
+        Returns the change of the displacement with each free parameter.
     undivided : int
-        So many recordings, the first ones, have `SplitSettings.most_rows` each; the others share
-        them, as all do by default.
+        Number of recordings, counted from the first, that use `SplitSettings.most_rows` each. The
+        others share that number. By default, all share it.
 
     Raises
     ------
@@ -139,13 +137,11 @@ def dataset_of(simulated: Sequence[SimulatedRecording], recordings: Sequence[Rec
     Parameters
     ----------
     simulated : sequence of SimulatedRecording
-        At least one; all by the same model.
+        At least one recording; all simulated with the same model.
     recordings : sequence of Recording
-        From which they come.
-    sensitivities : callable
-        See `simulate_recordings`.
-    undivided : int
-        See `simulate_recordings`.
+        The measured recordings, in the same order.
+    sensitivities, undivided
+        As in `simulate_recordings`.
     """
     simulated, model = tuple(simulated), simulated[0].model
     rows, stretch, for_estimation = _split(simulated, undivided)
@@ -164,7 +160,7 @@ def dataset_of(simulated: Sequence[SimulatedRecording], recordings: Sequence[Rec
 
 
 def _extent(simulated: Sequence[SimulatedRecording]) -> Extent:
-    """Tell how far the recordings go."""
+    """Return the ranges of displacement, voltage, and time that the recordings cover."""
     return Extent(
         max(float(np.ptp(part.measured_um[part.begin :])) for part in simulated),
         min(float(part.voltage_v.min()) for part in simulated),
@@ -183,10 +179,10 @@ def _split(simulated: Sequence[SimulatedRecording], undivided: int,
                      SPLIT.stretches)
         settled = np.arange(part.begin, part.time_s.size)
         if settled.size > budget:
-            # Chunks that do not keep step with a periodic waveform.
+            # Random shifts keep the chunks from staying in phase with a periodic waveform.
             chunk, room = budget // SPLIT.stretches, settled.size // SPLIT.stretches
             shift = np.random.default_rng(0).integers(0, room - chunk + 1, SPLIT.stretches)
-            # The beginning alone shows how far the creep had come.
+            # Only the beginning shows how far the creep had progressed.
             shift[0] = 0
             first = -(-np.arange(SPLIT.stretches) * settled.size // SPLIT.stretches)
             starts = part.begin + first + shift

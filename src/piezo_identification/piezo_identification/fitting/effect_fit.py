@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Nonlinear least-squares fits of effects, from guesses that the effects make themselves."""
+"""Nonlinear least-squares fits of effects, starting from initial guesses made by the effects."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,20 +16,20 @@ from piezo_models.effects import Effect, Evidence, Extent, fitted_values, with_f
 
 @dataclass(frozen=True)
 class FitSettings:
-    """How far the effects are fitted.
+    """Limits on the fit of effects.
 
     Attributes
     ----------
     evaluations : int
-        Most evaluations of the residual, beside those for its derivatives.
+        Largest number of residual evaluations, without those for the derivatives.
     quick_evaluations : int
-        The same of a fit whose result will be fitted once more.
+        The same limit for a fit whose result will be refined by another fit.
     relative_change : float
-        Of the sum of squares, below which a fit ends.
+        A fit ends when the sum of squares changes by less than this fraction.
     guesses : int
-        Guesses of one effect from which a fit begins.
+        Largest number of initial guesses of one effect that are fitted.
     worst_guess : float
-        What a guess may leave at most, as a multiple of what the best guess leaves.
+        Largest sum of squares of a guess that is fitted, as a multiple of that of the best guess.
     """
 
     evaluations: int = 15
@@ -49,11 +49,11 @@ def fit_effects(regression: Regression, effects: Sequence[Effect],
     Parameters
     ----------
     effects : sequence of piezo_models.effects.effect.Effect
-        To begin from.
+        Initial guesses.
     fixed : sequence of piezo_models.effects.effect.Effect
-        Kept as they are, before the others.
+        Effects that are not changed; they act before the others.
     quick : bool
-        Fit with few evaluations of quick simulations; see `SimulatedRecording.simulate`.
+        Use few evaluations of quick simulations; see `SimulatedRecording.simulate`.
     """
     guesses = [fitted_values(effect, regression.dataset.extent) for effect in effects]
     sizes = np.cumsum([0, *(values.size for values, _, _ in guesses)])
@@ -84,21 +84,21 @@ def fit_effects(regression: Regression, effects: Sequence[Effect],
 
 def fit_one_more(regression: Regression, kind: type[Effect], effects: tuple[Effect, ...],
                  evidence: Sequence[Evidence]) -> Fit | None:
-    """Fit one more effect beside those found, from the best of its guesses.
+    """Fit one more effect in addition to those found, starting from its best guesses.
 
     Parameters
     ----------
     kind : type
-        Of the effect.
+        Class of the new effect.
     effects : tuple of piezo_models.effects.effect.Effect
-        Those found.
+        Effects found so far, held fixed.
     evidence : sequence of Evidence
-        One for each recording, beside those found.
+        What each recording shows with the effects found so far.
 
     Returns
     -------
     Fit or None
-        As guessed if no guess is better than nothing; None without any guess.
+        The best guess without refinement if no guess reduces the error; None if there is none.
     """
     extent = regression.dataset.extent
     guesses = [_within_bounds(guess, extent) for shown in evidence for guess in kind.starts(shown)]
@@ -121,11 +121,11 @@ def fit_one_more(regression: Regression, kind: type[Effect], effects: tuple[Effe
 
 
 def impossible_effects(fit: Fit, extent: Extent) -> dict[str, str]:
-    """Return why no stage can have the effects of a fit, by their names; empty if one can."""
+    """Return why effects of a fit are physically impossible, by name; empty if none is."""
     reasons = {effect.name: effect.impossible(extent) for effect in fit.effects}
     return {name: reason for name, reason in reasons.items() if reason}
 
 
 def _within_bounds(effect: Effect, extent: Extent) -> Effect:
-    """Move the parameters of an effect to what is physically possible, each by itself."""
+    """Clip each parameter of an effect to its physical bounds."""
     return with_fitted_values(effect, fitted_values(effect, extent)[0])

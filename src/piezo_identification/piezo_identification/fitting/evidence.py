@@ -7,18 +7,18 @@ from numpy.typing import ArrayLike
 from piezo_common.arrays import FloatArray
 
 INDEPENDENT = 1000.0
-"""Errors of each recording that count at most, however many rows it has."""
+"""Largest number of independent errors counted per recording, however many rows it has."""
 
 FEWEST = 0.25
-"""Part of the rows whose errors count at least: those that are alike for long may hide smaller ones
-that are not."""
+"""Smallest share of the rows that counts as independent: strongly correlated errors may hide
+smaller uncorrelated ones."""
 
 BLOCKS, FEWEST_BLOCKS = (10, 100, 1000), 10
-"""Neighbouring rows whose means tell how far errors are alike, and blocks for them to tell it."""
+"""Block lengths, in rows, whose means show the correlation of errors; fewest blocks needed."""
 
 
 def correlated_scale(residual: FloatArray) -> float:
-    """Return the RMS of a residual, times the root of how many neighbours err alike.
+    """Return the RMS of a residual, increased to account for correlation between neighbours.
 
     Parameters
     ----------
@@ -27,8 +27,8 @@ def correlated_scale(residual: FloatArray) -> float:
     Returns
     -------
     float
-        Of white noise its standard deviation. The variance of a mean over a long block is that of
-        white noise of this standard deviation, over the length of the block.
+        For white noise, its standard deviation. Otherwise, the standard deviation of the white
+        noise whose means over long blocks would vary as much as those of the residual.
     """
     squares = [np.mean(residual**2)]
     for length in BLOCKS:
@@ -39,7 +39,7 @@ def correlated_scale(residual: FloatArray) -> float:
 
 
 def independent_errors(residual: FloatArray) -> float:
-    """Return how many errors of a residual, shape (N,), are independent, within what may count."""
+    """Return the number of independent errors in a residual, shape (N,), limited to what counts."""
     scale = max(correlated_scale(residual), np.finfo(float).tiny)
     count = np.sum((residual / scale) ** 2)
     return float(np.clip(count, FEWEST * residual.size, INDEPENDENT))
@@ -47,19 +47,19 @@ def independent_errors(residual: FloatArray) -> float:
 
 def log_evidence(mean_squares: ArrayLike, numbers: int,
                  independent: ArrayLike = INDEPENDENT) -> float:
-    """Return the logarithm of the evidence of a model but for what all models have in common.
+    """Return the logarithm of the evidence of a model, up to a constant common to all models.
 
-    That is the logarithm of its likelihood, less half the logarithm of the number of errors for
-    each number that was estimated (Schwarz 1978).
+    It is the log-likelihood minus half the logarithm of the number of errors for each estimated
+    parameter (Schwarz 1978).
 
     Parameters
     ----------
     mean_squares : float or ndarray, shape (R,)
-        What the model leaves of each recording, and the square of the accuracy of a good model.
+        Mean square error of the model on each recording, plus the squared accuracy of a good model.
     numbers : int
-        Numbers that were estimated.
+        Number of estimated parameters.
     independent : float or ndarray, shape (R,)
-        Errors that count of each recording.
+        Number of independent errors counted in each recording.
     """
     squares = np.atleast_1d(mean_squares)
     counts = np.broadcast_to(independent, squares.shape)

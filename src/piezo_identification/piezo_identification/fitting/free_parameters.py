@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The parameters of a model that are free in a joint fit, and the model's derivatives by them.
+"""The free parameters of a model in a joint fit, and the derivatives with respect to them.
 
-They are logarithms of rates and sizes of the creep and of the parameters of the dynamics, factors
-of the density on a surface, and additions to the reversible part of the hysteresis; the
-displacement is linear in the last two. Pole and zero of a creep pair lie so close that they change
-together: see `piezo_models.linear.creep_errors`.
+The free parameters are logarithms of the rates and sizes of the creep and of the parameters of the
+dynamics, factors of the density on a surface, and additions to the reversible part of the
+hysteresis. The displacement is linear in the last two. The pole and zero of a creep pair are so
+close that they change together: see `piezo_models.linear.creep_errors`.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -46,17 +46,17 @@ from piezo_models.linear.dynamics import CreepDynamics
 
 @dataclass(frozen=True)
 class FreeWidths:
-    """Prior widths of a joint fit: wide, as the recordings of the identification are fitted again.
+    """Prior widths of a joint fit: wide, because the recordings of the identification are refitted.
 
     Attributes
     ----------
     logarithm : float
-        Of a rate or a size of the creep, or of a parameter of the dynamics.
+        Width of the logarithm of a rate or size of the creep, or of a parameter of the dynamics.
     factor : float
-        Of a factor of the density.
+        Width of a factor of the density.
     reversible : float
-        Of the reversible part at a knot of the voltage, over the mean gain of the hysteresis.
-    reversible_knots : int
+        Width of the reversible part at a knot of the voltage, relative to the mean gain of the
+        hysteresis.
     """
 
     logarithm: float = 0.2
@@ -68,36 +68,37 @@ class FreeWidths:
 WIDTHS = FreeWidths()
 
 KEPT = 4
-"""Hystereses whose shapes are kept."""
+"""Number of hystereses whose shapes are cached."""
 
 SMALL = 1e-6
-"""Step of the derivative through effects behind the linear part, over the travel."""
+"""Step of the derivative through effects behind the linear part, relative to the travel."""
 
 
 def free_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp],
                        about: StageModel | None = None,
                        pieces_um: Iterable[FloatArray] | None = None,
                        of_pieces_um: FloatArray | None = None) -> FloatArray:
-    """Return the change of the displacement with each free parameter, for one of its widths.
+    """Return the change of the displacement when each free parameter changes by its prior width.
 
     Parameters
     ----------
     part : SimulatedRecording
-        Of a model with its effects: the changes go through them.
+        Recording simulated with a model that includes its effects: the changes pass through them.
     rows : array of int
-        Samples.
+        Indices of the samples.
     about : StageModel, optional
-        From which `changed_model` led to the model of the part; by default it is that model.
+        Model from which `changed_model` derived the model of `part`; by default that model itself.
     pieces_um : iterable of (N,) array, optional
-        Of `piece_outputs_um`; a lag ahead of the hysteresis is taken behind the pieces, too, where
-        it does nearly the same to them. They are not used beside another effect on the voltage.
+        Results of `piece_outputs_um`. A lag ahead of the hysteresis is applied behind the pieces,
+        too, where its effect on them is nearly the same. They are not used if another effect acts
+        on the voltage.
     of_pieces_um : (n, pieces) array, optional
-        What the displacement changes by with them, where that is known from a model nearby.
+        Change of the displacement with each piece, if it is known from a similar model.
 
     Returns
     -------
     (n, parameters) array
-        For the changes that `changed_model` takes.
+        Columns in the order of the changes that `changed_model` takes.
     """
     model = part.model
     given = model if about is None else about
@@ -131,10 +132,10 @@ def free_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp],
 
 def _moved_systems(model: StageModel, about: StageModel,
                    lags: Sequence[Effect]) -> list[control.StateSpace]:
-    """Return what the linear part changes by, for one width of each parameter of its own."""
+    """Return the change of the linear part for one width of each of its parameters."""
     linear = matrices_of(behind_lags(model.linear(), lags)[0])
     beside = model.effects_at("modes")
-    # The model's own modes move but a part of the displacement where others are beside them.
+    # With additional modes, the model's own modes contribute only a part of the displacement.
     own_modes = replace(model, effects=tuple(
         effect for effect in model.effects if effect not in beside))
     share = 1.0 - sum(mode.participation for mode in beside)
@@ -152,22 +153,22 @@ def _moved_systems(model: StageModel, about: StageModel,
 
 
 def piece_outputs_um(part: SimulatedRecording, about: StageModel) -> Iterator[FloatArray]:
-    """Yield what one width of each change adds to the output of the hysteresis, each (N,)."""
+    """Yield the change of the hysteresis output for one width of each of its parameters, (N,)."""
     return map(part.hysteresis_output_um, pieces_of(about.hysteresis))
 
 
 def decay_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp], sizes: FloatArray,
                         about: StageModel) -> FloatArray:
-    """Return the change of the initial creep with each free parameter, for one of its widths.
+    """Return the change of the initial creep when each free parameter changes by its prior width.
 
-    The decay of the initial creep has the rate of its pole.
+    The initial creep decays at the rates of the creep poles.
 
     Parameters
     ----------
     rows : array of int
-        Samples.
+        Indices of the samples.
     sizes : (1 + creep pairs or more,) array
-        Of the nuisance regressors.
+        Coefficients of the nuisance regressors.
     about : StageModel
         See `free_sensitivities`.
 
@@ -187,14 +188,14 @@ def changed_model(model: StageModel, changes: FloatArray) -> StageModel:
     Parameters
     ----------
     changes : (n,) array
-        In widths, in the order of `free_sensitivities`; none of them for no change.
+        Changes in prior widths, in the order of `free_sensitivities`; empty for no change.
     """
     if not changes.size:
         return model
     dynamics, hysteresis = model.dynamics, model.hysteresis
     pairs = len(model.creep.poles_rad_per_s)
     physical = _physical(model)
-    # Only a lag that is not there is zero.
+    # Only an absent lag is zero.
     count = np.count_nonzero(physical)
     factors = np.exp(WIDTHS.logarithm * changes[:count])
     poles, zeros, rest = np.split(physical, [pairs, 2 * pairs])
@@ -218,19 +219,19 @@ def changed_model(model: StageModel, changes: FloatArray) -> StageModel:
 
 
 def changes_between(model: StageModel, changed: StageModel) -> FloatArray:
-    """Return the changes that lead from the creep and dynamics of a model to those of another.
+    """Return the changes that turn the creep and dynamics of one model into those of another.
 
-    Not finite where no factor leads from one to the other, as between sizes of unlike signs.
+    They are not finite where no factor exists, as between sizes of opposite sign.
 
     Parameters
     ----------
     model, changed : StageModel
-        Of one structure.
+        Models of the same structure.
 
     Returns
     -------
     (n,) array
-        In widths, the first of those that `changed_model` takes.
+        Changes in prior widths: the first of those that `changed_model` takes.
     """
     def values(each: StageModel) -> FloatArray:
         poles, zeros = (np.array(values) for values in (
@@ -243,7 +244,7 @@ def changes_between(model: StageModel, changed: StageModel) -> FloatArray:
 
 
 def lowest_changes(hysteresis: PreisachModel) -> FloatArray:
-    """Return the changes of a hysteresis, in widths, beyond which it would be negative, (n,)."""
+    """Return the changes in widths below which the hysteresis would become negative, (n,)."""
     surfaces, _ = _shapes(hysteresis)
     size = len(hysteresis.density_um_per_v2)
     at_knots = np.interp(np.linspace(0.0, 1.0, WIDTHS.reversible_knots),
@@ -253,23 +254,23 @@ def lowest_changes(hysteresis: PreisachModel) -> FloatArray:
 
 
 def free_count(model: StageModel) -> int:
-    """Return how many parameters of a model are free."""
+    """Return the number of free parameters of a model."""
     surfaces, hats = _shapes(model.hysteresis)
     return int(np.count_nonzero(_physical(model))) + surfaces.shape[1] + len(hats)
 
 
 def physical_count(model: StageModel) -> int:
-    """Return how many of them are those of creep and dynamics, which come first."""
+    """Return the number of free parameters of creep and dynamics, which come first."""
     return int(np.count_nonzero(_physical(model)))
 
 
 def physical_deviations(model: StageModel, covariance: FloatArray) -> dict[str, dict[str, Any]]:
-    """Return the standard deviations of creep and dynamics, under the names of their fields.
+    """Return the standard deviations of creep and dynamics, by component and field name.
 
     Parameters
     ----------
     covariance : (n, n) array
-        Of the changes of creep and dynamics, in widths; infinite variances are unknown.
+        Covariance of the changes of creep and dynamics, in widths; unknown variances are infinite.
     """
     physical = _physical(model)
     free = physical > 0.0
@@ -293,7 +294,7 @@ def _physical(model: StageModel) -> FloatArray:
 
 
 def _logarithms(model: StageModel) -> FloatArray:
-    """Return the changes of the logarithms of these that are free, for one width of each change."""
+    """Return the changes of the logarithms of the free parameters for one width of each change."""
     widths = np.eye(int(np.count_nonzero(_physical(model))))
     pair = 2 * len(model.creep.poles_rad_per_s)
     widths[:pair, :pair] = creep_error_map(model.creep)
@@ -306,7 +307,7 @@ def _behind(model: StageModel) -> tuple[Effect, ...]:
 
 def _slope(effects: Sequence[Effect], part: SimulatedRecording, displacement_um: FloatArray,
            rows: NDArray[np.intp]) -> FloatArray:
-    """Return the slopes of effects that act at once, where the displacement is, (n,)."""
+    """Return the slopes of instantaneous effects at the displacement, (n,)."""
     step_um = SMALL * np.ptp(displacement_um)
     unmoved_um, moved_um = (
         _behind_effects(effects, part, ahead_um, part.rest_um)[rows]
@@ -316,7 +317,7 @@ def _slope(effects: Sequence[Effect], part: SimulatedRecording, displacement_um:
 
 def _through(effects: Sequence[Effect], part: SimulatedRecording, displacement_um: FloatArray,
              changes_um: Iterable[FloatArray], rows: NDArray[np.intp]) -> Iterator[FloatArray]:
-    """Yield what small changes of the displacement become behind effects, each (n,)."""
+    """Yield small changes of the displacement after they have passed through effects, each (n,)."""
     unchanged_um = _behind_effects(effects, part, displacement_um, part.rest_um)[rows]
     travel_um = np.ptp(displacement_um)
     for change_um in changes_um:
@@ -328,14 +329,14 @@ def _through(effects: Sequence[Effect], part: SimulatedRecording, displacement_u
 
 def _behind_effects(effects: Sequence[Effect], part: SimulatedRecording, signal_um: FloatArray,
                     rest_um: float) -> FloatArray:
-    """Return what a displacement becomes behind effects, one after the other, (N,)."""
+    """Return a displacement after it has passed through effects one after the other, (N,)."""
     for effect in effects:
         signal_um = effect.apply(signal_um, part.sample_period_s, rest_um)
     return signal_um
 
 
 def pieces_of(hysteresis: PreisachModel) -> list[PreisachModel]:
-    """Return what one width of each change adds to the hysteresis."""
+    """Return the change of the hysteresis for one width of each of its parameters."""
     surfaces, hats = _shapes(hysteresis)
     density, nothing = hysteresis.density_um_per_v2, 0.0 * hysteresis.reversible_um_per_v
     gain = WIDTHS.reversible * _mean_gain(hysteresis)
@@ -350,8 +351,7 @@ def pieces_of(hysteresis: PreisachModel) -> list[PreisachModel]:
 def _shapes(hysteresis: PreisachModel) -> tuple[csc_array, FloatArray]:
     """Return the surfaces over the density, (cells, surfaces), and the hats over the voltage.
 
-    They are kept, since fits from one hysteresis ask for them at every step: nobody may change
-    them.
+    They are cached, because fits need them at every step: callers must not change them.
     """
     size = len(hysteresis.density_um_per_v2)
     knots = np.linspace(0.0, 1.0, WIDTHS.reversible_knots)
@@ -364,7 +364,7 @@ def _shapes(hysteresis: PreisachModel) -> tuple[csc_array, FloatArray]:
 
 @lru_cache(maxsize=KEPT)
 def _sparse_surfaces(size: int) -> csc_array:
-    """Return the surfaces over all cells: each cell is part of four of them at most."""
+    """Return the surfaces over all cells; at most four of them are nonzero at each cell."""
     return csc_array(np.column_stack([surface.ravel() for surface in factor_surfaces(size)]))
 
 

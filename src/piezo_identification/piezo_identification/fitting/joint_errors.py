@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The evidence of a model with effects on several recordings, and its derivatives.
 
-With Gaussian errors of unknown variance in each recording r, and a prior of the model's changes x::
+With Gaussian errors of unknown variance in each recording r, and a prior of the model's changes x,
+the function ::
 
     -ln p = n / 2 sum_r ln(m_r + l_r^2) + |x|^2 / 2
 
-is to be made least. Here m_r is the mean square that a simulation leaves on the rows to fit, l_r
-the accuracy that a good model has, and n the number of independent errors of a recording. Offset
-and initial creep of each recording are projected out, and of each recording of the identification
-what it has of its own of effects that recur, such as the phase of a disturbance. The logarithm is
-concave: at some m_r, a sum of squares with the weights n / (m_r + l_r^2) has the same gradient, and
-falls by no more than it.
+is minimised. Here m_r is the mean square error on the fitted rows, l_r the accuracy of a good
+model, and n the number of independent errors of a recording. The offset and initial creep of each
+recording are projected out. For recordings of the identification, so are the parameters of
+recurring effects that differ between recordings, such as the phase of a disturbance. The logarithm
+is concave: a sum of squares with the weights n / (m_r + l_r^2) at some m_r has the same gradient,
+and a step reduces it by no more than the function itself.
 """
 
 from collections.abc import Sequence
@@ -42,14 +43,14 @@ from piezo_models.effects import Effect, fitted_values, with_fitted_values
 
 @dataclass(frozen=True)
 class ErrorSettings:
-    """Weights and steps.
+    """Limits of steps.
 
     Attributes
     ----------
     longest : float
-        Widths by which one step may change a parameter of the model.
+        Largest change of a model parameter in one step, in prior widths.
     derivative_step : float
-        Of a fitted number of an effect, over the number where it is larger than one.
+        Step of the numerical derivative by a parameter of an effect; relative for values above one.
     """
 
     longest: float = 5.0
@@ -60,13 +61,13 @@ SETTINGS = ErrorSettings()
 
 
 class RecordingBefore(SimulatedRecording):
-    """A recording that was made before some effects came, and at another time than the others."""
+    """A recording made before some effects appeared, and at another time than the others."""
 
     later: frozenset[str] = frozenset()
 
     @classmethod
     def of(cls, part: SimulatedRecording, later: frozenset[str]) -> "RecordingBefore":
-        """Return a simulated recording as one that was made before the effects of some names."""
+        """Return a simulated recording marked as made before the named effects appeared."""
         before = cls.__new__(cls)
         vars(before).update(vars(part))
         before.later = later
@@ -74,16 +75,16 @@ class RecordingBefore(SimulatedRecording):
 
     def simulate(self, effects: Sequence[Effect] = (), quick: Sequence[Effect] = (),
                  rows: NDArray[np.intp] | None = None) -> FloatArray:
-        """Return the displacement with those effects of the stage that did not come later."""
+        """Return the displacement with the effects that this recording contains."""
         return super().simulate(self.there(effects), self.there(quick), rows)
 
     def there(self, effects: Sequence[Effect]) -> tuple[Effect, ...]:
-        """Return those effects whose parameters hold for the recording."""
+        """Return the effects of the stage that had appeared when the recording was made."""
         return tuple(effect for effect in effects
                      if effect.of_the_stage and effect.name not in self.later)
 
     def recurrences(self, effects: Sequence[Effect], rows: NDArray[np.intp]) -> list[FloatArray]:
-        """Return what the recording has of its own of each effect that recurs, (n, k)."""
+        """Return the regressors of recurring effects specific to this recording, (n, k)."""
         time_s = self.time_s
         return [effect.recurrence(time_s[rows], time_s[-1]) for effect in effects
                 if effect.recurs and effect.name not in self.later]
@@ -96,9 +97,9 @@ def simulated_by(dataset: Dataset, model: StageModel, new_count: int,
     Parameters
     ----------
     new_count : int
-        Recordings, the first ones, that effects which came later are in.
+        Number of recordings, counted from the first, that contain the effects in `later`.
     later : frozenset of str
-        Their names.
+        Names of effects that appeared after the other recordings.
     """
     simulated = side_by_side(lambda part: part.with_model(model), dataset.simulated)
     return replace(dataset, model=model, simulated=tuple(
@@ -108,14 +109,14 @@ def simulated_by(dataset: Dataset, model: StageModel, new_count: int,
 
 def _projected_out(part: SimulatedRecording, rows: NDArray[np.intp],
                    effects: Sequence[Effect]) -> FloatArray:
-    """Return what a recording does not tell, and what it has of its own of effects, (n, k)."""
+    """Return nuisance regressors and those of recurring effects of a recording, (n, k)."""
     own = part.recurrences(effects, rows) if isinstance(part, RecordingBefore) else []
     return np.column_stack([nuisance_regressors(part, rows), *own])
 
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """What unknowns make of the recordings, and what offset and initial creep leave of it."""
+    """Simulation at some unknowns, and its error with the nuisance regressors projected out."""
 
     dataset: Dataset
     effects: tuple[Effect, ...]
@@ -125,31 +126,31 @@ class _Point:
 
 
 class JointErrors:
-    """Errors of a model with effects, by the changes of the model and the numbers of the effects.
+    """Errors of a model with effects as a function of changes of their parameters.
 
     Parameters
     ----------
     dataset : Dataset
-        Simulated by the model whose changes are zero, without effects.
+        Data simulated with the unchanged model, without effects.
     fitted, good : (r,) array of bool
-        Rows that are fitted, and those that tell of offset and initial creep: the ends of a creep
-        that only held-out rows show would be anything otherwise.
+        Rows that are fitted, and rows that determine offset and initial creep. The latter include
+        held-out rows: otherwise initial creep that shows only there would be undetermined.
     new_count : int
         See `simulated_by`.
     later : frozenset of str
-        Names of those that came later.
+        Names of effects that are only in the new recordings.
     held : sequence of piezo_models.effects.effect.Effect
-        Others, which stay as they are.
+        Further effects, which are not fitted.
     pieces_um : sequence of sequences of (N,) array, optional
-        Of `free_parameters.piece_outputs_um`, for each recording: they are the same for all fits.
+        Results of `free_parameters.piece_outputs_um` for each recording: the same for all fits.
     of_pieces_um : dict of int to (n, pieces) array, optional
-        What the displacement of each recording changes by with them: those that it has are taken
-        for those of a model nearby, the others are added.
+        Change of the displacement with each piece, by recording. Entries present are reused from a
+        similar model; missing ones are computed and added.
     columns : (r, n) array, optional
-        Derivatives of the displacement by the unknowns, in um, that stand for those everywhere;
-        by default they are computed.
+        Derivatives of the displacement by the unknowns, in um, used at all points; by default they
+        are computed.
     hysteresis_width : float
-        Prior width of the changes of the hysteresis, over that of `free_parameters`.
+        Prior width of the changes of the hysteresis, relative to that of `free_parameters`.
 
     Attributes
     ----------
@@ -193,34 +194,34 @@ class JointErrors:
             self._columns = b"", [columns[mask] for mask in dataset.masks()]
 
     def vector(self, changes: FloatArray, effects: Sequence[Effect]) -> FloatArray:
-        """Return the unknowns of a changed model with effects, (n,)."""
+        """Return the vector of unknowns for changes of the model and effects, (n,)."""
         numbers = [fitted_values(effect, self.dataset.extent)[0] for effect in effects]
         return np.clip(np.concatenate([changes, *numbers]), self.low, self.high)
 
     def effects_at(self, vector: FloatArray) -> tuple[Effect, ...]:
-        """Return the effects of some unknowns, and those that are held behind them."""
+        """Return the fitted effects at some unknowns, followed by the held effects."""
         return (*(with_fitted_values(effect, vector[start:end]) for effect, start, end in zip(
             self._effects, self._ends[:-1], self._ends[1:], strict=True)), *self._held)
 
     def dataset_at(self, vector: FloatArray) -> Dataset:
-        """Return the data set simulated by the changed model, with its nuisance regressors."""
+        """Return the data set simulated with the changed model, with its nuisance regressors."""
         point = self._at(vector)
         nuisance = block_diag(*point.nuisance)
         changes = self.dataset.regressors[:, self.dataset.nuisance_count :]
         if self._columns[1]:
-            # Those of the last step, close to where it led.
+            # Derivatives of the last step, close to the result.
             changes = np.vstack(self._columns[1])[:, : self.count]
         return replace(point.dataset, regressors=np.hstack([nuisance, changes]),
                        nuisance_count=nuisance.shape[1])
 
     @property
     def columns_of_effects(self) -> FloatArray | None:
-        """Return the last derivatives by the effects' numbers, in um, (r, p); None before any."""
+        """Return the last derivatives by the effect parameters, in um, (r, p); None before any."""
         columns = [each[:, self.count :] for each in self._columns[1]]
         return np.vstack(columns) if columns else None
 
     def recurrence_count(self, vector: FloatArray) -> int:
-        """Return how many numbers are projected out for effects that recur."""
+        """Return how many parameters of recurring effects are projected out."""
         return sum(
             signals.shape[1] for part, rows in zip(
                 self._at(vector).dataset.simulated, self.dataset.rows, strict=True)
@@ -228,12 +229,12 @@ class JointErrors:
             for signals in part.recurrences(self.effects_at(vector), rows[:1]))
 
     def squares_um2(self, vector: FloatArray) -> FloatArray:
-        """Return the mean square that is left of the fitted rows of each recording, (R,)."""
+        """Return the mean square error on the fitted rows of each recording, (R,)."""
         return np.array([np.mean(left_um[fitted] ** 2) for left_um, fitted in zip(
             self._at(vector).left_um, self._fitted, strict=True)])
 
     def value(self, vector: FloatArray) -> float:
-        """Return the evidence against the unknowns; infinite where nothing can be simulated."""
+        """Return the function to minimise; infinite where the simulation is not finite."""
         squares = self.squares_um2(vector) + self.accuracy_um**2
         changes = self._prior * vector[: self.count]
         against = float(
@@ -241,13 +242,13 @@ class JointErrors:
         return against if np.isfinite(against) else np.inf
 
     def linearised(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return weighted errors and their derivatives, those of the prior behind them."""
+        """Return the weighted errors and their derivatives, followed by those of the prior."""
         return self._weighted(vector, self._columns_at(vector))
 
     def covariance(self, vector: FloatArray) -> FloatArray | None:
-        """Return the covariance of the numbers of the effects, by the last derivatives.
+        """Return the covariance of the effect parameters, from the last derivatives.
 
-        Errors may be alike within a stretch of a recording.
+        Errors may be correlated within a stretch of a recording.
         """
         if not self._columns[1] or vector.size == self.count:
             return None
@@ -256,19 +257,20 @@ class JointErrors:
         return clustered_covariance(jacobian, residual, stretch)[self.count :, self.count :]
 
     def covariance_of_all(self, vector: FloatArray, physical: int) -> FloatArray:
-        """Return the covariance of all unknowns, without the prior of those that come first.
+        """Return the covariance of all unknowns, without the prior of the first ones.
 
         Parameters
         ----------
         vector : (n,) array
+            Unknowns.
         physical : int
-            Unknowns without a prior: the creep and the dynamics. Those of the effects have none.
+            Number of unknowns whose prior is dropped: creep and dynamics. Effects have no prior.
 
         Returns
         -------
         (n, n) array
-            Errors may be alike within a stretch of a recording. The variance of an unknown that the
-            recordings do not determine is infinite.
+            Errors may be correlated within a stretch of a recording. Unknowns that the recordings
+            do not determine have infinite variance.
         """
         residual, jacobian = self._weighted(vector, self._columns_at(vector))
         stretch = self.dataset.stretch[np.concatenate(self._fitted)]
@@ -280,9 +282,18 @@ class JointErrors:
         return covariance
 
     def left_um(self, vector: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-        """Return what is left of the fitted and of the held-out rows of each recording."""
+        """Return the residuals of the fitted and of the held-out rows of each recording."""
         return [(left_um[fitted], left_um[good & ~fitted]) for left_um, fitted, good in zip(
             self._at(vector).left_um, self._fitted, self._good, strict=True)]
+
+    def forget(self) -> None:
+        """Drop the simulations, which are many times as large as the recordings.
+
+        A search keeps every fit that it has tried. The simulations are recomputed when needed.
+        """
+        self._points, self._columns = {}, (b"", [])
+        self.dataset = simulated_by(
+            self.dataset, self.dataset.model, self.new_count, self.later)
 
     def _weighted(self, vector: FloatArray,
                   columns: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
@@ -301,7 +312,7 @@ class JointErrors:
                 np.vstack([*jacobians, prior]))
 
     def _at(self, vector: FloatArray) -> _Point:
-        """Simulate the model and the effects of some unknowns; the last two are kept."""
+        """Simulate the model and the effects at some unknowns; the last two points are cached."""
         key = vector.tobytes()
         if key not in self._points:
             dataset = simulated_by(
@@ -323,7 +334,7 @@ class JointErrors:
         return self._points[key]
 
     def _columns_at(self, vector: FloatArray) -> list[FloatArray]:
-        """Return the changes of the displacement of each recording by the unknowns."""
+        """Return the derivatives of the displacement of each recording by the unknowns."""
         key = vector.tobytes()
         if self._columns[0] != key and not self._columns_are_given:
             point = self._at(vector)
@@ -358,17 +369,17 @@ class JointErrors:
 
     def _left_beside(self, index: int, nuisance: FloatArray,
                      values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what the nuisance regressors leave of values at all rows, and their sizes."""
+        """Return values at all rows without their nuisance part, and the nuisance coefficients."""
         good = self._good[index]
         sizes = np.asarray(
             np.linalg.lstsq(nuisance[good], values[good], rcond=1e-12)[0], dtype=float)
         return values - nuisance @ sizes, sizes
 
     def _moved_with_rates(self, point: _Point, index: int) -> FloatArray:
-        """Return the part of the derivatives by which the sizes of decays follow their rates.
+        """Return the part of the derivatives by which decay coefficients follow decay rates.
 
-        It is no part of what is left beside them (Golub and Pereyra 1973), but counts where sizes
-        are fitted to more rows than the others.
+        For rows that determine the coefficients it vanishes (Golub and Pereyra 1973), but here the
+        coefficients are fitted to more rows than the parameters.
         """
         part, rows, good = (point.dataset.simulated[index], point.dataset.rows[index],
                             self._good[index])

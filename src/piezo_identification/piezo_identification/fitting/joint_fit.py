@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Model and effects estimated together on several recordings, by Levenberg-Marquardt steps."""
+"""Joint estimation of a model and effects from several recordings, by Levenberg-Marquardt steps."""
 
 from collections.abc import Iterable, Sequence
 from copy import copy
@@ -29,18 +29,18 @@ from piezo_recorder.reading.recording import Recording
 
 @dataclass(frozen=True)
 class JointSettings:
-    """How far a joint fit goes.
+    """Limits of a joint fit.
 
     Attributes
     ----------
     steps : int
-        Most steps of a fit, each with derivatives of its own.
+        Largest number of steps of a fit, each with its own derivatives.
     worthwhile : float
-        Evidence, as a natural logarithm, that a step has to promise: half of it is a factor of 1.3
-        in a probability.
+        Smallest predicted gain of log-evidence for a step; half of it is a factor of 1.3 in a
+        probability.
     kept_samples : int
-        Of all recordings, up to which the outputs of some 40 pieces of the hysteresis are kept:
-        0.6 GB.
+        Largest total number of samples for which the outputs of some 40 pieces of the hysteresis
+        are cached: 0.6 GB.
     """
 
     steps: int = 2
@@ -58,25 +58,25 @@ class JointFit:
     Attributes
     ----------
     regression : Regression
-        With the model's parameters as estimated beside the effects.
+        Regression with the model's parameters as estimated together with the effects.
     effects : tuple of piezo_models.effects.effect.Effect
-        In all recordings, but for those that came later.
+        Effects in all recordings, except those in `later`.
     later : frozenset of str
         Names of the effects that are in the new recordings only.
     covariance : (p, p) array or None
-        Of the fitted values of the effects.
+        Covariance of the fitted values of the effects.
     has_converged : bool
-        Another step would gain less evidence than is worthwhile.
+        True if another step would gain too little evidence.
     changes : (m,) array
-        Of the model of the problem; see `free_parameters.changed_model`.
+        Changes relative to the model of the problem; see `free_parameters.changed_model`.
     gain : float
-        Evidence that the last step gained.
+        Log-evidence gained by the last step.
     against : float
-        Evidence against it; see `joint_errors.JointErrors.value`.
+        Minimised function at the result; see `joint_errors.JointErrors.value`.
     recurrence_count : int
-        Numbers of the effects that recordings of the identification have of their own.
+        Number of parameters of recurring effects specific to recordings of the identification.
     problem : JointProblem or None
-        In which a fit goes on.
+        Problem in which the fit can be continued.
     columns_of_effects : (r, p) array or None
         Derivatives of the displacement by the fitted values of the effects, in um.
     """
@@ -95,15 +95,15 @@ class JointFit:
 
     @property
     def model(self) -> StageModel:
-        """Return the model of the stage as it is now, effects and all."""
+        """Return the present model of the stage, including its effects."""
         model = self.regression.dataset.model
         return replace(model, effects=(*model.effects, *self.effects))
 
     @property
     def columns(self) -> FloatArray | None:
-        """Return the derivatives of the displacement by all that was fitted, in um.
+        """Return the derivatives of the displacement by all fitted parameters, in um.
 
-        Of shape (r, m + p), those by the m changes of the model first; None where none are known.
+        The shape is (r, m + p), with the m changes of the model first; None if they are unknown.
         """
         dataset = self.regression.dataset
         return None if self.columns_of_effects is None else np.hstack(
@@ -111,12 +111,12 @@ class JointFit:
 
     @property
     def count(self) -> int:
-        """Return how many numbers of effects were fitted."""
+        """Return the number of fitted parameters of effects."""
         return self.recurrence_count + sum(
             fitted_values(effect)[0].size for effect in self.effects)
 
     def left_um(self) -> list[tuple[FloatArray, BoolArray]]:
-        """Return what is left at the rows of each recording, and which of them are held out."""
+        """Return the residual at the rows of each recording, and which of these are held out."""
         regression = self.regression
         left_um = _left_um(regression, self.effects)
         good = regression.estimation | regression.validation
@@ -125,23 +125,23 @@ class JointFit:
 
 
 class JointProblem:
-    """Recordings, a model from which fits begin, and its derivatives.
+    """Recordings, a model from which fits start, and its derivatives.
 
     Parameters
     ----------
     model : StageModel
-        Its own effects are fitted with the others.
+        Initial model; its effects are fitted together with the others.
     new : sequence of Recording
-        With the sign of the model, and their outliers marked.
+        New recordings with the sign of the model and with marked outliers.
     old : sequence of Recording
-        Those that the model was identified from.
+        Recordings from which the model was identified.
     undivided : int
-        New ones that count with as many rows each as all others together.
+        Number of new recordings that use as many rows each as all others together.
     steps : int
-        Most steps of a fit.
+        Largest number of steps of a fit.
     simulated : sequence of SimulatedRecording
-        The first of the new recordings, where they are simulated already: their past, which takes
-        long to find, is not sought again.
+        The first of the new recordings if already simulated. Their past, which takes long to find,
+        is then reused.
     """
 
     def __init__(self, model: StageModel, new: Sequence[Recording],
@@ -160,7 +160,7 @@ class JointProblem:
         self.start = self._started()
 
     def about(self, model: StageModel) -> "JointProblem":
-        """Return the same problem with another model, without effects, to begin from."""
+        """Return the same problem with another initial model without effects."""
         problem = copy(self)
         vars(problem).pop("_pieces_um", None)
         problem.dataset = self._dataset_of(
@@ -173,7 +173,7 @@ class JointProblem:
         return dataset_of(simulated, recordings, free_sensitivities, self.undivided)
 
     def against(self, model: StageModel, effects: Sequence[Effect]) -> float:
-        """Return the evidence against a model and effects as they are."""
+        """Return the minimised function for a model and effects without fitting."""
         dataset = simulated_by(self.dataset, model, self.new_count, frozenset())
         nuisance = dataset.regressors[:, : dataset.nuisance_count]
         errors = JointErrors(
@@ -182,14 +182,14 @@ class JointProblem:
         return errors.value(errors.vector(np.zeros(0), effects))
 
     def _started(self) -> Regression:
-        """Weigh the rows by what the model leaves."""
+        """Weigh the rows by the residual of the initial model."""
         first = _weighed(self.dataset, self.noise, _scale_um(self.dataset, self.noise))
         left_um = first.fit(self.own).residual * first.tolerance_um
         return _weighed(self.dataset, self.noise, _scale_um(self.dataset, self.noise, left_um))
 
     @cached_property
     def _pieces_um(self) -> list[list[FloatArray]] | None:
-        """Return the outputs of the pieces of the hysteresis; None where they are too many."""
+        """Return the outputs of the pieces of the hysteresis; None for too many samples."""
         parts = self.dataset.simulated
         if sum(part.time_s.size for part in parts) > SETTINGS.kept_samples:
             return None
@@ -202,14 +202,14 @@ class JointProblem:
         Parameters
         ----------
         effects : sequence of piezo_models.effects.effect.Effect
-            To begin from: all of them, the model's own as well.
+            Initial guesses of all effects, including those of the model.
         later : iterable of str
-            Names of the effects that came after the identification.
+            Names of the effects that appeared after the identification.
         begun : JointFit, optional
-            From whose model the fit begins, and in whose problem it goes on; by default this one.
+            Fit whose model and problem are the starting point; by default this problem.
         held : sequence of piezo_models.effects.effect.Effect
-            Others that stay as they are, behind those. The fit then takes one step alone, with the
-            derivatives of the fit from which it begins: enough to tell which of them may lead.
+            Further effects, which are not fitted and act last. The fit then takes one step with the
+            derivatives of `begun`, enough to determine which of the effects are promising.
         """
         goes_on_in = None if begun is None else begun.problem
         if goes_on_in is not None and goes_on_in is not self:
@@ -233,7 +233,7 @@ class JointProblem:
 
     def _first(self, errors: JointErrors, changes: FloatArray, effects: tuple[Effect, ...],
                begun: JointFit | None, came: frozenset[str]) -> FloatArray:
-        """Return unknowns to begin from: effects guessed, or fitted beside a linear model."""
+        """Return initial unknowns: effects as guessed, or fitted with a linearised model."""
         guessed = errors.vector(changes, effects)
         regression = self.start if begun is None else begun.regression
         if not effects or begun is not None and begun.effects == effects:
@@ -253,9 +253,9 @@ def _left_um(regression: Regression, effects: Sequence[Effect]) -> FloatArray:
 
 def _scale_um(dataset: Dataset, noise: NoiseEstimate,
               left_um: FloatArray | None = None) -> FloatArray:
-    """Return the scale of each row, so that rows count for as many as err independently, (r,).
+    """Return the scale of each row, which weighs rows by the number of independent errors, (r,).
 
-    It is the tolerance of the recording, or more where more is left.
+    It is the tolerance of the recording, or the correlated residual where that is larger.
     """
     good = dataset.for_estimation & ~dataset.at_rows(noise.outliers)
     least_um = np.hypot(noise.noise_um, accuracies_um(dataset))
@@ -265,13 +265,13 @@ def _scale_um(dataset: Dataset, noise: NoiseEstimate,
 
 
 def _reweighed(regression: Regression, effects: Sequence[Effect]) -> Regression:
-    """Weigh the rows by what is left beside effects."""
+    """Weigh the rows by the residual with some effects."""
     dataset, noise = regression.dataset, regression.noise
     return _weighed(dataset, noise, _scale_um(dataset, noise, _left_um(regression, effects)))
 
 
 def _weighed(dataset: Dataset, noise: NoiseEstimate, scale_um: FloatArray) -> Regression:
-    """Weigh the rows by their scales; the prior of one width matters where no recording tells."""
+    """Weigh the rows by their scales; the prior has unit width."""
     good = ~dataset.at_rows(noise.outliers)
     estimation, validation = dataset.for_estimation & good, ~dataset.for_estimation & good
     prior = np.eye(dataset.regressors.shape[1])[dataset.nuisance_count :]

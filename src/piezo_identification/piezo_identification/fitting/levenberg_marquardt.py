@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Levenberg-Marquardt steps towards the least of a function that is bounded by sums of squares."""
+"""Levenberg-Marquardt minimisation of a function that is bounded by sums of squares."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -11,19 +11,19 @@ from piezo_common.arrays import FloatArray
 from piezo_common.budget import is_time_up
 
 FIRST_DAMPING, FACTOR, MOST_DAMPING = 1e-3, 10.0, 1e6
-"""The first step is not damped; where one does not gain, it is damped so much, then by a factor
-more. A step that gains lets the next be damped by the same factor less."""
+"""The first step is undamped. A step without gain is retried with the first damping, then with a
+damping that grows by the factor each time. A step with gain reduces the damping by the factor."""
 
 
 class Objective(Protocol):
-    """A function to be made least, within bounds.
+    """A function to minimise within bounds.
 
     Attributes
     ----------
     low, high : (n,) array
         Bounds of the unknowns.
     longest : (n,) array
-        By how much one step may change each.
+        Largest change of each unknown in one step.
     """
 
     low: FloatArray
@@ -31,29 +31,28 @@ class Objective(Protocol):
     longest: FloatArray
 
     def value(self, vector: FloatArray) -> float:
-        """Return the function."""
+        """Return the value of the function."""
 
     def linearised(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return residuals (m,) and their derivatives (m, n).
 
-        Half of the sum of their squares has the gradient of the function there, and where a step
-        makes it less by some amount, it makes the function less by that at least.
+        Half of the sum of their squares has the gradient of the function at this point, and a step
+        that reduces it by some amount reduces the function by at least that amount.
         """
 
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """Where some steps have led.
+    """Result of a minimisation.
 
     Attributes
     ----------
-    vector : (n,) array
     value : float
-        Of the function.
+        Value of the function at `vector`.
     gain : float
-        Of the last step, or what the next one promises where it is less than was asked for.
+        Gain of the last step, or the predicted gain of the next step if that is not worthwhile.
     has_converged : bool
-        No step promises as much as was asked for.
+        True if no step is predicted to be worthwhile.
     """
 
     vector: FloatArray
@@ -63,14 +62,14 @@ class Descent:
 
 
 def descend(objective: Objective, vector: FloatArray, steps: int, worthwhile: float) -> Descent:
-    """Take steps until one promises too little, there are enough, or the time is up.
+    """Take steps until the predicted gain is too small, the steps are used up, or time is up.
 
     Parameters
     ----------
     vector : (n,) array
-        To begin from; within the bounds.
+        Initial unknowns, within the bounds.
     worthwhile : float
-        What a step has to promise.
+        Smallest predicted gain for which a step is taken.
     """
     value, gain, damping = objective.value(vector), np.inf, 0.0
     for _ in range(steps):
@@ -92,7 +91,7 @@ def descend(objective: Objective, vector: FloatArray, steps: int, worthwhile: fl
                 break
             damping = max(FACTOR * damping, FIRST_DAMPING)
         if not now < value:
-            # The derivatives are not those of the function, as at a kink of it.
+            # The derivatives do not match the function, as at a kink.
             return Descent(vector, value, 0.0, True)
         vector, gain, value = tried, value - now, now
         damping = damping / FACTOR if damping > FIRST_DAMPING else 0.0
@@ -101,13 +100,13 @@ def descend(objective: Objective, vector: FloatArray, steps: int, worthwhile: fl
 
 def _step(objective: Objective, vector: FloatArray, triangle: FloatArray,
           damping: float) -> tuple[FloatArray, float]:
-    """Return the best step of the linearised residuals within the bounds, and what it promises.
+    """Return the best step of the linearised residuals within the bounds, and its predicted gain.
 
-    The residuals and their derivatives are as long as the recordings; the triangle of their QR
-    factors tells the same.
+    The triangle of the QR factors of the derivatives and residuals replaces these, which are as
+    long as the recordings.
     """
     columns, target = triangle[:, :-1], triangle[:, -1]
-    # Marquardt's scaling: each unknown is damped by what it changes.
+    # Marquardt's scaling: each unknown is damped in proportion to its effect.
     damped = np.sqrt(damping) * np.diag(np.linalg.norm(columns, axis=0))
     low = np.maximum(objective.low - vector, -objective.longest)
     high = np.minimum(objective.high - vector, objective.longest)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What alternatives leave on held-out stretches, and what their fitted numbers cost.
+"""Errors of alternative models on held-out stretches, and the cost of their fitted parameters.
 
-A fitted number costs as much as the recordings narrow it (MacKay, Bayesian interpolation, Neural
-Computation 4, 1992): one that they do not determine explains nothing either.
+A fitted parameter costs as much as the recordings narrow it (MacKay, Bayesian interpolation, Neural
+Computation 4, 1992): a parameter that they do not determine explains nothing either.
 """
 
 from collections.abc import Sequence
@@ -18,19 +18,19 @@ from piezo_identification.fitting.joint_fit import JointFit
 from piezo_models.effects import Effect, Extent, fitted_values, units_of_fitted
 
 WIDEST = 2.3
-"""Widest prior of a fitted number, over the number or as a logarithm: a decade."""
+"""Widest prior of a fitted parameter, relative to its value or as a logarithm: a decade."""
 
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """What an alternative leaves of one recording.
+    """Errors of an alternative on one recording.
 
     Attributes
     ----------
     left_um : (n,) array
-        On held-out rows.
+        Residual on held-out rows.
     stretch : (n,) array of int
-        Number of the stretch of each row.
+        Number of the stretch that each row belongs to.
     """
 
     left_um: FloatArray
@@ -38,30 +38,30 @@ class HeldOut:
 
     @cached_property
     def mean_square_um2(self) -> float:
-        """Return the mean square that is left."""
+        """Return the mean square residual."""
         return float(np.mean(self.left_um**2))
 
     @cached_property
     def independent(self) -> float:
-        """Return how many of the rows err independently."""
+        """Return the number of independent errors."""
         return float(self.left_um.size * np.mean(self.left_um**2)
                      / correlated_scale(self.left_um) ** 2)
 
 
 @dataclass(frozen=True, eq=False)
 class Remainder:
-    """What remains of one recording.
+    """Remaining error of one recording.
 
     Attributes
     ----------
     name : str
-        Of the recording.
+        Name of the recording.
     held_out : HeldOut
-        What is left of samples that were not fitted.
+        Residual of samples that were not fitted.
     period_s : float
         Sample period.
     travel_um, motion_um : float
-        Peak-to-peak and RMS of the measured displacement.
+        Peak-to-peak and RMS values of the measured displacement.
     """
 
     name: str
@@ -72,7 +72,7 @@ class Remainder:
 
 
 def held_out_of(fit: JointFit) -> list[HeldOut]:
-    """Return what a fit leaves of the held-out rows of each recording."""
+    """Return the residual of a fit on the held-out rows of each recording."""
     regression = fit.regression
     good = regression.estimation | regression.validation
     return [HeldOut(left_um[held_out], regression.dataset.stretch[mask & good][held_out])
@@ -81,14 +81,14 @@ def held_out_of(fit: JointFit) -> list[HeldOut]:
 
 
 def expected_widths(effects: Sequence[Effect], extent: Extent | None = None) -> FloatArray:
-    """Return the standard deviations with which fitted numbers of effects are expected, (p,).
+    """Return the prior standard deviations of fitted parameters of effects, (p,).
 
-    They are a decade, or those of a uniform distribution within the bounds where these are closer.
+    They are a decade, or those of a uniform distribution between the bounds if that is narrower.
 
     Parameters
     ----------
     extent : Extent, optional
-        Of the recordings, which bound the numbers.
+        Ranges of the recordings, which bound the parameters.
 
     Returns
     -------
@@ -98,7 +98,7 @@ def expected_widths(effects: Sequence[Effect], extent: Extent | None = None) -> 
     for effect in effects:
         values, low, high = fitted_values(effect, extent)
         units = units_of_fitted(effect)
-        # Coefficients of one unit are as large as the largest of them may make one expect.
+        # Coefficients of one unit are expected to be as large as the largest of them.
         largest = [max(abs(value) for value, other in zip(values, units, strict=True)
                        if other == unit) for unit in units]
         decade = WIDEST * np.where([unit is None for unit in units], 1.0, largest)
@@ -108,27 +108,28 @@ def expected_widths(effects: Sequence[Effect], extent: Extent | None = None) -> 
 
 def occam_penalty(covariance: FloatArray | None, widths: FloatArray, rows: float,
                   counted: float) -> float:
-    """Return what fitted numbers cost: the logarithm of how far the recordings narrow them.
+    """Return the cost of fitted parameters: the logarithm of how far the recordings narrow them.
 
-    This is Laplace's approximation of the evidence with a Gaussian prior of the widths (MacKay,
-    Neural Computation 4, 1992): half of the sum of ln(1 + w^2 / s^2) in the principal directions.
-    None of them costs more than with a prior that tells as much as one error (Schwarz 1978): how
-    an effect is parameterised, and how wide its bounds are, says nothing of how likely it is.
+    This is Laplace's approximation of the evidence with a Gaussian prior of the given widths
+    (MacKay, Neural Computation 4, 1992): half of the sum of ln(1 + w^2 / s^2) over the principal
+    directions. The cost per parameter is limited to that of a prior as informative as one error
+    (Schwarz 1978), because the choice of parameters and bounds says nothing about how likely an
+    effect is.
 
     Parameters
     ----------
     covariance : (p, p) array or None
-        Of the numbers by the recordings; None where it is not known, and all then cost the most.
+        Covariance of the parameters from the recordings; if None, each has the largest cost.
     widths : (p,) array
-        Standard deviations with which the numbers are expected.
+        Prior standard deviations of the parameters.
     rows, counted : float
-        Rows of the recordings, and how many errors the evidence counts: by so much less does it
-        determine the numbers.
+        Number of rows of the recordings, and number of errors that the evidence counts. The
+        covariance is increased by their ratio.
 
     Returns
     -------
     float
-        A number of which the evidence tells nothing costs nothing.
+        A parameter that the recordings do not determine contributes nothing.
     """
     most = 0.5 * float(np.log(max(counted, 2.0)))
     if covariance is None or covariance.shape != (widths.size, widths.size):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The residual of each recording, and the noise and outliers that it shows."""
+"""The residual of each recording, and the noise and outliers estimated from it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,19 +16,19 @@ from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
 
 MOST_SAMPLES = 50_000
-"""Samples that the nuisance regressors of one recording are fitted to: they are a handful."""
+"""Largest number of samples used to fit the few nuisance regressors of one recording."""
 
 
 @dataclass(frozen=True, eq=False)
 class NoiseEstimate:
-    """Noise and outliers of each recording, as they show beside some effects.
+    """Noise and outliers of each recording, estimated with some effects in the model.
 
     Attributes
     ----------
     noise_um : tuple of float
-        Standard deviation of the sensor's noise.
+        Standard deviation of the sensor noise.
     outliers : tuple of (N,) array of bool
-        Samples that were marked before, or stand out of the residual.
+        Samples that were marked before or that stand out in the residual.
     """
 
     noise_um: tuple[float, ...]
@@ -37,13 +37,13 @@ class NoiseEstimate:
 
 def estimate_noise(dataset: Dataset, effects: Sequence[Effect] = (),
                    before: NoiseEstimate | None = None) -> NoiseEstimate:
-    """Estimate noise and outliers from the residual that the model with some effects leaves.
+    """Estimate noise and outliers from the residual of the model with some effects.
 
     Parameters
     ----------
     before : NoiseEstimate, optional
-        An earlier estimate, whose outliers do not bend the residual; by default only samples that
-        were marked as outliers are left out.
+        Earlier estimate, whose outliers are excluded from the fit of the residual; by default only
+        samples that were marked as outliers are excluded.
     """
     residuals = [residual_um(dataset, index, effects, before)
                  for index in range(len(dataset.simulated))]
@@ -64,21 +64,21 @@ def estimate_noise(dataset: Dataset, effects: Sequence[Effect] = (),
 
 def residual_um(dataset: Dataset, index: int, effects: Sequence[Effect] = (),
                 noise: NoiseEstimate | None = None) -> FloatArray:
-    """Return measured minus simulated of one recording, without its nuisance regressors, (N,).
+    """Return measured minus simulated displacement without its nuisance part, (N,).
 
     Parameters
     ----------
     index : int
-        Of the recording.
+        Index of the recording.
     noise : NoiseEstimate, optional
-        Its outliers are not fitted; by default only those that were marked are not.
+        Estimate whose outliers are not fitted; by default only marked outliers are excluded.
     """
     return _without_nuisance(dataset.simulated[index], effects, _outliers(dataset, index, noise))
 
 
 def residual_of_model_um(dataset: Dataset, index: int, model: StageModel,
                          noise: NoiseEstimate | None = None) -> FloatArray:
-    """Return the residual of one recording beside another model, (N,); see `residual_um`."""
+    """Return the residual of one recording with another model, (N,); see `residual_um`."""
     part = dataset.simulated[index].with_model(model)
     return _without_nuisance(part, (), _outliers(dataset, index, noise))
 

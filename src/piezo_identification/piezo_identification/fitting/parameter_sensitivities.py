@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How a simulated displacement changes with the parameters of the model."""
+"""Sensitivities of a simulated displacement to the parameters of the model."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,22 +20,22 @@ from piezo_models.linear.creep_errors import creep_error_map
 
 @dataclass(frozen=True)
 class PriorWidths:
-    """Widths to which an identification knows the parameters of a model, as logarithms.
+    """Prior widths of the parameters of an identified model, as logarithms.
 
     Attributes
     ----------
     dynamics_and_density : float
-        Of the time constant, the modes, and the surface by which the density is multiplied.
+        Width of the time constant, the modes, and the surface that multiplies the density.
     creep : float
-        Of the creep's rates and sizes: a recording covers few of their time constants.
+        Width of the rates and sizes of the creep: a recording covers few of its time constants.
     reversible : float
-        Of the part of the gain that is reversible: small loops alone tell it from the rest.
+        Width of the reversible part of the gain, which only small loops distinguish from the rest.
     middle_knots, span_knots : int
-        Of the surface by which the density may be multiplied: few enough to stay smooth.
+        Knots of the surface that multiplies the density: few, so that it stays smooth.
     near_diagonal : tuple of (float, float)
-        Further factors of the density, about its diagonal: the span over which each decays, as a
-        part of the voltage's range, and its width. An identification turns through small spans on
-        its way to large ones, and knows least of them. Chosen on seed 304 of
+        Further factors of the density near its diagonal: the span over which each decays, relative
+        to the voltage range, and its width. Small spans are the least certain, because an
+        identification crosses them on its way to large ones. Chosen on seed 304 of
         `piezo_studies.diagnosis_calibration`.
     """
 
@@ -51,17 +51,17 @@ WIDTHS = PriorWidths()
 
 
 def parameter_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp]) -> FloatArray:
-    """Return the change of the displacement with each parameter, for a change by its prior width.
+    """Return the change of the displacement when each parameter changes by its prior width.
 
     Parameters
     ----------
     rows : array of int
-        Samples.
+        Indices of the samples.
 
     Returns
     -------
     (n, parameters) array
-        For the changes that `perturbed` takes.
+        Columns in the order of the changes that `perturbed` takes.
     """
     model = part.model
     linear = model.linear()
@@ -88,7 +88,7 @@ def perturbed(model: StageModel, changes: FloatArray) -> StageModel:
     Parameters
     ----------
     changes : (n,) array
-        In prior widths, in the order of `parameter_sensitivities`.
+        Changes in prior widths, in the order of `parameter_sensitivities`.
     """
     changes = _width_map(model) @ changes
     used = 0
@@ -119,7 +119,7 @@ def perturbed(model: StageModel, changes: FloatArray) -> StageModel:
 
 
 def _width_map(model: StageModel) -> FloatArray:
-    """Return the logarithms of the factors of the parameters, for a change of each by one width."""
+    """Return the logarithms of the parameter factors for a change of each by one width."""
     pairs = len(model.creep.poles_rad_per_s)
     dynamics = model.dynamics
     others = (
@@ -134,15 +134,15 @@ def _width_map(model: StageModel) -> FloatArray:
 
 
 def _smooth_surfaces(model: StageModel) -> FloatArray:
-    """Return what is added to the factor of each cell, for a change of each knot by one."""
+    """Return the change of the factor of each cell when each knot changes by one."""
     size = len(model.hysteresis.density_um_per_v2)
     return factor_surfaces(size, WIDTHS.middle_knots, WIDTHS.span_knots)
 
 
 def _near_surfaces(model: StageModel) -> FloatArray:
-    """Return the same for changes about the diagonal, scaled so that all have one prior width.
+    """Return the change of the factor of each cell near the diagonal, scaled to one prior width.
 
-    They are errors of the density, and leave the reversible part as it is.
+    The reversible part is not changed.
     """
     size = len(model.hysteresis.density_um_per_v2)
     rising, falling = np.indices((size, size))
@@ -152,9 +152,9 @@ def _near_surfaces(model: StageModel) -> FloatArray:
 
 
 def _traded(hysteresis: PreisachModel, part: float) -> PreisachModel:
-    """Make a part of the gain of the hysteresis over the whole range reversible.
+    """Make a fraction of the gain of the hysteresis over the whole range reversible.
 
-    A negative part makes no more irreversible than is reversible.
+    A negative fraction makes at most the whole reversible part irreversible.
     """
     low_um, high_um = hysteresis.output_range_um
     gain_um_per_v = (high_um - low_um) / (hysteresis.voltage_max_v - hysteresis.voltage_min_v)
@@ -170,7 +170,7 @@ def _traded(hysteresis: PreisachModel, part: float) -> PreisachModel:
 
 def _times(hysteresis: PreisachModel, surface: FloatArray,
            diagonal: FloatArray) -> PreisachModel:
-    """Multiply the density of the hysteresis by a surface, and its reversible part on a line."""
+    """Multiply the density by a surface, and the reversible part by its diagonal."""
     return replace(
         hysteresis, density_um_per_v2=hysteresis.density_um_per_v2 * surface,
         reversible_um_per_v=hysteresis.reversible_um_per_v * diagonal)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What each recording shows of the model's error, for the effects to guess their parameters."""
+"""Errors of the model in each recording, from which effects derive initial guesses."""
 
 from collections.abc import Callable, Sequence
 
@@ -15,7 +15,7 @@ from piezo_models.effects import Effect, Evidence
 
 
 def recording_evidence(regression: Regression, effects: Sequence[Effect] = ()) -> list[Evidence]:
-    """Return what each recording shows beside the model with some effects."""
+    """Return the errors of each recording with some effects in the model."""
     return [_of_recording(regression, index, mask, effects)
             for index, mask in enumerate(regression.dataset.masks())]
 
@@ -40,21 +40,23 @@ def _projections(
     regressors: FloatArray, prior: FloatArray, rows: NDArray[np.intp], tolerance_um: float,
     difference_um: FloatArray,
 ) -> tuple[Callable[..., tuple[FloatArray, float]], Callable[[FloatArray], float]]:
-    """Return how much a contribution explains of what the regressors leave, and how much shows.
+    """Return functions for the error that contributions explain, and for their visibility.
 
     Parameters
     ----------
     regressors : (n, m) array
-        At the rows, over the tolerance.
+        Regressors at the rows, divided by the tolerance.
     prior : (p, m) array
+        Rows of the prior.
     rows : (n,) array of int
+        Indices of the samples.
     difference_um : (N,) array
-        Measured minus simulated.
+        Measured minus simulated displacement.
 
     Returns
     -------
     reduction, visible : callable
-        Of `piezo_models.effects.effect.Evidence`.
+        Fields of `piezo_models.effects.effect.Evidence`.
     """
     q, _ = np.linalg.qr(np.vstack([regressors, prior]))
 

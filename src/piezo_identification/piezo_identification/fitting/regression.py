@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Linear regression of the residual on what is unknown beside any effect.
+"""Linear regression of the residual on nuisance signals and changes of the model's parameters.
 
 The nuisance regressors are free. The changes of the model's parameters have a prior variance, so
-that they explain an error only as far as they can be believed.
+that they explain an error only with plausible changes.
 """
 
 from collections.abc import Sequence
@@ -27,13 +27,13 @@ class RegressionSettings:
     Attributes
     ----------
     prior_share : float
-        Part of the energy of what is not explained, beyond the noise, that a change of a parameter
-        by its prior width costs. However large the error, the parameters then explain it only with
-        changes that can be believed.
+        Cost of a parameter change by its prior width, as a fraction of the unexplained energy
+        beyond the noise. Even large errors are then explained only with plausible changes.
     least_share : float
-        Part of the noise's energy that counts as not explained at least.
+        Smallest unexplained energy that is assumed, as a fraction of the noise energy.
     model_tolerance : float
-        Part of the travel to which a good model is right: less is not worth an effect.
+        Accuracy of a good model, as a fraction of the travel: smaller errors do not justify an
+        effect.
     """
 
     prior_share: float = 0.02
@@ -52,19 +52,19 @@ def accuracies_um(dataset: Dataset) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Effects as fitted, and what is left beside them.
+    """Fitted effects and the residual with them.
 
     Attributes
     ----------
-    effects : tuple of piezo_models.effects.effect.Effect
     residual : (r,) array
-        What the regressors leave of `difference`.
+        Part of `difference` that the regressors do not explain.
     difference : (r,) array
-        Measured minus simulated of all rows, each over the tolerance of its recording.
+        Measured minus simulated displacement at all rows, divided by the tolerance of its
+        recording.
     coefficients : (m,) array
-        Of the regressors.
+        Coefficients of the regressors.
     covariance : (p, p) array or None
-        Of the fitted values of the effects.
+        Covariance of the fitted values of the effects.
     """
 
     effects: tuple[Effect, ...]
@@ -75,12 +75,12 @@ class Fit:
 
     @property
     def parameter_count(self) -> int:
-        """Return how many numbers were fitted."""
+        """Return the number of fitted parameters."""
         return sum(fitted_values(effect)[0].size for effect in self.effects
                    if type(effect) is not Outliers)
 
     def without(self, number: int) -> tuple[Effect, ...]:
-        """Return the effects but one."""
+        """Return all effects except one."""
         return (*self.effects[:number], *self.effects[number + 1 :])
 
 
@@ -90,14 +90,12 @@ class Regression:
 
     Attributes
     ----------
-    dataset : Dataset
-    noise : NoiseEstimate
     tolerance_um : (r,) array
-        The noise and what a good model may be wrong by.
+        Combined noise and accuracy of a good model.
     estimation, validation : (r,) array of bool
         Rows without outliers that are fitted, and those of the validation set.
     prior : (p, m) array
-        Rows that carry the prior of the parameters.
+        Rows that contain the prior of the parameters.
     """
 
     dataset: Dataset
@@ -109,35 +107,35 @@ class Regression:
 
     @property
     def weighted(self) -> FloatArray:
-        """Return the regressors over the tolerance, (r, m)."""
+        """Return the regressors divided by the tolerance, (r, m)."""
         return np.asarray(self.dataset.regressors / self.tolerance_um[:, None])
 
     @cached_property
     def _factors(self) -> tuple[FloatArray, FloatArray]:
         """Return the QR factors of the estimation rows and the prior together.
 
-        They are as large as the recordings, and many fits are never asked for them.
+        They are as large as the recordings, and are computed only when needed.
         """
         q, r = np.linalg.qr(np.vstack([self.weighted[self.estimation], self.prior]))
         return q, r
 
     def difference(self, effects: Sequence[Effect], quick: Sequence[Effect] = ()) -> FloatArray:
-        """Return measured minus simulated over the tolerance, (r,)."""
+        """Return measured minus simulated displacement, divided by the tolerance, (r,)."""
         return self.dataset.difference_um(effects, quick) / self.tolerance_um
 
     def remainder(self, difference: FloatArray) -> FloatArray:
-        """Return what the regressors leave of the estimation rows, with their own deviations."""
+        """Return the residual of the estimation rows, followed by that of the prior."""
         padded, (q, _) = self._padded(difference), self._factors
         return padded - q @ (q.T @ padded)
 
     def fit(self, effects: Sequence[Effect], covariance: FloatArray | None = None,
             quick: Sequence[Effect] = ()) -> Fit:
-        """Fit the regressors beside effects as they are.
+        """Fit the regressors with the effects fixed.
 
         Parameters
         ----------
         covariance : (p, p) array, optional
-            Of the fitted values of the effects, where they were fitted.
+            Covariance of the fitted values of the effects, if they were fitted.
         quick : sequence of piezo_models.effects.effect.Effect
             See `SimulatedRecording.simulate`.
         """
@@ -148,10 +146,10 @@ class Regression:
                    np.asarray(coefficients, dtype=float), covariance)
 
     def as_given(self, effects: Sequence[Effect] = ()) -> Fit:
-        """Fit what belongs to a recording beside effects and the model as they are.
+        """Fit the nuisance regressors only, with the effects and the model fixed.
 
-        All rows tell of it: the ends of an initial creep that only held-out rows show would be
-        anything otherwise.
+        All rows are used: otherwise initial creep that shows only in held-out rows would be
+        undetermined.
         """
         dataset, difference = self.dataset, self.difference(effects)
         rows = self.estimation | self.validation
@@ -162,15 +160,15 @@ class Regression:
                    coefficients)
 
     def noise_of_rows(self) -> FloatArray:
-        """Return the sensor's noise at all rows, in tolerances, (r,)."""
+        """Return the sensor noise at all rows, in tolerances, (r,)."""
         return self.dataset.of_each(self.noise.noise_um) / self.tolerance_um
 
     def left_um(self, fit: Fit) -> float:
-        """Return the RMS of what a fit leaves on the validation set, noise and all."""
+        """Return the RMS residual of a fit on the validation set, including noise."""
         return float(np.sqrt(np.mean((fit.residual * self.tolerance_um)[self.validation] ** 2)))
 
     def extended_model(self, fit: Fit) -> StageModel:
-        """Return the model with the effects of a fit, and its parameters as fitted beside them."""
+        """Return the model with the effects of a fit and with its parameters fitted together."""
         dataset = self.dataset
         model = perturbed(dataset.model, fit.coefficients[dataset.nuisance_count :])
         return replace(model, effects=(*dataset.model.effects, *fit.effects))
@@ -182,7 +180,7 @@ class Regression:
 
 def regression_beside(dataset: Dataset, noise: NoiseEstimate,
                       effects: Sequence[Effect] = ()) -> Regression:
-    """Weigh the rows, with the prior that fits to what is left beside some effects.
+    """Weigh the rows, with a prior that matches the residual with some effects.
 
     Parameters
     ----------
@@ -205,23 +203,23 @@ def regression_beside(dataset: Dataset, noise: NoiseEstimate,
 
 
 def first_regression(dataset: Dataset) -> Regression:
-    """Weigh the rows by the noise and outliers that the model as given shows."""
+    """Weigh the rows by the noise and outliers estimated with the model as given."""
     return regression_beside(dataset, estimate_noise(dataset))
 
 
 def reweighted(regression: Regression, effects: Sequence[Effect]) -> Regression:
-    """Estimate noise and outliers once more beside effects, and weigh the rows by them."""
+    """Estimate noise and outliers again with effects, and weigh the rows by them."""
     noise = estimate_noise(regression.dataset, effects, regression.noise)
     return regression_beside(regression.dataset, noise, effects)
 
 
 def fit_without_effects(regression: Regression) -> Fit:
-    """Fit the regressors alone, with the prior that fits to what they leave themselves."""
+    """Fit the regressors alone, with a prior that matches their own residual."""
     return regression_beside(regression.dataset, regression.noise).fit(())
 
 
 def with_fixed_parameters(regression: Regression, effects: Sequence[Effect]) -> Regression:
-    """Hold the model's parameters as they are, beside some effects."""
+    """Return the regression with some effects and with the model's parameters held fixed."""
     dataset = regression.dataset
     regressors = dataset.regressors.copy()
     regressors[:, dataset.nuisance_count :] = 0.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How the displacement depends on each parameter of the model."""
+"""Sensitivities of the displacement to the parameters of the model."""
 
 
 from functools import lru_cache
@@ -11,21 +11,22 @@ from piezo_common.arrays import FloatArray
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
 MIDDLE_KNOTS, SPAN_KNOTS = 4, 8
-"""Between which the surface that multiplies the density is bilinear."""
+"""Knots of the bilinear surface that multiplies the density."""
 
 
 def sensitivity_systems(
     creep: CreepDynamics, dynamics: ElectricVibrationDynamics,
 ) -> list[control.StateSpace]:
-    """Systems that turn the displacement into its derivatives by the logarithms of parameters.
+    """Return systems from the displacement to its derivatives by the logarithms of parameters.
 
-    The derivative of a factor of the transfer function by one of its parameters, over the factor.
+    Each is the derivative of a factor of the transfer function by one of its parameters, divided
+    by the factor.
 
     Returns
     -------
     list of control.StateSpace
-        Creep poles, creep zeros, time constant unless it is 0, mode frequencies, damping ratios,
-        and those of the antiresonances.
+        Systems for the creep poles, creep zeros, time constant unless it is 0, mode frequencies,
+        damping ratios, and those of the antiresonances.
     """
     def first_order(rate: float, gain: float, direct: float = 0.0) -> control.StateSpace:
         return control.ss([[-rate]], [[rate]], [[gain]], [[direct]])
@@ -58,15 +59,15 @@ def sensitivity_systems(
 def factor_surfaces(
     size: int, middle_knots: int = MIDDLE_KNOTS, span_knots: int = SPAN_KNOTS,
 ) -> FloatArray:
-    """Surfaces over the cells of a density that sum to one.
+    """Return surfaces over the cells of a density that sum to one.
 
-    They are bilinear between knots in the middle of the thresholds and in the root of their span:
-    a density changes fastest near the diagonal, where the knots lie close.
+    They are bilinear between knots in the mean of the thresholds and in the square root of their
+    span: a density changes fastest near the diagonal, where the knots are closest.
 
     Parameters
     ----------
     size : int
-        Cells along each threshold.
+        Number of cells along each threshold.
 
     Returns
     -------
@@ -74,7 +75,7 @@ def factor_surfaces(
         Lower triangular.
     """
     alpha, beta = np.indices((size, size))
-    # A cell on the diagonal is a triangle, whose centroid lies aside.
+    # A cell on the diagonal is a triangle, whose centroid is off the diagonal.
     span = np.where(alpha == beta, 1.0 / 3.0, alpha - beta) / size
 
     surfaces = [
@@ -86,5 +87,5 @@ def factor_surfaces(
 
 
 def _hats(position: FloatArray, knots: int) -> list[FloatArray]:
-    """Functions of a position from 0 to 1, linear between knots, that sum to one."""
+    """Return piecewise linear functions of a position from 0 to 1 that sum to one."""
     return [np.maximum(0.0, 1.0 - np.abs(position * (knots - 1) - knot)) for knot in range(knots)]

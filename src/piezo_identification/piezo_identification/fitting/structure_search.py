@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Search for the structure of a model: one part more, less or elsewhere, all else fitted anew."""
+"""Search for the structure of a model: change one part at a time and refit all parameters."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
@@ -14,7 +14,7 @@ from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
 from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.band_limited_voltage import BandLimitedVoltage
-from piezo_models.effects.coupled_mode import CoupledMode
+from piezo_models.effects.coupled_mode import CoupledMode, modes_in_parallel
 from piezo_models.effects.second_order_amplifier import SecondOrderAmplifier
 from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.effects.vibration_mode import VibrationMode
@@ -23,53 +23,53 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """How far the search goes.
+    """Limits of the search.
 
     Attributes
     ----------
     steps : int
-        Of a fit from each start, and of the last.
+        Largest number of steps of the fit from each start and of the last fit.
     screening_steps : int
-        Of each structure that is tried.
+        Largest number of steps for each structure that is tried.
     followed_steps : int
-        Further steps of one that these have made promising.
+        Largest number of further steps for a promising structure.
     followed : int
-        Structures of each round that are followed.
+        Number of structures per round that get further steps.
     rounds : int
-        Changes of the structure at most.
+        Largest number of changes of the structure.
     promise : float
-        Evidence, as a natural logarithm, by which a structure may be behind then; one that is
-        further behind is not tried again.
+        Largest deficit of log-evidence with which a structure is followed or tried again.
     promise_of_start : float
-        The same for a start with another kind of amplifier, whose loops were not estimated yet.
+        The same for a start with another kind of amplifier, whose loops were not yet estimated.
     chance : float
-        The same by which rows that are held out may be worse, by chance alone.
+        Largest loss of log-likelihood on held-out rows that is attributed to chance.
     modes_less : int
-        Modes of each round, those that matter least, without which the model is tried.
+        Number of modes per round, the least important ones, that are removed on trial.
     above_noise : float
-        What has to be left of a recording, over its noise, for more to be sought there.
+        Smallest residual of a recording, relative to its noise, for which further parts are tried.
     adequate : float
-        Error of an adequate model, over that of a good one: 2e-5 of the travel, as `adequacy` has.
+        Error of an adequate model, relative to that of a good one: 2e-5 of the travel, as in
+        `adequacy`.
     wrong : float
-        What is left of the fastest recording, over its noise, from which every structure gets as
-        many steps as the first fit.
+        Residual of the fastest recording, relative to its noise, above which every structure gets
+        as many steps as the first fit.
     highest : float
-        Frequency of such a mode at most, over that of the samples.
+        Highest frequency of a mode, relative to the sampling frequency.
     slowest : float
-        Frequency of a mode at least, over the highest: of a slower one, creep has been taken.
+        Lowest frequency of a mode, relative to the highest; slower ones are creep.
     most_damped : float
-        Damping ratio of a mode that is kept in the plainest start.
+        Largest damping ratio of a mode that is kept in the simplest start.
     least_in_phase : float
-        Sum of the participations of modes, over that of their sizes, below which they are no modes
-        of one structure in phase.
+        Sum of the participations of modes, relative to the sum of their magnitudes, below which
+        they are not treated as modes of one structure in phase.
     most_uncoupled : float
         Largest damping ratio of a mode of a structure.
     first_lag : float
-        Least time constant, in sample periods, from which a new lag is fitted.
+        Smallest initial time constant of a new lag, in sample periods.
     faster_creep : float
-        Rate of a new pair of the creep over that of the fastest.
+        Rate of a new creep pair, relative to the fastest rate.
     widest_gap : float
-        Rate of a pair over that of the next slower one beyond which a start has one between them.
+        Ratio of neighbouring creep rates above which a start gets another pair between them.
     """
 
     steps: int = 12
@@ -97,24 +97,22 @@ class SearchSettings:
 SETTINGS = SearchSettings()
 
 Tried = tuple[str, WholeFit]
-"""What was changed, and how that fitted."""
+"""Description of a change of the structure, and the fit with it."""
 
 Begun = tuple[WholeModel, WholeFit]
-"""A start that was fitted, behind the problem with its loops."""
+"""A fitted start, preceded by the problem with its loops."""
 
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """A structure to fit from some values.
+    """A structure to fit, with initial values.
 
     Attributes
     ----------
     change : str
-        What it has more or less than the one before.
-    model : StageModel
-    delay_s : float or None
+        Difference from the structure before.
     is_far : bool
-        Its values are far from where they would be right: it gets as many steps as a start.
+        True if its values are far from the optimum: it then gets as many steps as a start.
     """
 
     change: str
@@ -133,27 +131,27 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
     Parameters
     ----------
     given : StageModel
-        That was identified step by step.
+        Model identified step by step.
     delay_s : float or None
-        Of it, negative where its rows are read later than the problem says.
+        Delay of that model; negative if its rows are read later than stated in the problem.
     report : callable
-        Called with what is tried, and the fraction done, before each.
+        Called with a description and the fraction done before each fit.
     is_asked_for : callable
-        Tells whether a model may be tried.
+        Returns whether a model may be tried.
     with_loops_beside : callable, optional
-        Returns the problem with the loops that were estimated anew beside a structure as it is.
-        Those of the given model follow what its creep and dynamics lack, from which a fit with
-        other ones takes long to come back, if it does. The starts differ little in what the loops
-        see, so that one estimate serves all but the given model.
+        Returns the problem with loops estimated together with a structure. The loops of the given
+        model compensate for the errors of its creep and dynamics, and a fit with other dynamics
+        takes long to correct them. One estimate is used for all starts except the given model,
+        because the starts differ little at the speed of the loops.
 
     Returns
     -------
     promising : list of (WholeModel, WholeFit)
-        The best of all that were tried, the given model included, and the best with another kind
-        of amplifier if it is not far behind, each with its problem: which of them leads farthest is
-        not known before.
+        The best fit of all, including the given model, and the best one with another kind of
+        amplifier if it is not far behind, each with its problem. Which one will end up better is
+        not known at this stage.
     tried : list of (str, WholeFit)
-        All that were tried, in their order.
+        All fits in the order they were made.
     """
     best = before = problem.fit(given, delay_s, 0)
     tried = [("step by step", before)]
@@ -177,7 +175,7 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
             if structure not in between and beside is problem and with_loops_beside is not None:
                 beside = with_loops_beside(structure)
             where = problem if structure in between else beside
-            # A delay takes the place of an amplifier that has yet to be found.
+            # A delay compensates for an amplifier that is yet to be found.
             is_delayed_later = structure.delay_s is None and (delay_s or 0.0) > 0.0
             fit = where.fit(structure.model, structure.delay_s,
                             SETTINGS.followed_steps if is_delayed_later else SETTINGS.steps)
@@ -198,7 +196,7 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
 
 
 def has_amplifier(fit: WholeFit) -> bool:
-    """Tell whether a fit has an amplifier of second order, to which no step by step leads."""
+    """Return whether a fit has a second-order amplifier, which no step-by-step fit finds."""
     return any(isinstance(effect, SecondOrderAmplifier) for effect in fit.model.effects)
 
 
@@ -206,19 +204,21 @@ def searched(problem: WholeModel, best: WholeFit,
              report: Callable[[str, float], object] = lambda *_: None,
              is_asked_for: Callable[[StageModel], bool] = lambda _: True,
              ) -> tuple[WholeFit, list[Tried]]:
-    """Change the structure of a fitted model as long as that has more evidence.
+    """Change the structure of a fitted model as long as the evidence increases.
 
     Parameters
     ----------
     best : WholeFit
-        Of this problem.
+        Fit of this problem.
     report, is_asked_for : callable
-        As of `begun`.
+        As in `begun`.
 
     Returns
     -------
     best : WholeFit
+        Fit with the most evidence.
     tried : list of (str, WholeFit)
+        All fits in the order they were made.
     """
     refuted, tried = set[str](), list[Tried]()
     screened = list[Tried]()
@@ -227,7 +227,7 @@ def searched(problem: WholeModel, best: WholeFit,
             screened = []
             check_cancelled()
             if not best.has_converged:
-                # Others would win by their steps alone.
+                # Otherwise others would win only because of their additional steps.
                 again = problem.again(best, SETTINGS.followed_steps)
                 tried.append(("the same, on from there", again))
                 best = again if is_better(again, best) else best
@@ -262,8 +262,8 @@ def searched(problem: WholeModel, best: WholeFit,
 
 def _screen(problem: WholeModel, best: WholeFit, listed: Sequence[Structure],
             screened: list[Tried], report: Callable[[str, float], object]) -> None:
-    """Fit structures by a few steps, and add each to a list as soon as that is done."""
-    # What is clearly wrong is far from where it would be right.
+    """Fit structures with a few steps each, and append each fit to a list once it is done."""
+    # Structures near a clearly wrong model are far from their optimum.
     is_wrong = problem.fastest_over_noise(best) > SETTINGS.wrong
 
     def fit(structure: Structure) -> None:
@@ -274,29 +274,29 @@ def _screen(problem: WholeModel, best: WholeFit, listed: Sequence[Structure],
     def reported(number: int) -> None:
         report(listed[number].change, number / len(listed))
 
-    # The first computes what the others share.
+    # The first fit computes what the others share.
     side_by_side(fit, listed[:1], reported)
     side_by_side(fit, listed[1:], lambda number: reported(number + 1))
 
 
 def _of_round(report: Callable[[str, float], object], turn: int) -> Callable[[str, float], object]:
-    """Return what a round is to call: nobody knows how many follow, as likely one more as none."""
+    """Return the progress callback of a round; the number of further rounds is unknown."""
     return lambda what, part: report(what, 1.0 - 0.5 ** (turn + part))
 
 
 def _better(problem: WholeModel, tried: Sequence[Tried], best: WholeFit) -> list[WholeFit]:
-    """Return the fits that are better than the best so far, and that the samples show."""
+    """Return the fits that are better than the best so far, with all modes within the band."""
     return [fit for _, fit in tried if is_better(fit, best) and has_modes_in_band(problem, fit)]
 
 
 def starts(problem: WholeModel, given: StageModel,
            delay_s: float | None) -> Iterator[Structure]:
-    """Yield what the search may begin from.
+    """Yield alternative starts of the search.
 
-    Beside the given model, those are the modes that ring alone with a lag on either side of the
-    hysteresis: a search without the hysteresis takes what its loops do for dynamics, from which no
-    step by step leads back.
+    They contain the ringing modes and a lag on one side of the hysteresis. A search without the
+    hysteresis describes part of the loops as dynamics, which step-by-step changes cannot undo.
     """
+    given = _with_modes_in_parallel(given)
     ringing = [effect for effect in given.effects
                if isinstance(effect, VibrationMode) and _rings(problem, effect)]
     if given.dynamics.is_static and not ringing:
@@ -313,7 +313,7 @@ def starts(problem: WholeModel, given: StageModel,
     yield Structure(f"{what}, with an amplifier's lag", replace(
         bare, effects=(AmplifierLag(lag_s), *effects)), delay_s)
     if any(type(mode) is CoupledMode for mode in modes):
-        # It begins without a delay, which is added to it later.
+        # The delay is added later.
         late_s = lag_s + max(delay_s or 0.0, 0.0)
         yield Structure(f"{what} in phase, an amplifier of second order", replace(
             bare, effects=(SecondOrderAmplifier(late_s), *_uncoupled(modes), *others)), None)
@@ -322,13 +322,27 @@ def starts(problem: WholeModel, given: StageModel,
             _electric(bare, lag_s), effects=effects), delay_s)
 
 
+def _with_modes_in_parallel(model: StageModel) -> StageModel:
+    """Return a model whose modes with antiresonances are in parallel; else the model itself."""
+    dynamics = model.dynamics
+    zeros = len(dynamics.antiresonance_frequencies_rad_per_s)
+    if not 0 < zeros < len(dynamics.mode_frequencies_rad_per_s):
+        return model
+    try:
+        modes = modes_in_parallel(dynamics)
+    except ValueError:  # The parts of nearly equal modes are unbounded.
+        return model
+    return replace(model, effects=(*modes, *model.effects),
+                   dynamics=ElectricVibrationDynamics(dynamics.time_constant_s))
+
+
 def between_rows(problem: WholeModel, given: StageModel,
                  delay_s: float | None) -> Iterator[Structure]:
-    """Yield models of a voltage that is smooth between its rows, of all modes and of the loudest.
+    """Yield models with a band-limited voltage, with all modes and with only the loudest one.
 
-    A held voltage comes later by half a row, and weaker where it is fast: a fit takes both for
-    lags and further modes. Slow voltages do not tell the two apart, so that it is asked of models
-    that are clearly wrong alone. The rows of means are read as they are.
+    A held voltage is half a sample later, and weaker at high frequencies; a fit describes both by
+    lags and further modes. Slow voltages do not distinguish the two, so these models are only
+    tried when the others are clearly wrong. They do not apply to rows of means.
     """
     if not problem.is_sampled or given.dynamics.is_static and not given.effects_at("modes"):
         return
@@ -341,7 +355,7 @@ def between_rows(problem: WholeModel, given: StageModel,
 
 
 def loudest_mode(model: StageModel, sample_period_s: float) -> ElectricVibrationDynamics:
-    """Return a mode as loud as a model is where its gain is largest, in the band of samples."""
+    """Return a mode at the largest gain of a model within the sampled band, with that gain."""
     highest = _highest_rad_per_s(sample_period_s)
     frequency = np.geomspace(1e-3 * highest, highest, 4000)
     gain = np.abs(model.response(frequency / (2.0 * np.pi))) / np.abs(model.response([0.0]))
@@ -351,14 +365,14 @@ def loudest_mode(model: StageModel, sample_period_s: float) -> ElectricVibration
 
 
 def _without_gaps(creep: CreepDynamics) -> CreepDynamics:
-    """Return a creep with further pairs wherever two rates are far apart, of the same gain."""
+    """Return a creep of the same gain with further pairs wherever two rates are far apart."""
     while len(creep.poles_rad_per_s) > 1 and _widest_gap(creep)[1] > SETTINGS.widest_gap:
         creep = _with_pair_between(creep)
     return creep
 
 
 def _widest_gap(creep: CreepDynamics) -> tuple[int, float]:
-    """Return which rate is farthest from the next, and their ratio."""
+    """Return the index of the rate farthest from the next one, and their ratio."""
     poles = np.array(creep.poles_rad_per_s)
     ratios = poles[1:] / poles[:-1]
     gap = int(np.argmax(ratios))
@@ -366,7 +380,7 @@ def _widest_gap(creep: CreepDynamics) -> tuple[int, float]:
 
 
 def _with_pair_between(creep: CreepDynamics) -> CreepDynamics:
-    """Return a creep with a further pair in its widest gap, of the same gain."""
+    """Return a creep of the same gain with a further pair in its widest gap."""
     poles = np.array(creep.poles_rad_per_s)
     gains = np.log(creep.zeros_rad_per_s) - np.log(poles)
     gap, _ = _widest_gap(creep)
@@ -379,7 +393,7 @@ def _with_pair_between(creep: CreepDynamics) -> CreepDynamics:
 
 def _creep_as_far_as(creep: CreepDynamics, rate_rad_per_s: float,
                      pairs: int | None = None) -> CreepDynamics:
-    """Return a creep with faster pairs of the size of its fastest, below some rate."""
+    """Return a creep with faster pairs added below some rate, each as large as the fastest."""
     poles, zeros = creep.poles_rad_per_s, creep.zeros_rad_per_s
     factor, added = SETTINGS.faster_creep, 0
     while poles and factor * poles[-1] < rate_rad_per_s and added != pairs:
@@ -389,9 +403,9 @@ def _creep_as_far_as(creep: CreepDynamics, rate_rad_per_s: float,
 
 
 def _in_phase(modes: Sequence[VibrationMode]) -> tuple[VibrationMode, ...]:
-    """Return coupled modes as those of a structure, which together make up the displacement.
+    """Return coupled modes normalised as modes of one structure that make up the displacement.
 
-    Those that nearly cancel at rest stay as they are.
+    Modes that nearly cancel at rest are not changed.
     """
     coupled = [mode.participation for mode in modes if type(mode) is CoupledMode]
     whole = sum(coupled)
@@ -403,7 +417,7 @@ def _in_phase(modes: Sequence[VibrationMode]) -> tuple[VibrationMode, ...]:
 
 
 def _uncoupled(modes: Sequence[VibrationMode]) -> tuple[VibrationMode, ...]:
-    """Return modes that ring as those of a structure, none of which follows the velocity."""
+    """Return ringing modes as those of one structure, without velocity participation."""
     limits = {each.name: (each.metadata["low"], each.metadata["high"])
               for each in fields(VibrationMode)}
     limits["damping_ratio"] = limits["damping_ratio"][0], SETTINGS.most_uncoupled
@@ -414,7 +428,7 @@ def _uncoupled(modes: Sequence[VibrationMode]) -> tuple[VibrationMode, ...]:
 
 
 def _apart(modes: Sequence[VibrationMode]) -> list[VibrationMode]:
-    """Return modes of which those that overlap are one: a fit may split one to follow its loops."""
+    """Return modes with overlapping ones merged: a fit may split one to follow the loops."""
     apart = list[VibrationMode]()
     for mode in sorted(modes, key=lambda mode: mode.frequency_rad_per_s):
         last = apart[-1] if apart else None
@@ -434,21 +448,21 @@ def _rings(problem: WholeModel, mode: VibrationMode) -> bool:
 
 
 def is_at_noise(problem: WholeModel, fit: WholeFit) -> bool:
-    """Tell whether a fit leaves of each recording what its noise and an adequate model make."""
+    """Return whether the residual of each recording is explained by noise and model accuracy."""
     return bool(np.all(problem.over_noise(fit, SETTINGS.adequate) < SETTINGS.above_noise))
 
 
 def is_better(fit: WholeFit, other: WholeFit) -> bool:
-    """Tell whether a fit has more evidence than another, and held-out rows lose less than that.
+    """Return whether a fit has more evidence, even after its loss on held-out rows.
 
-    A model of fewer numbers may lose there what chance makes.
+    A model with fewer parameters may lose there as much as chance explains.
     """
     gain, chance = fit.evidence_over(other), SETTINGS.chance * (fit.numbers < other.numbers)
     return gain > 0.0 and gain + fit.held_out_over(other) > -chance
 
 
 def has_modes_in_band(problem: WholeModel, fit: WholeFit) -> bool:
-    """Tell whether all modes beside the others are slow enough for the samples to show them."""
+    """Return whether the frequencies of all additional modes are within the sampled band."""
     return all(effect.frequency_rad_per_s <= _highest_rad_per_s(problem.sample_period_s)
                for effect in fit.model.effects if type(effect) is VibrationMode)
 
@@ -466,7 +480,7 @@ def structures(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
 
 
 def _with_less(fit: WholeFit) -> Iterator[Structure]:
-    """Yield the model without one of its parts, or with its only mode in series."""
+    """Yield the model without one of its parts, or with a simpler one."""
     model, delay_s = fit.model, fit.delay_s
     if delay_s is not None:
         yield Structure("without the delay", *_later(model, None, delay_s))
@@ -501,7 +515,7 @@ def _with_less(fit: WholeFit) -> Iterator[Structure]:
 
 
 def _elsewhere(fit: WholeFit) -> Iterator[Structure]:
-    """Yield a lag on the other side of the hysteresis, and modes that are no longer in phase."""
+    """Yield models with a lag at another place, and with modes that are not in phase."""
     model, delay_s = fit.model, fit.delay_s
     behind_s = model.dynamics.time_constant_s
     ahead = [place for place, effect in enumerate(model.effects)
@@ -536,7 +550,7 @@ def _with_more(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
         return  # Only slow recordings were given, which show nothing fast.
     if delay_s is None:
         yield Structure("with a delay", model, 0.0)
-    # Half of a lag that is there may be another's.
+    # A part of an existing lag may belong elsewhere.
     lag_s = max(SETTINGS.first_lag * problem.sample_period_s,
                 0.5 * model.dynamics.time_constant_s)
     if not any(issubclass(kind, AmplifierLag) for kind in kinds):
@@ -566,7 +580,7 @@ def _with_more(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
     for mode in VibrationMode.starts(shown)[:1]:
         yield Structure(f"with a mode of {mode.frequency_rad_per_s:.4g} rad/s",
                         _with(model, mode), delay_s)
-        # In the company of such modes a further one may be out of phase, or damped beyond ringing.
+        # With such modes, a further one may be out of phase or overdamped.
         if any(type(effect) is CoupledMode for effect in model.effects):
             yield Structure(f"with a coupled mode of {mode.frequency_rad_per_s:.4g} rad/s", _with(
                 model, CoupledMode(*mode.parameters().values())), delay_s)
@@ -574,10 +588,10 @@ def _with_more(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
 
 def _later(model: StageModel, delay_s: float | None,
            by_s: float) -> tuple[StageModel, float | None]:
-    """Return a model and its delay, one of whose lags is longer by some time.
+    """Return a model and its delay with one of the lags changed by some time.
 
-    What a fit begins from then comes as late as before. Where no lag can be so much shorter, all
-    stay as they are.
+    This keeps the total delay of an initial model. If no lag can be shortened by so much, the
+    model is returned as it is.
     """
     for place, effect in enumerate(model.effects):
         if isinstance(effect, AmplifierLag) and effect.time_constant_s + by_s > 0.0:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""One fit of the whole model to all recordings of its identification, and models compared by it."""
+"""Joint fits of the whole model to all recordings of its identification, and their comparison."""
 
 from collections.abc import Sequence
 from copy import copy
@@ -36,43 +36,40 @@ from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_recorder.reading.recording import Recording
 
 EARLIEST = 1.0
-"""Shortest sample periods by which a fitted delay may be negative: rows are then read late."""
+"""Largest negative delay, in sample periods, that can be fitted: the rows are then read late."""
 
 BEFORE_DELAY = ("voltage", "modes")
-"""Places of the effects of a model that act ahead of its delay."""
+"""Places of the effects of a model that act before its delay."""
 
 LEAST_GAIN = 1e-9
-"""Of a line, in um/V: a displacement that falls has none."""
+"""Smallest gain of a line, in um/V, so that it is not negative."""
 
 BESIDE_ROUGH, BESIDE_FITTED = 2.0, 0.02
-"""Prior widths of the changes of the hysteresis, over that of a joint fit with new recordings. Of
-loops that were estimated beside a rough creep, they are wrong by as much as that moves them; those
-that were estimated beside a fitted model only have to follow what is fitted further."""
+"""Prior widths of the changes of the hysteresis, relative to those of a joint fit with new
+recordings. Loops estimated with an approximate creep may be far off; those estimated with a fitted
+model only need small corrections."""
 
 
 @dataclass(frozen=True, eq=False)
 class WholeFit:
-    """A model, and what it leaves of all recordings.
+    """A fitted model and its residuals on all recordings.
 
     Attributes
     ----------
     model : StageModel
-        With its effects, but for its delay.
+        Model with its effects, but without its delay.
     delay_s : float or None
-        Of the displacement behind the rows as they were said to be read; negative where rows are
-        read later still. None for a model without a delay.
+        Delay of the displacement relative to the rows as they were said to be read; negative if
+        they are read later still. None for a model without a delay.
     left_um : list of ((n,) array, (m,) array)
-        Of each recording: what is left of its fitted rows, and of those that are held out.
+        Residuals of each recording on its fitted and on its held-out rows.
     accuracy_um : (R,) array
-        Of a good model of each recording.
-    covariance : (p, p) array or None
-        Of all unknowns; None before any fit.
+        Accuracy of a good model of each recording.
     counts : (R,) array
-        Errors of each recording that count: those that are independent beside the fit of its
-        problem that has explained most of their pattern so far.
-    has_converged : bool
+        Number of independent errors counted in each recording: the largest number that any fit of
+        the problem has reached so far.
     free_changes : int
-        Changes of the hysteresis that a wide prior leaves free.
+        Number of changes of the hysteresis with a wide prior.
     """
 
     model: StageModel
@@ -87,51 +84,51 @@ class WholeFit:
 
     @property
     def numbers(self) -> int:
-        """Return how many numbers were estimated, those of a wide prior included."""
+        """Return the number of estimated parameters, including those with a wide prior."""
         return (physical_count(self.model) + (self.delay_s is not None) + self.free_changes
                 + sum(fitted_values(effect)[0].size for effect in self.model.effects))
 
     @property
     def delayed_model(self) -> StageModel:
-        """Return the model with its delay among its effects."""
+        """Return the model with its delay as one of its effects."""
         effects = list(self.model.effects)
         if self.delay_s is not None and self.delay_s > 0.0:
             effects.append(Delay(self.delay_s))
-        # The sort is stable: what is behind the delay stays in its order.
+        # The sort is stable: the effects after the delay keep their order.
         effects.sort(key=lambda effect: 0 if effect.place in BEFORE_DELAY else
                      1 if isinstance(effect, Delay) else 2)
         return replace(self.model, effects=tuple(effects))
 
     @property
     def density_changes(self) -> FloatArray:
-        """Return the changes of the hysteresis that was given, in widths."""
+        """Return the changes of the initial hysteresis, in widths."""
         return self.vector[physical_count(self.model) : self.errors.count]
 
     def evidence_over(self, other: "WholeFit") -> float:
-        """Return by how much the evidence for this model is more than for another.
+        """Return the log-evidence for this model minus that for another.
 
-        As many errors of each recording count for all fits, so that three models are in one order
-        whichever two are compared.
+        All fits use the same number of independent errors for each recording, so that the order of
+        three models does not depend on which two are compared.
         """
         mine, others = (
             log_evidence(fit._squares_um2(0), fit.numbers, self.counts) for fit in (self, other))
         return mine - others
 
     def is_closer_than(self, other: "WholeFit") -> bool:
-        """Tell whether less is left of the fitted rows, however many numbers that takes."""
+        """Return whether the error on the fitted rows is smaller, for any number of parameters."""
         return log_evidence(self._squares_um2(0), 0) > log_evidence(other._squares_um2(0), 0)
 
     def held_out_over(self, other: "WholeFit") -> float:
-        """Return the logarithm of the ratio of likelihoods on the rows that are held out."""
+        """Return the logarithm of the ratio of likelihoods on the held-out rows."""
         return (log_evidence(self._squares_um2(1), 0, self.counts)
                 - log_evidence(other._squares_um2(1), 0, self.counts))
 
     def _squares_um2(self, rows: int) -> FloatArray:
-        """Return the mean square of what is left of each recording, and of the accuracy, (R,)."""
+        """Return mean square residual plus squared accuracy of each recording, (R,)."""
         return np.array([np.mean(left[rows] ** 2) for left in self.left_um]) + self.accuracy_um**2
 
     def deviations(self) -> tuple[dict[str, dict[str, Any]], list[dict[str, float]], float]:
-        """Return standard deviations: of creep and dynamics, of the effects, and of the delay."""
+        """Return the standard deviations of creep and dynamics, the effects, and the delay."""
         count = physical_count(self.errors.dataset.model)
         covariance = self.errors.covariance_of_all(self.vector, count)
         of_effects = np.sqrt(np.diag(covariance)[self.errors.count :])
@@ -140,10 +137,10 @@ class WholeFit:
 
 
     def weights_of_effects(self) -> FloatArray:
-        """Return how much the evidence falls where each effect is taken away alone, (E,).
+        """Return the loss of log-evidence when each effect is removed on its own, (E,).
 
-        That is by the Wald statistic of the numbers in which the displacement is linear, all others
-        free; infinite where an effect has none.
+        It is estimated by the Wald statistic of the parameters in which the displacement is linear,
+        with all others free; it is infinite if an effect has none.
         """
         covariance = self.errors.covariance_of_all(
             self.vector, physical_count(self.errors.dataset.model))
@@ -162,14 +159,14 @@ class WholeFit:
 
 
 class WholeModel:
-    """Recordings to which whole models are fitted, from one that was identified step by step.
+    """Recordings to which whole models are fitted, starting from one identified step by step.
 
     Parameters
     ----------
     recordings : sequence of Recording
-        With the sign of the model, and their outliers marked.
+        Recordings with the sign of the model and with marked outliers.
     read_late_s : sequence of float
-        Time after its voltage at which each reads its rows.
+        Time by which each recording reads its rows after the voltage.
 
     Raises
     ------
@@ -186,19 +183,19 @@ class WholeModel:
                 model, recordings[index], read_late_s=read_late_s[index]).with_model(bare),
             range(len(recordings)))
         self.sample_period_s = min(part.sample_period_s for part in simulated)
-        # Means cannot be read at another time.
+        # Rows of means cannot be read at another time.
         self.is_sampled = all(part.samples_per_mean == 1 for part in simulated)
         self._earliest_s = EARLIEST * self.sample_period_s if self.is_sampled else 0.0
         self._dataset = dataset_of(simulated, recordings, lambda _, rows: np.zeros((rows.size, 0)))
         self.noise = estimate_noise(self._dataset, model.effects)
         good = ~self._dataset.at_rows(self.noise.outliers)
         self._fitted, self._good = self._dataset.for_estimation & good, good
-        # Shared with the fits, and with the same problem about another hysteresis.
+        # Shared with all fits, and with copies of the problem that have another hysteresis.
         self._counts = np.zeros(len(simulated))
         self.about_here()
 
     def with_hysteresis(self, hysteresis: PreisachModel, width: float) -> "WholeModel":
-        """Return the same problem, another hysteresis given, and the prior width of its changes."""
+        """Return the problem with another initial hysteresis and prior width of its changes."""
         problem = copy(self)
         vars(problem).pop("_pieces_um", None)
         problem.about_here()
@@ -210,7 +207,7 @@ class WholeModel:
         return problem
 
     def with_line(self) -> "WholeModel":
-        """Return the same problem with the line that leaves least in place of its hysteresis."""
+        """Return the problem with the best-fitting line in place of its hysteresis."""
         loops = self._given.hysteresis
         unit = PreisachModel(
             loops.voltage_min_v, loops.voltage_max_v, np.zeros((1, 1)), 0.0, np.ones(1))
@@ -227,26 +224,26 @@ class WholeModel:
             BESIDE_ROUGH)
 
     def about_here(self) -> None:
-        """Let the next fit compute anew what the pieces of the hysteresis do to the displacement.
+        """Make the next fit recompute how the pieces of the hysteresis change the displacement.
 
-        Fits of models that differ by a part share it.
+        Fits of similar models share this result.
         """
         self._of_pieces_um: dict[tuple[Effect, ...], dict[int, FloatArray]] = {}
 
     def fit(self, model: StageModel, delay_s: float | None, steps: int,
             density_changes: FloatArray | None = None) -> WholeFit:
-        """Fit all parameters of a model, its effects and its delay.
+        """Fit all parameters of a model, its effects, and its delay.
 
         Parameters
         ----------
         model : StageModel
-            To begin from; its delays are not looked at.
+            Initial model; its delays are ignored.
         delay_s : float or None
-            To begin from; None for no delay.
+            Initial delay; None for no delay.
         steps : int
-            At most; 0 for the model as it is.
+            Largest number of steps; 0 for the model as it is.
         density_changes : (n,) array, optional
-            Of the hysteresis that was given, of an earlier fit; by default none.
+            Changes of the initial hysteresis from an earlier fit; by default none.
         """
         effects = tuple(effect for effect in model.effects if type(effect) is not Delay)
         shift_s = 0.0
@@ -255,7 +252,7 @@ class WholeModel:
             behind = next((place for place, effect in enumerate(effects)
                            if effect.place in ("displacement", "sensor")), len(effects))
             effects = (*effects[:behind], Delay(max(delay_s + shift_s, 0.0)), *effects[behind:])
-        # What is known before is what the separate steps found.
+        # The prior is centred on the results of the separate steps.
         about = replace(model, hysteresis=self._given.hysteresis, effects=())
         if len(model.creep.poles_rad_per_s) == len(self._given.creep.poles_rad_per_s):
             known = replace(about, creep=self._given.creep)
@@ -273,6 +270,7 @@ class WholeModel:
         left_um = errors.left_um(descent.vector)
         np.maximum(self._counts, [independent_errors(left) for left, _ in left_um],
                    out=self._counts)
+        errors.forget()
         return WholeFit(
             replace(fitted, effects=tuple(each for each in found if type(each) is not Delay)),
             delays_s[0] if delays_s else None, left_um, errors.accuracy_um, errors,
@@ -280,18 +278,19 @@ class WholeModel:
             errors.count - begun.size if self._hysteresis_width >= 1.0 else 0)
 
     def over_noise(self, fit: WholeFit, of_accuracy: float = 1.0) -> FloatArray:
-        """Return what is left of each recording over its noise and a part of its accuracy, (R,)."""
+        """Return the residual of each recording over its noise and part of its accuracy, (R,)."""
         left_um = [np.sqrt(np.mean(left**2)) for left, _ in fit.left_um]
         return np.array(left_um) / np.hypot(self.noise.noise_um, of_accuracy * fit.accuracy_um)
 
     def fastest_over_noise(self, fit: WholeFit) -> float:
-        """Return what is left of the recording with the shortest sample period, over its noise."""
+        """Return the residual of the recording with the shortest sample period, over its noise."""
         parts = self._dataset.simulated
         fastest = min(range(len(parts)), key=lambda index: parts[index].sample_period_s)
         return float(self.over_noise(fit)[fastest])
 
     def evidence(self, fit: WholeFit) -> list[Evidence]:
-        """Return what each recording shows beside a fitted model, for effects to guess by."""
+        """Return what each recording shows with a fitted model, for initial guesses of effects."""
+        fit.errors.linearised(fit.vector)  # of which the data set then has the derivatives
         dataset = fit.errors.dataset_at(fit.vector)
         prior = np.eye(dataset.regressors.shape[1])[dataset.nuisance_count :]
         scale_um = dataset.of_each(
@@ -302,7 +301,7 @@ class WholeModel:
         return recording_evidence(regression, fit.errors.effects_at(fit.vector))
 
     def again(self, fit: WholeFit, steps: int) -> WholeFit:
-        """Go on from a fit."""
+        """Continue a fit."""
         return self.fit(fit.model, fit.delay_s, steps, fit.density_changes)
 
     def _errors(self, bare: StageModel, effects: Sequence[Effect], shift_s: float) -> JointErrors:
@@ -323,12 +322,12 @@ class WholeModel:
 
     @property
     def given(self) -> StageModel:
-        """Return the model from which fits begin, with its hysteresis."""
+        """Return the initial model with its hysteresis."""
         return self._given
 
     @cached_property
     def _pieces_um(self) -> list[list[FloatArray]] | None:
-        """Return the outputs of the pieces of the hysteresis; None where they are too many."""
+        """Return the outputs of the pieces of the hysteresis; None for too many samples."""
         parts = self._dataset.simulated
         if sum(part.time_s.size for part in parts) > JOINT.kept_samples:
             return None
@@ -338,13 +337,13 @@ class WholeModel:
 def _split_deviations(
     effects: Sequence[Effect], of_numbers: FloatArray,
 ) -> tuple[list[dict[str, float]], float]:
-    """Return the standard deviations of each effect but the delay, by name, and of the delay."""
+    """Return the standard deviations of each effect except the delay, and of the delay."""
     deviations, delay_s, used = [], 0.0, 0
     for effect in effects:
         of_effect = {}
         units = units_of_fitted(effect)
         for name, unit in zip(_fitted_names(effect), units, strict=True):
-            # A logarithm is known to a part of the value.
+            # The standard deviation of a logarithm is relative to the value.
             of_effect[name] = float(
                 of_numbers[used] * (1.0 if unit is not None else getattr(effect, name)))
             used += 1

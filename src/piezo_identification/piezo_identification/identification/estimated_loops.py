@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The hysteresis from all of its recordings, each begun on a stage that was cycled or not."""
+"""Hysteresis estimated from all of its recordings, of stages that were cycled before or not."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -35,23 +35,23 @@ from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.first_rise import FirstRise
 
 MOST_NOISE = 0.9
-"""Part of what loops leave beside a remanence that may count as noise. Where noise is all that they
-leave, this asks them still to leave a fifth less than loops without the remanence do."""
+"""Largest part of the residual with a remanence that may count as noise. Even if the residual is
+only noise, it must then be a fifth smaller than that without the remanence."""
 
 
 def estimate_loops(
     recordings: Mapping[str, Any], linear: LinearDynamics, options: DensityOptions,
 ) -> tuple[DensityEstimate, FirstRise | None, Mapping[str, Data]]:
-    """Estimate the density, and the first-cycle remanence where a recording shows it.
+    """Estimate the density, and the first-cycle remanence if a recording shows it.
 
     Returns
     -------
     DensityEstimate
     FirstRise or None
-        None unless the recording that shows it is fitted far better beside it, and all together
-        are fitted no worse.
+        None unless the remanence fits the recording that shows it far better, and all recordings
+        together no worse.
     dict of str to Recording or FrequencyResponse
-        As of a stage that was cycled before; those that began so are the ones given.
+        The recordings as if the stage had been cycled before each of them.
     """
     density = estimate_hysteresis_of(recordings, linear, options)
     shown = _shown_first_rises(recordings, linear)
@@ -74,7 +74,7 @@ def estimate_loops(
 
 
 def _is_far_better(run: ModelRun, without_um: float) -> bool:
-    """Tell whether a run leaves far less beyond its noise than another one left in all."""
+    """Return whether the error of a run beyond its noise is far smaller than another error."""
     left_um = run.error_um(())
     noise_um = min(
         noise_floor_um(run.measured_um - run.simulated_um(())),
@@ -104,10 +104,10 @@ def _as_cycled(
     recordings: Mapping[str, Any], key: str, shown: Mapping[str, FirstRise],
     linear: LinearDynamics, options: DensityOptions,
 ) -> dict[str, Data]:
-    """Return the recordings as of a cycled stage, all with the first rise of one of them.
+    """Return the recordings as if made with a cycled stage, using the first rise of one of them.
 
-    How far the stage had risen before a recording that shows no first rise of its own is what the
-    loops of that one explain best.
+    If a recording shows no first rise of its own, the voltage that the stage had reached before is
+    the one that fits its loops best.
     """
     cycled = dict(recordings)
 
@@ -133,21 +133,21 @@ def loops_beside(
     recordings: Mapping[str, Any], options: DensityOptions, near: DensityEstimate,
     model: StageModel, read_late_s: Mapping[str, float],
 ) -> DensityEstimate:
-    """Estimate the hysteresis anew from what a fitted model leaves of its recordings.
+    """Estimate the hysteresis again from the residuals of a fitted model.
 
-    Only what is left goes through the inverse of creep and dynamics, which is not exact, and is
+    Only the residual passes through the approximate inverse of creep and dynamics. It is then
     added to the output of the model's hysteresis.
 
     Parameters
     ----------
     recordings : dict of str to Recording or FrequencyResponse
-        Their rows as they were given.
+        Recordings with their rows as given, not aligned.
     near : DensityEstimate
-        From the same recordings beside nearly the same creep and dynamics.
+        Estimate from the same recordings with nearly the same creep and dynamics.
     model : StageModel
-        With all of its effects.
+        Model with all of its effects.
     read_late_s : dict of str to float
-        Time after its voltage at which each recording reads its rows.
+        Time by which each recording reads its rows after the voltage.
     """
     names = keys_of_kind(recordings, "hysteresis")
     parts = [played(recordings[name]) for name in names]

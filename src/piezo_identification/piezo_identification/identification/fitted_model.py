@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The estimated components put together to a model."""
+"""A model assembled from the estimated components."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -32,7 +32,7 @@ class FittedModel:
 
 def fitted_model(linear: LinearDynamics, density: DensityEstimate,
                  first_rise: FirstRise | None = None) -> FittedModel:
-    """Put the estimated components together; what the dynamics lack becomes effects."""
+    """Assemble the estimated components; further parts of the dynamics become effects."""
     model = StageModel(
         density.model(), linear.creep, linear.dynamics, effects=linear.all_effects,
         first_rise=first_rise,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What an identification is given: checked, its outliers marked, its signs made alike."""
+"""Conditioning of the data given to an identification: checks, outliers, gaps, signs, and rows."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
@@ -23,19 +23,19 @@ from piezo_identification.estimators.frequency_response.response_file import Fre
 from piezo_recorder.reading.recording import Recording
 
 Data = Recording | FrequencyResponse
-"""What the dynamics may be estimated from; all else is a recording."""
+"""Data from which the dynamics may be estimated; all other data are recordings."""
 
 
 def given_data(
     creep: Recordings | None, dynamics: Recordings | FrequencyResponse | None,
     hysteresis: Recordings | None, validation: Recording | None,
 ) -> dict[str, Data]:
-    """Name what was given, without what was not.
+    """Return the given data by name.
 
     Returns
     -------
     dict of str to Recording or FrequencyResponse
-        By the name of the experiment; further ones of the same are numbered: creep, creep 2.
+        Data by the name of the experiment; further ones are numbered: creep, creep 2.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def conditioned_data(given: Mapping[str, Data], tell: Callable[[str], object],
     tell : callable
         Called with text on the outliers and the sign.
     read_at_samples : float
-        See `identify`.
+        As in `identify`.
     """
     marked = without_gaps(with_marked_outliers(given, tell))
     return aligned(rising_with_voltage(marked, tell), read_at_samples)
@@ -93,8 +93,8 @@ def without_gaps(recordings: Mapping[str, Data]) -> dict[str, Data]:
     Returns
     -------
     dict of str to Recording or FrequencyResponse
-        Each stretch counts as a recording of its own; recordings without gaps are as they were.
-        Of the validation, stretches of a few samples are left out.
+        Each stretch is a separate recording; recordings without gaps are not changed. Short
+        stretches of the validation are omitted.
     """
     result: dict[str, Data] = {}
     for name in dict.fromkeys(map(experiment_of, recordings)):
@@ -111,7 +111,7 @@ def without_gaps(recordings: Mapping[str, Data]) -> dict[str, Data]:
 def with_marked_outliers(
     given: Mapping[str, Data], tell: Callable[[str], object]
 ) -> dict[str, Data]:
-    """Mark the outliers of all recordings, as least squares cannot bear them; tell of them.
+    """Mark the outliers of all recordings, because least squares is sensitive to them.
 
     Parameters
     ----------
@@ -132,12 +132,12 @@ def with_marked_outliers(
 def rising_with_voltage(
     recordings: Mapping[str, Data], tell: Callable[[str], object],
 ) -> dict[str, Any]:
-    """Change the sign of all displacements where that of the slowest falls with the voltage.
+    """Change the sign of all displacements if the slowest one falls with the voltage.
 
     Parameters
     ----------
     recordings : dict of str to Recording or FrequencyResponse
-        With marked outliers.
+        Recordings with marked outliers.
     tell : callable
         Called with a sentence if the signs are changed.
     """
@@ -149,9 +149,10 @@ def rising_with_voltage(
 
 
 def slowest_recording(recordings: Mapping[str, Data]) -> Recording | None:
-    """Return the first recording of hysteresis, else of creep; None without.
+    """Return the first recording of hysteresis, otherwise of creep; None if there is neither.
 
-    Near a resonance the displacement moves against the voltage, so fast ones do not tell the sign.
+    Fast recordings do not determine the sign, because near a resonance the displacement moves
+    against the voltage.
     """
     for name in ("hysteresis", "creep"):
         for data in of_kind(recordings, name):
@@ -163,12 +164,12 @@ def slowest_recording(recordings: Mapping[str, Data]) -> Recording | None:
 def aligned(
     recordings: Mapping[str, Data], read_at_samples: float | Mapping[str, float],
 ) -> dict[str, Data]:
-    """Align the rows of recordings whose displacements are read late; means are left as they are.
+    """Align the rows of recordings whose displacements are read late; means are not changed.
 
     Parameters
     ----------
     read_at_samples : float or dict of str to float
-        When rows are read, in sample periods after their voltage; of all, or by name.
+        Instant at which rows are read, in sample periods after their voltage; by name, or common.
     """
     read_at = read_at_samples if isinstance(read_at_samples, Mapping) else dict.fromkeys(
         recordings, read_at_samples)
@@ -179,7 +180,7 @@ def aligned(
 
 
 def reversed_data(data: Data) -> Data:
-    """Change the sign of measured data: that of a sensor that counts the other way."""
+    """Change the sign of measured data from a sensor with the opposite direction."""
     if isinstance(data, FrequencyResponse):
         return replace(data, gain=-data.gain)
     return reversed_displacement(data)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The hysteresis of whatever is given: its own recordings, the others, or a response's gain."""
+"""Hysteresis from its own recordings, from other recordings, or from the gain of a response."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,20 +18,20 @@ from piezo_identification.identification.linear_dynamics import LinearDynamics
 from piezo_recorder.reading.recording import Recording
 
 ANY_VOLTAGE_V = 1000.0
-"""Beyond what piezo amplifiers give: a response does not tell where it was measured, so its line
-holds up to here on either side of 0 V."""
+"""Limit above the voltage of piezo amplifiers. The voltages of a response are unknown, so its line
+is valid between minus and plus this voltage."""
 
 
 @dataclass(frozen=True)
 class DensityOptions:
-    """What may be asked of the density of the hysteresis.
+    """Options for the density of the hysteresis; what is None is chosen from the data.
 
     Parameters
     ----------
     grid : int, optional
-        Cells along each threshold.
+        Number of cells along each threshold.
     smoothing_weight, translation_weight : float, optional
-        Of `piezo_identification.estimators.hysteresis.smoothed_density.smoothed_density`.
+        As in `piezo_identification.estimators.hysteresis.smoothed_density.smoothed_density`.
     """
 
     grid: int | None = None
@@ -39,7 +39,7 @@ class DensityOptions:
     translation_weight: float | None = None
 
     def keywords(self) -> dict[str, Any]:
-        """Return them as arguments of `density_fit.estimate_density`."""
+        """Return the options as arguments of `density_fit.estimate_density`."""
         return {"level_count": self.grid, "cells_per_level": 2 if self.grid is None else 1,
                 "smoothing_weight": self.smoothing_weight,
                 "translation_weight": self.translation_weight}
@@ -52,19 +52,19 @@ def estimate_hysteresis_of(
     recordings: Mapping[str, Data], linear: LinearDynamics,
     options: DensityOptions = CHOSEN_BY_DATA,
 ) -> DensityEstimate:
-    """Estimate the hysteresis from its recordings, or else from all others.
+    """Estimate the hysteresis from its recordings, or from all others if there are none.
 
     Parameters
     ----------
     recordings : dict of str to Recording or FrequencyResponse
-        Without gaps.
+        Recordings without gaps.
     linear : LinearDynamics
         Creep and dynamics, which are removed.
 
     Returns
     -------
     DensityEstimate
-        Of a response alone, a line through 0 V with its gain.
+        For a response alone, a line through 0 V with its gain.
     """
     shown = of_kind(recordings, "hysteresis") or [
         data for name in ("creep", "dynamics") for data in of_kind(recordings, name)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Identify a stage model from recordings: the sequence of estimators from top to bottom.
+"""Identify a stage model from recordings, by a sequence of estimators and a joint fit.
 
 recordings -> conditioned -> linear dynamics -> hysteresis -> model -> one fit of all -> errors
 -> adequacy -> result
@@ -58,7 +58,6 @@ from piezo_identification.identification.row_delays import (
 from piezo_identification.identification.told_by_data import failures_explained
 from piezo_identification.prediction.prediction_errors import unseen_errors
 from piezo_models.cascade import StageModel
-from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.hysteresis.first_rise import FirstRise
 from piezo_models.identified_model import IdentifiedModel
 from piezo_recorder.reading.reader import origin_of
@@ -83,59 +82,60 @@ def identify(
     density: DensityOptions = CHOSEN_BY_DATA,
     read_at_samples: float = 0.0, budget: Budget | None = None,
 ) -> IdentifiedModel:
-    """Identify a stage model step by step (thesis 4.5).
+    """Identify a stage model from recordings (thesis 4.5).
 
-    The creep comes first, then the fast dynamics with the creep removed; both once more, as each
-    was a small error to the other; then the hysteresis with all of them removed. What no recording
-    shows is left out of the model: no creep, or dynamics that pass the voltage on at once. Where no
-    recording of the hysteresis is given, it is that of the others; a frequency response or a
-    voltage of two levels shows a line only.
+    First the creep is estimated, then the fast dynamics with the creep removed. Both are estimated
+    again, because each was disturbed by the other. The hysteresis follows with both removed.
+    Finally, all parameters are fitted together. Components that no recording shows are omitted: the
+    model then has no creep, or static dynamics. Without a recording of the hysteresis, it is
+    estimated from the others; from a frequency response or a two-level voltage it is a line.
 
-    Where the displacement falls as the voltage rises, the sensor counts the other way: the signs
-    of all displacements are changed, and the model's displacement rises with the voltage.
+    If the displacement falls when the voltage rises, the sensor has the opposite direction: the
+    signs of all displacements are changed, and the displacement of the model rises with the
+    voltage.
 
     Parameters
     ----------
     creep : Recording or sequence of Recording, optional
-        Of the experiment of this name, or of any slow voltage.
+        Recording of the creep experiment, or of any slow voltage.
     dynamics : Recording, sequence of Recording or FrequencyResponse, optional
-        Of the experiment of this name or of any fast voltage, or a measured frequency response. Of
-        a response, the creep is taken where `creep` is not given, and the delay as an effect.
+        Recording of the dynamics experiment or of any fast voltage, or a measured frequency
+        response. A response also provides the creep if `creep` is not given, and the delay.
     hysteresis : Recording or sequence of Recording, optional
-        Of the hysteresis experiment, or of any other loops.
+        Recording of the hysteresis experiment, or of any other loops.
     validation : Recording, optional
-        Any other recording: the errors are measured on it.
+        Any other recording, on which the errors are measured.
     progress : callable, optional
         Called with (stage, fraction) when a stage begins, and with ("done", 1.0) at the end.
     cancelled : callable, optional
-        Asked all the time; true ends the work.
+        Called repeatedly; the identification ends when it returns True.
     refine : bool
-        Without effect: the last step always fits the whole model to all recordings but the
+        Has no effect: the last step always fits the whole model to all recordings except the
         validation.
     method : str
-        Without effect: the dynamics are always fitted by their output error.
+        Has no effect: the dynamics are always fitted by their output error.
     order : ResponseOrder
-        Orders of creep and vibration; what it leaves open is chosen from the data.
+        Orders of creep and vibration; open ones are chosen from the data.
     note : callable, optional
-        Called with text for people: why the orders, and which part of the Preisach plane the data
-        determine.
+        Called with text for the user, such as the reasons for the chosen orders, and the part of
+        the Preisach plane that the data determine.
     density : DensityOptions
-        Grid and smoothing of the hysteresis; what it leaves open is chosen from the data.
+        Grid and smoothing of the hysteresis; open options are chosen from the data.
     read_at_samples : float
         Instant at which the logger reads the displacement of a row, in sample periods after the
-        row's voltage changes: 0 for the start of the hold, 1 for its end. Beyond that, rows that
-        are read late are found from the dynamics; what is late behind them is the stage's delay.
+        row's voltage changes: 0 for the start of the hold, 1 for its end. Rows that are read later
+        than this are detected from the dynamics; any other delay is attributed to the stage.
     budget : Budget, optional
-        Time that the work may take: searches then end with the best that they have found, and
-        `Budget.sentence` says what was not tried. The separate steps need some time, whatever it
-        is. Ctrl-C during the one fit, or in a search before, ends it in the same way.
+        Time limit. When it is reached, searches return the best result so far, and
+        `Budget.sentence` lists what was not tried. The separate steps take some time in any case.
+        Ctrl-C during a search or the joint fit has the same effect.
 
     Raises
     ------
     ValueError
         If a recording does not fit its purpose, or none is given.
     IdentificationCancelled
-        If `cancelled` said so.
+        If `cancelled` returns True.
     """
     given = given_data(creep, dynamics, hysteresis, validation)
     stages, tell = Stages(progress, cancelled), note or (lambda text: None)
@@ -167,7 +167,6 @@ def identify(
             fitted, said, read_at,
             partial(loops_beside, said, density, estimate) if of_kind(said, "hysteresis")
             and linear.estimates and not first_rise else None, order, stages.part(0.3, 0.65), tell)
-        tell_effects(fitted, tell)
         recordings, read_at = validation_as_read(
             fitted.model, said, aligned(said, read_at), read_at)
         rows = row_delays(fitted.model, recordings, read_at, read_at_samples, linear)
@@ -191,7 +190,7 @@ def identify(
 
 def tell_estimates(linear: LinearDynamics, density: DensityEstimate,
                    tell: Callable[[str], object]) -> None:
-    """Tell why the orders were chosen, and which part of the Preisach plane the data determine."""
+    """Report why the orders were chosen, and which part of the Preisach plane is determined."""
     for name, estimate in linear.estimates.items():
         tell(f"order of the {name}:\n{estimate.order_table()}")
         if estimate.delay is not None:
@@ -199,26 +198,17 @@ def tell_estimates(linear: LinearDynamics, density: DensityEstimate,
     tell(f"hysteresis: {density.report()}")
 
 
-def tell_effects(fitted: FittedModel, tell: Callable[[str], object]) -> None:
-    """Tell how long the lag in front of the hysteresis is, if the model has one."""
-    for effect, spread in zip(
-            fitted.model.effects, fitted.uncertainties.get("effects", ()), strict=False):
-        if isinstance(effect, AmplifierLag):
-            tell(f"lag in front of the hysteresis: {1e6 * effect.time_constant_s:.4g} +- "
-                 f"{1e6 * spread['time_constant_s']:.2g} us")
-
-
 def tell_starts(recordings: Mapping[str, Data], cycled: Mapping[str, Data],
                 linear: LinearDynamics, first_rise: FirstRise | None,
                 tell: Callable[[str], object]) -> None:
-    """Tell in which state each recording begins, and what is made of it.
+    """Report the initial state of each recording, and how it is handled.
 
     Parameters
     ----------
     cycled : dict of str to Recording or FrequencyResponse
-        As of a stage that was cycled before; those that began so are the ones given.
+        The recordings as if the stage had been cycled before each of them.
     first_rise : FirstRise or None
-        That the recordings of the hysteresis showed.
+        First rise found in the recordings of the hysteresis.
     tell : callable
         Called with a sentence for each recording.
     """
@@ -240,17 +230,17 @@ def tell_starts(recordings: Mapping[str, Data], cycled: Mapping[str, Data],
 
 
 class Implausible(str):
-    """A sentence on what is implausible, by which a program tells it from other sentences."""
+    """A sentence on an implausible result, as a type that programs can recognise."""
 
 
 def tell_implausible(found: Sequence[str], tell: Callable[[str], object]) -> None:
-    """Tell what is implausible, as what it makes of the model is not to be relied on."""
+    """Report implausible data or results, because the model may then be unreliable."""
     for text in found:
         tell(Implausible(f"implausible: {text}"))
 
 
 def tell_uncertain_parameters(fitted: FittedModel, tell: Callable[[str], object]) -> None:
-    """Name the parameters whose standard deviation is larger than their value, if any."""
+    """Report the parameters whose standard deviation is larger than their value, if any."""
     untold = unidentified_parameters(fitted.model, fitted.uncertainties)
     if untold:
         tell(f"the recordings do not tell {', '.join(untold)}: the standard deviation is larger "
@@ -258,7 +248,7 @@ def tell_uncertain_parameters(fitted: FittedModel, tell: Callable[[str], object]
 
 
 def validation_errors(model: StageModel, recordings: Mapping[str, Any]) -> dict[str, Any]:
-    """Measure the errors on the validation, all stretches of it; none where it is not given."""
+    """Return the errors on all stretches of the validation; empty if it is not given."""
     validation = of_kind(recordings, "validation")
     return dict(unseen_errors(model, validation)) if validation else {}
 
@@ -267,14 +257,14 @@ def identified_model(
     fitted: FittedModel, errors: dict[str, Any], given: Mapping[str, Data],
     rows: Mapping[str, RowDelay],
 ) -> IdentifiedModel:
-    """Return the model with its range, its errors, and the recordings that it was made from.
+    """Return the model with its voltage range, its errors, and its recordings.
 
     Parameters
     ----------
     errors : dict
-        By the names under which the model file keeps them.
+        Errors by their names in the model file.
     given : dict of str to Recording or FrequencyResponse
-        As read from their files.
+        Recordings as read from their files.
     """
     hysteresis = fitted.model.hysteresis
     return IdentifiedModel(

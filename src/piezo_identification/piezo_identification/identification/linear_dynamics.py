@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Creep, electric and vibration dynamics, from whatever was recorded to show them."""
+"""Creep, electric and vibration dynamics, estimated from the recordings that show them."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -25,6 +25,7 @@ from piezo_identification.conditioning.waveforms import played, two_levels
 from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
 from piezo_identification.estimators.dynamics.any_input import estimate_dynamics_any
+from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
 from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S, estimate_dynamics
 from piezo_identification.estimators.estimate import SIGNIFICANT, Estimate
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
@@ -45,37 +46,41 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 from piezo_recorder.reading.recording import Recording
 
 NEAR_THE_END = 0.25
-"""Sample periods from the end of the hold within which rows may be taken to be read there."""
+"""Distance from the end of the hold, in sample periods, within which rows count as read there."""
 
 DRIVING_LEVELS = 30
-"""Levels of a density that drives a fit of the dynamics, or tells how rows are read: beside the
-error of either, twice as many cells along a threshold make no difference."""
+"""Levels of a density that is only the input of a fit of the dynamics, or used to find when rows
+are read. Compared with the errors of both, a finer density makes no difference."""
 
 CLEARLY_LESS = 0.9
-"""Part of the residual to which creep has to come down if its rows are read otherwise than those of
-the dynamics: slow rows hardly tell."""
+"""Largest ratio of the creep residuals at which its rows are read otherwise than those of the
+dynamics, because slow rows hardly determine the instant."""
+
+ONCE_MORE = 4
+"""Number of orders, the best of the first pass, that the second pass compares. The input of the
+dynamics changes less between the passes than the residuals of other orders differ."""
 
 SECOND_PASS = 0.3
-"""Share of the time that an identification may take, after which nothing is estimated once more."""
+"""Share of the time limit after which no second pass is made."""
 
 
 @dataclass(frozen=True)
 class LinearDynamics:
-    """What was found behind the hysteresis.
+    """Estimated linear part of the model, which follows the hysteresis, and effects.
 
     Parameters
     ----------
     delay_s : float
-        Of the stage, beside the dynamics.
+        Delay of the stage in addition to the dynamics.
     effects : tuple of Effect
-        A lag in front of the hysteresis, modes beside those of the dynamics, and a sensor's lag.
+        Lag ahead of the hysteresis, modes in addition to those of the dynamics, and sensor lag.
     read_at_samples : float
-        Instant at which the rows of the dynamics' recording were found to be read, in sample
-        periods after their voltage.
+        Estimated instant at which the rows of the dynamics recording are read, in sample periods
+        after their voltage.
     creep_read_at_samples : float
-        Instant at which the rows of the creep are read, which may be of another logger.
+        The same instant for the creep recording, which may come from another logger.
     estimates : dict of str to Estimate
-        By what they were made from: creep, dynamics.
+        Estimates by experiment: creep, dynamics.
     uncertainties : dict of str to dict
         Standard deviations of creep and dynamics, as far as they were estimated.
     effect_deviations : tuple of dict
@@ -101,16 +106,16 @@ class LinearDynamics:
 
     @property
     def slow_dynamics(self) -> SlowDynamics:
-        """Dynamics as slow signals see them: with every mode that has to settle."""
+        """Dynamics in effect at low frequency, with every mode that has to settle."""
         return slow_dynamics(self.dynamics, self.effects)
 
     @property
     def slow_delay_s(self) -> float:
-        """Delay of slow signals beside those dynamics."""
+        """Delay of slow signals in addition to those dynamics."""
         return slow_delay_s(self.dynamics, self.all_effects)
 
     def with_creep(self, estimate: Estimate, read_at_samples: float) -> "LinearDynamics":
-        """Estimate the model anew with the creep of a recording."""
+        """Return the model with the creep estimated from a recording."""
         return replace(
             self, creep=estimate.model, creep_read_at_samples=read_at_samples,
             estimates=self.estimates | {"creep": estimate},
@@ -118,10 +123,10 @@ class LinearDynamics:
         )
 
     def with_dynamics(self, estimate: Estimate) -> "LinearDynamics":
-        """With the dynamics of a recording, and its delay told apart.
+        """Return the model with the dynamics estimated from a recording, and its delay separated.
 
-        A displacement that comes before its voltage can only be the habit of the logger, which
-        reads its rows late. A displacement that comes after it is taken for the stage's.
+        A displacement ahead of its voltage can only come from the logger, which then reads its rows
+        late. A displacement behind its voltage is attributed to a delay of the stage.
         """
         delay_s, read_at, deviations = 0.0, 0.0, list(estimate.effect_deviations)
         delay = estimate.delay
@@ -130,7 +135,7 @@ class LinearDynamics:
             by_s = abs(delay.delay_s + delay.sample_period_s)
             if by_s < min(SIGNIFICANT * delay.standard_deviation_s,
                           NEAR_THE_END * delay.sample_period_s):
-                # The end of the hold is what a logger means.
+                # The logger is then most likely to read at the end of the hold.
                 read_at = 1.0
             if delay_s:
                 before = sum(effect.place in BEFORE_DELAY for effect in estimate.effects)
@@ -145,7 +150,7 @@ class LinearDynamics:
         )
 
     def with_response(self, estimate: Estimate) -> "LinearDynamics":
-        """Add what a frequency response shows; its creep is that beside the known one."""
+        """Return the model with the results of a frequency response added, including creep."""
         model, deviations = estimate.model, estimate.standard_deviations
         creep, spread = self._creep_beside(model.creep, deviations["creep"])
         return replace(
@@ -158,7 +163,7 @@ class LinearDynamics:
     def _creep_beside(
         self, creep: CreepDynamics, deviations: Mapping[str, Sequence[float]],
     ) -> tuple[CreepDynamics, dict[str, dict[str, Any]]]:
-        """Known creep and more of it in the order of rates, and its uncertainties."""
+        """Return known and additional creep sorted by rate, with their uncertainties."""
         if not creep.poles_rad_per_s:
             return self.creep, {}
         known_spread = self.uncertainties.get("creep", {})
@@ -178,21 +183,22 @@ def estimate_linear_dynamics(
     order: ResponseOrder = ANY_ORDER,
     begin: Callable[[str, float], object] = lambda *_: None,
 ) -> LinearDynamics:
-    """Estimate creep, then the fast dynamics with the creep removed; both once more.
+    """Estimate creep, then the fast dynamics with the creep removed, then both again.
 
-    The second time, each is a smaller error to the other. Creep comes from a square wave between
-    two voltages, or from any other slow recordings. Fast dynamics come from a periodic square wave
-    between two voltages; from any other fast recordings, for which the hysteresis is estimated
-    before, or beside where it was not recorded; or from a measured frequency response.
+    The second pass reduces the error that each causes in the other. Creep is estimated from a
+    square wave between two voltages, or from any other slow recordings. Fast dynamics are estimated
+    from a periodic square wave between two voltages, from any other fast recordings, or from a
+    measured frequency response. For other fast recordings, the hysteresis is estimated before, or
+    together with the dynamics if it was not recorded.
 
     Parameters
     ----------
     creep, hysteresis : sequence of Recording
-        Without gaps; empty for none.
+        Recordings without gaps; empty for none.
     order : ResponseOrder
-        Numbers asked for.
+        Requested orders.
     begin : callable
-        Called with (stage, fraction of this work) before each.
+        Called with (stage, fraction of this work) before each stage.
 
     Raises
     ------
@@ -203,7 +209,7 @@ def estimate_linear_dynamics(
     fast = [] if isinstance(dynamics, FrequencyResponse) else dynamics
     given = isinstance(dynamics, FrequencyResponse) or len(fast) > 0
     needs_hysteresis = len(hysteresis) > 0 and not all(map(is_square_wave, fast))
-    # Where only one is recorded, there is nothing to go through twice.
+    # A second pass has no effect if only one of them is recorded.
     passes = 2 if given and (creep or needs_hysteresis) else 1
     driving: DensityEstimate | None = None
     def estimated(found: LinearDynamics, driving: DensityEstimate | None,
@@ -219,9 +225,9 @@ def estimate_linear_dynamics(
         if needs_hysteresis:
             driving = aligned_density(hysteresis, found, driving)[0]
         density = None if driving is None else driving.model()
-        estimate = _from_samples(fast, found.creep, density, order)
+        estimate = _from_samples(fast, found.creep, density, order, _likely(found))
         if order.creep_pairs is not None and found.creep.poles_rad_per_s:
-            # As many pairs were asked for as there are; the one fit estimates them beside the rest.
+            # The requested number of pairs is reached; the joint fit estimates them together.
             estimate = replace(estimate, creep=CreepDynamics())
         return found.with_dynamics(estimate), driving
 
@@ -237,18 +243,18 @@ def creep_of(
     recordings: Sequence[Recording], found: LinearDynamics, is_dynamics_known: bool,
     pair_count: int | None,
 ) -> tuple[Estimate, float]:
-    """Estimate the creep, its rows read as its jumps tell, else as those of the dynamics.
+    """Estimate the creep, with rows read as its jumps show, otherwise as those of the dynamics.
 
-    Where jumps do not tell, rows are read with their voltage instead if that leaves clearly less: a
-    small shift of fast rows smears the steps of slow ones if it is wrong. Jumps are not asked while
-    there are no dynamics, as a model without them answers a jump at once.
+    If jumps are inconclusive, rows are read with their voltage if that reduces the residual
+    clearly: a wrong shift of fast rows smears the steps of slow ones. Jumps are not used until
+    there are dynamics, because a model without them responds to a jump immediately.
 
     Parameters
     ----------
     is_dynamics_known : bool
-        Whether `found` holds the dynamics already.
+        Whether `found` already contains the dynamics.
     pair_count : int, optional
-        By default chosen from the data.
+        Number of creep pairs; by default chosen from the data.
 
     Returns
     -------
@@ -267,7 +273,7 @@ def creep_of(
 
 
 def _creep_readings(recordings: Sequence[Recording], found: LinearDynamics) -> set[float]:
-    """Return the instant that the jumps of all recordings agree upon, else those to be tried."""
+    """Return the instant that the jumps of all recordings agree on, otherwise those to try."""
     told = [] if found.dynamics.is_static else [reading_at_jumps(each) for each in recordings]
     clear = {each for each in told if each is not None}
     return clear if len(clear) == 1 and None not in told else {found.read_at_samples, 0.0}
@@ -277,7 +283,7 @@ def _creep_of_aligned(
     recordings: Sequence[Recording], found: LinearDynamics, is_dynamics_known: bool,
     pair_count: int | None,
 ) -> Estimate:
-    """Creep of one square wave as it was designed for, else of what there is."""
+    """Return the creep from a single square wave, or from other slow recordings."""
     dynamics = found.slow_dynamics if is_dynamics_known else None
     if len(recordings) == 1 and is_square_wave(recordings[0]):
         return estimate_creep(recordings[0], dynamics, pair_count, found.slow_delay_s)
@@ -287,15 +293,15 @@ def _creep_of_aligned(
 def loop_readings(hysteresis: Sequence[Recording], found: LinearDynamics) -> set[float]:
     """Return the instants at which rows of loops may be read, in sample periods.
 
-    They may be read with their voltage, as the rows of the dynamics are, or as their jumps tell.
-    Points of a static loop may be read at the end of their hold, too, when the stage has come to
-    rest. Jumps and points are not asked while there are no dynamics: a model without them answers
-    at once, and would be the same at both ends of the hold.
+    They may be read with their voltage, as the rows of the dynamics, or as their jumps show.
+    Points of a static loop may also be read at the end of their hold, when the stage has come to
+    rest. Jumps and points are not used until there are dynamics: a model without them responds
+    immediately, and does not distinguish the two ends of the hold.
 
     Returns
     -------
     set of float
-        0 is always one of them.
+        Always includes 0.
     """
     readings = {0.0, *(read_as(each, found.read_at_samples) for each in hysteresis)}
     if found.dynamics.is_static:
@@ -307,12 +313,12 @@ def loop_readings(hysteresis: Sequence[Recording], found: LinearDynamics) -> set
 def aligned_density(
     hysteresis: Sequence[Recording], found: LinearDynamics, before: DensityEstimate | None = None,
 ) -> tuple[DensityEstimate, float]:
-    """Estimate the density, its recordings read at the instant that explains them best.
+    """Estimate the density, with its recordings read at the instant that fits them best.
 
     Parameters
     ----------
     before : DensityEstimate, optional
-        Beside other dynamics, whose weights are taken; by default they are chosen.
+        Estimate with other dynamics, whose weights are reused; by default they are chosen.
 
     Returns
     -------
@@ -347,22 +353,30 @@ def _from_response(
     if "creep" in found.estimates:
         measured = replace(measured, gain=measured.gain / found.creep.response(
             measured.frequency_hz))
-        # A number that was asked for is that of the recording.
+        # The requested number of pairs is already in the creep of the recording.
         order = order if order.creep_pairs is None else replace(order, creep_pairs=0)
     return estimate_from_response(measured, order)
 
 
 def _from_samples(
     recordings: Sequence[Recording], creep: CreepDynamics, density: PreisachModel | None,
-    order: ResponseOrder,
+    order: ResponseOrder, among: Collection[ModeOrder],
 ) -> Estimate:
     if len(recordings) == 1 and _is_periodic(recordings[0]):
-        return estimate_dynamics(recordings[0], creep, order.modes)
-    return estimate_dynamics_any(recordings, creep, density, order.modes)
+        return estimate_dynamics(recordings[0], creep, order.modes, among=among)
+    return estimate_dynamics_any(recordings, creep, density, order.modes, among)
+
+
+def _likely(found: LinearDynamics) -> list[ModeOrder]:
+    """Return the best orders of the dynamics in the first pass; empty if there was none."""
+    if "dynamics" not in found.estimates:
+        return []
+    trials = sorted(found.estimates["dynamics"].trials, key=lambda trial: trial.information)
+    return [trial.order for trial in trials[:ONCE_MORE]]
 
 
 def _is_periodic(recording: Recording) -> bool:
-    """Whether a recording is a square wave whose period is a whole number of samples."""
+    """Return whether a recording is a square wave with a period of a whole number of samples."""
     wave = two_levels(square_part(played(recording)))
     if wave is None:
         return False
@@ -371,5 +385,5 @@ def _is_periodic(recording: Recording) -> bool:
 
 
 def is_square_wave(recording: Recording) -> bool:
-    """Whether the voltage of a recording has two levels."""
+    """Return whether the voltage of a recording has two levels."""
     return two_levels(square_part(played(recording))) is not None

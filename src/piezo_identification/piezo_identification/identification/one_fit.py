@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The last step of an identification: one fit of the whole model to all of its recordings."""
+"""The last step of an identification: a joint fit of the whole model to all recordings."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -41,20 +41,20 @@ from piezo_recorder.reading.recording import Recording
 
 COMPONENTS_OF = {"creep": ("creep",), "dynamics": ("dynamics", "effects"),
                  "hysteresis": ("creep", "dynamics", "effects")}
-"""What errors of a component move, as the model file names it: every recording has passed the
-hysteresis."""
+"""Parts of the model that errors of a component affect, as named in the model file. Every recording
+passes through the hysteresis."""
 
 BEGUN, ANEW = 0.3, 0.2
-"""Parts of the time that the starts take, and the loops anew from each, as it is reported."""
+"""Fractions of the time for the starts, and for new loops from each, used to report progress."""
 
 LOOPS = 2
-"""Times at most that the loops are estimated anew beside what is fitted, in the end: once more
-only where that leaves less."""
+"""Largest number of times that the loops are estimated again at the end; a further time only if the
+last one reduced the error."""
 
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """A model so far, its best fit, and the recordings with its hysteresis."""
+    """A model, its best fit, and the fitting problem with its hysteresis."""
 
     fitted: FittedModel
     best: WholeFit
@@ -63,7 +63,7 @@ class _State:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """The search for the best model from several starts, and all that was tried in it."""
+    """The search for the best model from several starts, and all fits made in it."""
 
     problem: WholeModel
     given: FittedModel
@@ -74,7 +74,7 @@ class _Search:
     tried: list[tuple[str, WholeFit]] = field(default_factory=list)
 
     def best(self, delay_s: float | None) -> _State:
-        """Return the best model that the search leads to from the promising starts."""
+        """Return the best model that the search finds from the promising starts."""
         anew = list[DensityEstimate]()
 
         def with_loops_beside(start: Structure) -> WholeModel:
@@ -98,9 +98,9 @@ class _Search:
         return self._or_of_a_line(state, delay_s)
 
     def _or_of_a_line(self, state: _State, delay_s: float | None) -> _State:
-        """Return a state, or the best one of a line where that is better and no loops were given.
+        """Return a state, or the best one with a line if that is better and no loops were given.
 
-        What other recordings show of a hysteresis may be what the dynamics lack.
+        Hysteresis estimated from other recordings may be an artefact of incomplete dynamics.
         """
         if self.loops_beside is not None or not state.best.model.hysteresis.density_um_per_v2.any():
             return state
@@ -116,7 +116,7 @@ class _Search:
         return state
 
     def _from(self, start: _State, begin: float, length: float) -> _State:
-        """Estimate the loops anew, change the structure, and estimate the loops anew."""
+        """Estimate the loops again before and after the search for the structure."""
         state = self._with_loops_anew(start, begin)
         end = begin + (1.0 - ANEW) * length
         best, changed = searched(state.problem, state.best, self._part(
@@ -131,9 +131,9 @@ class _Search:
 
     def _with_loops_anew(self, before: _State, fraction: float,
                          width: float = BESIDE_ROUGH) -> _State:
-        """Estimate the loops beside what is fitted; the fit bends them, but not their lines.
+        """Estimate the loops again with the fitted model, and refit.
 
-        The width is the prior one of how far it bends them.
+        The prior width limits how far the fit changes the loops.
         """
         if self.loops_beside is None or is_at_noise(before.problem, before.best):
             return before
@@ -163,38 +163,37 @@ def fitted_together(
     order: ResponseOrder,
     report: Callable[[str, float], object], tell: Callable[[str], object],
 ) -> tuple[FittedModel, dict[str, float]]:
-    """Fit all parameters of a model together, and let the evidence choose its structure.
+    """Fit all parameters of a model together, and choose its structure by the evidence.
 
     Parameters
     ----------
     fitted : FittedModel
-        From the steps before: a guess to begin from.
+        Initial model from the separate steps.
     recordings : dict of str to Recording or FrequencyResponse
-        Conditioned, their rows as they were given; all but the validation are fitted.
+        Conditioned recordings with their rows as given; all except the validation are fitted.
     read_at : dict of str to float
-        When their rows are read, in sample periods after their voltage.
+        Instants at which their rows are read, in sample periods after the voltage.
     loops_beside : callable, optional
-        Estimates the hysteresis of a fitted model anew, beside its creep and dynamics; the second
-        argument is when the rows of each recording are read, in s. None where no recording of loops
-        was given.
+        Estimates the hysteresis again with a fitted model; its second argument is the time in s by
+        which each recording reads its rows late. None if no recording of loops was given.
     order : ResponseOrder
-        Numbers asked for, which the search keeps.
+        Requested orders, which the search keeps.
     report : callable
-        Called with what is tried, and the fraction done.
+        Called with a description of each fit and the fraction done.
     tell : callable
-        Called with text for people.
+        Called with text for the user.
 
     Returns
     -------
     fitted : FittedModel
-        The best model of all that were tried, the given one included.
+        The best of all models that were tried, including the initial one.
     read_at : dict of str to float
-        As fitted.
+        Instants as fitted.
     """
     samples = {name: data for name, data in recordings.items()
                if not isinstance(data, FrequencyResponse)}
     if len(samples) < len(recordings):
-        # The fit simulates instants, of which a response says nothing.
+        # The fit simulates samples, which a response does not have.
         return fitted, dict(read_at)
     used = {name: data for name, data in samples.items() if experiment_of(name) != "validation"}
     parts = {name: played(data) for name, data in used.items()}
@@ -203,7 +202,7 @@ def fitted_together(
         tell("the model is as the separate steps left it: a generator that runs freely changes its "
              "voltage between the rows, which only the steps heed")
         return fitted, dict(read_at)
-    # Rows read within their hold are a delay below zero, which the evidence may leave out.
+    # Rows read within their hold are a negative delay, which the search may remove.
     within_s = _within_hold_s(read_at, parts)
     read_late_s = {
         name: max(read_at[name] * played(data).sample_period_s - within_s, 0.0)
@@ -230,19 +229,19 @@ def fitted_together(
 
 
 def read_later(read_late_s: Mapping[str, float], fit: WholeFit) -> dict[str, float]:
-    """Return when rows are read, in s: later than it was said by a delay below zero."""
+    """Return when rows are read, in s: a negative delay is added to the given times."""
     later_s = max(0.0, -(fit.delay_s or 0.0))
     return {name: late_s + later_s for name, late_s in read_late_s.items()}
 
 
 def _within_hold_s(read_at: Mapping[str, float], parts: Mapping[str, Recording]) -> float:
-    """Return how far within its hold the fastest recording reads its rows; 0 for its end."""
+    """Return when within its hold the fastest recording reads its rows, in s; 0 for the end."""
     fastest = min(parts, key=lambda name: parts[name].sample_period_s)
     return (read_at[fastest] % 1.0) * parts[fastest].sample_period_s
 
 
 def _has_order(order: ResponseOrder, model: StageModel) -> bool:
-    """Tell whether a model has as many pairs of the creep and modes as were asked for."""
+    """Return whether a model has the requested numbers of creep pairs and modes."""
     modes = len(model.dynamics.mode_frequencies_rad_per_s) + sum(
         isinstance(effect, VibrationMode) for effect in model.effects)
     return (order.creep_pairs in (None, len(model.creep.poles_rad_per_s))
@@ -264,16 +263,16 @@ def with_fit(fitted: FittedModel, fit: WholeFit) -> FittedModel:
 
 def reliable(uncertainties: Mapping[str, Any], adequacy: Mapping[str, Mapping[str, Any]],
              is_response: bool) -> dict[str, Any]:
-    """Leave out the standard deviations of what an inadequate component moves.
+    """Omit the standard deviations of parts that an inadequate component affects.
 
-    What it leaves is no noise, so that they would be too small.
+    Its residual is not noise, so these standard deviations would be too small.
 
     Parameters
     ----------
     adequacy : dict of str to dict
-        Of the model file.
+        Adequacy as in the model file.
     is_response : bool
-        The dynamics are those of a frequency response, which no loops have moved.
+        The dynamics come from a frequency response, which loops do not affect.
     """
     unknown = {part for name, each in adequacy.items() if each["verdict"] == "inadequate"
                for part in COMPONENTS_OF.get(experiment_of(name), ())
@@ -282,7 +281,7 @@ def reliable(uncertainties: Mapping[str, Any], adequacy: Mapping[str, Mapping[st
 
 
 def table_of(tried: list[tuple[str, WholeFit]], best: WholeFit) -> str:
-    """Return what was tried as a table for people, the best marked."""
+    """Return a table of all fits for the user, with the best one marked."""
     first = tried[0][1]
     lines = [f"{'structure':45}{'parameters':>12}{'evidence':>12}  left (um)"]
     for change, fit in tried:

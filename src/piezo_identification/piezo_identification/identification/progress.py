@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Tell how far an identification is, and end it where that is asked for."""
+"""Report the progress of an identification, and end it on request."""
 
 from collections.abc import Callable
 
@@ -9,14 +9,14 @@ class IdentificationCancelled(Exception):
 
 
 class Stages:
-    """The stages of an identification, each told when it begins.
+    """The stages of an identification, reported when they begin.
 
     Parameters
     ----------
     progress : callable, optional
         Called with (stage, fraction of the whole work).
     cancelled : callable, optional
-        True ends the work.
+        Returns True if the work is to end.
     """
 
     def __init__(self, progress: Callable[[str, float], object] | None = None,
@@ -25,22 +25,22 @@ class Stages:
         self._stage = "reading"
 
     def check(self) -> None:
-        """Raise `IdentificationCancelled` if the work shall end."""
+        """Raise `IdentificationCancelled` if the work is to end."""
         if self._cancelled is not None and self._cancelled():
             raise IdentificationCancelled(f"identification cancelled: {self._stage}")
 
     @property
     def current(self) -> str:
-        """Stage that goes on."""
+        """Current stage."""
         return self._stage
 
     def begin(self, stage: str, fraction: float) -> None:
-        """Tell that a stage begins, unless the work shall end.
+        """Report that a stage begins, unless the work is to end.
 
         Parameters
         ----------
         fraction : float
-            Of the whole work, done so far.
+            Fraction of the whole work done so far.
         """
         self._stage = stage
         self.check()
@@ -48,12 +48,12 @@ class Stages:
             self._progress(stage, fraction)
 
     def part(self, start: float, share: float) -> Callable[[str, float], None]:
-        """Return a function that tells the stages of a part of the work.
+        """Return a function that reports the stages of a part of the work.
 
         Parameters
         ----------
         start, share : float
-            Fractions of the whole work before the part, and in it.
+            Fractions of the whole work done before the part, and done in it.
 
         Returns
         -------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""When the rows of every recording are read, and what delay the model leaves in it."""
+"""When the rows of each recording are read, and the remaining delay of the model."""
 
 from collections.abc import Callable, Mapping
 
@@ -25,19 +25,19 @@ from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording
 
 SHORT_S = 1e-2
-"""Delays below this are told in microseconds."""
+"""Delays below this are reported in microseconds."""
 
 
 def found_readings(recordings: Mapping[str, Data], linear: LinearDynamics) -> dict[str, float]:
-    """Tell when the rows of every recording are read.
+    """Return when the rows of each recording are read.
 
-    They are read as those of the dynamics, but for creep and loops, which may be of another logger.
-    Creep is read as its estimate was, loops at the one of `loop_readings` that explains them best.
+    They are read as those of the dynamics. Creep and loops may come from another logger: creep is
+    read as in its estimate, loops at the instant from `loop_readings` that fits them best.
 
     Returns
     -------
     dict of str to float
-        In sample periods after the voltage, by the name of the recording; 0 for means.
+        Sample periods after the voltage, by the name of the recording; 0 for means.
     """
     loops_read_at = linear.read_at_samples
     loops = of_kind(recordings, "hysteresis")
@@ -53,16 +53,16 @@ def validation_as_read(
     model: StageModel, said: Mapping[str, Data], recordings: Mapping[str, Data],
     read_at: Mapping[str, float],
 ) -> tuple[dict[str, Data], dict[str, float]]:
-    """Read the validation as the dynamics only if that explains it better.
+    """Read the validation as the dynamics only if that reduces its error.
 
-    It may be of another logger, or the same one may read a slower row at another part of it.
+    It may come from another logger, or a logger may read slower rows at another instant.
 
     Parameters
     ----------
     said, recordings : dict of str to Recording or FrequencyResponse
-        As they were given, and aligned.
+        Recordings as given, and aligned.
     read_at : dict of str to float
-        Of `found_readings`.
+        Result of `found_readings`.
 
     Returns
     -------
@@ -79,17 +79,17 @@ def validation_as_read(
 def delays_of_rows_s(
     recordings: Mapping[str, Data], read_at: Mapping[str, float],
 ) -> dict[str, float]:
-    """Return the delays of recordings that are not aligned, negative where rows are read late.
+    """Return the delays of recordings that are not aligned, negative if rows are read late.
 
     Parameters
     ----------
     read_at : dict of str to float
-        Of `found_readings`.
+        Result of `found_readings`.
 
     Returns
     -------
     dict of str to float
-        Without those that are read with their voltage.
+        Delays of recordings whose rows are not read with their voltage.
     """
     return {name: -read_at[name] * played(data).sample_period_s
             for name, data in recordings.items()
@@ -100,21 +100,21 @@ def row_delays(
     model: StageModel, recordings: Mapping[str, Data], found: Mapping[str, float],
     read_at_samples: float, linear: LinearDynamics,
 ) -> dict[str, RowDelay]:
-    """Estimate what is left of the delay of every recording.
+    """Estimate the remaining delay of each recording.
 
     Parameters
     ----------
     recordings : dict of str to Recording or FrequencyResponse
-        Aligned.
+        Aligned recordings.
     found : dict of str to float
-        Of `found_readings`.
+        Result of `found_readings`.
     read_at_samples : float
-        What was said of them before.
+        Instant given to `identify`.
 
     Returns
     -------
     dict of str to RowDelay
-        Of the recordings of samples.
+        Delays by the name of the recording; frequency responses are omitted.
     """
     rows = {}
     for name, recording in recordings.items():
@@ -137,7 +137,7 @@ def row_delays(
 
 
 def tell_row_delays(rows: Mapping[str, RowDelay], tell: Callable[[str], object]) -> None:
-    """Tell when the rows of each recording are read, and what delay is left in it."""
+    """Report when the rows of each recording are read, and their remaining delay."""
     for name, row in rows.items():
         is_short = max(abs(row.delay_s), row.standard_deviation_s) < SHORT_S
         scale, unit = (1e6, "us") if is_short else (1.0, "s")

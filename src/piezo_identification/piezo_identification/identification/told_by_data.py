@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Numerical failures of any estimator, told as data that do not show what they were given for."""
+"""Numerical failures of an estimator, reported as data that do not show what they are given for."""
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -14,14 +14,14 @@ def failures_explained(stage: Callable[[], str], paths: Iterable[object]) -> Ite
     Parameters
     ----------
     stage : callable
-        Returns the stage of the work that goes on.
+        Returns the current stage of the work.
     paths : iterable of path or str
-        Of the recordings.
+        Paths of the recordings.
 
     Raises
     ------
     ValueError
-        In place of `numpy.linalg.LinAlgError`.
+        Instead of `numpy.linalg.LinAlgError`.
     """
     try:
         yield

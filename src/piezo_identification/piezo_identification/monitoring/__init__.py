@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A model beside the stage in operation: what changed, since when, and what fits again."""
+"""Run a model next to the stage in operation: detect changes, and find what explains them."""

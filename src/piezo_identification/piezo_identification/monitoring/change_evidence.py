@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The evidence that an error has grown since some time, against that it is as it usually is.
+"""The evidence that an error has grown since some time, compared with its usual size.
 
-The Bayes factors of all beginnings and all factors of growth are added up (Shiryaev 1963; Roberts
-1966). While nothing has changed, their sum exceeds a threshold A no sooner than after A blocks in
-the mean, whatever the blocks' distribution is, as it then grows by one a block in the mean (M.
-Pollak, Annals of Statistics 15, 1987).
+The Bayes factors of all times of change and all factors of growth are summed (Shiryaev 1963;
+Roberts 1966). Without a change, this sum grows by one per block on average, whatever the
+distribution of the blocks. It therefore takes at least A blocks on average to exceed a threshold A
+(M. Pollak, Annals of Statistics 15, 1987).
 """
 
 from dataclasses import dataclass
@@ -16,26 +16,26 @@ from piezo_common.arrays import FloatArray
 from piezo_identification.monitoring.usual_error import Expected
 
 FACTORS = np.geomspace(2.5, 250.0, 19)
-"""By which an error may have grown, each as likely as any other: one that has doubled is nearer to
-the least of them than to none."""
+"""Factors by which an error may have grown, all equally likely. An error that has doubled is nearer
+to the smallest factor than to no growth."""
 
 STRAY, STRAY_RANGE = 0.05, 10.0
-"""Part of the blocks whose error has any size, such as by a spike, and the range of the logarithm
-in which it lies: a block alone shows no change."""
+"""Fraction of blocks with an error of any size, for example from a spike, and the range of the
+logarithm of that error. They keep a single block from indicating a change."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """What the evidence says of a change.
+    """The evidence for a change.
 
     Attributes
     ----------
     blocks : int
-        Since its beginning.
+        Number of blocks since the most likely beginning.
     factor : float
-        By which the error has grown, at the most likely.
+        Most likely factor by which the error has grown.
     logarithm : float
-        Of the Bayes factor.
+        Logarithm of the Bayes factor.
     """
 
     blocks: int
@@ -44,7 +44,7 @@ class Change:
 
 
 class ChangeEvidence:
-    """Sums of the Bayes factors of every beginning, one for each factor of growth."""
+    """Sums of the Bayes factors over all beginnings, one for each factor of growth."""
 
     def __init__(self) -> None:
         self._growth = np.log(FACTORS)
@@ -53,14 +53,14 @@ class ChangeEvidence:
         self._blocks = np.zeros(FACTORS.size, dtype=int)
 
     def add(self, value: float, expected: Expected) -> Change:
-        """Add a block, and return what all say.
+        """Add a block, and return the evidence of all blocks.
 
         Parameters
         ----------
         value : float
-            Logarithm of its error.
+            Logarithm of the error of the block (um).
         expected : Expected
-            As it usually is.
+            Usual distribution of this logarithm.
         """
         usual = _log_density(value, expected.middle, expected.scale, expected.freedom)
         grown = _log_density(value, expected.middle + self._growth,
@@ -74,7 +74,7 @@ class ChangeEvidence:
 
 def _log_density(value: float, middle: FloatArray | float, scale: FloatArray | float,
                  freedom: float) -> FloatArray:
-    """Return the logarithm of the density of a block's error, stray ones included."""
+    """Return the log density of a block's error, including blocks with stray errors."""
     away = (value - middle) / scale
     student = (gammaln(0.5 * (freedom + 1.0)) - gammaln(0.5 * freedom)
                - 0.5 * np.log(np.pi * freedom) - np.log(scale)

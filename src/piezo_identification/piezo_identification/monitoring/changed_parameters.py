@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which of a model's own parameters a stage has changed since the model fitted it.
+"""Find the model parameters that have changed since the model fitted the stage.
 
-A model that fitted, and does not fit any more, is taken at its word: one of its numbers moved. The
-groups of numbers that one cause moves together are fitted by nonlinear least squares, and compared
-on stretches of the recording that were left out of the fit.
+It is assumed that the structure of the model is still valid. Groups of parameters that change
+together are fitted by nonlinear least squares, and compared on stretches of the recording that were
+excluded from the fit.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,18 +21,19 @@ from piezo_recorder.reading.recording import Recording
 
 @dataclass(frozen=True)
 class ChangeSettings:
-    """Numbers that steer the search for what has changed.
+    """Settings of the search for changed parameters.
 
     Attributes
     ----------
     stretches : int
-        Of the recording; every third is held out.
+        Number of stretches of the recording; every third is held out.
     most_groups : int
-        That may have changed at once: more causes in one moment are not believed.
+        Most groups of parameters that may have changed at once.
     significant : float
-        Standard deviations of the mean gain of a held-out stretch that a group needs.
+        Smallest mean improvement on the held-out stretches for which a group is accepted, in
+        standard deviations.
     largest_logarithm : float
-        By which a parameter may have moved.
+        Largest change of the logarithm of a parameter.
     """
 
     stretches: int = 30
@@ -46,16 +47,16 @@ SETTINGS = ChangeSettings()
 
 @dataclass(frozen=True, eq=False)
 class ChangedParameters:
-    """What has changed of a model's own parameters.
+    """The changed parameters of a model.
 
     Attributes
     ----------
     model : StageModel
-        With the changed parameters; the given one where none is believed.
+        Model with the changed parameters; the given model if no change is significant.
     changes : dict of str to (float, float)
-        Value before and after by the parameter's name, which ends in its unit.
+        Value before and after the change by parameter name, which ends in the unit.
     before_rms_um, after_rms_um : float
-        Of the residual on the stretches that were held out.
+        RMS of the residual on the held-out stretches.
     """
 
     model: StageModel
@@ -65,7 +66,7 @@ class ChangedParameters:
 
     @property
     def sentence(self) -> str:
-        """Tell what has changed."""
+        """Describe the change in one sentence."""
         if not self.changes:
             return "no parameter of the model explains the change"
         told = ", ".join(f"{name} from {before:.6g} to {after:.6g}"
@@ -82,9 +83,9 @@ def changed_parameters(model: StageModel, recording: Recording,
     Parameters
     ----------
     recording : Recording
-        Of the time after the change, with the voltages before it.
+        Recording after the change, including the voltages before it.
     progress : callable
-        Called with the fraction that is done; what it raises ends the work.
+        Called with the fraction done (0 to 1); an exception that it raises ends the search.
 
     Raises
     ------
@@ -122,7 +123,7 @@ def changed_parameters(model: StageModel, recording: Recording,
 
 
 def parameter_groups(model: StageModel) -> dict[str, tuple[str, ...]]:
-    """Return the parameters that one cause moves together, by the cause's part of the model."""
+    """Return the groups of parameters that change together, by name of the group."""
     groups: dict[str, tuple[str, ...]] = {"gain": ("gain_um_per_v",)}
     if model.dynamics.time_constant_s > 0.0:
         groups["lag"] = ("time_constant_s",)
@@ -147,7 +148,7 @@ def _values(model: StageModel) -> dict[str, float]:
 
 
 def _changed(model: StageModel, logarithms: dict[str, float]) -> StageModel:
-    """Return a model with some of its parameters multiplied by exponentials."""
+    """Return the model with some parameters multiplied by the exponentials of `logarithms`."""
     factor = {name: float(np.exp(logarithms.get(name, 0.0))) for name in _values(model)}
     dynamics, hysteresis = model.dynamics, model.hysteresis
     gain = factor["gain_um_per_v"]
@@ -167,7 +168,7 @@ def _changed(model: StageModel, logarithms: dict[str, float]) -> StageModel:
 
 
 class _Problem:
-    """A recording, and what a model with changed parameters leaves of it."""
+    """A recording, and the residual of a model with changed parameters."""
 
     def __init__(self, model: StageModel, recording: Recording) -> None:
         self._model = model
@@ -179,7 +180,7 @@ class _Problem:
         self._fitted: BoolArray = used & ~self._held_out
         self._stretch = stretch
         time_s = part.time_s
-        # How far the creep had come, and where the sensor has its zero, nobody knows.
+        # The initial creep and the zero of the sensor are unknown.
         self._nuisance = np.column_stack([np.ones(count), *(
             np.exp(-rate * time_s) for rate in model.creep.poles_rad_per_s)])
 
@@ -190,7 +191,7 @@ class _Problem:
         return _changed(self._model, dict(zip(names, numbers, strict=True)))
 
     def left_um(self, groups: Sequence[str], numbers: FloatArray) -> FloatArray:
-        """Return the residual without what nobody knows, (N,)."""
+        """Return the residual (N,), with offset and initial creep projected out."""
         part, model = self._part, self.model(groups, numbers)
         scale = _values(model)["gain_um_per_v"] / _values(self._model)["gain_um_per_v"]
         simulated_um = part.respond(model.linear(), scale * part.input_um)
@@ -203,18 +204,18 @@ class _Problem:
         return left_um - self._nuisance @ solved
 
     def fit(self, groups: Sequence[str], start: FloatArray) -> FloatArray:
-        """Return the logarithms that leave least of the fitted stretches."""
+        """Return the logarithms that minimize the residual on the fitted stretches."""
         most = SETTINGS.largest_logarithm
         return least_squares(
             lambda numbers: self.left_um(groups, numbers)[self._fitted], start,
             bounds=(-most, most), x_scale=0.01, diff_step=1e-4, xtol=1e-6, ftol=1e-6).x
 
     def held_out_rms_um(self, left_um: FloatArray) -> float:
-        """Return the root mean square of a residual on the stretches that are held out."""
+        """Return the root mean square of a residual on the held-out stretches."""
         return float(np.sqrt(np.mean(left_um[self._held_out] ** 2)))
 
     def is_better(self, left_um: FloatArray, than_um: FloatArray) -> bool:
-        """Tell whether a residual is surely less than another, stretch by stretch."""
+        """Return whether a residual is significantly smaller than another on the stretches."""
         gains = np.array([
             np.mean(than_um[rows] ** 2 - left_um[rows] ** 2)
             for stretch in range(2, SETTINGS.stretches, 3)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a stage has changed, found in the background: a process at low priority, and its result."""
+"""Explain a change of a stage in a background process with low priority."""
 
 import json
 import multiprocessing
@@ -15,25 +15,27 @@ from piezo_recorder.reading.recording import Recording
 from piezo_recorder.writing.convert import write_recording
 
 NICENESS = 10
-"""Of the process: a loop on the same computer goes first."""
+"""Niceness of the process, so that a control loop on the same computer has priority."""
 
 EXPLAINED = 0.1
-"""Part of the power that the change added, of which an explanation leaves no more."""
+"""Largest fraction of the added residual power that may remain after an explanation."""
 
 RESULT = "change.json"
 
 
 @dataclass(frozen=True)
 class ChangeExplanation:
-    """What a stage has changed, as far as that was found.
+    """The explanation of a change, as far as one was found.
 
     Attributes
     ----------
     sentence : str
+        Description for users.
     extended_model : str
-        Path of the model that explains it; empty where none does.
+        Path of the model that explains the change; empty if there is none.
     before_rms_um, after_rms_um : float
-        Of the residual on held-out samples; equal without an extended model.
+        RMS of the residual on held-out samples without and with the extended model; equal if
+        there is none.
     """
 
     sentence: str
@@ -44,16 +46,16 @@ class ChangeExplanation:
 
 def explain_change(model: str | Path, recording: str | Path, directory: str | Path,
                    usual_rms_um: float) -> ChangeExplanation:
-    """Explain a change by the model's own parameters, or else by effects that it lacks.
+    """Explain a change by changed parameters of the model, or else by missing effects.
 
     Parameters
     ----------
     model, recording : path-like
-        Files; the recording is of the time after the change.
+        Model file, and recording after the change.
     directory : path-like
-        Gets ``extended_model.json``, and the files of the diagnosis where there is one.
+        Directory for ``extended_model.json``, and for the files of the diagnosis if one is made.
     usual_rms_um : float
-        Residual of the model before the change.
+        RMS of the model's residual before the change.
 
     Raises
     ------
@@ -85,16 +87,16 @@ def explain_change(model: str | Path, recording: str | Path, directory: str | Pa
 
 
 class Explainer:
-    """Explains one change at a time in a process of its own.
+    """Explain a change in a separate process.
 
     Parameters
     ----------
     model : str
         Path of the model file.
     recording : Recording
-        Of the time after the change.
+        Recording after the change.
     directory : Path
-        Gets all files; made if it is missing.
+        Directory for all files; it is created if it is missing.
 
     Raises
     ------
@@ -108,14 +110,14 @@ class Explainer:
         directory.mkdir(parents=True, exist_ok=True)
         path = directory / "after_change"
         write_recording(recording, path)
-        # Spawned: a fork would copy what the threads of the middleware hold.
+        # Spawn, as a fork would copy the locks that threads of the middleware hold.
         self._process = multiprocessing.get_context("spawn").Process(
             target=_work, args=(model, str(path), str(directory), usual_rms_um), daemon=True)
         self._process.start()
 
     @property
     def explanation(self) -> ChangeExplanation | None:
-        """Return what was found; None while the process works."""
+        """Return the explanation; None while the process runs."""
         if self._process.is_alive():
             return None
         try:
@@ -126,7 +128,7 @@ class Explainer:
                 f"run diagnose on {self._result.parent / 'after_change'}")
 
     def end(self) -> None:
-        """End the process, whatever it has found."""
+        """Terminate the process, even if it has no result yet."""
         self._process.terminate()
         self._process.join()
 

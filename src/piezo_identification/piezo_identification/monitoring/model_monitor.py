@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A model that runs beside the stage, and the evidence that its error has grown.
+"""A model that runs next to the stage, and the evidence that its error has grown.
 
-The residual is cut into blocks. How large it usually is, for the motion of a block, is known from
-the model file and learned from all blocks so far; see `usual_error`. Whether it has grown is a sum
-of Bayes factors; see `change_evidence`. The memory is bounded however long it runs.
+The residual is divided into blocks. The usual error for the motion of a block is taken from the
+model file and updated with all blocks so far; see `usual_error`. A sum of Bayes factors shows
+whether the error has grown; see `change_evidence`. The memory is bounded, however long it runs.
 """
 
 from collections import deque
@@ -24,36 +24,36 @@ STATISTICS = {
     "lag": "in proportion to the speed",
     "scatter": "neither in proportion to the motion nor to the speed",
 }
-"""Parts of the error of a block, of which the largest is reported."""
+"""Components of the error of a block; the largest is reported."""
 
 BAND_EDGES_HZ = (0.0, 10.0, 100.0, 1000.0, np.inf)
-"""Of the bands in which motion and error are taken: a decade each."""
+"""Edges (Hz) of the frequency bands in which the powers of motion and error are computed."""
 
 LEAST_PART = 0.01
-"""Part of the whole motion below which that in a band is alike, and of the travel below which all
-of it is."""
+"""Motion in a band below this fraction of the whole motion makes no difference between kinds of
+motion, nor does motion below this fraction of the travel."""
 
 REMEMBERED_BLOCKS = 4096
-"""Of which the beginning is remembered, for when a change began."""
+"""Number of blocks whose start times are kept, to report when a change began."""
 
 HOURS_BETWEEN_CHANGES = 1.0
-"""Expected before anything is measured; the probability of a change follows from it."""
+"""Expected time between changes (h), from which the prior probability of a change follows."""
 
 
 @dataclass(frozen=True)
 class MonitorSettings:
-    """How a residual is watched.
+    """Settings of the monitor.
 
     Attributes
     ----------
     block_s : float
-        Length of a block: a few periods of what is tracked, so that blocks are alike.
+        Duration of a block. A few periods of the reference make the blocks similar.
     learning_blocks : int
-        Of a kind of motion, from which its usual error is learned; older ones fade.
+        Blocks of a kind of motion from which its usual error is learned; older ones fade.
     false_alarms_per_hour : float
-        At most, while nothing has changed.
+        Highest rate of false alarms while nothing has changed.
     alike : float
-        Part by which the motion of blocks of one kind may differ.
+        Largest relative difference in motion between blocks of one kind.
     """
 
     block_s: float = 0.2
@@ -67,29 +67,29 @@ class MonitorSettings:
         return float(np.log(3600.0 / self.block_s / self.false_alarms_per_hour))
 
     def probability(self, logarithm: float) -> float:
-        """Return how likely a change is, from the logarithm of its Bayes factor."""
+        """Return the probability of a change from the logarithm of its Bayes factor."""
         odds = logarithm - np.log(3600.0 * HOURS_BETWEEN_CHANGES / self.block_s)
         return float(0.5 * (1.0 + np.tanh(0.5 * odds)))
 
 
 @dataclass(frozen=True)
 class Suspicion:
-    """A change that is reported.
+    """A reported change.
 
     Attributes
     ----------
     statistic : str
-        A key of `STATISTICS`: what most of the error is.
+        Largest component of the error: a key of `STATISTICS`.
     at_s : float
         Time of the report since the first sample.
     since_s : float
-        When the change is estimated to have begun.
+        Estimated time at which the change began.
     usual_rms_um, rms_um : float
-        Error of the model as it is usual for this motion, and in the last block.
+        RMS error of the model that is usual for this motion, and that of the last block.
     probability : float
-        That the error has grown, from 0 to 1.
+        Probability (0 to 1) that the error has grown.
     band_hz : (float, float)
-        In which most of the error lies.
+        Frequency band with most of the error.
     """
 
     statistic: str
@@ -101,7 +101,7 @@ class Suspicion:
     band_hz: tuple[float, float]
 
     def sentence(self) -> str:
-        """Say what is suspected."""
+        """Describe the change in one sentence."""
         return (f"since {self.since_s:.1f} s the model errs by {self.rms_um:.3g} um where "
                 f"{self.usual_rms_um:.3g} um are usual, most of it from {self.band_hz[0]:g} to "
                 f"{self.band_hz[1]:g} Hz and {STATISTICS[self.statistic]} "
@@ -112,19 +112,19 @@ class Suspicion:
 
 
 class ModelMonitor:
-    """Run a model beside the stage, and report when it no longer fits.
+    """Run a model next to the stage, and report when it no longer fits.
 
     Parameters
     ----------
     memory : StageMemory, optional
-        Past of the stage before the first sample; by default it rested at 0 V.
+        State of the stage before the first sample; by default, it rested at 0 V.
     known : KnownError, optional
-        Of the model; by default nothing is known, and all is learned.
+        Known error of the model; by default, it is unknown and learned during operation.
 
     Raises
     ------
     ValueError
-        If the model has an effect that remembers the whole past, or a block is too short.
+        If the model has an effect that depends on the whole past, or a block is too short.
     """
 
     def __init__(self, model: StageModel, sample_period_s: float,
@@ -151,27 +151,27 @@ class ModelMonitor:
 
     @property
     def block_samples(self) -> int:
-        """Return the samples of a block."""
+        """Return the number of samples in a block."""
         return self._block
 
     @property
     def past_v(self) -> FloatArray:
-        """Return the voltages that the hysteresis remembers, the present one last."""
+        """Return the voltages in the memory of the hysteresis, ending with the present one."""
         memory = self._memory.hysteresis
         return memory.extremes_v[: memory.top + 1].copy()
 
     @property
     def is_learning(self) -> bool:
-        """Return whether it has seen too little to know from that what is usual."""
+        """Return True until enough blocks were seen to learn the usual error."""
         return self._blocks < self._settings.learning_blocks
 
     def watch(self, voltage_v: FloatArray, displacement_um: FloatArray) -> list[Suspicion]:
-        """Take the next samples; return the changes that they show.
+        """Process the next samples, and return the changes that they show.
 
         Parameters
         ----------
         voltage_v, displacement_um : ndarray, shape (N,)
-            Of any number; they follow the ones before without a gap.
+            Any number of samples that follow the previous ones without a gap.
         """
         self._waiting_v.append(np.array(voltage_v, dtype=float))
         self._waiting_um.append(np.array(displacement_um, dtype=float))
@@ -181,13 +181,13 @@ class ModelMonitor:
         return raised
 
     def pass_by(self, voltage_v: FloatArray, sample_period_s: float | None = None) -> None:
-        """Take samples that are not tested, such as on the way to a reference.
+        """Process samples without testing them, such as on the way to a reference.
 
         Parameters
         ----------
         voltage_v : ndarray, shape (N,)
         sample_period_s : float, optional
-            For which each voltage is held, where that is not the one of the monitor.
+            Time for which each voltage is held; by default, the sample period of the monitor.
         """
         period_s = sample_period_s or self._period_s
         for slow in self._slow:
@@ -200,14 +200,14 @@ class ModelMonitor:
                 self._advance(voltages_v, held_s)
 
     def begin_anew(self, memory: StageMemory | None = None, sample: int | None = None) -> None:
-        """Learn anew without what is known of the model, such as after a gap.
+        """Restart learning without the known error of the model, such as after a gap.
 
         Parameters
         ----------
         memory : StageMemory, optional
-            Past of the stage; by default the model goes on where it is.
+            State of the stage; by default, the model keeps its present state.
         sample : int, optional
-            Number of the next sample, from which times are told; by default the count goes on.
+            Number of the next sample, to which times refer; by default, the count continues.
         """
         self._sample = self._sample if sample is None else sample
         if memory is not None:
@@ -228,9 +228,9 @@ class ModelMonitor:
         return joined[: self._block]
 
     def _advance(self, voltage_v: FloatArray, sample_period_s: float) -> FloatArray:
-        """Return what the model does with further voltages, each held for a sample period."""
+        """Return the simulated displacement for further voltages, held for a sample period each."""
         if sample_period_s != self._period_s:
-            self._memory.effects.clear()  # whose pasts are of this monitor's samples
+            self._memory.effects.clear()  # their pasts have the sample period of the monitor
         simulated_um = self._model.simulate(voltage_v, sample_period_s, self._memory)
         self._sample += round(voltage_v.size * sample_period_s / self._period_s)
         return simulated_um
@@ -264,9 +264,10 @@ class ModelMonitor:
             (BAND_EDGES_HZ[most], min(BAND_EDGES_HZ[most + 1], 0.5 / self._period_s)))]
 
     def _features(self, simulated_um: FloatArray, motion_um: FloatArray) -> FloatArray:
-        """Return what makes a kind of motion, over what is alike: see `UsualError.expected`.
+        """Return the features of a kind of motion, scaled for `UsualError.expected`.
 
-        These are position, way, slow departure, motion in the bands, and time in the run.
+        They are position, change of position, slow deviation, motion in the bands, and time in the
+        run. A difference of 1 separates two kinds.
         """
         alike, least_um = self._settings.alike, LEAST_PART * self._travel_um
         scale_um = alike * np.std(simulated_um) + least_um
@@ -280,7 +281,7 @@ class ModelMonitor:
 def band_powers(signal_um: FloatArray, sample_period_s: float) -> FloatArray:
     """Return the mean square of a signal about its mean in the bands of `BAND_EDGES_HZ`.
 
-    Its straight line belongs to the lowest band.
+    The linear trend of the signal is counted in the lowest band.
 
     Parameters
     ----------
@@ -289,7 +290,7 @@ def band_powers(signal_um: FloatArray, sample_period_s: float) -> FloatArray:
     Returns
     -------
     ndarray, shape (4,)
-        In um^2; they sum to the variance.
+        Powers in um^2; their sum is the variance.
     """
     line = np.linspace(-1.0, 1.0, signal_um.size)
     slope_um = float(line @ signal_um / (line @ line))
@@ -303,13 +304,13 @@ def band_powers(signal_um: FloatArray, sample_period_s: float) -> FloatArray:
 
 
 def largest_part(residual_um: FloatArray, offset_um: float, simulated_um: FloatArray) -> str:
-    """Return which of `STATISTICS` most of an error is.
+    """Return the largest component of an error: a key of `STATISTICS`.
 
     Parameters
     ----------
     residual_um, simulated_um : ndarray, shape (N,)
     offset_um : float
-        Of the residual.
+        Offset of the residual.
     """
     left_um = residual_um - residual_um.mean()
     powers = {"mean": offset_um**2}

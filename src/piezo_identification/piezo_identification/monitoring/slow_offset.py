@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""By how much the mean of a residual departs from the creep that a model ordinarily leaves.
+"""The deviation of the mean of a residual from the usual creep error of a model.
 
-Creep that a model lacks goes with the logarithm of the time since a run began, whatever the stage
-is made of. So means are expected on a line over that logarithm, which follows slow warming.
+For any stage, creep that a model lacks grows with the logarithm of the time since a run began. The
+means are therefore expected on a line over that logarithm. The line also follows slow warming.
 """
 
 import numpy as np
@@ -10,34 +10,34 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 
 FOLLOWED_BLOCKS = 100
-"""From which the line is fitted; older ones fade."""
+"""Number of blocks to which the line is fitted; older ones fade."""
 
 FEWEST_BLOCKS = 3
-"""Before which any mean is as expected."""
+"""Number of blocks after which a deviation is computed; before, it is 0."""
 
 SETTLED_BLOCKS = 10
-"""After which a run is no longer young: the line is known."""
+"""Number of blocks after which the line is known and the age of a run no longer counts."""
 
 
 class SlowOffset:
-    """Least squares of the means of a run on the logarithm of their time, older ones fading."""
+    """Least-squares line through the means of a run over log time, with older ones fading."""
 
     def __init__(self) -> None:
         self.begin()
 
     def begin(self) -> None:
-        """Begin another run."""
+        """Start a new run."""
         self._blocks = 0
         self._normal: FloatArray = np.zeros((2, 2))
         self._right: FloatArray = np.zeros(2)
 
     @property
     def age(self) -> float:
-        """Return the logarithm of the blocks of the run, until it has settled."""
+        """Return the logarithm of the blocks in the run, limited to `SETTLED_BLOCKS`."""
         return float(np.log(min(self._blocks, SETTLED_BLOCKS)))
 
     def take(self, mean_um: float) -> float:
-        """Take the mean of the next block; return by how much it departs (um)."""
+        """Add the mean of the next block, and return its deviation from the line (um)."""
         self._blocks += 1
         at = np.array([1.0, np.log(self._blocks)])
         offset_um = 0.0

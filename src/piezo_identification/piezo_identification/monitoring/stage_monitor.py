@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a stage plays and measures, watched by a model; the last of it is kept for a diagnosis."""
+"""Monitor a stage with a model, and keep its most recent samples for a diagnosis."""
 
 import hashlib
 from collections import deque
@@ -19,12 +19,12 @@ from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 
 APPROACH_S = 0.3
-"""From the beginning of a run on, in which a plan goes to its reference and lets it settle."""
+"""Time (s) at the start of a run in which the stage approaches its reference and settles."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """Samples of one run, and the voltages that the hysteresis had met before."""
+    """Samples of one run, and the voltages in the memory of the hysteresis before them."""
 
     first_sample: int
     run: int
@@ -40,27 +40,27 @@ class _Piece:
 class StageMonitor:
     """Watch the blocks of a stage with a model, in bounded memory.
 
-    Runs of the loop are watched, from the end of their approach on; everything else moves the model
-    along. After a gap the model begins anew, as the stage's past is not known then.
+    Runs of the loop are tested from the end of their approach on; all other samples only update the
+    state of the model. After a gap, the model starts anew, as the past of the stage is unknown.
 
     Parameters
     ----------
     kept_s : float
-        How much of the past is kept for a diagnosis (s).
+        Duration of the past that is kept for a diagnosis (s).
     rest_voltage_v : float
-        At which the stage has rested before the first sample.
+        Voltage at which the stage rested before the first sample.
     known : KnownError, optional
-        Of the model; by default nothing is known, and all is learned.
+        Known error of the model; by default, it is unknown and learned during operation.
 
     Attributes
     ----------
     lost_samples : int
-        Of all gaps.
+        Number of samples lost in gaps.
 
     Raises
     ------
     ValueError
-        If the model cannot be run beside a stage; see `ModelMonitor`.
+        If the model or a block is not suitable; see `ModelMonitor`.
     """
 
     def __init__(self, model: StageModel, sample_rate_hz: float,
@@ -82,32 +82,32 @@ class StageMonitor:
 
     @property
     def is_learning(self) -> bool:
-        """Return whether it has seen too little to know from that what is usual."""
+        """Return True until enough blocks were seen to learn the usual error."""
         return self._monitor.is_learning
 
     @property
     def watched_until_s(self) -> float:
-        """Return the time of the sample clock until which the model has followed the stage."""
+        """Return the time on the sample clock up to which samples were processed."""
         return 0.0 if self._next is None else self._next / self.sample_rate_hz
 
     def take(self, first_sample: int, sample_period_s: float, voltage_v: FloatArray,
              displacement_um: FloatArray, flags: int) -> list[Suspicion]:
-        """Take the next block of samples; return the alarms that it raises.
+        """Process the next block of samples, and return the alarms that it raises.
 
         Parameters
         ----------
         first_sample : int
-            On the sample clock.
+            Number of the first sample on the sample clock.
         sample_period_s : float
-            Longer than the clock's where a slow waveform plays.
+            Sample period of the block, longer than that of the clock for slow waveforms.
         voltage_v, displacement_um : ndarray, shape (n,)
         flags : int
-            Of the block: `Flag` bits.
+            `Flag` bits of the block.
 
         Returns
         -------
         list of Suspicion
-            Times are those of the sample clock.
+            Alarms, with times on the sample clock.
         """
         stride = round(sample_period_s * self.sample_rate_hz)
         if self._next is None or first_sample != self._next:
@@ -133,18 +133,18 @@ class StageMonitor:
         return raised
 
     def samples_since(self, time_s: float) -> int:
-        """Count the kept samples of the last run that were measured since a time of the clock."""
+        """Count the kept samples of the last run that were measured since a time (s)."""
         return sum(piece.voltage_v.size for piece in self._since(time_s))
 
     def recording(self, time_s: float) -> Recording:
-        """Return what is kept of the last run since a time, as a recording.
+        """Return the kept samples of the last run since a time as a recording.
 
-        The voltages that the hysteresis remembers from before stand in front, as on a ramp.
+        They are preceded by the voltages in the memory of the hysteresis, flagged as a ramp.
 
         Parameters
         ----------
         time_s : float
-            Of the sample clock.
+            Time on the sample clock.
 
         Raises
         ------
@@ -182,7 +182,7 @@ class StageMonitor:
         self._playing = False
 
     def _flush(self) -> None:
-        """Let the model follow what does not fill a block any more."""
+        """Process the waiting samples that do not fill a block, without testing them."""
         if self._gathered:
             self._pass_by(*self._taken(self._gathered))
 
@@ -207,7 +207,7 @@ class StageMonitor:
                 displacement_um))
 
     def _taken(self, count: int) -> tuple[FloatArray, FloatArray]:
-        """Take so many of the samples that wait."""
+        """Remove `count` samples from the waiting ones, and return them."""
         voltage_v, displacement_um = (
             np.concatenate(parts) for parts in zip(*self._waiting, strict=True))
         self._waiting = [(voltage_v[count:], displacement_um[count:])]

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How large a model's error usually is for a kind of motion, and how surely that is known.
+"""The usual error of a model for a kind of motion, and its uncertainty.
 
-The square of the error is the noise's and a part of the motion's in each band; these parts are
-known from the model file, and better from all that was tracked so far. A kind of motion differs
-from that by a factor of its own, and each of its blocks by another one. Both are log-normal with
-spreads that are pooled over all kinds (A. Gelman et al., Bayesian Data Analysis, 2013, chapter 5),
-so that a kind that was never seen is expected as widely as kinds differ, and one that was seen as
-narrowly as its blocks do.
+The squared error is the power of the noise plus a fraction of the motion's power in each band. The
+model file gives first values of these fractions; tracked motion improves them. The error of a kind
+of motion differs from this prediction by a factor, and that of each of its blocks by another one.
+Both factors are log-normal, with spreads pooled over all kinds (A. Gelman et al., Bayesian Data
+Analysis, 2013, chapter 5). The uncertainty of a new kind is thus the spread between kinds, and that
+of a known kind is the spread of its blocks.
 """
 
 from collections.abc import Iterator, Mapping
@@ -19,37 +19,38 @@ from piezo_common.arrays import FloatArray
 from piezo_models.identified_model import IdentifiedModel
 
 KINDS = 512
-"""Of motion that are remembered; the one that was not met for longest is forgotten first."""
+"""Most kinds of motion in memory; the one that was not met for longest is dropped first."""
 
 BETWEEN, WITHIN = 0.5, 0.2
-"""Spreads of the logarithm from kind to kind and from block to block before any were seen."""
+"""Prior spreads of the logarithm between kinds and between the blocks of a kind."""
 
 BELIEVED_KINDS, BELIEVED_BLOCKS = 4.0, 3.0
-"""Kinds, and blocks of a kind, for which these spreads, and later the pooled ones, count."""
+"""Weights of the spreads: number of kinds that the priors count for, and number of blocks that the
+pooled spread counts for in a kind."""
 
 STATED_SPREAD = 0.7
-"""Of the logarithm of an error that a model file states: a factor of two."""
+"""Spread of the logarithm of an error stated in a model file: a factor of two."""
 
 WANDER = 0.3
-"""Spread of the logarithm that is usual without any reason: a third more or less."""
+"""Spread of the logarithm that occurs without any change: about a third up or down."""
 
 FURTHEST = 4.0
-"""Scales by which a block may differ: one that differs by more is learned as if by that."""
+"""Largest deviation of a block, in scales; larger ones are clipped before learning."""
 
 STEPS = 3
-"""Of Gauss and Newton at most whenever a kind joins: the parts are nearly right before."""
+"""Gauss-Newton steps at each update; few suffice, as the fractions change little."""
 
 
 @dataclass(frozen=True)
 class KnownError:
-    """What is known of a model's error before it is watched.
+    """Prior knowledge of the error of a model.
 
     Attributes
     ----------
     part_of_motion : float
         RMS of the error over that of the motion.
     noise_um : float
-        Of the sensor, RMS.
+        RMS noise of the sensor.
     spread : float
         Standard deviation of the logarithms of both.
     """
@@ -60,10 +61,10 @@ class KnownError:
 
 
 def known_error(identified: IdentifiedModel) -> KnownError:
-    """Return what a model file states of the model's error.
+    """Return the error that a model file states.
 
-    That is its error on unseen data, or on the data it was fitted to where there is none, and the
-    least noise of its recordings.
+    It is the error on unseen data or, without unseen data, on the data of the fit, together with
+    the lowest noise of the recordings.
     """
     stated = list(_stated_percent(identified.errors)) or [
         part["error_percent"] for part in identified.adequacy.values()
@@ -88,7 +89,7 @@ def _stated_percent(errors: Mapping[str, Any]) -> Iterator[float]:
 
 @dataclass(eq=False)
 class _Kind:
-    """A kind of motion with the logarithms of its errors: their number, mean and squares about it.
+    """A kind of motion with count, mean and sum of squares of the logarithms of its errors.
 
     Attributes
     ----------
@@ -105,7 +106,7 @@ class _Kind:
     met: int = field(default=0)
 
     def take(self, value: float, weight: float, most: int) -> None:
-        """Take the logarithm of a block's error; what is older than so many blocks fades."""
+        """Add the logarithm of a block's error; errors older than `most` blocks fade."""
         if self.blocks > most - weight:
             self.squares *= (most - weight) / self.blocks
             self.blocks = most - weight
@@ -117,12 +118,7 @@ class _Kind:
 
 @dataclass(frozen=True)
 class Expected:
-    """The logarithm of a block's error (um) as it is expected: a Student distribution.
-
-    Attributes
-    ----------
-    middle, scale, freedom : float
-    """
+    """Expected logarithm of a block's error (um), as a Student distribution."""
 
     middle: float
     scale: float
@@ -130,15 +126,14 @@ class Expected:
 
 
 class UsualError:
-    """What size the error of a model has, by the kind of motion.
+    """The usual error of a model for each kind of motion.
 
     Parameters
     ----------
-    known : KnownError
     bands : int
-        In which the motion is divided.
+        Number of frequency bands of the motion.
     memory : int
-        Blocks of a kind after which older ones fade.
+        Number of blocks of a kind after which older ones fade.
     """
 
     def __init__(self, known: KnownError, bands: int, memory: int) -> None:
@@ -147,7 +142,7 @@ class UsualError:
                     known.spread)
 
     def _begin(self, parts: FloatArray, spread: float) -> None:
-        """Begin with logarithms of the parts that are known to within a spread."""
+        """Start with prior logarithms of the fractions and their spread."""
         self._prior, self._prior_spread = parts, spread
         self._parts, self._covariance = parts.copy(), spread**2 * np.eye(parts.size)
         self._kinds: list[_Kind] = []
@@ -155,22 +150,22 @@ class UsualError:
         self._between, self._within = BETWEEN, WITHIN
 
     def expected(self, motion_um: FloatArray, features: FloatArray) -> Expected:
-        """Return how large the error of a block is expected.
+        """Return the expected error of a block.
 
         Parameters
         ----------
         motion_um : ndarray, shape (B,)
             RMS of the motion in each band.
         features : ndarray, shape (F,)
-            Two blocks are of one kind where none of them differs by more than one.
+            Features of the motion; two blocks are of one kind if none differs by more than 1.
         """
         kind = self._kind(features)
-        # From all others, where the kind is new; with it, as many blocks as that is worth.
+        # The prediction from all kinds; for a known kind, it is weighted with the kind's blocks.
         middles, slopes = self._from_motion((motion_um if kind is None else kind.motion_um)[None])
         middle, slope = float(middles[0]), slopes[0]
         between = self._between**2 + float(slope @ self._covariance @ slope)
         if kind is None:
-            # Kinds that are met for the first time one after the other err alike: all count once.
+            # Successive new kinds have similar errors, so each widens the spread.
             between *= 1.0 + self._unseen
             return _wandering(middle, between + self._within**2, BELIEVED_BLOCKS)
         freedom = BELIEVED_BLOCKS + kind.blocks - 1.0
@@ -187,7 +182,7 @@ class UsualError:
         Parameters
         ----------
         weight : float
-            Of the block, from 0 to 1, if its kind was met before.
+            Weight of the block (0 to 1); 1 is used if its kind is new.
         """
         expected, kind = self.expected(motion_um, features), self._kind(features)
         is_new = kind is None
@@ -207,12 +202,12 @@ class UsualError:
             self._pool()
 
     def grow(self, factor: float) -> None:
-        """Expect larger errors from now on; by how much for which kind is to be learned."""
+        """Expect errors larger by a factor from now on, and relearn those of each kind."""
         growth = float(np.log(factor))
         self._begin(self._parts + growth, growth)
 
     def _kind(self, features: FloatArray) -> _Kind | None:
-        """Return the kind that is nearest, if it is near."""
+        """Return the nearest kind, or None if its features differ by more than 1."""
         if not self._kinds:
             return None
         away = np.abs(self._features - features).max(axis=1)
@@ -220,19 +215,19 @@ class UsualError:
         return self._kinds[nearest] if away[nearest] <= 1.0 else None
 
     def _from_motion(self, motion_um: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the logarithms of the errors of motions (K, B), and their slopes by the parts."""
+        """Return the log errors predicted for motions (K, B), and their derivatives."""
         powers = np.exp(2.0 * self._parts) * np.column_stack(
             [motion_um**2, np.ones(len(motion_um))])
         total = powers.sum(axis=1)
         return 0.5 * np.log(total), powers / total[:, None]
 
     def _pool(self) -> None:
-        """Estimate the parts and the spreads from all kinds."""
+        """Estimate the fractions and the spreads from all kinds."""
         motion_um = np.array([kind.motion_um for kind in self._kinds])
         means, blocks, squares = np.array(
             [(kind.mean, kind.blocks, kind.squares) for kind in self._kinds]).T
         repeated = blocks > 1.0
-        # Each kind counts once: those that go on for long do not speak for the others.
+        # Each kind counts once, so that one with many blocks does not dominate.
         self._within = float(np.sqrt(
             (BELIEVED_KINDS * WITHIN**2 + np.sum(squares[repeated] / (blocks[repeated] - 1.0)))
             / (BELIEVED_KINDS + np.count_nonzero(repeated))))
@@ -254,6 +249,6 @@ class UsualError:
 
 
 def _wandering(middle: float, variance: float, freedom: float) -> Expected:
-    """Add `WANDER`, with the degrees of freedom of Satterthwaite (1946)."""
+    """Add the variance of `WANDER`, with the degrees of freedom of Satterthwaite (1946)."""
     whole = variance + WANDER**2
     return Expected(middle, float(np.sqrt(whole)), freedom * (whole / variance) ** 2)

@@ -52,11 +52,11 @@ from piezo_ros.stage_runs.recording_calls import (
 from piezo_ros.stage_runs.run_account import RunAccount, declare_run_limits
 from piezo_ros.stage_runs.stage_tracking import StageTracker
 
-# Of the identify action: what the experiments take of it, the rest are the estimators.
+# Fraction of the identify action's progress for the experiments; the rest is the estimation.
 EXPERIMENTS_FRACTION = 0.5
-# Takes the step of an experiment, and which fraction of it is done.
+# Called with the step of an experiment and the fraction done.
 Report = Callable[[str, float], None]
-# Of a diagnosis: the model, the recordings, the held-out recording, the directory of the results.
+# Model, recordings, held-out recording and result directory of a diagnosis.
 DiagnosedFiles = tuple[str, list[str], str | None, Path]
 BUDGET, LONGEST_BUDGET_S = "budget_s", 86_400.0
 DIAGNOSIS_FILES = ("verdict.json", "extended_model.json", "report.html", "next_experiment.csv",
@@ -88,7 +88,7 @@ class IdentificationNode(LifecycleNode):
         autostart(self)
 
     def wind_down(self) -> bool:
-        """Cancel what runs; return whether it has ended."""
+        """Cancel running goals; return whether they have ended."""
         return self._goals.end()
 
     def _run_experiment(self, goal: RunExperiment.Goal, result: RunExperiment.Result,
@@ -117,7 +117,7 @@ class IdentificationNode(LifecycleNode):
     def _run_axes_experiments(self, goal: RunExperiment.Goal, stage: StageDescription,
                               directory: Path, result: RunExperiment.Result,
                               progress: Progress) -> None:
-        """Run the experiments of one name for all axes; several are recorded into one folder."""
+        """Run the experiments of one name for all axes; record several in one folder."""
         experiments = axes_experiments(goal.experiment, {
             axis.name: _limits(stage, axis) for axis in stage.axes})
         if len(experiments) > 1:
@@ -142,7 +142,7 @@ class IdentificationNode(LifecycleNode):
 
     def _fitted(self, name: str, stage: StageDescription,
                 directory: Path) -> Experiment | RelayExperiment:
-        """Make an experiment, fitted to the stage where the directory has the file of a probe."""
+        """Return an experiment, fitted to the stage if the directory has the file of a probe."""
         limits, path = _limits(stage), directory / probe_file.NAME
         if not path.exists():
             return named_experiment(name, limits)
@@ -163,7 +163,7 @@ class IdentificationNode(LifecycleNode):
 
             def told(phase: str, fraction: float, text: str = text, begin_s: float = played_s,
                      step_s: float = step_s) -> None:
-                # How long the probe takes shows only at its end.
+                # The duration of the probe is unknown until it ends.
                 done_s = begin_s + fraction * step_s
                 report(f"{NAME}, {text}: {phase}", done_s / (done_s + probe.longest_s))
             _, recording = self._record(step, stage, steps, result, told, progress, unrecorded)
@@ -179,9 +179,9 @@ class IdentificationNode(LifecycleNode):
                 directory: Path,
                 result: RunExperiment.Result | Identify.Result | Diagnose.Result, report: Report,
                 progress: Progress, unrecorded: bool) -> tuple[str, RunRecording]:
-        """Run and record an experiment; its recording is in the result whatever happens.
+        """Run and record an experiment; the path of its recording is always put in the result.
 
-        Returns what there is to tell of the run, and the recording.
+        Returns a note on the run, and the recording.
         """
         self._stage.check_unchanged(stage)
         with self._recorder.record(directory, experiment.name, {
@@ -218,7 +218,7 @@ class IdentificationNode(LifecycleNode):
 
     def _relay(self, experiment: RelayExperiment, report: Report, progress: Progress,
                recording: RunRecording) -> str:
-        """Answer the stage's blocks as a relay; return what there is to tell of it."""
+        """Act as a relay on the stage's blocks; return a note on the run."""
         run, account = RelayRun(experiment), RunAccount(
             **self._run_limits, answered=True, streamed=False)
 
@@ -314,7 +314,7 @@ class IdentificationNode(LifecycleNode):
             progress.report(fraction, stage=stage)
 
         readable, directory = self._data_root.readable, self._writable(goal)
-        for name in DIAGNOSIS_FILES:  # which may be links that lead elsewhere
+        for name in DIAGNOSIS_FILES:  # they may be links to other places
             self._data_root.writable(directory / name)
         files: DiagnosedFiles = (readable(goal.model), [*map(readable, goal.recordings)],
                                  readable(goal.holdout) or None, directory)
@@ -336,7 +336,7 @@ class IdentificationNode(LifecycleNode):
 
     def _decide(self, files: DiagnosedFiles, goal: Diagnose.Goal, result: Diagnose.Result,
                 progress: Progress, report: Report) -> tuple[DiagnosisResults, str]:
-        """Diagnose, and play what decides between the explanations that remain."""
+        """Diagnose, and play experiments that decide between the remaining explanations."""
         if not (np.isfinite(goal.longest_s) and goal.longest_s >= 0.0):
             raise ValueError(f"longest_s is {goal.longest_s:g}: give how long an experiment may "
                              "last in s, or 0")
@@ -354,16 +354,16 @@ class IdentificationNode(LifecycleNode):
         return results, decision_sentence(steps)
 
     def _budget(self) -> Budget:
-        """Return the time of a goal, which begins now."""
+        """Return the time budget of a goal, which starts now."""
         return Budget(self.get_parameter(BUDGET).value or None)
 
     def _writable(self, goal: RunExperiment.Goal | Identify.Goal | Diagnose.Goal) -> Path:
-        """Return the directory in which a goal's files are made."""
+        """Return the directory for the files of a goal."""
         return self._data_root.writable(goal.directory or self._directory)
 
 
 def _limits(stage: StageDescription, axis: StageAxis | None = None) -> StageLimits:
-    """Return what experiments are made for, as the stage describes it, or one of its axes."""
+    """Return the limits of a stage, or of one of its axes, for the design of experiments."""
     own = axis or stage
     return StageLimits(
         own.minimum_voltage_v, own.maximum_voltage_v, own.slew_limit_v_per_s,

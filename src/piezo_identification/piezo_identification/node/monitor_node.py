@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Run the controller's model beside the stage, tell when it no longer fits, and offer another."""
+"""Run the controller's model next to the stage, report when it no longer fits, offer another."""
 
 from datetime import datetime
 from pathlib import Path
@@ -27,7 +27,7 @@ DIAGNOSTICS_PERIOD_S = 1.0
 
 
 class MonitorNode(LifecycleNode):
-    """Watch every run of the loop, and diagnose in the background what a change left."""
+    """Monitor every run of the loop, and diagnose changes in the background."""
 
     def __init__(self) -> None:
         super().__init__("monitor")
@@ -59,20 +59,20 @@ class MonitorNode(LifecycleNode):
             ExtendedModel, "monitor/extended_model", DESCRIPTION)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_subscription(String, "controller/model", self._use_model, DESCRIPTION)
-        # Raw, as nobody looks at the blocks before there is a model.
+        # Raw, as blocks are not deserialized before there is a model.
         self.create_subscription(SampleBlock, "samples", self._take, SAMPLES, raw=True)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._tell,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
         autostart(self)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Watch from now on."""
+        """Start monitoring."""
         self._active = True
         self._begin()
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Watch no more, and end the diagnosis that runs."""
+        """Stop monitoring, and end a running diagnosis."""
         self._active = False
         self._begin()
         return super().on_deactivate(state)
@@ -80,11 +80,11 @@ class MonitorNode(LifecycleNode):
     on_shutdown = on_deactivate
 
     def close(self) -> None:
-        """End the diagnosis that runs."""
+        """End a running diagnosis."""
         self._forget()
 
     def _forget(self) -> None:
-        """Forget what was suspected."""
+        """Discard the reported changes, and end a running diagnosis."""
         if self._explainer is not None:
             self._explainer.end()
         self._first: Suspicion | None = None
@@ -94,13 +94,13 @@ class MonitorNode(LifecycleNode):
         self._found = ""
 
     def _use_model(self, message: String) -> None:
-        """Watch with the model that the controller uses from now on."""
+        """Monitor with the model that the controller uses from now on."""
         if message.data != self._model_path:
             self._model_path = message.data
             self._begin()
 
     def _begin(self, _: StageDescription | None = None) -> None:
-        """Begin anew, with the present model and the present stage."""
+        """Restart with the present model and the present stage."""
         self._forget()
         self._monitor, described = None, self._stage.description
         if not (self._active and self._model_path and described):
@@ -136,7 +136,7 @@ class MonitorNode(LifecycleNode):
                 self._explain(monitor, self._first)
 
     def _explain(self, monitor: StageMonitor, first: Suspicion) -> None:
-        """Begin to diagnose what was recorded since the alarm."""
+        """Start to diagnose the samples recorded since the alarm."""
         name = datetime.now().astimezone().strftime("change_%Y%m%d_%H%M%S_%f")
         try:
             directory = self._data_root.writable(Path(self._directory, name))
@@ -147,7 +147,7 @@ class MonitorNode(LifecycleNode):
             self.get_logger().error(self._found)
 
     def _take_explanation(self) -> None:
-        """Offer what the diagnosis has found, once it has ended."""
+        """Offer the result of the diagnosis once it has ended."""
         explainer, first = self._explainer, self._first
         if explainer is None or first is None:
             return
@@ -165,7 +165,7 @@ class MonitorNode(LifecycleNode):
             self._offers.publish(self._offer)
 
     def _tell(self) -> None:
-        """Publish what is suspected, and what has become of it."""
+        """Publish the reported change and the state of its diagnosis."""
         self._take_explanation()
         level, message = self._state()
         values: dict[str, object] = {"model": self._model_path}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a model says that a recording should have measured, and how far it is off."""
+"""Predict the displacement of a recording with a model, and compute the error."""
 
 from typing import TYPE_CHECKING
 

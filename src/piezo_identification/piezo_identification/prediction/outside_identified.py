@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which share of a voltage leaves what a model was identified on, and what that makes uncertain."""
+"""Find samples outside the range in which a model was identified, and their uncertainty."""
 
 from dataclasses import dataclass
 
@@ -13,10 +13,11 @@ from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.identified_model import IdentifiedModel
 
 NEAR_VISITED = 0.03
-"""Part of the voltage range within which a density is known from visited cells, being smooth."""
+"""Distance from visited cells within which a smooth density is known, as a fraction of the voltage
+range."""
 
 BEYOND = 1e-6
-"""Part of the voltage range by which a voltage may exceed it by rounding."""
+"""Excess over the voltage range that is attributed to rounding, as a fraction of the range."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,13 +27,14 @@ class OutsideIdentified:
     Parameters
     ----------
     beyond : ndarray of bool, shape (N,)
-        The voltage is beyond that of the model, whose hysteresis stands still there.
+        True where the voltage is outside the range of the model, whose hysteresis is constant
+        there.
     unvisited : ndarray of bool, shape (N,)
-        The output depends on cells of the Preisach plane that no recording determined.
+        True where the output depends on cells of the Preisach plane that no recording determined.
     deviation_um : ndarray, shape (N,)
-        Standard deviation of the displacement for these two reasons; 0 where there is none.
+        Standard deviation of the displacement from these two causes; 0 without a cause.
     voltage_range_v : (float, float)
-        Of the model.
+        Voltage range of the model.
     """
 
     beyond: BoolArray
@@ -42,11 +44,11 @@ class OutsideIdentified:
 
     @property
     def outside(self) -> BoolArray:
-        """Samples to which either applies, shape (N,)."""
+        """Mask of the samples that are beyond or unvisited, shape (N,)."""
         return self.beyond | self.unvisited
 
     def sentences(self) -> list[str]:
-        """Tell people which share is outside, and how uncertain the displacement is there."""
+        """Return sentences on the fraction of samples outside, and their uncertainty."""
         low_v, high_v = self.voltage_range_v
         told = []
         for mask, where in (
@@ -66,23 +68,22 @@ class OutsideIdentified:
 def outside_identified(
     identified: IdentifiedModel, voltage_v: ArrayLike, past_v: tuple[float, ...] = (),
 ) -> OutsideIdentified:
-    """Find where a voltage leaves what a model was identified on.
+    """Find where a voltage is outside the range in which a model was identified.
 
-    The output is a sum of Everett values, one at each remembered extreme. The value at a visited
-    corner is known, whatever cells it is made of. At another one, the mass m of unvisited cells
-    that it includes may be anything between none and all of the mass M of their connected block:
-    its variance is taken for m (M - m) / 3, that of a Dirichlet distribution of concentration 2.
-    Beyond the voltages of the model nothing is known: the standard deviation is the way there times
-    the largest gain.
+    The output is a sum of Everett values, one for each extreme in memory. The value at a visited
+    corner is known. At another corner, the mass m of the unvisited cells that it includes may be
+    anything between none and all of the mass M of their connected block. Its variance is assumed to
+    be m (M - m) / 3, that of a Dirichlet distribution with concentration 2. Outside the voltage
+    range of the model, the standard deviation is the excess voltage times the largest gain.
 
     Parameters
     ----------
     identified : IdentifiedModel
-        Without `visited`, only voltages beyond its range are told.
+        Model; without `visited`, only voltages outside its range are found.
     voltage_v : array_like, shape (N,)
-        From the first sample that counts in the memory of the hysteresis.
+        Voltage from the first sample that influences the hysteresis.
     past_v : tuple of float
-        Voltages before.
+        Earlier voltages.
     """
     hysteresis = identified.model.hysteresis
     voltage_v = np.asarray(voltage_v, dtype=float)
@@ -101,17 +102,17 @@ def outside_identified(
 
 
 def everett_variance_um2(hysteresis: PreisachModel, visited: BoolArray) -> FloatArray:
-    """Variance of the Everett value in each cell, for the unvisited cells that it includes.
+    """Return the variance of the Everett value in each cell from the unvisited cells it includes.
 
     Parameters
     ----------
     visited : ndarray of bool, shape (L, L)
-        Cells that the recordings determine.
+        True for cells that the recordings determine.
 
     Returns
     -------
     ndarray, shape (L, L)
-        0 in visited cells and near them.
+        Variance in um^2; 0 in visited cells and near them.
     """
     size = len(visited)
     near = binary_dilation(visited, iterations=max(1, round(NEAR_VISITED * size)))
@@ -122,7 +123,7 @@ def everett_variance_um2(hysteresis: PreisachModel, visited: BoolArray) -> Float
     variance = np.zeros((size, size))
     for block in range(1, count + 1):
         of_block = np.where(blocks == block, mass_um, 0.0)
-        # What the corner of each cell includes: lower upper thresholds, higher lower thresholds.
+        # A corner includes cells with lower upper thresholds and higher lower thresholds.
         included = np.cumsum(np.cumsum(of_block, axis=0)[:, ::-1], axis=1)[:, ::-1]
         whole = float(of_block.sum())
         variance += np.maximum(included * (whole - included), 0.0) / 3.0

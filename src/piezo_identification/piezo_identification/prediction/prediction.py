@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Simulate a model under the voltage of a recording."""
+"""Simulate a model for the voltage of a recording."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -26,20 +26,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Measured and simulated displacement of the part in which the waveform plays.
+    """Measured and simulated displacement of the part in which the waveform is played.
 
     Parameters
     ----------
     time_s, voltage_v, measured_um, simulated_um : ndarray, shape (N,)
-        From when the start has settled.
+        Samples after the start has settled.
     sample_index : ndarray of int, shape (N,)
-        Of the samples in the recording.
+        Numbers of the samples in the recording.
     past_v : (float, float) or ()
-        Of `starting_past_v`.
+        Voltages before the recording from `starting_past_v`.
     outlier : ndarray of bool, shape (N,), optional
-        Samples that neither fits nor errors count; none by default.
+        True for samples excluded from fits and errors; by default, none are.
     reversed : bool
-        The sign of the measured displacement was changed.
+        Whether the sign of the measured displacement was changed.
     """
 
     time_s: FloatArray
@@ -63,7 +63,7 @@ class Prediction:
 
     @property
     def good(self) -> NDArray[np.bool_]:
-        """Mask of the samples that count, shape (N,)."""
+        """Mask of the samples that are not outliers, shape (N,)."""
         return np.ones(self.time_s.size, dtype=bool) if self.outlier is None else ~self.outlier
 
     def e_y_percent(self, part: NDArray[np.bool_] | slice = slice(None)) -> float:
@@ -72,7 +72,7 @@ class Prediction:
         Parameters
         ----------
         part : slice or mask, shape (N,)
-            Samples that are counted; all by default.
+            Samples to use; all by default.
         """
         used = np.zeros(self.time_s.size, dtype=bool)
         used[part] = True
@@ -81,12 +81,12 @@ class Prediction:
 
 
 def predict(model: StageModel, recording: Recording) -> Prediction:
-    """Simulate a model under the voltage of a recording.
+    """Simulate a model for the voltage of a recording.
 
-    The state of the creep at the first sample, and the offset, are fitted: nothing tells what the
-    stage did before. The past of the hysteresis is that of `starting_past_v`. The sign of the
-    measured displacement is changed where it moves against the model. Outliers are left out: those
-    that stand out of the displacement, and those that stand out of what the model leaves.
+    The initial state of the creep and the offset are fitted, as the motion before the recording is
+    unknown. The past of the hysteresis is that of `starting_past_v`. The sign of the measured
+    displacement is changed if it moves against the model. Outliers of the displacement and of the
+    residual are excluded.
 
     Raises
     ------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Relative errors of a prediction: of the whole, of its slow and of its fast branches."""
+"""Relative errors of a prediction: on all samples, on slow branches and on fast branches."""
 
 from collections.abc import Sequence
 
@@ -13,8 +13,8 @@ from piezo_models.cascade import StageModel
 from piezo_models.measures import e_y_percent
 
 LEAST_MOTION = 0.02
-"""Part of the standard deviation of voltage and displacement that slow or fast branches need before
-their error is told: where nothing moves, any error is large beside it."""
+"""Smallest standard deviation of voltage and displacement on slow or fast branches, relative to all
+samples, for which their error is reported. Without motion, relative errors are large."""
 
 
 def unseen_errors(model: StageModel, recordings: Recordings) -> dict[str, float]:
@@ -23,13 +23,13 @@ def unseen_errors(model: StageModel, recordings: Recordings) -> dict[str, float]
     Parameters
     ----------
     recordings : Recording or sequence of Recording
-        Each without gaps.
+        Recordings without gaps.
 
     Returns
     -------
     dict of str to float
-        `e_y_percent` of the whole, `hysteresis_e_y_percent` of the slow branches and
-        `dynamics_e_y_percent` of the fast ones, as far as these move the stage.
+        `e_y_percent` for all samples, `hysteresis_e_y_percent` for slow branches and
+        `dynamics_e_y_percent` for fast ones, if the stage moves in them.
     """
     return errors_of([predict(model, recording) for recording in listed(recordings)])
 
@@ -40,7 +40,7 @@ def errors_of(predictions: Sequence[Prediction]) -> dict[str, float]:
     Parameters
     ----------
     predictions : sequence of Prediction
-        Of stretches of one experiment, the offset of each of which is its own.
+        Predictions for the stretches of one experiment; each has its own offset.
     """
     errors = {"e_y_percent": _joint_e_y_percent(predictions, [each.good for each in predictions])}
     slow = [slow_branches(each.time_s, each.voltage_v) for each in predictions]
@@ -53,14 +53,14 @@ def errors_of(predictions: Sequence[Prediction]) -> dict[str, float]:
 
 
 def _moves(prediction: Prediction, part: BoolArray) -> bool:
-    """Whether voltage and displacement move in a part as they do in the whole."""
+    """Return whether voltage and displacement move notably in a part."""
     return bool(part.any()) and all(
         np.std(signal[part]) > LEAST_MOTION * np.std(signal)
         for signal in (prediction.voltage_v, prediction.measured_um))
 
 
 def _joint_e_y_percent(predictions: Sequence[Prediction], parts: Sequence[BoolArray]) -> float:
-    """Return the relative error (4.20) over parts of predictions, each without its own offset."""
+    """Return the relative error (4.20) over parts of predictions, with offsets removed."""
     measured_um, simulated_um = (
         np.concatenate([values[part] - values[part].mean()
                         for values, part in zip(signals, parts, strict=True) if part.any()])

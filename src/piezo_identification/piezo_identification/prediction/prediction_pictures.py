@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Picture of measured and simulated displacement."""
+"""Figure of measured and simulated displacement."""
 
 from matplotlib.figure import Figure
 
@@ -24,7 +24,7 @@ def displacement_figure(prediction: Prediction,
     Parameters
     ----------
     deviation_um : ndarray, shape (N,), optional
-        Standard deviation of the simulated displacement, drawn twice to both sides if it is not 0.
+        Standard deviation of the simulated displacement, drawn as a band of twice its size.
     """
     figure = new_figure(5.0, WIDE_IN)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))

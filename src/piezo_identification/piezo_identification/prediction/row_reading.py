@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Recordings read as those that a model was identified from, where that explains them better."""
+"""Align the rows of recordings like those of the identification if the model then fits better."""
 
 from collections.abc import Iterable, Sequence
 
@@ -19,17 +19,17 @@ from piezo_recorder.reading.recording import Recording
 
 def read_as_identified(identified: IdentifiedModel,
                        recording: Recording) -> tuple[Recording, float]:
-    """Align the rows of a recording as the identification found those of its own to be read.
+    """Align the rows of a recording with a reading time from the identification.
 
-    A model file tells when the logger of its recordings read their rows. A further recording may be
-    of the same logger or of another one: its rows are aligned if the model explains them better so.
+    A model file states when the rows of its recordings were read. A further recording may be of the
+    same logger or of another one, so its rows are aligned only if the model then fits better.
 
     Returns
     -------
     recording : Recording
-        Whose displacements are those at the instants of its rows.
+        Recording with the displacements at the times of its rows.
     read_at_samples : float
-        Instant at which they were read, in sample periods after the voltage of a row changed.
+        Time at which they were read, in sample periods after the voltage of a row changed.
 
     Raises
     ------
@@ -45,20 +45,20 @@ def all_as_identified(
     model: IdentifiedModel | StageModel, recordings: Iterable[Recording],
     said_at_samples: float = 0.0,
 ) -> tuple[list[Recording], list[str]]:
-    """Align the rows of recordings as it was said, or else as those of the identification.
+    """Align the rows of recordings with a given reading time, or else like the identification.
 
     Parameters
     ----------
     model : IdentifiedModel or StageModel
-        A bare stage model knows of no rows: those of the recordings remain as they are.
+        Model; for a `StageModel`, which has no reading times, the rows are unchanged.
     said_at_samples : float
-        When their rows are read, in sample periods after their voltage; 0 where nobody said it.
+        Given reading time of the rows, in sample periods after their voltage; 0 if not given.
 
     Returns
     -------
     recordings : list of Recording
     sentences : list of str
-        On those of which the model explains another instant better.
+        Messages on recordings whose rows were aligned because the model then fits better.
 
     Raises
     ------
@@ -80,18 +80,18 @@ def all_as_identified(
 def predict_as_identified(
     model: IdentifiedModel | StageModel, recording: Recording, said_at_samples: float = 0.0,
 ) -> tuple[Prediction, list[str]]:
-    """Simulate a model under a recording whose rows are aligned by `all_as_identified`.
+    """Simulate a model for a recording whose rows are aligned by `all_as_identified`.
 
     Parameters
     ----------
     model, recording, said_at_samples
-        As there.
+        Arguments as in `all_as_identified`.
 
     Returns
     -------
     prediction : Prediction
     sentences : list of str
-        On what was assumed of its rows, its sign, its outliers and its past.
+        Messages on the assumed reading time, sign, outliers and past.
 
     Raises
     ------
@@ -113,13 +113,13 @@ def predict_as_identified(
 def read_as_explained(
     model: StageModel, recording: Recording, read_at_samples: Sequence[float],
 ) -> tuple[Recording, float]:
-    """Align the rows of a recording to the one of several instants that a model explains best.
+    """Align the rows of a recording with the reading time for which a model fits best.
 
     Parameters
     ----------
     read_at_samples : sequence of float
-        Instants, in sample periods after the voltage of a row changed; 0, and what jumps tell, are
-        always tried.
+        Reading times in sample periods after the voltage of a row changed; 0 and the time that
+        jumps show are always tried.
 
     Returns
     -------
@@ -146,12 +146,12 @@ def read_as_explained(
 
 
 def rows_sentence(path: object, read_at_samples: float) -> str:
-    """Tell people when the rows of a recording were taken to be read; empty if with their voltage.
+    """Return a message on the assumed reading time of rows; empty if it is that of the voltage.
 
     Parameters
     ----------
     read_at_samples : float
-        Of `read_as_identified`.
+        Reading time from `read_as_identified`.
     """
     if read_at_samples == 0.0:
         return ""

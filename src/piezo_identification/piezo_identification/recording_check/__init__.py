@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a recording is good for, before anything is fitted to it."""
+"""Check recordings and their suitability for experiments, before a model is fitted."""

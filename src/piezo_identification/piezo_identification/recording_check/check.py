@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Measure what a recording is good for: its samples, noise, drift, waveform and start."""
+"""Measure the properties of a recording: its samples, noise, drift, waveform and start."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,40 +22,42 @@ from piezo_recorder.reading.plausibility import clipped_ends, implausible
 from piezo_recorder.reading.recording import Recording
 
 PLANE_CELLS, FEWEST_PLANE_CELLS = 40, 10
-"""Cells along a side of the Preisach plane whose visited part is told; the fewest where the voltage
-jumps over all of them."""
+"""Most and fewest cells along a side of the Preisach plane, of which the visited fraction is
+reported; a voltage that jumps over levels has fewer cells."""
 
 FEWEST_ROWS = 20
-"""With fewer rows nothing but their number and range is told."""
+"""Fewest rows for which more than their number and range is reported."""
 
 DRIFT_ROWS = 200_000
-"""Rows from which the drift is estimated; of longer recordings every second one or fewer."""
+"""Most rows, about, from which the drift is estimated; longer recordings are decimated."""
 
 SETTLED_NOISES = 5.0
-"""A trend at rest that is larger than so many standard deviations of its noise counts."""
+"""Standard deviations above which a trend at rest is significant."""
 
 MOST_OF_SWING, MOST_OF_NOISE = 1e-3, 4.0
-"""Part of the swing, and multiple of the noise of the first rows, that a held voltage may move."""
+"""Largest change of a held voltage, as a fraction of the swing and as a multiple of the noise."""
 
 CREEPS = 1e-4
-"""Part of the swing by which the mean voltage of the second half of a hold may differ."""
+"""Largest difference of the mean voltages of the two halves of a hold, as a fraction of the
+swing."""
 
 REST = Waveform(Kind.CONSTANT, "", np.empty(0, dtype=np.intp))
 
 SETTLED_PART = 2e-3
-"""Part of the range below which a difference between periods, or a trend at rest, is none."""
+"""Difference between periods, or trend at rest, that is negligible, as a fraction of the range."""
 
 
 @dataclass(frozen=True)
 class RecordingCheck:
-    """What can be measured of a recording; each property is measured when it is first asked for.
+    """Measured properties of a recording, each computed when it is first used.
 
     Parameters
     ----------
     whole : Recording
-        What plays in it.
+        The part in which a waveform is played.
     given : Recording, optional
-        It and the rows before and behind it that were left out; by default there are none.
+        The recording including the omitted rows before and after that part; by default, there are
+        none.
     """
 
     whole: Recording
@@ -63,13 +65,13 @@ class RecordingCheck:
 
     @cached_property
     def recording(self) -> Recording:
-        """The part that is looked at, its outliers marked: the longest segment of several."""
+        """The examined part, which is the longest segment, with outliers marked."""
         return with_outliers_marked(
             max(self.whole.segments, key=lambda each: len(each.voltage_v)))
 
     @property
     def left_out(self) -> tuple[int, int]:
-        """How many rows were left out before what plays, and how many behind it."""
+        """Number of rows omitted before and after the examined part."""
         if self.given is None:
             return 0, 0
         first, last = np.searchsorted(
@@ -78,55 +80,55 @@ class RecordingCheck:
 
     @property
     def samples(self) -> int:
-        """How many samples play."""
+        """Number of samples in which a waveform is played."""
         return len(self.whole.voltage_v)
 
     @property
     def gaps(self) -> int:
-        """How many gaps there are."""
+        """Number of gaps."""
         return len(self.whole.gaps)
 
     @property
     def has_few_rows(self) -> bool:
-        """Whether nothing but their number and range is told."""
+        """Whether there are too few rows to report more than their number and range."""
         return len(self.recording.voltage_v) < FEWEST_ROWS
 
     @cached_property
     def voltage_v(self) -> FloatArray:
-        """Of the part that is looked at, shape (N,)."""
+        """Voltage of the examined part, shape (N,)."""
         return np.asarray(self.recording.voltage_v, dtype=float)
 
     @cached_property
     def displacement_um(self) -> FloatArray:
-        """Of the part that is looked at, shape (N,)."""
+        """Displacement of the examined part, shape (N,)."""
         return np.asarray(self.recording.displacement_um, dtype=float)
 
     @property
     def reference_um(self) -> FloatArray:
-        """What a tracking run was to follow, shape (N,), nan where unknown; (0,) without a run."""
+        """Reference of a tracking run, shape (N,), nan where unknown; shape (0,) without a run."""
         return np.asarray(self.recording.reference_um, dtype=float)
 
     @property
     def sample_period_s(self) -> float:
-        """The usual distance of samples."""
+        """Median sample period."""
         return float(np.median(self.recording.sample_periods_s))
 
     @cached_property
     def waveform(self) -> Waveform:
-        """What the voltage does."""
+        """Kind of the voltage."""
         if self.has_few_rows:
             return Waveform(Kind.CONSTANT, "too few rows", np.empty(0, dtype=np.intp))
         return waveform_of(self.voltage_v, self.sample_period_s)
 
     @cached_property
     def noise_um(self) -> float:
-        """Standard deviation of the noise; nan where it cannot be told."""
+        """Standard deviation of the noise; nan if it cannot be determined."""
         return np.nan if self.has_few_rows else noise_of(
             self.displacement_um, self.voltage_v, self.waveform)
 
     @cached_property
     def drift_um(self) -> float:
-        """Over the recording, beside what the voltage explains; nan where it cannot be told."""
+        """Drift over the recording at constant voltage; nan if it cannot be determined."""
         return np.nan if self.has_few_rows else drift_of(self.displacement_um, self.voltage_v)
 
     @cached_property
@@ -135,7 +137,7 @@ class RecordingCheck:
             return "too few rows to tell", False
         before, _ = self.left_out
         if before and self.given is not None:
-            # The way from rest, which fits leave out, is known: what came before it is over.
+            # If the stage settled before the ramp from rest, earlier motion has faded.
             text, is_settled = start_of(
                 self.given.displacement_um, self.given.voltage_v, REST, self.noise_um,
                 self.sample_period_s)
@@ -146,12 +148,12 @@ class RecordingCheck:
 
     @property
     def start(self) -> str:
-        """State at the start, for people: at rest, settling, periodic, in motion."""
+        """Description of the state at the start: at rest, settling, periodic or in motion."""
         return self._start[0]
 
     @property
     def starts_settled(self) -> bool:
-        """Whether nothing of what came before shows."""
+        """Whether earlier motion has no visible effect at the start."""
         return self._start[1]
 
     @cached_property
@@ -166,17 +168,17 @@ class RecordingCheck:
 
     @cached_property
     def outliers(self) -> int:
-        """How many samples stand out of the displacement."""
+        """Number of outliers in the displacement."""
         return int(np.count_nonzero(~good_samples(self.recording)))
 
     @cached_property
     def warnings(self) -> list[str]:
-        """What is implausible."""
+        """Sentences on implausible data."""
         return implausible(self.whole)
 
     @property
     def is_clipped(self) -> bool:
-        """Whether the sensor stays at an end of its range while the voltage moves on."""
+        """Whether the sensor stays at an end of its range while the voltage changes."""
         return bool(clipped_ends(self.whole.displacement_um, self.whole.voltage_v))
 
     @property
@@ -191,31 +193,31 @@ class RecordingCheck:
 
     @property
     def duration_s(self) -> float:
-        """Duration of the part that was looked at."""
+        """Duration of the examined part."""
         return float(self.recording.time_s[-1])
 
     @property
     def visited_fraction(self) -> float:
-        """Part of the area of the Preisach plane that was visited."""
+        """Visited fraction of the Preisach plane."""
         return visited_fraction(self.visited)
 
 
 def check_recording(recording: Recording) -> RecordingCheck:
-    """Check what a recording is good for.
+    """Check the properties of a recording.
 
     Parameters
     ----------
     recording : Recording
-        Of any origin; ramps before and after a waveform are left out.
+        Recording of any origin; ramps before and after a waveform are omitted.
     """
     playing = recording.playing | recording.tracking
-    # As identify does: a table of another program does not say which rows lead to a square wave.
+    # Tables do not mark the rows that lead to a square wave; `identify` cuts them the same way.
     played = square_part(recording.select(playing) if playing.any() else recording)
     return RecordingCheck(played, recording)
 
 
 def noise_of(displacement_um: FloatArray, voltage_v: FloatArray, waveform: Waveform) -> float:
-    """Return the least standard deviation that rests, repeats and the highest frequencies tell.
+    """Return the smallest noise estimate from rests, repeats and the highest frequencies.
 
     Parameters
     ----------
@@ -224,7 +226,7 @@ def noise_of(displacement_um: FloatArray, voltage_v: FloatArray, waveform: Wavef
     Returns
     -------
     float
-        nan where none of them tells.
+        Standard deviation in um; nan if there is no estimate.
     """
     found = [noise_floor_um(displacement_um),
              noise_from_rest_um(displacement_um, voltage_v, fewest=50)]
@@ -235,9 +237,9 @@ def noise_of(displacement_um: FloatArray, voltage_v: FloatArray, waveform: Wavef
 
 
 def drift_of(displacement_um: FloatArray, voltage_v: FloatArray) -> float:
-    """Return by how much the displacement drifts at one voltage, over the whole recording.
+    """Return the drift of the displacement over the recording at constant voltage.
 
-    A cubic of the voltage, apart for its rise and its fall, and a straight line of time are fitted.
+    A cubic of the voltage, with a correction for rising voltage, and a line over time are fitted.
 
     Parameters
     ----------
@@ -246,7 +248,7 @@ def drift_of(displacement_um: FloatArray, voltage_v: FloatArray) -> float:
     Returns
     -------
     float
-        In um.
+        Drift in um.
     """
     swing_v = float(np.ptp(voltage_v)) or 1.0
     every = slice(None, None, max(1, voltage_v.size // DRIFT_ROWS))
@@ -259,18 +261,13 @@ def drift_of(displacement_um: FloatArray, voltage_v: FloatArray) -> float:
 
 def start_of(displacement_um: FloatArray, voltage_v: FloatArray, waveform: Waveform,
              noise_um: float, period_s: float) -> tuple[str, bool]:
-    """Return the state at the start, for people, and whether it is settled.
+    """Return a description of the state at the start, and whether it is settled.
 
     Parameters
     ----------
     displacement_um, voltage_v : ndarray, shape (N,)
     period_s : float
-        Of the samples.
-
-    Returns
-    -------
-    start : str
-    is_settled : bool
+        Sample period.
     """
     range_um = float(np.ptp(displacement_um))
     held = _held_rows(voltage_v)
@@ -297,14 +294,14 @@ def start_of(displacement_um: FloatArray, voltage_v: FloatArray, waveform: Wavef
 
 
 def _held_rows(voltage_v: FloatArray) -> int:
-    """Return in how many rows from the first on the voltage is held; 0 where it moves at once."""
+    """Return the number of rows for which the voltage is held at the start; 0 if it is not."""
     swing_v = float(np.ptp(voltage_v))
-    # Second differences hold the noise, and hardly anything of a smooth motion.
+    # Second differences contain the noise, but hardly any smooth motion.
     noise_v = float(np.median(np.abs(np.diff(voltage_v[:FEWEST_ROWS], 2))))
     for most_v in MOST_OF_SWING * swing_v, MOST_OF_NOISE * noise_v:
         moved = np.abs(voltage_v - voltage_v[0]) > most_v
         held = int(np.argmax(moved)) if moved.any() else voltage_v.size
-        # A sine that begins at its lowest voltage hardly moves at first, but it moves.
+        # A sine that begins at its lowest voltage moves only slowly at first.
         if held >= FEWEST_ROWS // 2:
             first_v, second_v = (half.mean() for half in np.array_split(voltage_v[:held], 2))
             if abs(first_v - second_v) <= CREEPS * swing_v:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The table of a check, for people."""
+"""The table of a check as text."""
 
 import numpy as np
 
@@ -12,12 +12,12 @@ WIDTH = 22
 
 
 def check_table(check: RecordingCheck, fit_for: dict[str, Suitability]) -> list[str]:
-    """Return the lines of the table: what was measured, then what it is good for.
+    """Return the lines of the table: measured properties, then suitability.
 
     Parameters
     ----------
     fit_for : dict of str to Suitability
-        By experiment.
+        Suitability by experiment.
     """
     lines = [f"{name:{WIDTH}}{value}" for name, value in measured_rows(check)]
     lines.append("")
@@ -27,12 +27,7 @@ def check_table(check: RecordingCheck, fit_for: dict[str, Suitability]) -> list[
 
 
 def measured_rows(check: RecordingCheck) -> list[tuple[str, str]]:
-    """Return what was measured of a recording, each with its name.
-
-    Returns
-    -------
-    list of (str, str)
-    """
+    """Return the measured properties of a recording as pairs of name and value."""
     recording = check.recording
     period_s = float(np.median(recording.sample_periods_s))
     of_segment = "" if not check.gaps else (
@@ -63,7 +58,7 @@ def measured_rows(check: RecordingCheck) -> list[tuple[str, str]]:
 
 
 def _left_out(check: RecordingCheck) -> list[tuple[str, str]]:
-    """Row that names the rows that were left out; none where all are used."""
+    """Return a row that names the omitted rows; empty if all are used."""
     before, behind = check.left_out
     if not before and not behind:
         return []
@@ -77,7 +72,7 @@ def _left_out(check: RecordingCheck) -> list[tuple[str, str]]:
 
 
 def _tracking(check: RecordingCheck) -> list[tuple[str, str]]:
-    """Rows of what a run was to follow and what it left of it; none of another recording."""
+    """Return rows for reference and error of a tracking run; empty for other recordings."""
     left_um = error_um(check.recording)
     if not left_um.size:
         return []
@@ -88,7 +83,7 @@ def _tracking(check: RecordingCheck) -> list[tuple[str, str]]:
 
 
 def _distortion(check: RecordingCheck) -> list[tuple[str, str]]:
-    """Rows of what an odd multisine with lines left out shows; none of another voltage."""
+    """Return a row for the distortion of an odd multisine; empty for other voltages."""
     found = None if check.gaps else distortion_of(check.recording)
     if found is None:
         return []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which experiment a recording can stand for, and why not."""
+"""The experiments for which a recording is suitable, and the reasons if it is not."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -19,49 +19,47 @@ from piezo_identification.recording_check.check import (
 from piezo_identification.recording_check.waveform_kind import Kind
 
 ROWS_FOR_HOLDS, HELD = 5000, 0.01
-"""Rows of a recording in which holds are sought, and part of the swing that may change in one."""
+"""Rows to which a recording is decimated to find holds, and largest change in a hold as a fraction
+of the swing."""
 
 EXPERIMENTS = ("hysteresis", "creep", "dynamics", "validation")
 
 
 @dataclass(frozen=True)
 class Needs:
-    """What the experiments need of a recording.
+    """Requirements of the experiments on a recording.
 
     Attributes
     ----------
     hold_s : float
-        The shortest hold of a level that shows creep: the fast creep of stages takes seconds.
+        Shortest hold of a level that shows creep; the fast creep of stages takes seconds.
     rows_per_hold : int
-        Rows in a hold from which creep can be told.
+        Fewest rows in a hold from which creep can be estimated.
     held_share : float
-        Part of a recording in which levels are held, from which on ramps between them are let
-        pass: a slow sine stays at its ends for less.
+        Smallest fraction of a recording at held levels for which ramps between them are accepted;
+        a slow sine stays at its ends for less.
     slow_branch_s : float
-        Time between reversals from which on creep opens the loops so far that it can be told.
+        Shortest time between reversals for which the creep in the loops can be estimated.
     rows_per_branch : int
-        Rows between reversals from which on fast cycles show loops, if the dynamics are known.
+        Fewest rows between reversals for which fast cycles show loops, if the dynamics are known.
     rows_per_ringing : float
-        Rows in a period of what rings, below which rows may show something faster, folded.
+        Fewest rows in a period of ringing; with fewer, it may be an alias of a faster one.
     followed : float
-        Part of a jump that the displacement has done in the first row behind it, from which on
-        the rows are too slow to show the dynamics.
+        Fraction of a step that the displacement has completed in the first row after it, above
+        which the rows are too slow to show the dynamics.
     steep_s, steep : float
-        Time within which cycles that cross this part of their swing are steps.
+        Cycles count as steps if they cross the fraction `steep` of their swing within `steep_s`.
     spectra : int
-        Into so many stretches a broadband recording is cut to estimate its frequency response.
-    least_power : float
-        Part of the largest power of the voltage from which on a line of this response counts:
-        weaker ones may be what a neighbour leaks.
+        Number of stretches of a broadband recording to estimate its frequency response.
     coherent : float
-        Coherence from which on a line of this response counts.
+        Smallest coherence of a line that is used.
     departs : float
-        By which part of the slowest response another line must differ to show dynamics: creep
-        makes less of it within a recording.
+        Smallest relative deviation from the response at the lowest frequency that indicates
+        dynamics; creep causes less within a recording.
     well_visited : float
-        Part of the Preisach plane from which on a density is well known.
+        Visited fraction of the Preisach plane for which a density is well known.
     range_over_noise : float
-        Range of the displacement over its noise below which nothing is told.
+        Smallest range of the displacement over its noise for a suitable recording.
     """
 
     hold_s: float = 2.0
@@ -74,7 +72,6 @@ class Needs:
     steep_s: float = 2e-3
     steep: float = 0.5
     spectra: int = 8
-    least_power: float = 1e-3
     coherent: float = 0.8
     departs: float = 0.4
     well_visited: float = 0.5
@@ -86,14 +83,14 @@ NEEDS = Needs()
 
 @dataclass(frozen=True)
 class Suitability:
-    """Whether a recording can stand for an experiment.
+    """Suitability of a recording for an experiment.
 
     Attributes
     ----------
     verdict : str
         ``yes``, ``partly`` or ``no``.
     reason : str
-        Why not, or what is missing; for ``yes`` what speaks for it.
+        Reason for the verdict.
     """
 
     verdict: str
@@ -101,23 +98,23 @@ class Suitability:
 
 
 def suitability(check: RecordingCheck) -> dict[str, Suitability]:
-    """Say for each experiment whether a recording can stand for it.
+    """Return the suitability of a recording for each experiment.
 
     Returns
     -------
     dict of str to Suitability
-        By `EXPERIMENTS`.
+        Suitability by name of the experiment, in the order of `EXPERIMENTS`.
     """
     return {name: suitability_for(check, name) for name in EXPERIMENTS}
 
 
 def suitability_for(check: RecordingCheck, experiment: str) -> Suitability:
-    """Say whether a recording can stand for one experiment.
+    """Return the suitability of a recording for one experiment.
 
     Parameters
     ----------
     check : RecordingCheck
-        Only what this experiment asks for is measured.
+        Properties of the recording; only those that the experiment needs are computed.
     experiment : str
         One of `EXPERIMENTS`.
     """
@@ -136,15 +133,14 @@ def suitability_for(check: RecordingCheck, experiment: str) -> Suitability:
 
 @dataclass(frozen=True)
 class Misfit:
-    """A recording that can hardly stand for the experiment that it was given as.
+    """A recording that is unsuitable for the experiment it was given for.
 
     Attributes
     ----------
     sentence : str
-        Which it is, and why.
+        Path of the recording and the reason.
     made_for : tuple of str
-        Experiments other than the validation that it can stand for: it was given under a wrong
-        name.
+        Experiments, other than the validation, for which it is suitable.
     """
 
     sentence: str
@@ -152,12 +148,12 @@ class Misfit:
 
 
 def misfits(given: Recordings | FrequencyResponse, experiment: str) -> Iterator[Misfit]:
-    """Yield the recordings that can hardly stand for the experiment that they were given as.
+    """Yield the recordings that are unsuitable for the experiment they were given for.
 
     Parameters
     ----------
     given : Recording, sequence of Recording, or FrequencyResponse
-        Of a response nothing is said.
+        Data of the experiment; a response is not checked.
     experiment : str
         One of `EXPERIMENTS`.
     """
@@ -172,19 +168,19 @@ def misfits(given: Recordings | FrequencyResponse, experiment: str) -> Iterator[
 
 
 def given_as(fit_for: Mapping[str, Mapping[str, Suitability]]) -> dict[str, list[str]]:
-    """Say which of several recordings to give for which experiment.
+    """Assign recordings to experiments.
 
     Parameters
     ----------
     fit_for : dict of str to (dict of str to Suitability)
-        By the name of the recording, then by experiment.
+        Suitability by name of the recording, then by experiment.
 
     Returns
     -------
     dict of str to (list of str)
-        By experiment: the recordings that are fit for it, or else those that are partly so. The
-        validation is the first one that no other experiment has, or else the last one that none of
-        them needs; without one, there is none.
+        Names of the recordings by experiment: those that are suitable, or else those that are
+        partly suitable. The validation is the first recording that no other experiment uses, or
+        else the last one that is not the only one of an experiment. It is missing if there is none.
     """
     given: dict[str, list[str]] = {}
     for experiment in EXPERIMENTS[:-1]:
@@ -205,7 +201,7 @@ def given_as(fit_for: Mapping[str, Mapping[str, Suitability]]) -> dict[str, list
 
 
 def _for_nothing(check: RecordingCheck) -> str:
-    """Return why a recording is of no use at all; empty where it is."""
+    """Return why a recording is unsuitable for every experiment; empty if it is not."""
     if len(check.recording.voltage_v) < FEWEST_ROWS:
         return f"{len(check.recording.voltage_v)} rows are too few"
     if check.swing_v == 0.0:
@@ -263,7 +259,7 @@ def _creep(check: RecordingCheck) -> Suitability:
 
 
 def _hold_s(check: RecordingCheck) -> float:
-    """Return for how long levels are held, between jumps or ramps; 0 where none are."""
+    """Return how long levels are held between jumps or ramps; 0 if there are no holds."""
     waveform = check.waveform
     if waveform.kind.has_levels:
         return waveform.branch_s
@@ -277,7 +273,7 @@ def _hold_s(check: RecordingCheck) -> float:
         rows = int(np.argmax(away)) if away.any() else away.size
         holds.append(rows * step * check.sample_period_s)
         begin += max(rows, 1)
-    # Where rows are slow, two of them alike are no hold.
+    # With slow rows, a few equal ones are not a hold.
     least_s = max(NEEDS.hold_s, NEEDS.rows_per_hold * check.sample_period_s)
     long_s = [hold_s for hold_s in holds if hold_s >= least_s]
     return float(np.median(long_s)) if sum(long_s) > NEEDS.held_share * check.duration_s else 0.0
@@ -295,7 +291,7 @@ def _dynamics(check: RecordingCheck) -> Suitability:
         response = jump_response(voltage_v, displacement_um, waveform.jumps)
         if response.size < 4:
             return Suitability("no", f"too few rows behind each step {rate}: record faster")
-        # The row of the jump itself may be measured before or after it acts.
+        # The row of the jump itself may be measured before or after the step.
         after = response[1:3]
         if after.min() > NEEDS.followed and abs(response[1:].max() - 1.0) < 1.0 - NEEDS.followed:
             return Suitability("no", f"too slow to hold dynamics: {rate} the displacement has "
@@ -325,7 +321,7 @@ def _dynamics(check: RecordingCheck) -> Suitability:
 
 
 def _is_steep(check: RecordingCheck) -> bool:
-    """Tell whether cycles cross most of the swing at once, as steps behind an amplifier do."""
+    """Return whether cycles cross most of the swing at once, like steps through an amplifier."""
     if check.waveform.kind is not Kind.CYCLES or check.waveform.jumps.size:
         return False
     rows = max(1, round(NEEDS.steep_s / check.sample_period_s))
@@ -343,18 +339,18 @@ JUDGES = {"hysteresis": _hysteresis, "creep": _creep, "dynamics": _dynamics,
 
 def jump_response(voltage_v: FloatArray, displacement_um: FloatArray,
                   jumps: np.ndarray) -> FloatArray:
-    """Return the mean response to steps, 0 before and 1 at the end of the hold.
+    """Return the mean response to steps, scaled to 0 before the step and 1 at the end of the hold.
 
     Parameters
     ----------
     voltage_v, displacement_um : ndarray, shape (N,)
     jumps : ndarray of int
-        Samples at which the voltage takes another level.
+        Samples at which the voltage changes its level.
 
     Returns
     -------
     ndarray, shape (M,)
-        From the sample of the jump on, up to 200 samples or the shortest usual hold.
+        Response from the sample of the jump on, for up to 200 samples or a usual hold.
     """
     edges = np.append(jumps, len(voltage_v))
     holds = np.diff(edges)
@@ -366,39 +362,39 @@ def jump_response(voltage_v: FloatArray, displacement_um: FloatArray,
         before_um = displacement_um[max(jump - 3, 0) : jump].mean()
         end_um = np.median(displacement_um[jump + length // 2 : jump + length])
         step_v = voltage_v[jump] - voltage_v[jump - 1]
-        # Weighted by the step, so that small ones, mostly noise, count little.
+        # Weight by the step, so that small ones, which are mostly noise, count little.
         weighted += step_v * (displacement_um[jump : jump + length] - before_um)
         weight += step_v * (end_um - before_um)
     return weighted / weight if weight else np.zeros(0)
 
 
 def rows_per_ringing(response: FloatArray) -> float:
-    """Return how many rows a period of what rings most behind a step has; infinite where none does.
+    """Return the rows in a period of the strongest ringing after a step; infinite without ringing.
 
     Parameters
     ----------
     response : ndarray, shape (M,)
-        Of `jump_response`.
+        Step response from `jump_response`.
     """
     changes = np.diff(response[1:])
     if changes.size < 4:
         return np.inf
     strength = np.abs(np.fft.rfft(changes, 8 * changes.size))
     top = int(np.argmax(strength))
-    # What only lags or creeps goes one way, so that its changes are strongest at rest.
+    # Lag and creep are monotonic, so the spectrum of their changes is largest at 0 Hz.
     return 8.0 * changes.size / top if top > 8 else np.inf
 
 
 def _departure(check: RecordingCheck) -> tuple[float, float]:
-    """Return where the response departs most from its slowest, in Hz, and by which part of it.
+    """Return the largest relative deviation of the response from that at the lowest frequency.
 
-    The lines count that the voltage excites and with which the displacement goes. A mode, a lag
-    and a delay make the response another number than the slowest; hysteresis and creep hardly do.
+    All coherent lines are used, however small their power: steps over the whole range excite the
+    modes with a millionth of their power. Modes, lags and delays change the response; hysteresis
+    and creep hardly do. Returned are the frequency in Hz and the deviation.
     """
     segment = max(16, check.voltage_v.size // NEEDS.spectra)
     frequency_hz, response, coherence = gain_of(
-        check.voltage_v, check.displacement_um, check.sample_period_s, segment,
-        NEEDS.least_power)
+        check.voltage_v, check.displacement_um, check.sample_period_s, segment, least_power=0.0)
     coherent = coherence > NEEDS.coherent
     frequency_hz, response = frequency_hz[coherent], response[coherent]
     if response.size < 2:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which kind of waveform a voltage is."""
+"""Classify the waveform of a voltage."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -13,7 +13,7 @@ from piezo_identification.conditioning.waveforms import turning_points
 
 
 class Kind(StrEnum):
-    """What a voltage may be, and what of a stage such a voltage shows."""
+    """Kinds of waveform."""
 
     CONSTANT = "constant"
     SQUARE = "square"
@@ -27,69 +27,68 @@ class Kind(StrEnum):
 
     @property
     def has_levels(self) -> bool:
-        """Whether it jumps between levels."""
+        """Whether the voltage jumps between levels."""
         return self in (Kind.SQUARE, Kind.STEPS)
 
     @property
     def has_cycles(self) -> bool:
-        """Whether it goes up and down."""
+        """Whether the voltage goes up and down."""
         return self in (Kind.TRIANGLE, Kind.SINE, Kind.CYCLES)
 
     @property
     def is_broadband(self) -> bool:
-        """Whether it excites many frequencies."""
+        """Whether the voltage excites many frequencies."""
         return self in (Kind.MULTISINE, Kind.NOISE, Kind.CHIRP)
 
 
 @dataclass(frozen=True)
 class KindSettings:
-    """Numbers that tell the kinds of waveform apart.
+    """Thresholds that distinguish the kinds of waveform.
 
     Attributes
     ----------
     constant : float
-        Swing over the largest voltage up to which a voltage does not change.
+        Largest swing of a constant voltage, as a fraction of the largest voltage.
     level_width : float
-        Part of the swing within which voltages are of one level.
+        Width of a level, as a fraction of the swing.
     held : float
-        Part of the samples that stay where they were, from which on a voltage has levels.
+        Smallest fraction of unchanged samples for a voltage with levels.
     widest_level, widest_group : float
-        Part of the swing beyond which voltages that touch are more than one level, and beyond
-        which they are none.
+        Largest width of adjoining voltages that form one level, and that form levels at all, as
+        fractions of the swing.
     reversal : float
-        Part of the swing below which a way back is noise.
+        Smallest reversal that is not noise, as a fraction of the swing.
     even_slope : float
-        Spread of the slopes, over their median, up to which a voltage is made of ramps.
+        Largest spread of the slopes over their median for a voltage made of ramps.
     slopes_per_branch : int
-        Slopes that are looked at between two reversals.
+        Number of slopes evaluated between two reversals.
     one_tone : float
-        Part of the energy in one line of the spectrum, from which on it is a sine.
+        Smallest fraction of the energy in one line of the spectrum for a sine.
     even_branches : float
-        Spread of the times between reversals, over their median, up to which cycles are even.
+        Largest spread of the times between reversals over their median for regular cycles.
     full_cycle : float
-        Part of the swing that most ways between reversals take, from which on they are cycles: in
-        noise they are far shorter.
+        Smallest median distance between reversals for cycles, as a fraction of the swing; in noise
+        it is far shorter.
     random_branches : float
-        Spread of the times between reversals, over their median, from which on ways over the whole
-        swing are noise of two levels.
+        Smallest spread of the times between reversals over their median for which motion over the
+        whole swing is noise of two levels.
     most_cycles : int
-        Reversals up to which such ways may be cycles of any times.
+        Most reversals for which such motion may be irregular cycles instead.
     steady_order, grown : float
-        Rank correlation of the ways between reversals with their order, and ratio of the last of
-        them to the first, or its inverse, from which on their amplitude grows or shrinks.
+        Smallest rank correlation of the amplitudes with their order, and smallest ratio of the
+        first and last amplitude, for an amplitude that grows or shrinks.
     jump, jump_over_usual, jump_over_others : float
-        Part of the swing, multiple of the change that 99 % of the samples do not exceed, and
-        multiple of the largest other change, from which on a change between two samples is a jump.
+        Smallest change between two samples that is a jump: as a fraction of the swing, as a
+        multiple of the 99 % quantile, and as a multiple of the largest other change.
     chirp_order, chirp_ratio : float
-        Rank correlation of the times between reversals with their order, and the ratio of the
-        first to the last of these times and of the slopes between them, from which on a voltage
-        is a chirp.
+        Smallest rank correlation of the times between reversals with their order, and smallest
+        ratio of the first and last of these times, and of the slopes between them, for a chirp.
     repeated : float
-        Autocorrelation from which on a voltage repeats itself.
+        Smallest autocorrelation of a periodic voltage.
     sparse : float
-        Part of the lines of the band that hold nearly all energy, up to which it is a multisine.
+        Largest fraction of the lines of the band that hold 95 % of the energy for a multisine.
     most_samples : int
-        Samples that are looked at for spectra; a longer recording is cut.
+        Number of samples used for spectra; longer recordings are cut.
     """
 
     constant: float = 1e-3
@@ -127,15 +126,14 @@ class Waveform:
 
     Attributes
     ----------
-    kind : Kind
     text : str
-        One sentence part for people.
+        Description as part of a sentence.
     jumps : ndarray of int
-        Samples at which the voltage takes another level, or jumps while it moves slowly.
+        Samples at which the voltage changes its level, or jumps during slow motion.
     branch_s : float
-        Median time between reversals, or between jumps; infinite where there is none.
+        Median time between reversals or jumps; infinite if there are none.
     period : int
-        Samples after which it repeats; 0 where it does not.
+        Period in samples; 0 if the voltage is not periodic.
     """
 
     kind: Kind
@@ -146,13 +144,13 @@ class Waveform:
 
 
 def waveform_of(voltage_v: FloatArray, period_s: float) -> Waveform:
-    """Find the kind of a voltage.
+    """Determine the kind of a voltage.
 
     Parameters
     ----------
     voltage_v : ndarray, shape (N,)
     period_s : float
-        Of the samples.
+        Sample period.
     """
     none = np.empty(0, dtype=np.intp)
     swing_v = float(np.ptp(voltage_v))
@@ -179,9 +177,9 @@ def waveform_of(voltage_v: FloatArray, period_s: float) -> Waveform:
 
 
 def _lone_jumps(voltage_v: FloatArray, swing_v: float) -> np.ndarray:
-    """Return the samples at which a voltage that moves slowly jumps.
+    """Return the samples at which a slowly moving voltage jumps.
 
-    They stand out from all others: the largest steps of a dither do not.
+    Jumps exceed all other changes clearly, unlike the largest steps of a dither.
     """
     change_v = np.abs(np.diff(voltage_v))
     usual_v = float(np.quantile(change_v, 0.99))
@@ -195,13 +193,13 @@ def _lone_jumps(voltage_v: FloatArray, swing_v: float) -> np.ndarray:
 
 
 def _levels(voltage_v: FloatArray, swing_v: float, period_s: float) -> Waveform | None:
-    """Return the waveform of a voltage that is held at levels, None for another."""
+    """Return the waveform of a voltage that is held at levels; None for other voltages."""
     change_v = np.abs(np.diff(voltage_v))
     if np.mean(change_v <= SETTINGS.level_width * swing_v) < SETTINGS.held:
         return None
     level = np.round((voltage_v - voltage_v.min()) / (SETTINGS.level_width * swing_v))
     held = np.concatenate([[True], np.diff(level) == 0.0])
-    # Noise on the edge between two bins makes two levels of one.
+    # Noise at the edge between two bins would split one level into two.
     bins = np.unique(level[held])
     parts = np.split(bins, np.flatnonzero(np.diff(bins) > 1.5) + 1)
     groups = len(parts)
@@ -212,7 +210,7 @@ def _levels(voltage_v: FloatArray, swing_v: float, period_s: float) -> Waveform 
         return None
     inside = np.ones(change_v.size, dtype=bool)
     inside[jumps - 1] = False
-    # Between jumps a level does not move; a ramp or a sine does.
+    # A level is constant between jumps; a ramp or a sine is not.
     drifts = [np.ptp(part) for part in np.split(voltage_v, jumps) if part.size > 4]
     if not drifts or np.mean(np.array(drifts) < 3.0 * SETTINGS.level_width * swing_v) < 0.9:
         return None
@@ -220,7 +218,7 @@ def _levels(voltage_v: FloatArray, swing_v: float, period_s: float) -> Waveform 
            if part.size > 4) < 0.5 * voltage_v.size:
         return None
     rows = np.diff(np.concatenate([[0], jumps, [voltage_v.size]]))
-    # The rows of a short way between two levels are no holds.
+    # A few rows between two levels are a transition, not a hold.
     branch_s = float(np.median(rows[rows > 4])) * period_s
     if groups == 2 and widest <= 1.01 * SETTINGS.widest_level:
         count = "one step" if jumps.size == 1 else f"{jumps.size} steps"
@@ -231,7 +229,7 @@ def _levels(voltage_v: FloatArray, swing_v: float, period_s: float) -> Waveform 
 
 
 def _repeat(voltage_v: FloatArray) -> int:
-    """Return the samples after which a voltage repeats but for noise; 0 where it does not."""
+    """Return the period of a voltage in samples, apart from noise; 0 if it is not periodic."""
     varying_v = voltage_v - voltage_v.mean()
     size = varying_v.size
     products = correlate(varying_v, varying_v, method="fft")[size - 1 :]
@@ -246,7 +244,7 @@ def _repeat(voltage_v: FloatArray) -> int:
     found = np.flatnonzero(rest > SETTINGS.repeated)
     if not found.size:
         return 0
-    # The top of the first peak, which two periods alone do not come down from.
+    # Take the top of the first peak. With only two periods, it does not fall again.
     first = int(found[0])
     beyond = np.flatnonzero(rest[first:] < SETTINGS.repeated)
     end = first + int(beyond[0]) if beyond.size else rest.size
@@ -258,7 +256,7 @@ def _kind_of_moving(voltage_v: FloatArray, period_s: float, branches_s: FloatArr
                     spectrum: tuple[float, float, float, float], growth: str) -> tuple[Kind, str]:
     frequency_hz, share, sparse, band_hz = spectrum
     again = f", repeated every {period * period_s:.4g} s" if period else ""
-    # Over many rows, so that noise counts little.
+    # Slopes over many rows reduce the noise.
     stride = max(1, int(branch_s / period_s) // SETTINGS.slopes_per_branch)
     slopes = np.abs(voltage_v[stride:] - voltage_v[:-stride]) / stride
     low, middle, high = np.quantile(slopes, [0.1, 0.5, 0.9])
@@ -271,7 +269,7 @@ def _kind_of_moving(voltage_v: FloatArray, period_s: float, branches_s: FloatArr
         if order > SETTINGS.chirp_order and min(
                 map(_first_over_last, (branches_s, mean_slopes))) > SETTINGS.chirp_ratio:
             first, last = branches_s[0], branches_s[-1]
-            # Rows make short times between reversals coarse, and the mean of many fine.
+            # Short times between reversals are coarse multiples of a row, so more are averaged.
             many = max(3, branches_s.size // 50)
             at_first, at_last = (3, many) if first > last else (many, 3)
             first, last = branches_s[:at_first].mean(), branches_s[-at_last:].mean()
@@ -282,7 +280,7 @@ def _kind_of_moving(voltage_v: FloatArray, period_s: float, branches_s: FloatArr
         return Kind.SINE, f"{frequency_hz:.4g} Hz"
     if mean_slopes.size and np.ptp(np.quantile(mean_slopes, [0.1, 0.9])) < (
             SETTINGS.even_slope * np.median(mean_slopes)):
-        # Ways of ever larger amplitude take longer, too, and sweep no frequency.
+        # Cycles of growing amplitude take longer, too, but are not a chirp.
         slope_v = np.median(mean_slopes) * np.ptp(voltage_v)
         return Kind.CYCLES, (
             f"{slope_v:.4g} V/s in steps, {branch_s:.4g} s between reversals{again}")
@@ -298,15 +296,15 @@ def _kind_of_moving(voltage_v: FloatArray, period_s: float, branches_s: FloatArr
 
 
 def _swings_of_tone(voltage_v: FloatArray, frequency: float) -> FloatArray:
-    """Return the swing of each whole period of a tone, of which the frequency is that of rows."""
-    # One swing alone has no line but that of rest.
+    """Return the swing of each whole period of a tone with a frequency in cycles per row."""
+    # A single swing has its strongest line at frequency 0.
     rows = max(1, round(1.0 / frequency)) if frequency else voltage_v.size
     whole = voltage_v[: voltage_v.size // rows * rows].reshape(-1, rows)
     return np.ptp(whole, axis=1)
 
 
 def _growth(heights: FloatArray) -> str:
-    """Say whether swings grow or shrink all along; empty if they do neither."""
+    """Return "grows" or "shrinks" if the swings do so throughout; empty otherwise."""
     if heights.size < 4 or _first_over_last(heights) < SETTINGS.grown:
         return ""
     order = float(spearmanr(np.arange(heights.size), heights).statistic)
@@ -316,15 +314,15 @@ def _growth(heights: FloatArray) -> str:
 
 
 def _first_over_last(values: FloatArray) -> float:
-    """Return the ratio of the usual first value to the usual last, or its inverse, from 1 up."""
+    """Return the ratio of the median first and last three values, inverted if it is below 1."""
     least, most = sorted((float(np.median(values[:3])), float(np.median(values[-3:]))))
     return most / least if least else np.inf
 
 
 def _spectrum(voltage_v: FloatArray, period_s: float) -> tuple[float, float, float, float]:
-    """Return the strongest line in Hz, its part of the energy, how sparse the lines are, the band.
+    """Return the strongest line (Hz), its fraction of the energy, the sparsity, and the band (Hz).
 
-    The band holds 99 % of the energy; sparse is the part of its lines that hold 95 %.
+    The band holds 99 % of the energy. The sparsity is the fraction of its lines that hold 95 %.
     """
     window = np.hanning(voltage_v.size)
     energy = np.abs(np.fft.rfft((voltage_v - voltage_v.mean()) * window)) ** 2

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Pages of identification, simulation and check, and the pictures that they share."""
+"""HTML reports of identification, simulation and check, and their shared figures."""

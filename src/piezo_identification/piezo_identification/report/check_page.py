@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The page of a check: what was measured of each recording, and what it is good for."""
+"""The page of a check: the measured properties of each recording, and its possible uses."""
 
 from collections.abc import Sequence
 from html import escape
@@ -20,8 +20,8 @@ def check_page(
     Parameters
     ----------
     checks : sequence of (str, RecordingCheck, dict of str to Suitability, Figure)
-        Title of the recording, what was measured of it, which experiments it can stand for, and
-        its `check_picture.check_figure`.
+        Title of the recording, its measured properties, its suitability for each experiment, and
+        its figure from `check_picture.check_figure`.
     """
     count = len(checks)
     title = (checks[0][0] + ": " + suitability_sentence(checks[0][2])) if count == 1 else (
@@ -35,7 +35,7 @@ def check_page(
 
 
 def suitability_sentence(fit_for: dict[str, Suitability]) -> str:
-    """Return in a part of a sentence what a recording can stand for."""
+    """Return a phrase that lists the experiments for which a recording is suitable."""
     by_verdict = {verdict: [name for name, each in fit_for.items() if each.verdict == verdict]
                   for verdict in ("yes", "partly")}
     parts = []

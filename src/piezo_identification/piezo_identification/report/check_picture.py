@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The picture of a check: the recording over time, and what its kind of waveform shows best."""
+"""The figure of a check: the recording over time, and plots that suit its kind of waveform."""
 
 from pathlib import Path
 
@@ -37,13 +37,13 @@ def draw_check(path: Path, check: RecordingCheck) -> Figure:
 
 
 def check_figure(check: RecordingCheck) -> Figure:
-    """Draw a recording over time, and what its kind of waveform shows.
+    """Draw a recording over time, with plots that suit its kind of waveform.
 
-    A voltage that repeats itself is shown by the mean of its periods, a long one by its envelope.
-    Steps show their mean response and where the levels end. Slow cycles show the loop and the
-    visited part of the Preisach plane. Broadband voltages show the gain over frequency and which
-    part of the displacement goes with the voltage, a constant voltage the spectrum of the noise.
-    Of a tracking run the reference is drawn over the displacement, and the error below.
+    The mean period of a periodic voltage is drawn, and the envelope of a long recording. For steps,
+    the mean response and the ends of the levels are added; for slow cycles, the loop and the
+    visited part of the Preisach plane; for broadband voltages, gain and coherence over frequency;
+    for a constant voltage, spectrum and histogram of the noise. For a tracking run, the reference
+    is drawn over the displacement, and the error below.
     """
     tracked = bool(np.isfinite(check.reference_um).any())
     heights = (2, 1, 1, 3) if tracked else (2, 1, 3)
@@ -87,7 +87,7 @@ def _draw_time(above: Axes, below: Axes, view: WaveformView, voltage_v: FloatArr
 
 
 def _draw_tracking(above: Axes, between: Axes, view: WaveformView, check: RecordingCheck) -> None:
-    """Draw what was to be followed over the displacement, and the difference of both."""
+    """Draw the reference over the displacement, and the tracking error."""
     reference_um = view.mean(check.reference_um)
     known = np.isfinite(reference_um)
     left_um = reference_um - view.mean(check.displacement_um)
@@ -101,7 +101,7 @@ def _draw_tracking(above: Axes, between: Axes, view: WaveformView, check: Record
 
 
 def _draw_levels(axes: Axes, check: RecordingCheck) -> None:
-    """Draw where the displacement ends at each level: the loop of a voltage that jumps."""
+    """Draw the displacement at the end of each level: the loop of a voltage that jumps."""
     ends = np.append(check.waveform.jumps, check.voltage_v.size) - 1
     axes.plot(check.voltage_v[ends], check.displacement_um[ends], color=BLUE, marker="o",
               markersize=3, linewidth=0.7)
@@ -109,7 +109,7 @@ def _draw_levels(axes: Axes, check: RecordingCheck) -> None:
 
 
 def _draw_drift(axes: Axes, check: RecordingCheck) -> None:
-    """Draw where the holds of a square wave end, in comparison to the first of them."""
+    """Draw the displacement at the end of each hold of a square wave, relative to the first."""
     ends = check.waveform.jumps - 1
     high = check.voltage_v[ends] > check.voltage_v.mean()
     for of_level, name, style in ((high, "upper level", CURVES[0]), (~high, "lower level",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What each component of an identified model leaves of its recordings, for the report."""
+"""Residuals of the components of an identified model on their recordings, for the report."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,12 +22,12 @@ from piezo_models.identified_model import IdentifiedModel
 
 @dataclass(frozen=True, eq=False)
 class ComponentEvidence:
-    """A recording beside what the component that it was estimated from makes of it.
+    """A recording with the fit of the component that was estimated from it.
 
     Parameters
     ----------
     name : str
-        Of the recording: creep, dynamics, hysteresis, or numbered.
+        Name of the recording: creep, dynamics or hysteresis, numbered if there are several.
     """
 
     name: str
@@ -51,12 +51,12 @@ class ComponentEvidence:
 
     @property
     def fitted_um(self) -> FloatArray:
-        """What the model makes of the recording."""
+        """Displacement of the fitted model, shape (N,)."""
         return self.residual.measured_um - self.residual.residual_um
 
     @property
     def left_um(self) -> FloatArray:
-        """What the model leaves, without the samples that do not count."""
+        """Residual of the model, 0 at excluded samples, shape (N,)."""
         return np.where(self.residual.good, self.residual.residual_um, 0.0)
 
     @property
@@ -69,19 +69,19 @@ class ComponentEvidence:
 
 def component_evidence(identified: IdentifiedModel, given: Mapping[str, Data],
                        read_at_samples: float = 0.0) -> list[ComponentEvidence]:
-    """Return what each component leaves of its recordings, as the identification tested it.
+    """Return the residuals of each component on its recordings, as the identification tested them.
 
     Parameters
     ----------
     given : dict of str to Recording or FrequencyResponse
-        Of `given_data`.
+        Data from `given_data`.
     read_at_samples : float
-        As `identify` was told.
+        Value of this argument in the call of `identify`.
 
     Returns
     -------
     list of ComponentEvidence
-        In the order creep, dynamics, hysteresis.
+        Evidence in the order creep, dynamics, hysteresis.
     """
     said = conditioned_data(given, lambda text: None, read_at_samples)
     read_at = {name: identified.rows[name]["read_at_samples"] - read_as(data, read_at_samples)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Pictures of an identified model beside the recordings that it was estimated from."""
+"""Figures that compare an identified model with the recordings it was estimated from."""
 
 from collections.abc import Iterator
 
@@ -26,11 +26,11 @@ from piezo_models.model_summary import visited_fraction
 from piezo_models.response_band import draw_bode
 
 FIT_HEIGHT_IN = 6.4
-"""As high as the two pictures beside it."""
+"""Height of the figure of a fit, equal to that of the two figures next to it."""
 
 
 def component_pictures(evidence: ComponentEvidence) -> Iterator[Picture]:
-    """Yield the fit of a component beside its recording, and its residual over time, frequency."""
+    """Yield the fit of a component with its recording, and its residual over time and frequency."""
     name = evidence.name
     if evidence.is_response:
         yield pictured(f"Fit of the {name}", _response(evidence), "Measured frequency response at "
@@ -48,7 +48,7 @@ def component_pictures(evidence: ComponentEvidence) -> Iterator[Picture]:
 
 
 def _fit(evidence: ComponentEvidence) -> tuple[Figure, str]:
-    """Return the picture of a fit that suits the kind of waveform, and its caption."""
+    """Return a figure of the fit that suits the kind of waveform, and its caption."""
     residual, view = evidence.residual, evidence.view
     figure = new_figure(FIT_HEIGHT_IN)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
@@ -105,7 +105,7 @@ def _response(evidence: ComponentEvidence) -> Figure:
 
 
 def bode_picture(identified: IdentifiedModel, evidence: ComponentEvidence | None) -> Picture:
-    """Return gain and phase of the linear part, with its band and what the dynamics' data show."""
+    """Return gain and phase of the linear part with uncertainty band and measured response."""
     figure = new_figure(5.0)
     gain, phase = figure.subplots(2, 1, sharex=True)
     measured = None if evidence is None else measured_response(
@@ -122,7 +122,7 @@ def bode_picture(identified: IdentifiedModel, evidence: ComponentEvidence | None
 
 
 def density_picture(identified: IdentifiedModel) -> Picture:
-    """Return the density of the hysteresis, with the cells hatched that no recording visited."""
+    """Return a figure of the density of the hysteresis, with unvisited cells hatched."""
     figure = new_figure(4.6)
     axes = figure.subplots()
     draw_density(axes, identified.model.hysteresis, identified.visited)
@@ -142,6 +142,7 @@ def draw_density(axes: Axes, hysteresis: PreisachModel, visited: BoolArray | Non
     Parameters
     ----------
     visited : ndarray of bool, shape (L, L), optional
+        True for cells that a recording visited.
     """
     levels_v = hysteresis.levels_v
     above = np.triu(np.ones(hysteresis.density_um_per_v2.shape, dtype=bool), 1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The page of an identification: parameters, adequacy, and each component beside its recording."""
+"""The page of an identification: parameters, adequacy, and the fit of each component."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -34,11 +34,11 @@ def identification_page(identified: IdentifiedModel, given: Mapping[str, Data], 
     Parameters
     ----------
     given : dict of str to Recording or FrequencyResponse
-        Of `given_data`, the validation among them if there is one.
+        Data from `given_data`, including the validation if there is one.
     model : Path
         File of the model.
     read_at_samples : float
-        As `identify` was told.
+        Value of this argument in the call of `identify`.
     """
     evidence = component_evidence(identified, given, read_at_samples)
     validation = [data for name, data in given.items() if name == "validation"]
@@ -53,7 +53,7 @@ def identification_page(identified: IdentifiedModel, given: Mapping[str, Data], 
 
 
 def identification_sentence(identified: IdentifiedModel) -> str:
-    """Return how well the model fits what it was identified from, and if it is unfinished."""
+    """Return a sentence on the fit of the model, and whether the model is unfinished."""
     unfinished = f"; unfinished: {identified.unfinished}" if identified.unfinished else ""
     return _on_fit(identified) + unfinished
 

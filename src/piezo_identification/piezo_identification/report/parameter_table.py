@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The table of a model's parameters: value, standard deviation, interval, and Hz beside rad/s."""
+"""Tables of parameters: value, standard deviation, interval, and frequency in Hz."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -12,16 +12,16 @@ from piezo_models.model_summary import parameter_rows
 
 HEADS = ("parameter", "value", "standard deviation", "95 % interval", "in Hz")
 QUANTILE = 1.96
-"""Standard deviations to both sides that hold 95 % of a normal distribution."""
+"""Half width, in standard deviations, of the interval with 95 % of a normal distribution."""
 
 
 def parameter_table(identified: IdentifiedModel) -> list[tuple[str, ...]]:
-    """Return the parameters of creep, dynamics and effects with what is known of them.
+    """Return the parameters of creep, dynamics and effects with their uncertainties.
 
     Returns
     -------
     list of tuple of str
-        `HEADS`, then a row for each number; the heads alone for a model of hysteresis only.
+        `HEADS`, then a row for each number; only the heads for a model of hysteresis alone.
     """
     rows: list[tuple[str, ...]] = [HEADS]
     for name, value, deviation, unit, *_ in parameter_rows(
@@ -32,17 +32,18 @@ def parameter_table(identified: IdentifiedModel) -> list[tuple[str, ...]]:
 
 
 def effect_rows(effects: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
-    """Return the parameters of the effects of a verdict, and what each reduces the error by.
+    """Return the parameters of the effects of a verdict, and their error reductions.
 
     Parameters
     ----------
     effects : sequence of dict
-        With `name`, `parameters`, `error_reduction_percent` and perhaps `standard_deviations`.
+        Effects with the keys `name`, `parameters`, `error_reduction_percent` and, optionally,
+        `standard_deviations`.
 
     Returns
     -------
     list of tuple of str
-        Heads, then a row for each number.
+        The heads, then a row for each number.
     """
     rows: list[tuple[str, ...]] = [("effect", *HEADS, "error reduction (%)")]
     kinds = known_effects()
@@ -64,9 +65,9 @@ def number_rows(name: str, values: Any, deviations: Any,
     Parameters
     ----------
     values, deviations : float or sequence of float
-        The deviations may be None where they are not known.
+        Values and their standard deviations; the deviations are None if they are unknown.
     unit : str
-        "1" for none.
+        Unit; "1" if there is none.
     """
     listed = np.atleast_1d(np.asarray(values, dtype=float))
     known = (np.full(listed.shape, np.nan) if deviations is None
@@ -90,12 +91,12 @@ def rounded(value: float, deviation: float) -> tuple[str, str]:
     Parameters
     ----------
     value, deviation : float
-        The deviation may be 0, infinite or not a number where it is not known.
+        The deviation is 0, infinite or nan if it is unknown.
 
     Returns
     -------
     value, deviation : str
-        The second is empty where it is not known.
+        The deviation is empty if it is unknown.
     """
     if not np.isfinite(deviation) or deviation <= 0.0:
         return f"{value:.4g}", ""

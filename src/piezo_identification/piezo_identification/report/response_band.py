@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The linear response that a recording shows, and the frequencies at which it is drawn."""
+"""The measured response of a model's linear part, and the frequencies at which it is drawn."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from piezo_models.identified_model import IdentifiedModel
 POINTS = 500
 
 CLEARANCE = 10.0
-"""A line that does not stand out of the noise by this factor tells nothing."""
+"""Smallest ratio of a line to the noise for which the line is used."""
 
 COHERENT = 0.9
 MOST_MEASURED = 300
@@ -22,15 +22,15 @@ MOST_MEASURED = 300
 def measured_response(
     model: StageModel, residual: ComponentResidual, fit: LackOfFit,
 ) -> tuple[FloatArray, ComplexArray]:
-    """Return the response that a recording shows of a model's linear part.
+    """Return the measured response of the linear part of a model.
 
-    That is the model's, times the response from what was fitted to what was measured: so it holds
-    for any waveform, and the offset and the gain of the hysteresis are as they were fitted.
+    It is the response of the model times the response from fitted to measured displacement. It is
+    thus valid for any waveform; offset and gain of the hysteresis are those of the fit.
 
     Parameters
     ----------
     fit : LackOfFit
-        Of that residual.
+        Lack of fit of the residual.
 
     Returns
     -------
@@ -64,7 +64,7 @@ def measured_response(
 
 
 def _thinned(frequency_hz: FloatArray) -> IntArray:
-    """Return which of many frequencies to draw: about even over their logarithm."""
+    """Return the indices of the frequencies to draw, about evenly spaced in their logarithm."""
     if frequency_hz.size <= MOST_MEASURED:
         return np.arange(frequency_hz.size)
     cells = np.floor(np.log(frequency_hz / frequency_hz[0])
@@ -79,9 +79,9 @@ def shown_frequencies(identified: IdentifiedModel, sample_period_s: float | None
     Parameters
     ----------
     sample_period_s : float or None
-        Of the fast recording: no higher than half its rate.
+        Sample period of the fast recording; half its sample rate is the highest frequency.
     measured_hz : ndarray, optional
-        Are to be among them.
+        Measured frequencies that the range must include.
     """
     model = identified.model
     lag_s = model.dynamics.time_constant_s

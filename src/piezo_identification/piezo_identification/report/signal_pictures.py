@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Draw measured and modelled signals, each kind of waveform so that one can see something.
+"""Draw measured and modelled signals in ways that suit each kind of waveform.
 
-Each function draws on axes that it is given, so that reports and others share them.
+Each function draws on given axes, so that several reports can use it.
 """
 
 from typing import Any
@@ -32,24 +32,24 @@ from piezo_identification.report.waveform_view import WaveformView, mean_hold
 NANOMETRES = 1e3
 
 SPECTRUM_CELLS = 1000
-"""Points of a spectrum that is drawn over the logarithm of frequency."""
+"""Most points of a spectrum drawn over the logarithm of frequency."""
 
 CREEP_START_S = 0.03
 
 ALONE: dict[str, Any] = {"color": BLUE, "linewidth": 1.0, "label": "measured"}
-"""Of a measurement that no model stands beside."""
+"""Line style of a measurement that is drawn without a model."""
 
 ENVELOPE: dict[str, Any] = {"color": VERMILION, "linewidth": 0.5}
 
 
 def draw_measured(axes: Axes, view: WaveformView, measured: FloatArray,
                   modelled: FloatArray | None = None) -> None:
-    """Draw the mean period of a signal, or all of it as its envelope, beside that of a model.
+    """Draw the mean period of a signal, or its envelope, together with that of a model.
 
     Parameters
     ----------
     measured, modelled : ndarray, shape (N,)
-        Of the recording.
+        Displacement in um.
     """
     axes.plot(*outline(view.time, view.mean(measured)),
               **(ALONE if modelled is None else MEASURED))
@@ -61,15 +61,15 @@ def draw_measured(axes: Axes, view: WaveformView, measured: FloatArray,
 
 def draw_difference(axes: Axes, view: WaveformView, difference_um: FloatArray,
                     noise_um: float | None = None, deviation_um: FloatArray | None = None) -> None:
-    """Draw what a model leaves, beside twice the noise and twice its stated deviation.
+    """Draw the residual of a model with bands of two standard deviations of noise and model.
 
     Parameters
     ----------
     difference_um : ndarray, shape (N,)
     noise_um : float, optional
-        Standard deviation of a single sample; in a mean period there is less of it.
+        Standard deviation of a single sample; it is reduced for a mean period.
     deviation_um : ndarray, shape (N,), optional
-        Standard deviation of the modelled displacement; not drawn where it is none.
+        Standard deviation of the modelled displacement; not drawn if it is 0 throughout.
     """
     if deviation_um is not None and deviation_um.any():
         band_nm = NANOMETRES * BAND * view.mean(deviation_um)
@@ -78,7 +78,7 @@ def draw_difference(axes: Axes, view: WaveformView, difference_um: FloatArray,
                           label="outside the identification")
         axes.legend(loc="upper right")
     left_nm = NANOMETRES * view.mean(difference_um)
-    # Points where each is seen; the envelope where they would make a solid block.
+    # Many points would merge into a solid block, so their envelope is drawn.
     style: dict[str, Any] = DIFFERENCE if left_nm.size <= MOST_POINTS else ENVELOPE
     axes.plot(*outline(view.time, left_nm), **style)
     if noise_um is not None and np.isfinite(noise_um):
@@ -87,14 +87,14 @@ def draw_difference(axes: Axes, view: WaveformView, difference_um: FloatArray,
 
 
 def draw_noise(axes: Axes, noise_um: float) -> None:
-    """Draw lines at twice the noise, between which 95 % of it lies."""
+    """Draw lines at plus and minus two standard deviations, which enclose 95 % of the noise."""
     for sign in -1.0, 1.0:
         axes.axhline(sign * BAND * NANOMETRES * noise_um, **LIMIT)
 
 
 def draw_loops(axes: Axes, voltage_v: FloatArray, measured: FloatArray,
                modelled: FloatArray | None = None) -> None:
-    """Draw signals over the voltage, so thinned that loops stay loops.
+    """Draw signals over the voltage, thinned to few points.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def draw_loops(axes: Axes, voltage_v: FloatArray, measured: FloatArray,
 
 def draw_loop_difference(axes: Axes, voltage_v: FloatArray, difference_um: FloatArray,
                          noise_um: float | None = None) -> None:
-    """Draw what a model leaves over the voltage.
+    """Draw the residual of a model over the voltage.
 
     Parameters
     ----------
@@ -132,9 +132,9 @@ def draw_creep(above: Axes, below: Axes, steps: NDArray[np.intp], voltage_v: Flo
     Parameters
     ----------
     above, below : matplotlib.axes.Axes
-        For the creep, and for what the model leaves of it.
+        Axes for the creep and for the residual of the model.
     steps : ndarray of int
-        One or more.
+        Samples of the steps, at least one.
     voltage_v, measured_um, modelled_um : ndarray, shape (N,)
     """
     since_s, (measured, modelled), count = mean_hold(
@@ -153,7 +153,7 @@ def draw_creep(above: Axes, below: Axes, steps: NDArray[np.intp], voltage_v: Flo
 
 
 def draw_step_response(axes: Axes, response: FloatArray, sample_period_s: float) -> None:
-    """Draw the mean response to steps, of `suitability.jump_response`."""
+    """Draw the mean response to steps from `suitability.jump_response`."""
     axes.plot(1e3 * sample_period_s * np.arange(response.size), response, color=BLUE, marker=".",
               markersize=3, linewidth=1.0)
     axes.axhline(1.0, color=GREY, linewidth=0.8)
@@ -162,13 +162,13 @@ def draw_step_response(axes: Axes, response: FloatArray, sample_period_s: float)
 
 def draw_gain(axes: Axes, voltage_v: FloatArray, measured_um: FloatArray, sample_period_s: float,
               modelled_um: FloatArray | None = None) -> None:
-    """Draw the gain from voltage to displacement where the voltage excites.
+    """Draw the gain from voltage to displacement at the excited frequencies.
 
     Parameters
     ----------
     voltage_v, measured_um : ndarray, shape (N,)
     modelled_um : ndarray, shape (N,), optional
-        Of a model under the same voltage.
+        Displacement of a model for the same voltage.
     """
     of_measured = ALONE if modelled_um is None else MEASURED
     for values, style in ((measured_um, of_measured), (modelled_um, MODELLED)):
@@ -184,7 +184,7 @@ def draw_gain(axes: Axes, voltage_v: FloatArray, measured_um: FloatArray, sample
 
 def draw_coherence(axes: Axes, voltage_v: FloatArray, measured_um: FloatArray,
                    sample_period_s: float) -> None:
-    """Draw which part of the displacement's power goes with the voltage, at each frequency.
+    """Draw the coherence of voltage and displacement over frequency.
 
     Parameters
     ----------
@@ -198,17 +198,17 @@ def draw_coherence(axes: Axes, voltage_v: FloatArray, measured_um: FloatArray,
 
 
 def smoothed(frequency_hz: FloatArray, power: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the mean of a dense spectrum in cells of even width over the logarithm.
+    """Average a dense spectrum in cells of equal width in log frequency.
 
     Parameters
     ----------
     frequency_hz, power : ndarray, shape (F,)
-        Without zero frequency.
+        Spectrum without zero frequency.
 
     Returns
     -------
     frequency_hz, power : ndarray, shape (M,)
-        As given where there are no more lines than cells.
+        Averaged spectrum; unchanged if it has no more lines than cells.
     """
     if frequency_hz.size <= SPECTRUM_CELLS:
         return frequency_hz, power
@@ -224,7 +224,7 @@ def smoothed(frequency_hz: FloatArray, power: FloatArray) -> tuple[FloatArray, F
 
 def draw_residual_spectrum(axes: Axes, residual_um: FloatArray, measured_um: FloatArray,
                            sample_period_s: float, noise_um: float | None) -> None:
-    """Draw the density of what is left over frequency, of the displacement, and of white noise.
+    """Draw the spectral densities of residual, displacement and white noise.
 
     Parameters
     ----------

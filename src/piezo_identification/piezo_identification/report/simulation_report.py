@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The page of a simulation: what a model says beside what a recording measured."""
+"""The page of a simulation: simulated compared with measured displacement."""
 
 from collections.abc import Iterator, Sequence
 
@@ -23,9 +23,9 @@ def simulation_page(prediction: Prediction, origin: Sequence[str], told: Sequenc
     Parameters
     ----------
     origin : sequence of str
-        Files of model and recording.
+        Lines that name the files of model and recording.
     told : sequence of str
-        What the command told: of the start, of outliers, of what the model was not identified on.
+        Remarks on the start, on outliers, and on motion outside the identified range.
     deviation_um : ndarray, shape (N,), optional
         Standard deviation of the simulated displacement.
     """
@@ -65,12 +65,12 @@ def left_of(prediction: Prediction) -> FloatArray:
 
 def displacement_figure(prediction: Prediction, deviation_um: FloatArray | None = None,
                         noise_um: float | None = None) -> Figure:
-    """Draw measured and simulated displacement, and what is left, by the kind of waveform.
+    """Draw measured and simulated displacement and the residual, by the kind of waveform.
 
     Parameters
     ----------
     deviation_um : ndarray, shape (N,), optional
-        Standard deviation of the simulated displacement, drawn twice to both sides if it is not 0.
+        Standard deviation of the simulated displacement, drawn as a band of twice its size.
     """
     view = view_of(prediction.voltage_v, _sample_period_s(prediction))
     figure = new_figure(5.0, WIDE_IN)
@@ -83,7 +83,7 @@ def displacement_figure(prediction: Prediction, deviation_um: FloatArray | None 
 
 
 def loops_figure(prediction: Prediction) -> Figure:
-    """Draw measured and simulated displacement over the voltage, of the mean period if there is."""
+    """Draw measured and simulated displacement over the voltage, averaged over periods if any."""
     view = view_of(prediction.voltage_v, _sample_period_s(prediction))
     figure = new_figure(5.0, WIDE_IN)
     axes = figure.subplots()
@@ -96,14 +96,15 @@ def loops_figure(prediction: Prediction) -> Figure:
 
 def prediction_pictures(prediction: Prediction,
                         deviation_um: FloatArray | None = None) -> Iterator[Picture]:
-    """Yield the pictures that suit the kind of waveform.
+    """Yield figures that suit the kind of waveform.
 
-    Over time, a mean period where the voltage repeats itself; loops where there are any, the gain
-    where the voltage excites many frequencies; what is left over all of the time and frequency.
+    These are the displacement over time, or its mean period if the voltage is periodic; the loops
+    of slow branches; the gain of a broadband voltage; the residual over time and frequency.
 
     Parameters
     ----------
     deviation_um : ndarray, shape (N,), optional
+        Standard deviation of the simulated displacement.
     """
     view = view_of(prediction.voltage_v, _sample_period_s(prediction))
     noise_um, left_um = noise_of(prediction), left_of(prediction)
@@ -128,7 +129,7 @@ def prediction_pictures(prediction: Prediction,
 
 def _beside(prediction: Prediction, view: WaveformView, left_um: FloatArray,
             noise_um: float) -> Iterator[Picture]:
-    """Yield what shows a waveform that is no square wave: its slow loops, and its gain."""
+    """Yield slow loops and gain of a waveform without levels."""
     if view.has_levels:
         return
     slow = slow_branches(prediction.time_s, prediction.voltage_v)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which samples of a recording to draw, by its kind of waveform: a mean period, or all of them.
+"""Choose the samples of a recording to draw: a mean period, or all of them.
 
-Seconds at tens of kilohertz make a solid block. Where the voltage repeats itself the mean of its
-periods shows more than all of them, and with less noise.
+Seconds of data at tens of kilohertz are drawn as a solid block. For a periodic voltage, the mean
+period shows more than all samples, and with less noise.
 """
 
 from collections.abc import Sequence
@@ -15,13 +15,14 @@ from piezo_common.arrays import FloatArray
 from piezo_identification.recording_check.waveform_kind import Kind, Waveform, waveform_of
 
 EVEN = 0.01
-"""Part of a period by which the periods of a square wave may differ."""
+"""Largest difference between the periods of a square wave, as a fraction of a period."""
 
 ALIKE = 0.02
-"""Part of the swing by which periods of any other voltage may differ, RMS: noise and no trend."""
+"""Largest RMS difference between the periods of any other voltage, as a fraction of the swing: it
+allows noise, but no trend."""
 
 SHORT_S = 1.0
-"""Times below it are given in milliseconds."""
+"""Durations below it are shown in milliseconds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,14 +31,12 @@ class WaveformView:
 
     Parameters
     ----------
-    kind : Kind
     starts : ndarray of int
-        Of the periods whose mean is drawn; of a voltage that does not repeat itself, its first
-        sample.
+        First samples of the periods whose mean is drawn; 0 alone if the voltage is not periodic.
     samples : int
-        Of a period, or of all.
+        Number of samples in a period or, if the voltage is not periodic, in the recording.
     jumps : ndarray of int
-        Samples at which the voltage takes another level.
+        Samples at which the voltage changes its level.
     """
 
     kind: Kind
@@ -48,7 +47,7 @@ class WaveformView:
 
     @property
     def periods(self) -> int:
-        """How many periods the mean is of; 1 where all samples are drawn."""
+        """Number of periods in the mean; 1 if all samples are drawn."""
         return int(self.starts.size)
 
     @property
@@ -63,7 +62,7 @@ class WaveformView:
 
     @property
     def title(self) -> str:
-        """What is drawn, for people."""
+        """Title that names what is drawn."""
         return f"mean of {self.periods} periods" if self.is_mean else "whole recording"
 
     @property
@@ -74,7 +73,7 @@ class WaveformView:
 
     @property
     def time(self) -> FloatArray:
-        """Of the samples that are drawn, in the unit of `time_label`."""
+        """Times of the drawn samples in the unit of `time_label`, shape (samples,)."""
         scale = 1e3 if self._is_short else 1.0
         return np.asarray(np.arange(self.samples) * self.sample_period_s * scale)
 
@@ -87,11 +86,11 @@ class WaveformView:
         return replace(self, starts=np.zeros(1, dtype=np.intp), samples=samples)
 
     def mean(self, values: FloatArray) -> FloatArray:
-        """Return the mean period of a signal of the recording, or all of the signal."""
+        """Return the mean period of a signal, or the whole signal if there are no periods."""
         return np.asarray(np.mean(self._folded(values), axis=0))
 
     def scatter(self, values: FloatArray) -> float:
-        """Return the standard deviation of single samples about the mean period; nan without."""
+        """Return the standard deviation of samples about the mean period; nan without periods."""
         if not self.is_mean:
             return float("nan")
         folded = self._folded(values)
@@ -103,20 +102,20 @@ class WaveformView:
 
 def view_of(voltage_v: FloatArray, sample_period_s: float,
             waveform: Waveform | None = None) -> WaveformView:
-    """Choose what to draw of a recording.
+    """Choose the samples of a recording to draw.
 
     Parameters
     ----------
     voltage_v : ndarray, shape (N,)
-        Without gaps.
+        Voltage without gaps.
     waveform : Waveform, optional
-        Of the voltage; found from it by default.
+        Kind of the voltage; determined from it by default.
     """
     waveform = waveform or waveform_of(voltage_v, sample_period_s)
     first, samples = _period(waveform)
     starts = np.arange(first, voltage_v.size - samples + 1, samples) if samples else np.empty(0)
     if starts.size > 2:
-        # The first period still answers to what came before.
+        # The first period is still influenced by the voltage before it.
         starts = starts[1:]
     if starts.size < 2 or not _are_alike(voltage_v, starts.astype(np.intp), samples, waveform):
         starts, samples = np.zeros(1), voltage_v.size
@@ -126,7 +125,7 @@ def view_of(voltage_v: FloatArray, sample_period_s: float,
 
 def _are_alike(voltage_v: FloatArray, starts: NDArray[np.intp], samples: int,
                waveform: Waveform) -> bool:
-    """Tell whether periods are the same, and not cycles whose amplitude grows or shrinks."""
+    """Return whether the periods are equal, and not cycles whose amplitude grows or shrinks."""
     if waveform.kind.has_levels:
         return True
     folded = np.stack([voltage_v[start : start + samples] for start in starts])
@@ -135,14 +134,14 @@ def _are_alike(voltage_v: FloatArray, starts: NDArray[np.intp], samples: int,
 
 
 def _period(waveform: Waveform) -> tuple[int, int]:
-    """Return the first sample of a period and the samples of one; 0 samples for no period."""
+    """Return the first sample of the first period and the period in samples; 0 if there is none."""
     if not waveform.kind.has_levels:
         return 0, waveform.period
     spans = waveform.jumps[2:] - waveform.jumps[:-2]
     if waveform.kind is not Kind.SQUARE or spans.size < 2:
         return 0, 0
     period = int(np.median(spans))
-    # Free-running generators step a sample earlier or later now and then, but do not drift off.
+    # Free-running generators sometimes step a sample early or late, but do not drift.
     whole = np.ptp(waveform.jumps[::2] - period * np.arange(waveform.jumps[::2].size))
     even = np.ptp(spans) <= max(2, EVEN * period) and whole <= max(2, EVEN * period)
     return int(waveform.jumps[0]), period if even else 0
@@ -150,22 +149,22 @@ def _period(waveform: Waveform) -> tuple[int, int]:
 
 def mean_hold(steps: NDArray[np.intp], voltage_v: FloatArray, signals: Sequence[FloatArray],
               sample_period_s: float) -> tuple[FloatArray, list[FloatArray], int]:
-    """Return the mean of signals after the steps of a voltage, falling ones turned round.
+    """Return the mean of signals after the steps of a voltage, with falling steps inverted.
 
     Parameters
     ----------
     steps : ndarray of int
-        Samples at which the voltage takes another level.
+        Samples at which the voltage changes its level.
     voltage_v : ndarray, shape (N,)
     signals : sequence of ndarray, shape (N,)
 
     Returns
     -------
     since_s : ndarray, shape (M,)
-        From the first sample behind a step to the end of the shortest usual hold.
+        Time since the step, to the end of a usual hold.
     means : list of ndarray, shape (M,)
     count : int
-        Steps of which it is the mean.
+        Number of averaged steps.
     """
     edges = np.append(steps, voltage_v.size)
     holds = np.diff(edges)
@@ -173,7 +172,7 @@ def mean_hold(steps: NDArray[np.intp], voltage_v: FloatArray, signals: Sequence[
     middle_v = voltage_v[np.minimum(edges[:-1] + holds // 2, voltage_v.size - 1)]
     change_v = middle_v - voltage_v[np.maximum(steps - 1, 0)]
     if steps[0] == 0:
-        # Nobody knows from where it came: the next one goes back.
+        # The voltage before the first sample is unknown; the next step goes back.
         change_v[0] = middle_v[0] - middle_v[1] if steps.size > 1 else 1.0
     used = np.flatnonzero(holds >= length)
     means = [np.mean([np.sign(change_v[index]) * values[steps[index] : steps[index] + length]

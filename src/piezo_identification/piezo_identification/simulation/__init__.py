@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Simulation of recordings by a model, and what they do not tell beside any."""
+"""Simulation of recordings by a model, and the nuisance parameters of recordings."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A recording, and what a model makes of its voltage after different pasts."""
+"""Simulate a model for the voltage of a recording after different pasts."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,29 +27,30 @@ from piezo_models.hysteresis.first_rise import CYCLED
 from piezo_recorder.reading.recording import Recording
 
 NEAR_THE_END = 1e-3
-"""Part of the range of the voltage from which an end of it counts as reached."""
+"""Distance from an end of the voltage range at which it counts as reached, as a fraction of the
+range."""
 
 PastVoltages = tuple[float, float] | tuple[()]
-"""Highest and then lowest voltage before a recording, or nothing where it begins saturated."""
+"""Highest and then lowest voltage before a recording; empty if it begins saturated."""
 
 
 @dataclass(frozen=True)
 class PastSearchSettings:
-    """Numbers that steer the search for the voltages before a recording.
+    """Settings of the search for the voltages before a recording.
 
     Attributes
     ----------
     searched_samples : int
-        Samples at the start of the recording that are simulated for each candidate. The past shows
-        in the first turning points; more samples cost time and tell no more of it.
+        Samples at the start of the recording that are simulated for each candidate. The past
+        affects the first turning points; more samples cost time and add no information.
     grid_points : int
-        Highest, and lowest, voltages that are tried in each round.
+        Number of highest and of lowest voltages tried in each round.
     rounds : int
-        Grids, each around the best candidate of the one before. Three of six points resolve a
-        hundredth of the voltage range.
+        Number of grids, each around the best candidate of the one before. Three grids of six points
+        resolve a hundredth of the voltage range.
     largest_error_ratio : float
-        A past is accepted if it leaves less than this part of the error without it. With two more
-        numbers any error falls a little.
+        Largest ratio of the errors with and without a past for which the past is accepted. Two more
+        parameters always reduce the error a little.
     """
 
     searched_samples: int = 200_000
@@ -62,13 +63,13 @@ SETTINGS = PastSearchSettings()
 
 
 def conditioned(model: StageModel, recording: Recording) -> tuple[Recording, bool]:
-    """Return the recording with the sign of the model and its outliers marked.
+    """Return the recording with the sign of the model and with its outliers marked.
 
     Returns
     -------
     recording : Recording
     is_reversed : bool
-        The sign of its displacement was changed.
+        Whether the sign of its displacement was changed.
 
     Raises
     ------
@@ -81,17 +82,16 @@ def conditioned(model: StageModel, recording: Recording) -> tuple[Recording, boo
 
 
 def starting_past_v(model: StageModel, recording: Recording) -> PastVoltages:
-    """Estimate the voltages that the stage had before a recording, as far as that tells.
+    """Estimate the voltages before a recording, as far as the recording depends on them.
 
-    A recording that does not begin with the hysteresis switched off or on all over depends on what
-    came before. The highest and then the lowest voltage of the past are fitted, in which the first
-    turning points of any past show. They count where they explain more than a past without them,
-    which comes from negative saturation.
+    Unless the hysteresis is saturated at the start, a recording depends on its past. The highest
+    and then the lowest earlier voltage are fitted, which represent the first turning points of any
+    past. They are used if the error is clearly smaller than with a past from negative saturation.
 
     Returns
     -------
     (float, float) or ()
-        The highest and the lowest voltage.
+        The highest and the lowest voltage; empty if they are not used.
     """
     early = np.cumsum(recording.playing | recording.tracking) <= SETTINGS.searched_samples
     run = ModelRun(model, recording.select(early))
@@ -103,16 +103,16 @@ def starting_past_v(model: StageModel, recording: Recording) -> PastVoltages:
 
 
 class ModelRun:
-    """A recording, and what a model makes of it after different pasts.
+    """A recording, and its simulation by a model after different pasts.
 
     Attributes
     ----------
     part : Recording
-        The samples in which the waveform plays.
+        The samples in which the waveform is played.
     settled : ndarray of int, shape (N,)
-        Samples of the part from when its start has settled.
+        Samples of the part after its start has settled.
     good : ndarray of bool, shape (N,)
-        Which of the settled samples count; may be replaced.
+        True for settled samples that are used; may be replaced.
 
     Raises
     ------
@@ -130,7 +130,7 @@ class ModelRun:
             joined_v, model.effects_at("voltage"), period_s, self._samples)
         amplified_v = model.amplified(in_parts_v, period_s / parts)
         lead *= parts
-        # As far as the first voltage of the part, from which it is simulated.
+        # Includes the first voltage of the part, from which it is simulated.
         self._before_v, self._voltage_v = amplified_v[: lead + 1], amplified_v[lead:]
         lags, self._effects = leading_lags(
             model.effects_at("displacement") + model.effects_at("sensor"), self._samples)
@@ -153,7 +153,7 @@ class ModelRun:
                 f"{recording.path} has {self.part.time_s.size} samples: record longer")
 
     def _ringing(self, time_s: FloatArray) -> list[FloatArray]:
-        """Return what modes may still ring by from before a recording that begins in motion."""
+        """Return regressors for modes that still ring from motion before the recording."""
         poles = self._system.poles()
         poles = poles[(poles.imag > 0.0) & (poles.real * time_s[0] > np.log(NEGLIGIBLE))]
         decays = [np.exp(pole * time_s) for pole in poles]
@@ -161,26 +161,26 @@ class ModelRun:
 
     @property
     def measured_um(self) -> FloatArray:
-        """Return the measured displacement of the settled samples, shape (N,)."""
+        """Measured displacement of the settled samples, shape (N,)."""
         return self.part.displacement_um[self.settled]
 
     @property
     def is_reversed(self) -> bool:
-        """Tell whether the measured displacement moves against the model's."""
+        """Whether the measured displacement moves against that of the model."""
         simulated_um = self._response_um(())
         return moves_against(
             self.measured_um[self.good], simulated_um[self.good], self._nuisance[self.good])
 
     @property
     def starts_saturated(self) -> bool:
-        """Tell whether the first samples begin at either end of the model's voltages."""
+        """Whether the voltage is at an end of the model's range at or before the first sample."""
         hysteresis = self.model.hysteresis
         near_v = NEAR_THE_END * (hysteresis.voltage_max_v - hysteresis.voltage_min_v)
         return bool(np.any((self._before_v <= hysteresis.voltage_min_v + near_v)
                            | (self._before_v >= hysteresis.voltage_max_v - near_v)))
 
     def fitted_past_v(self) -> tuple[float, float]:
-        """Find the highest and then the lowest earlier voltage that explain most."""
+        """Find the highest and then the lowest earlier voltage with the smallest error."""
         hysteresis, first_v = self.model.hysteresis, self._before_v[0]
         bounds_v = np.array([[first_v, max(first_v, hysteresis.voltage_max_v)],
                              [min(first_v, hysteresis.voltage_min_v), first_v]])
@@ -196,9 +196,9 @@ class ModelRun:
 
     @cached_property
     def highest_v(self) -> float:
-        """Voltage up to which the stage had risen before: cycled, unless less explains more.
+        """Highest earlier voltage: `CYCLED`, unless a lower one reduces the error clearly.
 
-        Only a model with a first rise tells; the past of its hysteresis is that of no reversals.
+        It matters only for a model with a first rise; its hysteresis is simulated without a past.
         """
         first_rise = self.model.first_rise
         if first_rise is None:
@@ -211,7 +211,7 @@ class ModelRun:
         return float(candidates[least]) if explains_more else CYCLED
 
     def error_um(self, past_v: PastVoltages, highest_v: float | None = None) -> float:
-        """Return the RMS of the difference that remains with a past."""
+        """Return the RMS error with a past, with offset and initial creep projected out."""
         difference_um = (self.measured_um - self._response_um(past_v, highest_v))[self.good]
         difference_um -= self._span @ (self._span.T @ difference_um)
         return float(np.sqrt(np.mean(difference_um**2)))
@@ -222,7 +222,7 @@ class ModelRun:
         Parameters
         ----------
         past_v : (float, float) or ()
-            Of `starting_past_v`.
+            Voltages from `starting_past_v`.
 
         Returns
         -------
@@ -236,7 +236,7 @@ class ModelRun:
 
     @property
     def _span(self) -> FloatArray:
-        """Orthonormal columns of what is fitted, at the samples that count; kept while these do."""
+        """Orthonormal basis of the nuisance regressors at the good samples, cached for `good`."""
         if self._span_of is None or self._span_of[0] is not self.good:
             left, values, _ = np.linalg.svd(self._nuisance[self.good], full_matrices=False)
             self._span_of = self.good, left[:, values > 1e-12 * values[0]]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a recording does not tell beside any model: its offset, and how far the creep had come."""
+"""Nuisance parameters of a recording for any model: its offset and its initial creep."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,12 +10,12 @@ from piezo_models.cascade import StageModel
 
 
 def nuisance_regressors(part: SimulatedRecording, rows: NDArray[np.intp]) -> FloatArray:
-    """Return what a recording does not tell: its offset, and how far the creep had come.
+    """Return the regressors of offset and initial creep.
 
     Parameters
     ----------
-    rows : array of int
-        Samples.
+    rows : (n,) array of int
+        Samples at which they are computed.
 
     Returns
     -------
@@ -39,7 +39,7 @@ def nuisance_signal(part: SimulatedRecording, sizes: FloatArray) -> FloatArray:
 
 
 def _nuisance_rates(model: StageModel) -> list[float]:
-    """Return the rates by which the nuisance regressors decay; that of the offset is zero."""
+    """Return the decay rates of the nuisance regressors in rad/s; that of the offset is 0."""
     rates = [0.0, *model.creep.poles_rad_per_s]
     if model.hysteretic_creep is not None:
         rates += [1.0 / tau for tau in set(model.hysteretic_creep.time_constants_s)]

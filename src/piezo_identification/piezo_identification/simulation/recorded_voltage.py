@@ -13,23 +13,23 @@ from piezo_models.effects.band_limited_voltage import BandLimitedVoltage, means_
 
 def in_parts(voltage_v: FloatArray, effects: Collection[Effect], sample_period_s: float,
              samples_per_mean: int) -> tuple[FloatArray, int]:
-    """Return a recorded voltage in the parts in which its rows are simulated, and their number.
+    """Return a recorded voltage divided into the parts in which its rows are simulated.
 
     Parameters
     ----------
     voltage_v : (N,) array
-        Of the rows.
+        Voltage of the rows.
     effects : collection of Effect
-        On the voltage; those that act within a row ask for parts.
+        Effects on the voltage; those that act within a row require several parts.
     samples_per_mean : int
-        Rows that are means of several samples stay whole.
+        Samples averaged in a row; averaged rows are not divided.
 
     Returns
     -------
     voltage_v : (N parts,) array
-        In front of the effects: held, or with a `BandLimitedVoltage` its mean over each part.
+        Voltage before the effects: held, or its mean over each part for a `BandLimitedVoltage`.
     parts : int
-        Of a row.
+        Number of parts of a row.
     """
     is_smooth = any(isinstance(effect, BandLimitedVoltage) for effect in effects)
     if is_smooth and samples_per_mean == 1:

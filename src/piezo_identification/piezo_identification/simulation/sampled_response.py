@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Response of the linear part at the samples of a recording, with lags shorter than a sample."""
+"""Response of the linear part at the samples of a recording, with delays within a sample."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
@@ -24,27 +24,28 @@ from piezo_models.linear.dynamics import (
 from piezo_models.linear.outputs_at import simulate_linear_at
 
 KEPT = 256
-"""Sampled systems that are kept: a fit asks all its recordings for the responses of some dozens."""
+"""Number of cached sampled systems; a fit uses some dozens for all its recordings."""
 
 
 def leading_lags(
     effects: Sequence[Effect], samples: int,
 ) -> tuple[tuple[Effect, ...], tuple[Effect, ...]]:
-    """Those of the effects behind a linear system that are in series with it.
+    """Separate the leading effects that can be put in series with a linear system.
 
-    Between the samples of a slow recording the displacement may do more than they show.
+    Slow samples do not show all motion between them, so lags are exact only in series.
 
     Parameters
     ----------
     effects : sequence of piezo_models.effects.effect.Effect
-        In the order of the signal.
+        Effects after the system, in the order of the signal.
     samples : int
-        Of which each measured displacement is the mean; a delay of means is left to act on them.
+        Samples averaged in each measured displacement; a delay acts on the means if there are
+        several.
 
     Returns
     -------
     lags, others : tuple of Effect
-        The others act on the sampled displacement.
+        Leading lags, and the other effects, which act on the sampled displacement.
     """
     kinds = (Delay, SensorLag) if samples == 1 else (SensorLag,)
     lags = tuple(takewhile(lambda effect: type(effect) in kinds, effects))
@@ -54,14 +55,14 @@ def leading_lags(
 def behind_lags(
     system: control.StateSpace, lags: Sequence[Effect],
 ) -> tuple[control.StateSpace, float]:
-    """Put lags behind a linear system; return it, and the delay that is left behind both.
+    """Put lags in series after a linear system; return it and the total delay of the lags.
 
     Parameters
     ----------
     system : control.StateSpace
-        Continuous.
+        Continuous system.
     lags : sequence of Effect
-        Of `leading_lags`.
+        Lags from `leading_lags`.
 
     Returns
     -------
@@ -79,23 +80,24 @@ def respond(
     system: control.StateSpace, input_um: FloatArray, sample_period_s: float, samples: int,
     delay_s: float = 0.0, at: NDArray[np.intp] | None = None, parts: int = 1,
 ) -> FloatArray:
-    """Response from the equilibrium under the first input.
+    """Return the response that begins in equilibrium with the first input.
 
     Parameters
     ----------
     system : control.StateSpace
-        Continuous.
+        Continuous system.
     input_um : (N parts,) array
-        Each held for a part of a sample period.
+        Inputs, each held for a part of a sample period.
     samples : int
-        As in `leading_lags`.
+        Samples averaged in each displacement.
     delay_s : float
-        Behind the system; exact, whatever part of a sample period it is. Where it is negative, the
-        response is read later than the input changes; the last input is held. Not with means.
+        Exact delay after the system, of any fraction of a sample period. If it is negative, the
+        response is read after the input changes, and the last input is held. It must be 0 for
+        means.
     at : (n,) array of int, optional
-        Samples that are asked for, sorted; by default all. A few of many cost less.
+        Sorted samples to return; by default all. A few samples cost less.
     parts : int
-        Of a sample period; one where rows are means.
+        Parts of a sample period; 1 for means.
 
     Returns
     -------
@@ -108,22 +110,14 @@ def respond_each(
     system: control.StateSpace, inputs_um: Iterable[FloatArray], sample_period_s: float,
     samples: int, delay_s: float = 0.0, at: NDArray[np.intp] | None = None, parts: int = 1,
 ) -> Iterator[FloatArray]:
-    """Yield the responses to several inputs, each by itself.
+    """Yield the responses to several inputs; see `respond` for the other parameters.
 
     Parameters
     ----------
-    system : control.StateSpace
-        Continuous.
     inputs_um : iterable of (N parts,) array
-        Each held for a part of a sample period.
-    samples : int
-        As in `leading_lags`.
-    delay_s : float
-        As in `respond`.
-    at : (n,) array of int, optional
-        As in `respond`.
+        Inputs, each held for a part of a sample period.
     parts : int
-        Of a sample period, of `parts_of_rows`; one where rows are means.
+        Parts of a sample period from `parts_of_rows`; 1 for means.
 
     Yields
     ------
@@ -150,9 +144,9 @@ def respond_each(
 @lru_cache(maxsize=KEPT)
 def _sampled(a: bytes, b: bytes, c: bytes, d: bytes, sample_period_s: float, samples: int,
              delay_s: float, of_means: bool) -> tuple[control.StateSpace, int]:
-    """Return the discrete system of some matrices, and the sample periods that it comes late.
+    """Return the discrete system of some matrices, and its delay in whole sample periods.
 
-    It is kept, since one system often answers many recordings: nobody may change it.
+    It is cached, as one system is often used for many recordings, and must not be changed.
     """
     gains, weights, direct = (np.frombuffer(matrix) for matrix in (b, c, d))
     system = control.ss(np.frombuffer(a).reshape(gains.size, gains.size), gains[:, None],
@@ -167,24 +161,24 @@ def _sampled(a: bytes, b: bytes, c: bytes, d: bytes, sample_period_s: float, sam
 def delayed_zoh(
     system: control.StateSpace, sample_period_s: float, delay_s: float,
 ) -> tuple[control.StateSpace, int]:
-    """Discrete system for an input held over each sample period, and an output that comes late.
+    """Return the discrete system for a held input and a delayed output.
 
     Parameters
     ----------
     system : control.StateSpace
-        Continuous.
+        Continuous system.
 
     Returns
     -------
     discrete : control.StateSpace
     late : int
-        Sample periods by which the output comes later still; earlier where negative.
+        Further delay of the output in whole sample periods; it may be negative.
     """
     discrete = zoh(system, sample_period_s)
     late, part = divmod(delay_s / sample_period_s, 1.0)
     if part == 0.0:
         return discrete, int(late)
-    # What is measured now was there in the middle of the sample period before.
+    # The measured output is that within the previous sample period.
     middle = zoh(system, (1.0 - part) * sample_period_s)
     return control.ss(
         discrete.A, discrete.B, system.C @ middle.A, system.C @ middle.B + system.D,
@@ -195,26 +189,26 @@ def delayed_zoh(
 def mean_zoh(
     system: control.StateSpace, sample_period_s: float, samples: int,
 ) -> control.StateSpace:
-    """Discrete system whose output is the mean of the samples that fall into each held period.
+    """Return the discrete system whose output is the mean of the samples in each held period.
 
     Parameters
     ----------
     system : control.StateSpace
-        Continuous.
+        Continuous system.
     sample_period_s : float
         Time for which the input is held.
     samples : int
-        Equally spaced output samples in that time, the first at its start.
+        Number of equally spaced output samples in that time, the first at its start.
 
     Returns
     -------
     control.StateSpace
-        Discrete, with the state of `system` at the start of each period.
+        Discrete system with the state of `system` at the start of each period.
     """
     fine = zoh(system, sample_period_s / samples)
     if samples == 1:
         return fine
-    # The held input stands behind the states: so a power tells of both.
+    # The held input is appended to the states, so that a power advances both.
     states = system.nstates
     step = np.block([[fine.A, fine.B], [np.zeros((1, states)), np.ones((1, 1))]])
     power, summed = _power_and_sum(step, samples)
@@ -224,7 +218,7 @@ def mean_zoh(
 
 
 def _power_and_sum(step: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return a power of a matrix, and the sum of all lower ones, by doublings."""
+    """Return a power of a matrix, and the sum of all lower powers, by repeated doubling."""
     none = np.eye(len(step))
     power, summed = none, np.zeros_like(step)
     for digit in f"{count:b}":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A recording beside many simulations of it, by a model with one effect or another."""
+"""A recording, and cached simulations of it by a model with further effects."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
@@ -38,18 +38,18 @@ from piezo_recorder.reading.recording import Recording
 
 @dataclass(frozen=True)
 class SimulationSettings:
-    """Numbers of the simulation of a recording.
+    """Settings of the simulation of a recording.
 
     Attributes
     ----------
     fewest_samples : int
-        Samples that a recording needs: a third of them is held out, and a dozen effects are fitted.
+        Fewest samples of a recording: a third is held out, and a dozen effects are fitted.
     kept_outputs : int
-        Outputs of the linear part that are remembered beside the first, and signals between effects
-        behind it. A fit varies one effect at a time, so that the last few are what it asks for
-        again; a few fits go on side by side.
+        Number of cached outputs of the linear part, in addition to the first, and of cached signals
+        between later effects. A fit varies one effect at a time and needs the last few again;
+        several fits may run in parallel.
     kept_inputs : int
-        Inputs of the linear part behind effects on the voltage that are remembered.
+        Number of cached inputs of the linear part with effects on the voltage.
     """
 
     fewest_samples: int = 500
@@ -58,37 +58,36 @@ class SimulationSettings:
 
 
 KEPT = 32
-"""Linear parts that are kept: a fit asks all its recordings for the same few."""
+"""Number of cached linear parts; a fit uses the same few for all its recordings."""
 
 SETTINGS = SimulationSettings()
 
 
 class SimulatedRecording:
-    """The part of a recording in which a waveform plays, and a model's simulation of it.
+    """The part of a recording in which a waveform is played, and its simulation by a model.
 
     Parameters
     ----------
     recording : Recording
-        With the sign of the model, and its outliers marked.
+        Recording with the sign of the model and with its outliers marked.
     past_v : (float, float) or (), optional
-        Voltages that the hysteresis met before the recording; by default those of
-        `starting_past_v`.
+        Voltages before the recording; by default those of `starting_past_v`.
     read_late_s : float
-        Time after its voltage at which the displacement of a row is read; not of means.
+        Time after its voltage at which the displacement of a row is read; 0 for means.
 
     Attributes
     ----------
     time_s, voltage_v, measured_um : (N,) array
-        Of the part in which the waveform plays.
+        Samples in which the waveform is played.
     outlier : (N,) array of bool
-        Samples that were marked as outliers.
+        True for outliers.
     off_um : (N,) array
-        By how much the outliers were off before they were put back among their neighbours.
+        Error of the outliers before they were replaced by interpolation; 0 elsewhere.
     begin : int
-        First sample at which the start has settled.
+        First sample after the start has settled.
     hysteresis_um, input_um : (N parts,) array
         Output of the hysteresis, and the same with its creep: the input of the linear part. A row
-        has several parts where the voltage moves within it, see `in_parts`.
+        has several parts if the voltage moves within it; see `in_parts`.
 
     Raises
     ------
@@ -123,10 +122,9 @@ class SimulatedRecording:
         self._simulate_linear()
 
     def with_model(self, model: StageModel) -> Self:
-        """Return the same recording simulated by another model, after the same past.
+        """Return the same recording simulated by another model after the same past.
 
-        What the recording tells of the past is told by one model: so it stays while a fit changes
-        another, and is not sought once more for each.
+        The past is estimated once, with the first model, and kept while a fit changes the model.
         """
         other, given = copy(self), self.model
         other.model = model = model.as_rows_show(self.sample_period_s)
@@ -138,7 +136,7 @@ class SimulatedRecording:
         return other
 
     def read_at(self, read_late_s: float) -> Self:
-        """Return the same recording, its displacements read at another time after its voltages."""
+        """Return the same recording with displacements read at another time after the voltages."""
         other = copy(self)
         other.read_late_s = read_late_s
         other._simulate_linear()
@@ -146,15 +144,15 @@ class SimulatedRecording:
 
     def simulate(self, effects: Sequence[Effect] = (), quick: Sequence[Effect] = (),
                  rows: NDArray[np.intp] | None = None) -> FloatArray:
-        """Return the displacement that the model with these effects besides its own would measure.
+        """Return the displacement simulated by the model with further effects.
 
         Parameters
         ----------
         quick : sequence of piezo_models.effects.effect.Effect
-            Those among them that may act on the sampled displacement where they are linear. That
-            is a little less exact than a system in series with the others, and much faster.
+            Those of the effects that act on the sampled displacement if they are linear. That is
+            slightly less exact than a system in series, but much faster.
         rows : (n,) array of int, optional
-            Samples that are asked for, sorted; by default all. A few of many cost less.
+            Sorted samples to return; by default all. A few samples cost less.
 
         Returns
         -------
@@ -175,23 +173,23 @@ class SimulatedRecording:
         linear_part, in_turn = (on_voltage, in_series, lags), (*quick, *others)
         if rows is None:
             return self._behind(linear_part, in_turn)
-        # Where a fit differentiates, never one sum by all samples and the other by some.
+        # Derivatives in a fit need the same summation for both simulations.
         if in_turn or not any(linear_part):
             return self._behind(linear_part, in_turn)[rows]
         return self._output(*linear_part, rows)
 
     def hysteresis_output_um(self, hysteresis: PreisachModel) -> FloatArray:
-        """Return the output of another hysteresis at the same voltages, in um, (N parts,).
+        """Return the output of another hysteresis for the same voltages, in um, (N parts,).
 
-        A first rise adds nothing to it: so outputs of parts of a hysteresis sum to that of it.
+        A first rise is not included, so that the outputs of parts of a hysteresis add up.
         """
         output_um = self._cycled_um(hysteresis, self._amplified_v)
         return output_um[self._before(output_um) :]
 
     def loops(self) -> tuple[FloatArray, FloatArray]:
-        """Return the voltage at the hysteresis and its output, at the end of each row, (N,) each.
+        """Return the voltage at the hysteresis and its output at the end of each row, (N,) each.
 
-        That is behind the effects of the model on the voltage.
+        The voltage includes the model's effects on it.
         """
         entering_v = self._amplified_v[self._before(self._amplified_v) :]
         parts = entering_v.size // self.time_s.size
@@ -199,13 +197,13 @@ class SimulatedRecording:
 
     def respond(self, system: control.StateSpace, input_um: FloatArray, delay_s: float = 0.0,
                 at: NDArray[np.intp] | None = None) -> FloatArray:
-        """Return the output of a continuous system, sampled as the recording is; see `respond`."""
+        """Return the output of a continuous system, sampled like the recording; see `respond`."""
         return next(self.respond_each(system, [input_um], delay_s, at))
 
     def respond_each(self, system: control.StateSpace, inputs_um: Iterable[FloatArray],
                      delay_s: float = 0.0,
                      at: NDArray[np.intp] | None = None) -> Iterator[FloatArray]:
-        """Yield the outputs of a continuous system for several inputs of one length."""
+        """Yield the outputs of a continuous system for several inputs of equal length."""
         inputs = iter(inputs_um)
         first = next(inputs, None)
         if first is not None:
@@ -214,7 +212,7 @@ class SimulatedRecording:
                 delay_s - self.read_late_s, at, first.size // self.time_s.size)
 
     def _simulate_hysteresis(self) -> None:
-        """Simulate what is ahead of the linear part of the model."""
+        """Simulate the model up to the input of its linear part."""
         model = self.model
         self._amplified_v = self._amplified(())
         self.hysteresis_um, self._rest_input_um = self._hysteresis(
@@ -223,7 +221,7 @@ class SimulatedRecording:
         self._inputs: dict[tuple, FloatArray] = {}
 
     def _simulate_linear(self) -> None:
-        """Simulate the linear part without more effects, and forget what others gave."""
+        """Clear the cached outputs of the linear part."""
         for name in ("rest_um", "drive_um"):
             vars(self).pop(name, None)
         self._outputs: dict[tuple, FloatArray] = {}
@@ -231,38 +229,38 @@ class SimulatedRecording:
 
     @cached_property
     def rest_um(self) -> float:
-        """Return the displacement at which the stage rested before."""
+        """Displacement at which the stage rested before the recording."""
         moved_um = self.hysteresis_um[0] - self._rest_input_um
         return float(self._output((), (), ())[0] - moved_um)
 
     @cached_property
     def repeated_period(self) -> int | None:
-        """Return samples after which the voltage repeats, once the start has settled; or None."""
+        """Period of the voltage in samples after the start has settled; None if not periodic."""
         return repeated_period(self.voltage_v[self.begin :])
 
     @cached_property
     def drive_um(self) -> FloatArray:
-        """Return what drives the modes: the displacement if they followed at once, (N,)."""
+        """Input of the modes: the displacement if they followed without delay, (N,)."""
         lag = type(self.model.dynamics)(self.model.dynamics.time_constant_s)
         without_modes = replace(self.model, dynamics=lag, effects=self.model.effects_at("linear"))
         return self.respond(without_modes.linear(), self.input_um)
 
     def _hysteresis(self, hysteresis: PreisachModel,
                     amplified_v: FloatArray) -> tuple[FloatArray, float]:
-        """Return the output while the waveform plays, and at the first sample of the recording."""
+        """Return the output during the waveform, and that at the first sample of the recording."""
         output_um = self._cycled_um(hysteresis, amplified_v)
         if self.model.first_rise is not None:
             output_um += self.model.first_rise.simulate(amplified_v, self._highest_v)
         return output_um[self._before(output_um) :], output_um[0]
 
     def _before(self, values: FloatArray) -> int:
-        """Return how many of the values of all rows, in their parts, come before the part."""
+        """Return the number of values, including parts of rows, before the waveform."""
         return self._samples_before * (values.size // self._joined_v.size)
 
     def _amplified(self, effects: Sequence[Effect]) -> FloatArray:
-        """Return the voltage behind those of the model and then effects, in the parts of all rows.
+        """Return the voltage after the model's and then further effects, in parts of all rows.
 
-        In this order the model that has all of them applies them.
+        A model with all these effects applies them in the same order.
         """
         voltage_v, parts = in_parts(
             self._joined_v, (*self.model.effects_at("voltage"), *effects), self.sample_period_s,
@@ -274,13 +272,13 @@ class SimulatedRecording:
         return voltage_v
 
     def _cycled_um(self, hysteresis: PreisachModel, amplified_v: FloatArray) -> FloatArray:
-        """Return the output of a stage that was cycled, from the first sample of the recording."""
+        """Return the output of the hysteresis without a first rise, for the whole recording."""
         memory = hysteresis.memory()
         hysteresis.simulate(self.past_v, memory)
         return hysteresis.simulate(amplified_v, memory) + hysteresis.line_beyond_um(amplified_v)
 
     def _with_creep(self, hysteresis_um: FloatArray, amplified_v: FloatArray) -> FloatArray:
-        """Input of the linear part: the output of the hysteresis with its creep."""
+        """Return the input of the linear part: the output of the hysteresis with its creep."""
         model = self.model
         if model.hysteretic_creep is None:
             return hysteresis_um
@@ -292,9 +290,9 @@ class SimulatedRecording:
             amplified_v[before:], period_s, memory)
 
     def _behind(self, linear_part: tuple, effects: tuple[Effect, ...]) -> FloatArray:
-        """Return the displacement behind effects that follow the linear part one after another.
+        """Return the displacement after effects that follow the linear part in series.
 
-        What enters the last of them is kept for the next time.
+        The input of the last effect is cached.
         """
         if not effects:
             return self._output(*linear_part)
@@ -304,47 +302,47 @@ class SimulatedRecording:
         if ahead_um is None:
             ahead_um = self._behind(linear_part, others)
         if others:
-            # What was used last goes last.
+            # Entries are ordered by their last use.
             self._ahead[key] = ahead_um
             for old in list(self._ahead)[: -SETTINGS.kept_outputs]:
-                self._ahead.pop(old, None)  # another fit beside this one may have been first
+                self._ahead.pop(old, None)  # a parallel fit may have removed it
         return last.apply(ahead_um, self.sample_period_s, self.rest_um)
 
     def _output(self, on_voltage: tuple[Effect, ...], in_series: tuple[Effect, ...],
                 lags: tuple[Effect, ...], at: NDArray[np.intp] | None = None) -> FloatArray:
-        """Return the output of the linear part and the lags behind it, kept for the next time."""
+        """Return the output of the linear part and the lags after it, cached."""
         key = on_voltage, in_series, lags, None if at is None else at.tobytes()
         output = self._outputs.get(key)
         if output is None:
             output = self._response(on_voltage, in_series, lags, at)
-            # A fit tries many; the first and the last few are worth the memory.
+            # Keep the first and the last few of the many outputs of a fit.
             for old in list(self._outputs)[1 : -SETTINGS.kept_outputs]:
-                self._outputs.pop(old, None)  # another fit beside this one may have been first
+                self._outputs.pop(old, None)  # a parallel fit may have removed it
             self._outputs[key] = output
         return output
 
     def _response(self, on_voltage: tuple[Effect, ...], in_series: tuple[Effect, ...],
                   lags: tuple[Effect, ...], at: NDArray[np.intp] | None = None) -> FloatArray:
-        """Return the output of the linear part and the lags behind it, at all samples or some."""
+        """Return the output of the linear part and the lags after it, at all samples or some."""
         input_um = self._input_um(on_voltage) if on_voltage else self.input_um
         system, delay_s = behind_lags(_linear_part(self.model, in_series), lags)
         return self.respond(system, input_um, delay_s, at)
 
     def _input_um(self, on_voltage: tuple[Effect, ...]) -> FloatArray:
-        """Return the input of the linear part behind effects, kept for the next time."""
+        """Return the input of the linear part with effects on the voltage, cached."""
         input_um = self._inputs.get(on_voltage)
         if input_um is None:
             amplified_v = self._amplified(on_voltage)
             hysteresis_um, _ = self._hysteresis(self.model.hysteresis, amplified_v)
             input_um = self._with_creep(hysteresis_um, amplified_v)
-            # A fit moves the number of one effect, and goes back.
+            # A fit changes one parameter and then returns to the previous value.
             for old in list(self._inputs)[: 1 - SETTINGS.kept_inputs]:
-                self._inputs.pop(old, None)  # another fit beside this one may have been first
+                self._inputs.pop(old, None)  # a parallel fit may have removed it
             self._inputs[on_voltage] = input_um
         return input_um
 
 
 @lru_cache(maxsize=KEPT)
 def _linear_part(model: StageModel, more: tuple[Effect, ...]) -> control.StateSpace:
-    """Return the linear part of a model with more effects; nobody may change it."""
+    """Return the linear part of a model with further effects; it must not be changed."""
     return replace(model, effects=(*model.effects, *more)).linear()

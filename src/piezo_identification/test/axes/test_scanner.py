@@ -83,7 +83,9 @@ def test_where_no_hysteresis_is_shown_none_is_added():
         flexure.table(scanner.along(0, scanner.loops_v(1500)), rng), "loops")
     fast = [flexure.recording(table, f"fast {number}")
             for number, table in enumerate(flexure.experiments(1024))]
-    assert not identify_several_axes(fast, hysteresis=[loops]).model.actuators
+    model = identify_several_axes(
+        fast, hysteresis=[loops], pairs=len(flexure.FREQUENCY_RAD_PER_S)).model
+    assert not model.actuators
 
 
 def test_a_saved_model_predicts_alike(identified, tmp_path):

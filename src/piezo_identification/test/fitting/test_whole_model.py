@@ -8,11 +8,18 @@ import pytest
 
 from piezo_identification.conditioning.outlier_samples import with_outliers_marked
 from piezo_identification.experiments import catalogue as experiments
-from piezo_identification.fitting.structure_search import begun, is_better, searched, structures
+from piezo_identification.fitting.structure_search import (
+    begun,
+    is_better,
+    searched,
+    starts,
+    structures,
+)
 from piezo_identification.fitting.whole_model import BESIDE_ROUGH, WholeModel
 from piezo_identification.prediction import unseen_errors
 from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.second_order_amplifier import SecondOrderAmplifier
+from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
 pytestmark = pytest.mark.kernels
@@ -179,3 +186,24 @@ def test_a_pair_of_the_creep_may_have_another_sign_than_that_which_was_given(wro
     fit = problem.fit(replace(wrong, creep=turned), None, 2)
     assert np.isfinite(fit.evidence_over(problem.fit(wrong, None, 0)))
     assert fit.model.creep.zeros_rad_per_s[-1] < fit.model.creep.poles_rad_per_s[-1]
+
+
+def test_what_a_fit_simulated_is_made_anew_where_it_is_asked_for(wrong, recordings):
+    problem = WholeModel(wrong, recordings, [0.0] * 3)
+    fit = problem.fit(wrong, None, 1)
+    evidence, deviations = problem.evidence(fit), fit.deviations()
+    fit.errors.forget()
+    assert fit.deviations() == deviations
+    for one, other in zip(evidence, problem.evidence(fit), strict=True):
+        np.testing.assert_allclose(one.residual_um, other.residual_um, atol=1e-12)
+
+
+def test_modes_between_which_are_antiresonances_stand_in_parallel_in_every_start(wrong, recordings):
+    problem = WholeModel(wrong, recordings, [0.0] * 3)
+    in_series = ElectricVibrationDynamics(1e-4, (2800.0, 4900.0), (0.05, 0.03), (3500.0,), (0.04,))
+    listed = list(starts(problem, replace(wrong, dynamics=in_series), None))
+    assert listed
+    for structure in listed:
+        assert not structure.model.dynamics.mode_frequencies_rad_per_s
+        assert [effect.frequency_rad_per_s for effect in structure.model.effects
+                if isinstance(effect, VibrationMode)] == [2800.0, 4900.0]

@@ -99,6 +99,20 @@ def test_a_chirp_that_begins_slowly_is_dynamics_where_its_mode_rings(read):
     assert suitability_for(check, "dynamics").verdict == "yes"
 
 
+def test_a_mode_is_dynamics_in_a_recording_that_has_everything(read):
+    """Steps and loops over the whole range have but a millionth of their power at the mode."""
+    period_s, random = 1e-4, np.random.default_rng(4)
+    steps_v = np.repeat(random.uniform(0.0, 150.0, 40), random.integers(500, 2500, 40))
+    time_s = period_s * np.arange(20_000)
+    swept_v = steps_v[-1] + 4.0 * np.sin(2.0 * np.pi * 250.0 * time_s**2)
+    loops_v = np.interp(np.arange(16_000), 4000 * np.arange(5), [swept_v[-1], 0, 150, 0, 75])
+    voltage_v = np.concatenate([steps_v, swept_v, loops_v])
+    noise_um = 0.005 * random.normal(size=voltage_v.size)
+    ringing_um = vibrating(voltage_v - voltage_v[0], period_s, 310.0, 0.015) + noise_um
+    fit = suitability_for(check_recording(read(voltage_v, ringing_um, period_s)), "dynamics")
+    assert fit.verdict == "yes", fit.reason
+
+
 def test_a_slow_resonance_beside_a_part_that_follows_at_once_is_dynamics(read):
     """Where most happens, at high frequency, the displacement follows the voltage at once."""
     period_s, random = 5e-4, np.random.default_rng(4)

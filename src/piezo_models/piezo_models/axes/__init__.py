@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Stages of two or three axes: one modal model of all of them, and its file."""
+"""Stages of two or three axes: one modal model of all axes."""

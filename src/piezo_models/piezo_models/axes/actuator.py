@@ -15,16 +15,15 @@ from piezo_models.linear.dynamics import CreepDynamics
 
 @dataclass(frozen=True, eq=False)
 class Actuator:
-    """From the voltage of an axis to its drive, a voltage without hysteresis and creep.
+    """Convert the voltage of an axis to its drive, a voltage without hysteresis and creep.
 
     Attributes
     ----------
     hysteresis : PreisachModel, optional
-        Its output over its mean slope is the voltage that it passes on: from one end of its range
-        to the other that changes by as much as the voltage. Beyond the range it follows the
-        voltage.
+        Its output over its mean slope is the voltage that it passes on. Over its whole range
+        this changes by as much as the voltage; beyond the range it follows the voltage.
     creep : CreepDynamics
-        Of the drive, behind the hysteresis.
+        Creep of the drive, behind the hysteresis.
     """
 
     hysteresis: PreisachModel | None = None
@@ -46,9 +45,9 @@ class Actuator:
         ----------
         voltage_v : (N,) array
         periodic : bool
-            The voltage has been repeated before.
+            True if the voltage has been repeated before.
         past : str
-            One of `PASTS`, by which the first voltage was reached.
+            One of `PASTS`: how the first voltage was reached.
         """
         hysteresis = self.hysteresis
         if hysteresis is None:
@@ -64,15 +63,15 @@ class Actuator:
 
     def drive_v(self, voltage_v: FloatArray, sample_period_s: float, periodic: bool = False,
                 past: str = PASTS[0], goes_on: bool = False) -> FloatArray:
-        """Return the drive of the modes under a voltage; the creep is over at its beginning.
+        """Return the drive of the modes under a voltage; creep has settled at its beginning.
 
         Parameters
         ----------
         voltage_v, periodic, past
-            See `passed_v`.
+            As for `passed_v`.
         goes_on : bool
-            The voltage goes on in a straight line from one sample to the next. Else it is held, and
-            the drive is that at the end of the sample.
+            True if the voltage changes linearly between samples; else it is held, and the drive is
+            that at the end of the sample.
         """
         passed_v = self.passed_v(voltage_v, periodic, past)
         drive_v = passed_v.copy()
@@ -90,7 +89,7 @@ class Actuator:
 
     @property
     def creep_gains(self) -> FloatArray:
-        """Return what the creep behind each pole comes to, over what moves at once."""
+        """Return the final creep behind each pole, relative to the immediate motion."""
         poles, zeros = (np.array(values, dtype=float) for values in (
             self.creep.poles_rad_per_s, self.creep.zeros_rad_per_s))
         apart = poles[None, :] - poles[:, None] + np.diag(poles)
@@ -101,8 +100,8 @@ class Actuator:
     def creep_response(self, frequency_hz: ArrayLike, sample_period_s: float) -> ComplexArray:
         """Return the response of the creep from sample to sample.
 
-        A drive that is held has crept by the end of the sample: at any sample period, the modes
-        are fast beside the creep.
+        A held drive has crept by the end of the sample, because the modes are fast compared with
+        the creep at any sample period.
         """
         z = np.exp(2j * np.pi * np.asarray(frequency_hz) * sample_period_s)
         response = np.ones_like(z)
@@ -112,12 +111,12 @@ class Actuator:
         return response
 
     def inverse_v(self, drive_v: FloatArray, sample_period_s: float) -> FloatArray:
-        """Return the voltages, repeated for long, by which a drive is repeated.
+        """Return the periodic voltage that produces a periodic drive.
 
         Parameters
         ----------
         drive_v : (N,) array
-            One period.
+            One period of the drive in V.
 
         Raises
         ------
@@ -135,7 +134,7 @@ class Actuator:
         wanted_um = hysteresis.offset_um + self.slope_um_per_v * (
             within_v - hysteresis.voltage_min_v)
         memory = hysteresis.memory()
-        hysteresis.invert(wanted_um, memory)  # what came before is the period itself
+        hysteresis.invert(wanted_um, memory)  # first pass: the past is the period itself
         return hysteresis.invert(wanted_um, memory) + passed_v - within_v
 
     def _within(self, voltage_v: FloatArray) -> FloatArray:

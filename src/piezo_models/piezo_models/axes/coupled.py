@@ -17,37 +17,37 @@ from piezo_models.axes.coupled_kernels import run_modes
 from piezo_models.hysteresis.pasts import PASTS
 
 LEAST_SEPARATION = 1e-10
-"""Distance in the z plane below which poles are copies of one, a thousand times the rounding."""
+"""Distance in the z plane below which poles are copies of one; 1000 times the rounding error."""
 
 NEAR = 0.05
-"""Part of its frequency by which a mode may have moved: actuators soften by a few percent."""
+"""Largest relative change of a mode's frequency: actuators soften by a few percent."""
 
 SHORTEST_MEMORY = 1e-3
-"""Size of a pole in the z plane up to which it is a rest of a delay: m of them that meet at 0 are
-computed to the m-th root of the rounding, and no mode decays by as much in one sample."""
+"""Magnitude in the z plane up to which a pole is a rounding error of a delay. A pole of
+multiplicity m at 0 has an error of the m-th root of the rounding; no mode decays that fast."""
 
 
 @dataclass(frozen=True, eq=False)
 class Softening:
-    """What the modes and the gain lose as the amplitude of the voltage rises.
+    """Dependence of the modes and the gain on the amplitude of the voltage.
 
-    Ferroelectric actuators grow softer, more lossy and more sensitive with their amplitude, slowly
-    against the beats of the modes. With ``a`` the distance of the amplitude from the reference, in
-    parts of it, the elongation of each actuator acts back on its voltage:
-    ``v = u - sum over p of a^p (elongation_p of v + gain_p u)``, p from 1 on.
+    Ferroelectric actuators become softer, more lossy and more sensitive with rising amplitude,
+    slowly compared with the beats of the modes. Let ``a`` be the deviation of the amplitude from
+    the reference, relative to the reference. The elongation of each actuator acts back on its
+    voltage: ``v = u - sum over p of a^p (elongation_p of v + gain_p u)``, p from 1 on.
 
     Attributes
     ----------
     elongations : (P, K, n, n) array of complex
         Residue of each mode in the elongation of each actuator, by the axis that drives it.
     gain : (P, n, n) array
-        Part of the voltage itself.
+        Part of the voltage itself that acts back.
     reference_v : float
-        Amplitude at which the linear part holds: RMS of all voltages about the operating point.
+        RMS of all voltages about the operating point at which the linear part is valid, in V.
     memory_s : float
-        Time constant over which the mean square of the voltage is taken.
+        Time constant in s of the running mean square of the voltage.
     range_v : (float, float)
-        Amplitudes of the identification; the softening is held beyond them.
+        RMS voltages of the identification in V; beyond them the softening is held constant.
     """
 
     elongations: ComplexArray
@@ -57,7 +57,7 @@ class Softening:
     range_v: tuple[float, float]
 
     def strengths(self, amplitude_v: ArrayLike) -> FloatArray:
-        """Return the powers of the distance from the reference, shape of the amplitudes and P."""
+        """Return the powers a^p of the relative deviation, shape of the amplitudes and P."""
         away = np.clip(amplitude_v, *self.range_v) / self.reference_v - 1.0
         strengths: FloatArray = away[..., None] ** np.arange(1, len(self.gain) + 1)
         return strengths
@@ -65,7 +65,7 @@ class Softening:
     def amplitude_v(self, drive_v: FloatArray, sample_period_s: float) -> FloatArray:
         """Return the running RMS of a voltage about the operating point, shape (N,).
 
-        It begins with that of the first `memory_s`.
+        The mean square starts with its mean over the first `memory_s`.
 
         Parameters
         ----------
@@ -83,28 +83,27 @@ class Softening:
 class CoupledModel:
     """Motion of several axes about an operating point: modes that all of them share.
 
-    The voltage of each axis passes its actuator first, which makes of it the drive of the modes.
+    The voltage of each axis first passes its actuator, whose output is the drive of the modes.
 
     Attributes
     ----------
     axes : tuple of str
-        Names, in the order of rows and columns.
+        Names of the axes, in the order of rows and columns.
     sample_period_s : float
-        The model predicts samples at this period, from voltages held between them.
+        Sample period in s; the voltages are held between the samples.
     poles_rad_per_s : (K,) array of complex
-        One of each conjugate pair, the upper one; real poles have no imaginary part.
+        The upper one of each conjugate pair; real poles have no imaginary part.
     residues_um_per_v : (K, n, n) array of complex
-        By mode, axis that moves and axis that is driven, of the sampled response: the sum of
-        ``R / (z - exp(pole T))`` and, of complex poles, their conjugates.
+        Residues of the sampled response by mode, moving axis and driven axis. The response is
+        the sum of ``R / (z - exp(pole T))`` and, for complex poles, their conjugates.
     direct_um_per_v : (L, n, n) array
-        Motion that follows the voltage of the same sample, of the one before, and so on.
+        Motion that follows the voltage of the same sample, of the previous one, and so on.
     latency_samples : (n,) array of int
-        Whole samples by which each sensor is late.
+        Delay of each sensor in whole samples.
     operating_voltage_v, operating_displacement_um : (n,) array
         Drive and displacement about which the modes move.
-    softening : Softening, optional
     actuators : tuple of Actuator
-        Of each axis; empty where no axis has hysteresis or creep.
+        One for each axis; empty if no axis has hysteresis or creep.
     """
 
     axes: tuple[str, ...]
@@ -157,12 +156,12 @@ class CoupledModel:
         ----------
         frequency_hz : (F,) array_like
         amplitude_v : float, optional
-            At which it softens; the reference by default.
+            RMS voltage in V to which the model softens; the reference by default.
 
         Returns
         -------
         (F, n, n) array of complex
-            In um/V, by frequency, axis that moves and axis that is driven.
+            Response in um/V, by frequency, moving axis and driven axis.
         """
         z = np.exp(2j * np.pi * np.atleast_1d(frequency_hz) * self.sample_period_s)
         elongations, gain = self._softened(amplitude_v)
@@ -185,7 +184,7 @@ class CoupledModel:
         return response
 
     def _softened(self, amplitude_v: float | None) -> tuple[ComplexArray, FloatArray]:
-        """Return residues and gain by which the motion at an amplitude acts back."""
+        """Return residues and gain of the feedback by softening at an amplitude."""
         if self.softening is None or amplitude_v is None:
             return np.zeros_like(self.residues_um_per_v), np.zeros((len(self.axes),) * 2)
         strengths = self.softening.strengths(amplitude_v)
@@ -199,24 +198,24 @@ class CoupledModel:
         Parameters
         ----------
         voltage_v : (N, n) array_like
-            Each value held for a sample period. The stage has rested at the first one.
+            Voltages in V, each held for a sample period. The stage has rested at the first one.
         periodic : bool
-            The voltage has been repeated for long instead.
+            True if the voltage has been repeated until the motion is periodic.
         pasts : sequence of str, optional
-            See `drive_v`.
+            How each axis reached its first voltage; see `drive_v`.
         goes_on : bool
-            The voltage goes on in a straight line from one sample to the next instead of being
-            held; the model is one of `at_period` for such voltages.
+            True if the voltage changes linearly between samples instead of being held; the model
+            is then one of `at_period` for such voltages.
 
         Returns
         -------
         (N, n) array
-            In um at the sample instants.
+            Displacement in um at the sample instants.
 
         Raises
         ------
         ValueError
-            If the voltage has another shape or is not finite.
+            If the voltage has a wrong shape or is not finite.
         """
         drive_v = self.drive_v(voltage_v, periodic, pasts, goes_on) - self.operating_voltage_v
         motion_um = self._run(drive_v, periodic) + sum(
@@ -229,20 +228,20 @@ class CoupledModel:
 
     def drive_v(self, voltage_v: ArrayLike, periodic: bool = False,
                 pasts: Sequence[str] = (), goes_on: bool = False) -> FloatArray:
-        """Return the drive of the modes under a voltage, (N, n): hysteresis and creep of each axis.
+        """Return the drive of the modes under a voltage, (N, n), after hysteresis and creep.
 
         Parameters
         ----------
         voltage_v, periodic, goes_on
-            See `simulate`.
+            As for `simulate`.
         pasts : sequence of str, optional
-            For each axis the way by which its first voltage was reached, one of
+            How each axis reached its first voltage, one of
             `piezo_models.hysteresis.pasts.PASTS`; by default from the lowest one.
 
         Raises
         ------
         ValueError
-            If the voltage has another shape or is not finite.
+            If the voltage has a wrong shape or is not finite.
         """
         voltages_v = np.asarray(voltage_v, dtype=float)
         if voltages_v.ndim != 2 or voltages_v.shape[1] != len(self.axes) or not voltages_v.size:
@@ -277,13 +276,13 @@ class CoupledModel:
         back_read = (multiples * elongations).astype(complex)
         for again in (True, False)[not periodic:]:
             run_modes(drive_v, strengths, steps, read, back_read, gain, state, motion_um)
-            if again:  # what has not decayed within the period is added up
+            if again:  # add up what has not decayed within the period
                 left = steps[:, None] ** len(drive_v)
                 state = (state - left * before) / (1.0 - left)
         return motion_um
 
     def at_amplitude(self, amplitude_v: float) -> Self:
-        """Return the model without softening to which this one softens at an amplitude."""
+        """Return the model without softening that is equivalent at one amplitude."""
         if self.softening is None:
             return self
         return replace(type(self).from_control(
@@ -293,14 +292,15 @@ class CoupledModel:
     def at_period(self, sample_period_s: float, goes_on: bool = False) -> Self:
         """Return the model for voltages whose samples are further apart than its own.
 
-        A sensor that is late by less sees the motion between two of them.
+        A sensor delay shorter than the new period is included in the response within a sample.
 
         Parameters
         ----------
         sample_period_s : float
+            New sample period in s.
         goes_on : bool
-            The voltage goes on in a straight line from one sample to the next; by default it is
-            held (first-order and zero-order hold; Franklin, Powell and Workman 1998, section 6.3).
+            True if the voltage changes linearly between samples; by default it is held (first-order
+            and zero-order hold; Franklin, Powell and Workman 1998, section 6.3).
         """
         held = sample_period_s / self.sample_period_s
         within = self.latency_samples < held
@@ -339,19 +339,19 @@ class CoupledModel:
                 within, 0, np.round(self.latency_samples / held)).astype(int))
 
     def mode_near(self, frequency_hz: float, amplitude_v: float | None = None) -> complex:
-        """Return the pole, in rad/s, of the highest resonance near a frequency.
+        """Return the pole in rad/s of the highest resonance near a frequency.
 
         Parameters
         ----------
         frequency_hz : float
-            Within `NEAR` of which it is sought.
+            Frequency in Hz; modes within the fraction `NEAR` of it are considered.
         amplitude_v : float, optional
-            At which the model softens; the reference by default.
+            RMS voltage in V to which the model softens; the reference by default.
 
         Raises
         ------
         ValueError
-            If there is none.
+            If there is no mode near the frequency.
         """
         linear = self if amplitude_v is None else self.at_amplitude(amplitude_v)
         poles = linear.poles_rad_per_s
@@ -368,12 +368,13 @@ class CoupledModel:
         Parameters
         ----------
         amplitude_v : float, optional
-            At which it softens; the reference by default.
+            RMS voltage in V to which the model softens; the reference by default.
 
         Returns
         -------
         control.StateSpace
-            From ``x_voltage_v``, ... to ``x_displacement_um``, ..., about the operating point.
+            System from ``x_voltage_v``, ... to ``x_displacement_um``, ..., about the operating
+            point.
         """
         n = len(self.axes)
         modes, drive = _copies_of_modes(
@@ -391,7 +392,7 @@ class CoupledModel:
                           outputs=[f"{axis}_displacement_um" for axis in self.axes])
 
     def _readout(self, residues: ComplexArray) -> FloatArray:
-        """Return how outputs read the states of `_copies_of_modes`, shape (n, states)."""
+        """Return the output matrix for the states of `_copies_of_modes`, shape (n, states)."""
         columns = []
         for residue, pole in zip(residues, self.poles_rad_per_s, strict=True):
             columns += [2.0 * residue.real, -2.0 * residue.imag] if pole.imag else [residue.real]
@@ -408,15 +409,14 @@ class CoupledModel:
         Parameters
         ----------
         system : control.StateSpace or control.TransferFunction
-            Discrete and stable, with as many inputs as outputs, poles that differ.
-        axes : tuple of str
+            Discrete and stable, with as many inputs as outputs and distinct poles.
         operating_voltage_v, operating_displacement_um : (n,) array_like, optional
-            0 by default.
+            Operating point in V and um; 0 by default.
 
         Raises
         ------
         ValueError
-            If the system is another one.
+            If the system does not satisfy these conditions.
         """
         n = len(axes)
         if (system.ninputs, system.noutputs) != (n, n):
@@ -452,16 +452,16 @@ class CoupledModel:
 def _poles_and_residues(
     found: ComplexArray, read: ComplexArray, drive: ComplexArray, overlap: ComplexArray,
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Return each pole once, with the residue of all its copies together.
+    """Return each pole once, with the sum of the residues of its copies.
 
     Parameters
     ----------
     found : (k,) array of complex
-        Eigenvalues.
+        Eigenvalues of the system matrix.
     read : (n, k) array of complex
-        Right eigenvectors at the outputs.
+        Right eigenvectors times the output matrix.
     drive : (k, n) array of complex
-        Left eigenvectors at the inputs.
+        Left eigenvectors times the input matrix.
     overlap : (k, k) array of complex
         Products of left and right eigenvectors.
     """
@@ -470,7 +470,7 @@ def _poles_and_residues(
         near = np.abs(found[left_over] - found[left_over[0]]) < LEAST_SEPARATION
         copies, left_over = left_over[near], left_over[~near]
         of_copies = overlap[np.ix_(copies, copies)]
-        if np.linalg.norm(of_copies, -2) < LEAST_SEPARATION:  # the least singular value
+        if np.linalg.norm(of_copies, -2) < LEAST_SEPARATION:  # the smallest singular value
             raise ValueError("two modes of the system are one that grows with time before it "
                              "decays; give a system whose modes differ")
         steps.append(found[copies].mean())
@@ -480,14 +480,14 @@ def _poles_and_residues(
 
 
 def _delayed(signal: FloatArray, samples: int, periodic: bool) -> FloatArray:
-    """Return a signal later by whole samples; what came before is the period or its begin."""
+    """Return a signal delayed by samples; before it is its period or its first value."""
     at = np.arange(len(signal)) - samples
     delayed: FloatArray = signal[at % len(signal) if periodic else np.maximum(at, 0)]
     return delayed
 
 
 def _copies_of_modes(steps: ComplexArray, axes: int) -> tuple[FloatArray, FloatArray]:
-    """Return real dynamics of modes and how each axis drives its own copy of them."""
+    """Return the real system and input matrices of the modes, with a copy for each axis."""
     blocks, drives = [], []
     for step in steps:
         if step.imag:
@@ -496,13 +496,13 @@ def _copies_of_modes(steps: ComplexArray, axes: int) -> tuple[FloatArray, FloatA
         else:
             blocks.append(np.array([[step.real]]))
             drives.append(1.0)
-    # States in the order mode, part, axis, as `_readout` has its columns.
+    # States in the order mode, part, axis, like the columns of `_readout`.
     return np.kron(block_diag(*blocks), np.eye(axes)), np.kron(
         np.array(drives)[:, None], np.eye(axes))
 
 
 def _shift_register(taps: FloatArray, sample_period_s: float) -> control.StateSpace:
-    """Return the system that multiplies the present voltage and past ones, (L, n, n)."""
+    """Return the FIR system with these taps, shape (L, n, n)."""
     past, n = len(taps) - 1, taps.shape[1]
     shift = np.kron(np.eye(past, k=-1), np.eye(n))
     enter = np.kron(np.eye(past, 1), np.eye(n))

@@ -11,26 +11,26 @@ def run_modes(
     drive_v: FloatArray, strengths: FloatArray, steps: ComplexArray, residues: ComplexArray,
     elongations: ComplexArray, gain: FloatArray, state: ComplexArray, motion_um: FloatArray,
 ) -> None:
-    """Fill in the motion of the modes under a drive.
+    """Compute the motion of the modes under a drive.
 
     Parameters
     ----------
     drive_v : (N, n) array
-        From the operating point.
+        Drive in V relative to the operating point.
     strengths : (N, P) array
-        Of the parts of the softening at each sample.
+        Strengths of the parts of the softening at each sample.
     steps : (K,) array of complex
         Factor of each mode from one sample to the next.
     residues : (K, n, n) array of complex
-        Doubled where the mode is complex: the real part of the sum is taken.
+        Residues; doubled for complex modes, as the real part of the sum is taken.
     elongations : (P, K, n, n) array of complex
-        The same of the softening.
+        Residues of the softening, doubled in the same way.
     gain : (P, n, n) array
-        Of the softening.
+        Gain of the softening.
     state : (K, n) array of complex
-        At the first sample, a copy of the modes for each axis that drives them; overwritten.
+        State at the first sample, one copy of the modes for each driven axis; overwritten.
     motion_um : (N, n) array
-        Overwritten.
+        Displacement in um; overwritten.
     """
     samples, axes = drive_v.shape
     for sample in range(samples):

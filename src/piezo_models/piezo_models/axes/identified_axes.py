@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A model of several axes together with what is known of its identification."""
+"""A model of several axes together with the results of its identification."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -17,20 +17,20 @@ NORMAL_90 = 1.6449
 
 
 LIGHT = 0.05
-"""Damping ratio up to which a pair of poles is a resonance that one can see."""
+"""Damping ratio up to which a pair of poles is a visible resonance."""
 
 
 @dataclass(frozen=True, eq=False)
 class Coupling:
-    """The response from every axis to every axis at some frequencies, and its deviation.
+    """The response from every axis to every axis at some frequencies, with standard deviations.
 
     Attributes
     ----------
     frequency_hz : (F,) array
     gain_um_per_v : (F, n, n) array of complex
-        By frequency, axis that moves and axis that is driven; at the reference amplitude.
+        Response by frequency, moving axis and driven axis; at the reference amplitude.
     deviation_um_per_v : (F, n, n) array of complex
-        Standard deviations of the real parts, and those of the imaginary parts.
+        Standard deviations of the real parts (real) and the imaginary parts (imaginary).
     """
 
     frequency_hz: FloatArray
@@ -45,26 +45,26 @@ class Coupling:
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedAxes:
-    """A model of several axes with what is known of its identification.
+    """A model of several axes with the results of its identification.
 
     Attributes
     ----------
     voltage_range_v : (n, 2) array
-        Lowest and highest voltage of each axis.
-    coupling : Coupling
+        Lowest and highest voltage of each axis in V.
     pole_deviations_rad_per_s : (K,) array of complex
-        Standard deviations of the real parts, and those of the imaginary parts.
+        Standard deviations of the real parts (real) and the imaginary parts (imaginary).
     residue_deviations_um_per_v : (K, n, n) array of complex
-        The same of the residues.
+        The same for the residues.
     delays_s, delay_deviations_s : (n,) array
-        Of each sensor, by the phases of the modes in it; see `CoupledModel` for what is simulated.
+        Delay of each sensor from the phases of the modes; `CoupledModel` uses whole samples.
     errors : dict of str to dict
         ``e_y_percent`` of each axis on data that was not fitted.
     recordings : list of {"path": str, "sha256": str}
+        Recordings that the model was identified from.
     created : str
-        ISO 8601.
+        Time of creation, ISO 8601.
     unfinished : str
-        Why the identification ended early; empty where it was done.
+        Why the identification ended early; empty if it was completed.
     """
 
     model: CoupledModel
@@ -88,8 +88,8 @@ class IdentifiedAxes:
     def response_deviation_um_per_v(self, frequency_hz: ArrayLike) -> FloatArray:
         """Return the standard deviation of each entry of the response at any frequency.
 
-        Those of poles and residues give its course, the resonances included; that of the coupling,
-        which knows how they hang together, its size.
+        The deviations of poles and residues give the shape over frequency, including resonances.
+        They are scaled to those of the coupling, which include the correlations.
 
         Parameters
         ----------
@@ -98,7 +98,7 @@ class IdentifiedAxes:
         Returns
         -------
         (F, n, n) array
-            Of real and imaginary part together, in um/V.
+            Standard deviation of the complex response in um/V.
         """
         wanted_hz, known_hz = np.asarray(frequency_hz, float), self.coupling.frequency_hz
         course = self._deviation_of_modes(known_hz)
@@ -111,7 +111,7 @@ class IdentifiedAxes:
         return deviation
 
     def _deviation_of_modes(self, frequency_hz: FloatArray) -> FloatArray:
-        """Return the deviations as they were if those of poles and residues had no correlation."""
+        """Return deviations that follow from those of poles and residues if uncorrelated."""
         model, period_s = self.model, self.model.sample_period_s
         z = np.exp(2j * np.pi * frequency_hz * period_s)[:, None, None]
         square = np.zeros((frequency_hz.size, len(model.axes), len(model.axes)))
@@ -160,9 +160,9 @@ class IdentifiedAxes:
                             tuple(notes))
 
     def softening_sentences(self) -> list[str]:
-        """Say how the static gain and the highest modes change with the amplitude.
+        """Return sentences on how the static gain and the highest modes change with amplitude.
 
-        A mode is left out where a higher one is near, or its damping is not known to a half.
+        A mode is excluded if a higher one is near, or if its damping is uncertain by half or more.
         """
         softening = self.model.softening
         if softening is None:
@@ -179,7 +179,7 @@ class IdentifiedAxes:
         for pole in sorted(poles[seen], key=abs):
             frequency_hz = abs(pole) / (2.0 * np.pi)
             if self.model.mode_near(frequency_hz) != pole:
-                continue  # beside a higher one
+                continue  # a higher one is near
             stiff, soft = (self.model.mode_near(frequency_hz, each) for each in (low, high))
             sentences.append(
                 f"  the mode at {frequency_hz:.4g} Hz by {100 * (abs(soft) / abs(stiff) - 1):+.2g} "

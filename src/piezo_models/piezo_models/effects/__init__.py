@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Effects that may extend the cascade: each is one module here, and one line of `EFFECTS`.
+"""Effects that may extend the cascade: each is a module of this package and an entry of `EFFECTS`.
 
-A package of its own adds one through an entry point of the group `piezo_models.effects`.
+Other packages add effects through entry points of the group `piezo_models.effects`.
 """
 
 from piezo_common.registered import registered
@@ -63,10 +63,10 @@ EFFECTS = (
     SensorSteps,
     Outliers,
 )
-"""These effects come with this package."""
+"""Effects of this package."""
 
 GROUP = "piezo_models.effects"
-"""Entry points that other packages offer their effects by."""
+"""Group of entry points through which other packages add effects."""
 
 __all__ = [
     "EFFECTS", "GROUP", "Effect", "Evidence", "Extent", "fitted_values", "known_effects",
@@ -75,12 +75,12 @@ __all__ = [
 
 
 def known_effects() -> dict[str, type[Effect]]:
-    """Return every effect by its name, those of other packages after those of this one.
+    """Return all effects by name, those of this package first.
 
     Raises
     ------
     ValueError
-        If two have one name, or one of another package cannot be imported.
+        If two have the same name, or one of another package cannot be imported.
 
     Examples
     --------

@@ -13,22 +13,23 @@ from piezo_models.effects.lag import Lag
 from piezo_models.effects.sensor_lag import SensorLag
 
 SETTLED, SHORT, LONGEST = 0.087, 0.25, 5.0
-"""Lags in front of the hysteresis, in rows: one below the first has settled within the row but for
-1e-5, and acts as behind the hysteresis (`as_rows_show`). From there to the last a row is simulated
-in parts, of a short one in few: a longer one hardly moves within a row."""
+"""Limits of lags in front of the hysteresis, in rows. A lag below the first has settled within
+the row up to 1e-5 and acts behind the hysteresis (`as_rows_show`). Between the first and the last,
+a row is simulated in parts, in few for a lag below the second; a longer lag hardly moves within a
+row."""
 
 PARTS_OF_SHORT, PARTS_OF_LONG = 4, 8
-"""Parts of a row for a short lag, and for one that goes on moving from part to part."""
+"""Parts of a row for a short lag, and for one that still moves from part to part."""
 
 
 @dataclass(frozen=True)
 class AmplifierLag(Lag):
-    """The voltage at the actuator follows the one asked for with a time constant.
+    """The voltage at the actuator follows the commanded one with a time constant.
 
-    A held voltage x is approached as v' = (x - v) / T; the hysteresis gets the mean of v over each
-    sample period, which is what a sample is behind a straight voltage. A sine cannot tell this lag
-    from one behind the hysteresis, a step can: the hysteresis is flat after a reversal, so that it
-    answers the first part of a step with less.
+    For a held voltage x, v' = (x - v) / T. The hysteresis gets the mean of v over each sample
+    period, which equals the sample for a straight voltage. A sine cannot distinguish this lag from
+    one behind the hysteresis. A step can: the hysteresis is flat after a reversal, so its response
+    to the first part of a step is smaller.
     """
 
     name: ClassVar[str] = "amplifier_lag"
@@ -43,14 +44,14 @@ class AmplifierLag(Lag):
 
 @dataclass(frozen=True)
 class SettledLag(Lag):
-    """A lag of the voltage as a linear system behind the hysteresis, whose output it delays.
+    """A lag of the voltage that acts as a linear system behind the hysteresis.
 
-    What overshoots within the row is not remembered by the hysteresis.
+    The hysteresis does not store overshoot within the row.
 
     Attributes
     ----------
     of : Lag
-        In front of the hysteresis.
+        The lag in front of the hysteresis.
     """
 
     name: ClassVar[str] = "settled_lag"
@@ -59,7 +60,7 @@ class SettledLag(Lag):
     of: Lag = field(kw_only=True)
 
     def __post_init__(self) -> None:
-        """Check nothing: the lag was checked."""
+        """Check nothing, as the original lag was checked."""
 
     def state_space(self) -> control.StateSpace:
         """Return the lag as a continuous system."""
@@ -69,10 +70,10 @@ class SettledLag(Lag):
 
 
 def as_rows_show(effects: Iterable[Effect], sample_period_s: float) -> tuple[Effect, ...]:
-    """Return effects, those lags behind the hysteresis that have settled within a row.
+    """Return the effects with lags that settle within a row moved behind the hysteresis.
 
-    Only what rings within a row sees such a lag, and that by its phase, which a mean over the row
-    or a part of it does not have.
+    Only oscillation within a row depends on such a lag, through its phase. The mean over a row or a
+    part of it does not contain that phase.
     """
     return tuple(
         SettledLag(effect.time_constant_s, of=effect)
@@ -81,21 +82,21 @@ def as_rows_show(effects: Iterable[Effect], sample_period_s: float) -> tuple[Eff
 
 
 def lag_behind_hysteresis(effects: Iterable[Effect]) -> tuple[Effect, ...]:
-    """Return effects with the amplifier's lag behind the hysteresis, where a sine sees it, too."""
+    """Return the effects with the amplifier's lag as a sensor lag, which is equal for a sine."""
     return tuple(SensorLag(effect.time_constant_s) if isinstance(effect, AmplifierLag) else effect
                  for effect in effects)
 
 
 def parts_of_rows(effects: Iterable[Effect], sample_period_s: float,
                   samples_per_mean: int = 1) -> int:
-    """Return in how many parts a row is simulated where lags stand in front of the hysteresis.
+    """Return the number of parts in which a row is simulated for lags before the hysteresis.
 
     Parameters
     ----------
     effects : iterable of Effect
-        On the voltage, of `as_rows_show`.
+        Effects on the voltage, as `as_rows_show` returns them.
     samples_per_mean : int
-        Rows that are means of several samples stay whole.
+        Samples averaged in a row; a row that is a mean of several is not divided.
     """
     rows = [effect.time_constant_s / sample_period_s for effect in effects
             if isinstance(effect, Lag)]
@@ -106,5 +107,5 @@ def parts_of_rows(effects: Iterable[Effect], sample_period_s: float,
 
 
 def moves_from_part_to_part(parts: int) -> bool:
-    """Tell whether the voltage goes on moving within the parts of a row, of `parts_of_rows`."""
+    """Return True if the voltage still moves from part to part; see `parts_of_rows`."""
     return parts == PARTS_OF_LONG

@@ -13,27 +13,27 @@ from piezo_models.effects.filtering import filtered
 from piezo_models.effects.stiffening import UNRESOLVED
 
 PHASE_STEP = 0.3
-"""Radians by which the mode turns in a step of the solution, at most."""
+"""Largest angle in rad by which the mode turns in a step of the solution."""
 
 LEAST_SHARE = 0.05
-"""Part of what another damping of the mode leaves that the part that grows must remove before it is
-fitted."""
+"""The growing part must remove at least this fraction of the residual that a change of the linear
+damping leaves, or it is not fitted."""
 
 STRONGEST = 5.0
-"""Largest damping by speed, over half the range, with which no step of the solution grows."""
+"""Largest damping by speed, over half the range, for which every step of the solution is stable."""
 
 LEAST_VISCOUS = -1.0
-"""Linear damping that the mode has less than in the model, at most: half of a critical one."""
+"""Lower bound of the change of the mode's linear damping: minus half of the critical damping."""
 
 
 @njit(cache=True, nogil=True)
 def _damped(loads: FloatArray, state: FloatArray, viscous: float, quadratic: float,
             damping_ratio: float, step_rad: float, substeps: int) -> FloatArray:
-    """Simulate the mode under its further damping, and change the state to that at the end.
+    """Simulate the mode under its additional damping; overwrite the state with the final one.
 
-    The state is what the damping removes, its speed by radian of the mode, and the last two loads.
-    Between samples the load is a parabola through three of them; the rule is that of Runge and
-    Kutta.
+    The state is the displacement that the damping removes, its velocity per radian of the mode, and
+    the last two loads. The load is interpolated by a parabola through three samples; the rule is
+    that of Runge and Kutta.
     """
     taken, speed, earlier, last = state[0], state[1], state[2], state[3]
     swung = np.empty(loads.size)
@@ -65,10 +65,10 @@ def _damped(loads: FloatArray, state: FloatArray, viscous: float, quadratic: flo
 
 @dataclass(frozen=True)
 class AmplitudeDamping(Effect):
-    """A mode is damped by the square of its speed, beside another linear damping.
+    """A mode is damped by the square of its speed, in addition to a change of its linear damping.
 
-    With the displacement x of the mode as the model has it and the mode G of frequency w, the
-    displacement y is the solution of y = x - G f, with half the range h and
+    With the displacement x of the linear model and the mode G of frequency w, the displacement y
+    solves y = x - G f, with half the range h and
     ``f = viscous y'/w + quadratic |y'| y' / (w^2 h)``.
     """
 
@@ -118,16 +118,16 @@ class AmplitudeDamping(Effect):
         return wanted + removed
 
     def impossible(self, extent: Extent) -> str | None:
-        """Refuse a mode that swings up by itself."""
+        """Reject a mode whose small vibrations would grow."""
         if 2.0 * self.damping_ratio + self.viscous < 0.0:
             return "the mode would gain energy in small vibrations"
         return None
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
-        """Begin with least squares for each mode that a changed damping does not explain alone.
+        """Start with least squares for each mode that a changed linear damping does not explain.
 
-        Both parts are linear in what they remove where the motion is that of the model.
+        Both parts are linear in their parameters if the motion is that of the model.
         """
         travel_um, period_s = evidence.travel_um, evidence.sample_period_s
         if travel_um == 0.0:

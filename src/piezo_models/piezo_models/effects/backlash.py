@@ -25,7 +25,7 @@ def _played(position: FloatArray, half_width: float, start: float) -> FloatArray
 
 @dataclass(frozen=True)
 class Backlash(Effect):
-    """After each reversal the stage waits until the play is taken up."""
+    """After each reversal the stage rests until the play is taken up."""
 
     name: ClassVar[str] = "backlash"
     place: ClassVar[str] = "displacement"
@@ -65,7 +65,7 @@ class Backlash(Effect):
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
-        """Begin with widths from the noise to a tenth of the travel."""
+        """Start with widths from the noise to a tenth of the travel."""
         high = 0.1 * evidence.travel_um
         if high <= evidence.noise_um:
             return []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A voltage that was measured with the displacement, and is smooth between its rows."""
+"""A measured voltage that is smooth between its rows."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self
@@ -11,18 +11,18 @@ from piezo_common.arrays import FloatArray
 from piezo_models.effects.effect import Effect, Evidence
 
 BEYOND = 256
-"""Rows beyond either end of a recording that its voltage is taken to go on, turned about its end:
-what they make of the rows inside falls with the inverse of the distance."""
+"""Rows by which the voltage is extended at either end of a recording by point reflection; their
+effect on the rows inside decreases with the inverse of the distance."""
 
 
 @dataclass(frozen=True)
 class BandLimitedVoltage(Effect):
-    """The voltage of a row is a sample of a smooth voltage, and is not held until the next one.
+    """The voltage of a row is a sample of a smooth voltage, not held until the next row.
 
-    That is so where a voltage passed a filter, and was measured as the displacement was: it has no
-    part above half the rate of the rows, so that its samples are all of it (Pintelon and Schoukens,
-    "System Identification", 2012, 13.2). It is a property of recordings: voltages that are sent are
-    held, and so `StageModel.simulate` takes them.
+    This holds for a voltage that passed a filter and was measured like the displacement: it has no
+    content above half the row rate, so that its samples determine it (Pintelon and Schoukens,
+    "System Identification", 2012, 13.2). It is a property of recordings. Voltages that are sent are
+    held, and `StageModel.simulate` assumes this.
     """
 
     name: ClassVar[str] = "band_limited_voltage"
@@ -32,12 +32,12 @@ class BandLimitedVoltage(Effect):
 
     def apply(self, signal: FloatArray, sample_period_s: float,
               rest: float | None = None) -> FloatArray:
-        """Return the signal: it is between the rows that a recording has another voltage."""
+        """Return the signal unchanged; only the voltage between the rows differs."""
         return signal
 
     def advance(self, signal: FloatArray, sample_period_s: float,
                 past: None = None) -> tuple[FloatArray, None]:
-        """Return the signal; nothing is remembered."""
+        """Return the signal unchanged; there is no past."""
         return signal, None
 
     @classmethod
@@ -52,7 +52,7 @@ def means_of_parts(voltage_v: FloatArray, parts: int) -> FloatArray:
     Parameters
     ----------
     voltage_v : (N,) array
-        At the beginning of each row.
+        Voltage at the beginning of each row in V.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def means_of_parts(voltage_v: FloatArray, parts: int) -> FloatArray:
         2.0 * first - voltage_v[beyond:0:-1], voltage_v,
         2.0 * last - voltage_v[-2 : -beyond - 2 : -1]])
     size = next_fast_len(extended.size, real=True)
-    # From one end to the other it goes straight, as a period has to close.
+    # A straight line closes the period.
     closing = np.linspace(extended[-1], extended[0], size - extended.size + 2)[1:-1]
     cycles = rfftfreq(size) / parts
     lines = rfft(np.concatenate([extended, closing])) * np.exp(1j * np.pi * cycles)

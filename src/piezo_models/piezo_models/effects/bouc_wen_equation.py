@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The equation of motion of a mode whose spring has hysteresis, by Runge and Kutta's rule."""
+"""The equation of motion of a mode whose spring has hysteresis, by the Runge-Kutta rule."""
 
 import numpy as np
 from numba import njit
@@ -7,19 +7,19 @@ from numba import njit
 from piezo_common.arrays import FloatArray
 
 PHASE_STEP = 0.3
-"""Radians by which the mode turns in a step of the solution, at most, where it is stiffest."""
+"""Largest angle in rad by which the mode turns in a step of the solution, at its stiffest."""
 
 STIFFEST = 20.0
 SOFTEST = 0.05
-"""Between these parts of the linear stiffness the whole spring stays: every load then has one
-displacement, and no step of the solution grows."""
+"""Bounds of the total spring relative to the linear stiffness: within them every load has one
+displacement, and every step of the solution is stable."""
 
 FARTHEST = 4.0
-"""Force of the hysteresis, in half ranges, beyond which its slope no longer changes."""
+"""Force of the hysteresis, in half ranges, above which its slope is constant."""
 
 NEW_STATE = 7
-"""Numbers of the state: what the force removes, its speed, the force, three loads, and whether
-there has been a sample."""
+"""Size of the state: the removed displacement, its velocity, the force, three loads, and a flag
+that is set after the first sample."""
 
 
 @njit(cache=True, nogil=True)
@@ -30,11 +30,11 @@ def slope_of_force(force: float, direction: float, half_range: float, linear: fl
     Parameters
     ----------
     force : float
-        Over the stiffness of the linear spring, as displacement in um.
+        Force over the stiffness of the linear spring, as a displacement in um.
     direction : float
-        Its sign is that of the motion.
+        Direction of the motion; only its sign is used.
     linear, stiffness, beta, gamma, exponent : float
-        Of `piezo_models.effects.hysteretic_spring.HystereticSpring`.
+        Parameters of `piezo_models.effects.hysteretic_spring.HystereticSpring`.
     """
     size = min(abs(force) / half_range, FARTHEST)
     part = size if exponent == 1.0 else size**exponent
@@ -46,20 +46,20 @@ def slope_of_force(force: float, direction: float, half_range: float, linear: fl
 @njit(cache=True, nogil=True)
 def swing(loads: FloatArray, state: FloatArray, centre: float, half_range: float,
           parts: FloatArray, damping_ratio: float, step_rad: float, substeps: int) -> FloatArray:
-    """Simulate the mode under its hysteretic spring, and change the state to that at the end.
+    """Simulate the mode with its hysteretic spring; overwrite the state with the final one.
 
     Parameters
     ----------
     loads : (N,) array
         Displacement in um without the force.
     state : (NEW_STATE,) array
-        Zeros at first, but for the three loads, which are the level at rest.
+        Zeros at first, except the three loads, which are the level at rest.
     centre, half_range : float
-        Of the range in um.
+        Centre and half width of the range in um.
     parts : (6,) array
-        linear, viscous, stiffness, beta, gamma, exponent.
+        Parameters linear, viscous, stiffness, beta, gamma, exponent.
     step_rad : float
-        Radians by which the mode turns in a step.
+        Angle in rad by which the mode turns in a step.
     substeps : int
         Steps in a sample period.
 
@@ -73,11 +73,11 @@ def swing(loads: FloatArray, state: FloatArray, centre: float, half_range: float
     taken, speed, force = state[0], state[1], state[2]
     earliest, earlier, last = state[3], state[4], state[5]
     swung = np.empty(loads.size)
-    # Slopes of the three numbers at the four places of the rule.
+    # Slopes of the three states at the four stages of the rule.
     k = np.empty((4, 3))
     for n in range(loads.size):
         load = loads[n]
-        # The cubic through the last four samples, by differences at the newest.
+        # Cubic through the last four samples, by backward differences.
         first = load - last
         second = first - last + earlier
         third = second - last + 2.0 * earlier - earliest
@@ -114,7 +114,7 @@ def swing(loads: FloatArray, state: FloatArray, centre: float, half_range: float
 @njit(cache=True, nogil=True)
 def force_under(displacements: FloatArray, half_range: float, stiffness: float, beta: float,
                 gamma: float, exponent: float) -> FloatArray:
-    """Return the hysteretic force under a known displacement, from none at the first sample.
+    """Return the hysteretic force under a known displacement, starting from zero.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def force_under(displacements: FloatArray, half_range: float, stiffness: float, 
 
 
 def substeps_of(phase: float, parts: FloatArray) -> int:
-    """Return the steps of a sample in which the mode alone turns by a phase in radians."""
+    """Return the steps per sample in which the mode alone turns by a phase in rad."""
     linear, _, stiffness, beta, gamma, _ = parts
     stiffest = min(max(1.0 + linear + stiffness + max(0.0, beta - gamma, -beta - gamma), 1.0),
                    STIFFEST)

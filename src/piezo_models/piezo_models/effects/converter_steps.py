@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Steps of the converters: of the voltage that is applied, and of the displacement that is read."""
+"""Quantisation by the converters of the applied voltage and of the measured displacement."""
 
 from abc import abstractmethod
 from dataclasses import dataclass
@@ -12,39 +12,40 @@ from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, p
 from piezo_models.linear.dynamics import simulate_linear, zoh
 
 BINS, FEWEST_STEPS, PADDING = 2**14, 16, 4
-"""The voltage is cut into so many bins to look for a period; a range of fewer steps tells
-nothing of them; the spectrum is interpolated so many times."""
+"""Bins of the voltage in which a period is sought; fewest steps in the range that can be
+identified; factor by which the spectrum is interpolated."""
 
 LEAST_SHARE = 0.1
-"""Part of the residual's energy that the fundamental of the steps must hold before they are fitted:
-of what steps leave it is six tenths."""
+"""The fundamental of the steps must hold at least this fraction of the residual's energy, or they
+are not fitted. Of a residual of steps alone it holds six tenths."""
 
 FEWEST_LEVELS = 50
 ON_LATTICE, NEAR = 0.95, 0.1
-"""So many of the readings lie on the lattice of the steps, to this part of a step."""
+"""Fraction of the readings that lie on the lattice, and largest distance in steps to count as on
+it."""
 
 LEAST_STEP = 1e-4
-"""Part of the travel below which steps are finer than a good model is exact."""
+"""Fraction of the travel below which steps are finer than the error of a good model."""
 
 IDEAL = (0.7, 1.3)
-"""A converter rounds by its whole step: with another share the steps are something else."""
+"""Range of the share of a converter, which rounds by its whole step; outside it is not one."""
 
 
 def rounded_off(signal: FloatArray, step: float, offset: float) -> FloatArray:
-    """Return by how much a converter changes a signal, (N,).
+    """Return the change of a signal by a converter, (N,).
 
     Parameters
     ----------
     signal : (N,) array
     step, offset : float
-        The converter has levels at the offset and whole steps from it.
+        Distance between the converter's levels, and one of the levels.
     """
     return np.asarray(step * np.round((signal - offset) / step) + offset - signal)
 
 
 @dataclass(frozen=True)
 class ConverterSteps(Effect):
-    """A converter rounds a signal to its levels; the share is 1 for one that does so wholly."""
+    """A converter rounds a signal to its levels; a share of 1 is full rounding."""
 
     remembers: ClassVar[bool] = False
 
@@ -60,11 +61,11 @@ class ConverterSteps(Effect):
         return signal + self.share * rounded_off(signal, *self.step_and_offset())
 
     def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
-        """Return what is wanted: no other signal comes nearer to it through the steps."""
+        """Return the wanted signal, as no other one comes nearer to it through the steps."""
         return wanted
 
     def impossible(self, extent: Extent) -> str | None:
-        """Refuse what does not round by its whole step."""
+        """Reject a share that is not that of rounding by whole steps."""
         if IDEAL[0] <= self.share <= IDEAL[1]:
             return None
         return f"a converter rounds by its whole step, and this would be {self.share:.2g} of it"
@@ -72,9 +73,9 @@ class ConverterSteps(Effect):
 
 @dataclass(frozen=True)
 class VoltageSteps(ConverterSteps):
-    """The amplifier's converter applies the voltage in steps, which the recording does not show.
+    """The amplifier's converter applies the voltage in steps, which the recording does not contain.
 
-    The share is that of an ideal converter: 1 for one that rounds to its nearest level.
+    The share is relative to an ideal converter: 1 for rounding to the nearest level.
     """
 
     name: ClassVar[str] = "voltage_steps"
@@ -85,12 +86,12 @@ class VoltageSteps(ConverterSteps):
     offset_v: float = parameter("V", "fixed")
 
     def step_and_offset(self) -> tuple[float, float]:
-        """Return both in the unit of the voltage."""
+        """Return both in V."""
         return self.step_v, self.offset_v
 
     @classmethod
     def lacks_excitation(cls, evidence: Evidence) -> str | None:
-        """Ask for a voltage with many levels."""
+        """Require a voltage with many levels."""
         voltage_v = evidence.voltage_v
         levels = np.unique(voltage_v[:: max(1, voltage_v.size // BINS)]).size
         if levels < FEWEST_LEVELS:
@@ -99,7 +100,7 @@ class VoltageSteps(ConverterSteps):
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
-        """Begin with the period of the voltage at which the residual repeats."""
+        """Start with the period of the voltage at which the residual repeats."""
         voltage_v = evidence.voltage_v
         lowest_v, span_v = float(voltage_v.min()), float(np.ptp(voltage_v))
         if span_v == 0.0:
@@ -124,7 +125,7 @@ class VoltageSteps(ConverterSteps):
         if evidence.reduction(waves(count))[1] < LEAST_SHARE:
             return []
         step_v = span_v / float(count)
-        # Rounding removes a sine from the offset on, whose size is the step over pi.
+        # Rounding subtracts a sine that starts at the offset; its amplitude is the step over pi.
         cosine_um, sine_um = (float(gain) for gain in gains)
         size_um = evidence.travel_um / span_v * step_v / np.pi
         offset_v = lowest_v + step_v * np.arctan2(cosine_um, -sine_um) / (2.0 * np.pi)
@@ -144,12 +145,12 @@ class SensorSteps(ConverterSteps):
     offset_um: float = parameter("um", "fixed")
 
     def step_and_offset(self) -> tuple[float, float]:
-        """Return both in the unit of the displacement."""
+        """Return both in um."""
         return self.step_um, self.offset_um
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
-        """Begin with the lattice on which the readings lie, where it is coarser than the noise."""
+        """Start with the lattice of the readings, if it is coarser than the noise."""
         measured_um = evidence.measured_um
         lattice = None if measured_um is None else _lattice(measured_um)
         if measured_um is None or lattice is None:
@@ -157,13 +158,13 @@ class SensorSteps(ConverterSteps):
         step_um, level_um = lattice
         if step_um < max(LEAST_STEP * evidence.travel_um, evidence.noise_um):
             return []
-        # The model's displacement has another zero.
+        # The displacement of the model has another zero than the measured one.
         apart_um = np.mean(measured_um - evidence.residual_um - evidence.displacement_um)
         return [cls(1.0, step_um, float((level_um - apart_um) % step_um))]
 
 
 def _lattice(readings: FloatArray) -> tuple[float, float] | None:
-    """Return the step of the lattice on which readings lie, and one of its levels; None without."""
+    """Return the step and one level of the lattice of the readings; None if there is none."""
     levels = np.unique(readings)
     if not 8 <= levels.size <= 0.5 * readings.size:
         return None

@@ -5,21 +5,23 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import control
+import numpy as np
 
-from piezo_common.arrays import FloatArray
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_models.effects.effect import Evidence, parameter
 from piezo_models.effects.filtering import filtered
 from piezo_models.effects.vibration_mode import VibrationMode
+from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
 
 @dataclass(frozen=True)
 class CoupledMode(VibrationMode):
     """A pair of poles with any residue: (p + v s / w) / (1 + 2 d s / w + (s / w)^2).
 
-    Any proper rational dynamics behind a lag is a sum of these, and of a part that follows at once.
-    Modes of a structure have real participations; those that a damper, an amplifier of higher order
-    or another lag couples have a part v that follows the velocity, too. A pair that is damped
-    beyond 1 is two relaxations.
+    Any proper rational dynamics behind a lag is a sum of these and a direct part. Modes of a
+    structure have real participations. Modes that are coupled by a damper, an amplifier of higher
+    order or another lag also have a part v that follows the velocity. A pair with a damping ratio
+    above 1 is two relaxations.
     """
 
     name: ClassVar[str] = "coupled_mode"
@@ -34,12 +36,12 @@ class CoupledMode(VibrationMode):
         return self.participation, self.velocity_participation
 
     def branch(self) -> control.StateSpace:
-        """Return the continuous system of what the mode adds to the displacement."""
+        """Return the continuous system of the mode's contribution to the displacement."""
         return self._system(*self._parts())
 
     def apply(self, signal: FloatArray, sample_period_s: float,
               rest: float | None = None) -> FloatArray:
-        """Return the signal behind the mode, where there is no mode beside it."""
+        """Return the signal behind the mode if it is the only one."""
         w = self.frequency_rad_per_s
         branch = filtered([self.velocity_participation * w, self.participation * w * w],
                           self._mode()[1], signal, sample_period_s, rest)
@@ -47,7 +49,42 @@ class CoupledMode(VibrationMode):
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
-        """Return none: `identify` finds these together with the dynamics."""
+        """Return none: `identify` finds these modes together with the dynamics."""
         return []
 
 
+def modes_in_parallel(dynamics: ElectricVibrationDynamics) -> tuple[CoupledMode, ...]:
+    """Return parallel modes that are equivalent to modes in series with antiresonances.
+
+    Behind the electric lag of the dynamics their sum is the same transfer function (4.3), by
+    partial fractions.
+
+    Parameters
+    ----------
+    dynamics : ElectricVibrationDynamics
+        Dynamics with more modes than antiresonances, no mode critically damped.
+
+    Raises
+    ------
+    ValueError
+        If two modes are so close to each other that their parts are out of bounds.
+    """
+    frequencies, dampings = (np.array(each) for each in (
+        dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios))
+    roots = np.sqrt(dampings.astype(complex) ** 2 - 1.0)
+    poles = frequencies * np.array([-dampings + roots, -dampings - roots])
+
+    def factor(s: ComplexArray, frequency: float, damping: float) -> ComplexArray:
+        return 1.0 + 2.0 * damping * s / frequency + (s / frequency) ** 2
+
+    at_poles = np.ones_like(poles)
+    for zero in zip(dynamics.antiresonance_frequencies_rad_per_s,
+                    dynamics.antiresonance_damping_ratios, strict=True):
+        at_poles *= factor(poles, *zero)
+    for number, mode in enumerate(zip(frequencies, dampings, strict=True)):
+        others = np.arange(frequencies.size) != number
+        at_poles[:, others] /= factor(poles[:, others], *mode)
+    velocity = (at_poles[0] - at_poles[1]) * frequencies / (poles[0] - poles[1])
+    position = at_poles[0] - velocity * poles[0] / frequencies
+    return tuple(CoupledMode(*map(float, numbers)) for numbers in zip(
+        frequencies, dampings, position.real, velocity.real, strict=True))

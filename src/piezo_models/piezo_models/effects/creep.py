@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Further creep: relaxations over the decades of time that a recording covers."""
+"""Additional creep: relaxations over the decades of time that a recording covers."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self
@@ -14,16 +14,15 @@ from piezo_models.effects.filtering import filtered
 PER_DECADE = 1.0
 MOST_RELAXATIONS = 5
 FEWEST_SAMPLES = 20
-"""The shortest relaxation lasts so many samples at least."""
+"""Smallest duration of the shortest relaxation in samples."""
 SHORTEST_S = 0.01
 
 
 @dataclass(frozen=True)
 class Creep(Effect):
-    """The displacement goes on by `gains` of it, each over a time constant of its own.
+    """The displacement continues by the fractions `gains`, each with its own time constant.
 
-    A sum over time constants a decade apart also follows creep that goes with the logarithm of
-    time.
+    A sum over time constants a decade apart can also follow creep that is logarithmic in time.
     """
 
     name: ClassVar[str] = "creep"
@@ -51,7 +50,7 @@ class Creep(Effect):
 
     def relaxations(self, signal: FloatArray, sample_period_s: float,
                     rest: float | None = None) -> FloatArray:
-        """Return what each relaxation of gain 1 would add, shape (N, n)."""
+        """Return the contribution of each relaxation of gain 1, shape (N, n)."""
         return np.column_stack([
             filtered([1.0], [time_s, 1.0], signal, sample_period_s, rest)
             for time_s in self.time_constants_s
@@ -61,13 +60,13 @@ class Creep(Effect):
               rest: float | None = None) -> FloatArray:
         """Return the signal behind the effect, as `Effect.apply` describes."""
         rest = signal[0] if rest is None else rest
-        # What crept before the beginning is part of the offset.
+        # Creep from before the beginning is part of the offset.
         added = self.relaxations(signal - rest, sample_period_s, 0.0) @ self.gains
         return signal + added + rest * sum(self.gains)
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
-        """Begin with time constants that cover the recording, and the gains of least squares."""
+        """Start with time constants that cover the recording, and least-squares gains."""
         shortest_s = max(SHORTEST_S, FEWEST_SAMPLES * evidence.sample_period_s)
         longest_s = 0.5 * evidence.duration_s
         if longest_s <= 2.0 * shortest_s:
@@ -83,7 +82,7 @@ class Creep(Effect):
 
     @classmethod
     def lacks_excitation(cls, evidence: Evidence) -> str | None:
-        """Refuse a recording that is too short for creep, which takes time."""
+        """Require a recording that is long enough for creep."""
         if evidence.duration_s < 10.0 * max(SHORTEST_S, evidence.sample_period_s):
             return f"the recording lasts only {evidence.duration_s:.3g} s"
         return None

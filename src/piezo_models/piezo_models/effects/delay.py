@@ -15,15 +15,15 @@ from piezo_models.effects.filtering import slowed
 CUBIC = 3
 
 PADE_ORDER = 3
-"""Exact to 0.1 degree up to a phase of 90 degrees."""
+"""The Pade approximation is exact to 0.1 degree up to a phase of 90 degrees."""
 
 LONGEST = 0.1
-"""Part of a recording."""
+"""Longest delay as a fraction of the recording."""
 
 
 @dataclass(frozen=True)
 class Delay(Effect):
-    """Everything arrives later by the same time."""
+    """The whole displacement is delayed by the same time."""
 
     name: ClassVar[str] = "delay"
     place: ClassVar[str] = "displacement"
@@ -44,8 +44,8 @@ class Delay(Effect):
                 past: Any = None) -> tuple[FloatArray, Any]:
         """Continue the signal; the past is the samples that have not arrived in full.
 
-        Lagrange's cubic through the four samples around the instant; of a delay shorter than a
-        sample through the last four, as the next is not known yet.
+        Lagrange's cubic interpolates through the four samples around the instant. For a delay
+        shorter than a sample it uses the last four, as the next one is not known yet.
         """
         if past is None:
             past = np.full(self._remembered(sample_period_s), signal[0])
@@ -60,11 +60,11 @@ class Delay(Effect):
         return behind, known[known.size - past.size :]
 
     def _remembered(self, sample_period_s: float, most: float = np.inf) -> int:
-        """Count the samples before the one that has just arrived, or no more than there are."""
+        """Return the number of past samples to keep, limited to `most` whole samples of delay."""
         return int(min(max(int(self.delay_s / sample_period_s) - 1, 0), most)) + CUBIC
 
     def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
-        """Return the period, earlier by the delay."""
+        """Return the period advanced by the delay."""
         phase = np.arange(wanted.size + 1)
         spline = CubicSpline(phase, np.append(wanted, wanted[0]), bc_type="periodic")
         return spline((phase[:-1] + self.delay_s / sample_period_s) % wanted.size)
@@ -85,7 +85,7 @@ class Delay(Effect):
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
-        """Begin with the delay of least squares: a short delay removes the velocity times it."""
+        """Start with the least-squares delay: a short delay subtracts velocity times delay."""
         velocity = np.gradient(evidence.displacement_um, evidence.sample_period_s)
         gains, _ = evidence.reduction(-velocity[:, None])
         delay_s = float(np.clip(gains[0], 0.0, LONGEST * evidence.duration_s))
@@ -93,7 +93,7 @@ class Delay(Effect):
 
     @classmethod
     def lacks_excitation(cls, evidence: Evidence) -> str | None:
-        """Refuse a recording without fast motion, in which alone a delay shows."""
+        """Require fast motion, as a delay has no effect on slow motion."""
         step_um = np.sqrt(np.mean(np.diff(evidence.displacement_um) ** 2))
         if step_um < 0.01 * evidence.noise_um:
             return "the displacement moves too slowly for a delay to show"
@@ -101,7 +101,7 @@ class Delay(Effect):
 
 
 def _lagrange(place: float) -> list[float]:
-    """Weights of values at 0 to `CUBIC` for the value of their polynomial at a place."""
+    """Return the Lagrange weights of values at 0 to `CUBIC` for the value at a place."""
     nodes = np.arange(CUBIC + 1)
     return [float(np.prod([(place - other) / (node - other) for other in nodes if other != node]))
             for node in nodes]

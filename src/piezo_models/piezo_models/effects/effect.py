@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What every effect that may extend the cascade has in common."""
+"""The common base of all effects that may extend the cascade."""
 
 import dataclasses
 from abc import ABC, abstractmethod
@@ -15,16 +15,16 @@ from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
 PLACES = ("voltage", "modes", "linear", "displacement", "sensor")
-"""An effect acts on the voltage before the hysteresis; beside the modes of vibration; as a
-linear system behind them; on the displacement; or on what the sensor makes of it. They are in the
-order of the signal."""
+"""Places of effects in the order of the signal: on the voltage before the hysteresis; in parallel
+with the modes of vibration; as a linear system behind them; on the displacement; on the measured
+displacement."""
 
 Candidate = TypeVar("Candidate")
 AnyEffect = TypeVar("AnyEffect", bound="Effect")
 
 LEAST, MOST = 1e-15, 1e15
-"""Bounds of times, rates, lengths and voltages that are positive, in their units. No stage comes
-near them, on whatever scale of time: recordings bound what a fit may take, by `Effect.bounds`."""
+"""Bounds of positive times, rates, lengths and voltages in their units. No stage comes near them
+on any time scale; `Effect.bounds` gives the closer bounds of a fit."""
 
 INVERSION_ROUNDS = 50
 INVERSION_TOLERANCE = 1e-9
@@ -37,9 +37,9 @@ def parameter(unit: str, scale: str = "linear", low: float = -np.inf, high: floa
     Parameters
     ----------
     scale : str
-        In which it is fitted: "linear", "logarithm" for one that is positive, or "fixed".
+        Scale of the fit: "linear", "logarithm" for a positive parameter, or "fixed".
     low, high : float
-        Bounds.
+        Bounds in `unit`.
     """
     return dataclasses.field(
         default=default,
@@ -48,34 +48,34 @@ def parameter(unit: str, scale: str = "linear", low: float = -np.inf, high: floa
 
 
 ROUNDING = 1e-9
-"""Part of a displacement up to which it has not moved: of a range so small no shape is known."""
+"""Fraction of a displacement up to which it counts as constant."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a recording shows of a model's error: from it an effect guesses its parameters.
+    """Data of a model's error on a recording, from which an effect estimates its parameters.
 
     Attributes
     ----------
     voltage_v : (N,) array
     displacement_um : (N,) array
-        Of the model.
+        Displacement of the model.
     residual_um : (N,) array
-        Measured minus simulated, after what a retuned model explains.
+        Measured minus simulated displacement, without what a retuned model explains.
     noise_um : float
         Standard deviation of the noise of a sample.
     dynamics : ElectricVibrationDynamics
-        Of the model.
+        Dynamics of the model.
     drive_um : (N,) array
-        What drives the modes: the displacement if they followed at once.
+        Input of the modes, equal to the displacement if they followed at once.
     reduction : callable
-        Given contributions, shape (N, n): the gains that fit them best to the residual, and the
-        part of its energy that they remove. With `positive=True` no gain is negative.
+        Given contributions, shape (N, n), returns the gains that fit them best to the residual
+        and the fraction of its energy that they remove. With `positive=True` no gain is negative.
     visible : callable
-        Given a contribution, shape (N, 1): the part of its variation that neither offset nor
-        initial creep nor a retuned model could explain.
+        Given a contribution, shape (N, 1), returns the fraction of its variation that neither
+        offset nor initial creep nor a retuned model can explain.
     measured_um : (N,) array, optional
-        As the sensor read it.
+        Displacement as the sensor measured it.
     """
 
     sample_period_s: float
@@ -113,12 +113,12 @@ class Evidence:
         Parameters
         ----------
         contributions : callable
-            Gives the contributions, shape (N, n), of a candidate.
+            Returns the contributions, shape (N, n), of a candidate.
 
         Returns
         -------
         list of (candidate, gains)
-            The best first.
+            The `count` best, best first.
         """
         tried = [(candidate, *self.reduction(contributions(candidate))) for candidate in candidates]
         tried.sort(key=lambda entry: -entry[2])
@@ -127,14 +127,14 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Extent:
-    """How far recordings go: it bounds what the parameters of an effect can physically be.
+    """The extent of recordings, which bounds the physically possible parameters of an effect.
 
     Attributes
     ----------
     travel_um : float
         Largest minus smallest measured displacement.
     lowest_v, highest_v : float
-        Of the voltage.
+        Lowest and highest voltage in V.
     """
 
     travel_um: float
@@ -158,27 +158,28 @@ class Effect(ABC):
     place : str
         One of `PLACES`.
     several : bool
-        A stage may have more than one.
+        True if a stage may have more than one.
     follows_voltage : bool
-        False for what comes from outside, at times of its own.
+        False for disturbances that do not depend on the voltage.
     of_the_stage : bool
-        False for what depends on when a recording begins: its parameters hold for one recording.
+        False if the effect depends on when a recording begins: its parameters then hold for one
+        recording only.
     recurs : bool
-        Of what is not of the stage: where it goes on, every recording has one of its own, a sum of
-        what `recurrence` returns.
+        For effects that are not of the stage: if it persists, every recording has its own, a
+        combination of the signals of `recurrence`.
     remembers : bool
-        False where every sample depends on itself alone.
+        False if every output sample depends only on the same input sample.
     experiment : str
-        What to play so that the effect shows.
+        The experiment that shows the effect.
     distortion : frozenset of str or None
-        Of a multisine of odd lines: "odd" where the effect always has odd distortion, both where it
-        has "even" or "odd" one, and none where it is linear. None where it is not known.
+        Distortion of a multisine with odd lines: "odd" if the effect always has odd distortion,
+        both if it has "even" or "odd" one, empty if it is linear. None if it is not known.
     indistinguishable_from : tuple of str
-        Names of effects that do much the same to most recordings. Where the diagnosis finds one of
-        two, it also tries the other in its place. One of the two is enough to name the other.
+        Names of effects that act alike on most recordings. If the diagnosis finds one of two, it
+        also tries the other in its place. It is enough if one names the other.
     same_without_dynamics : tuple of str
-        Names of effects of which a form that acts at once does exactly the same. Their candidates
-        are of another form, so a diagnosis that finds this one lists them.
+        Names of effects that have an equivalent form without dynamics. Their candidates have
+        another form, so a diagnosis that finds this effect lists them.
     """
 
     name: ClassVar[str]
@@ -212,25 +213,25 @@ class Effect(ABC):
 
     def advance(self, signal: FloatArray, sample_period_s: float,
                 past: Any = None) -> tuple[FloatArray, Any]:
-        """Return the next part of the signal behind the effect, and what is remembered after it.
+        """Return the next part of the signal behind the effect, and the memory after it.
 
-        The parts joined are what `apply` makes of the joined signal.
+        The joined parts equal `apply` of the joined signal.
 
         Parameters
         ----------
         signal : (N,) array
-            Not empty.
+            Next part of the signal, not empty.
         sample_period_s : float
-            The same for all parts.
+            Sample period in s, the same for all parts.
         past : object, optional
-            Returned with the part before, and not changed; at first there is none.
+            Memory that the previous part returned, not changed; None for the first part.
 
         Returns
         -------
         behind : (N,) array
         past : object
-            By default the whole signal so far, to which the effect is applied anew: an effect that
-            remembers less has an `advance` of its own.
+            By default the whole signal so far, to which the effect is applied again. An effect
+            that needs less memory overrides `advance`.
         """
         if not self.remembers:
             return self.apply(signal, sample_period_s), None
@@ -238,7 +239,7 @@ class Effect(ABC):
         return self.apply(whole, sample_period_s)[whole.size - signal.size :], whole
 
     def acts_at_once(self, sample_period_s: float) -> bool:
-        """Tell whether every sample depends on itself and on its time alone."""
+        """Return True if every sample depends only on itself and on its time."""
         del sample_period_s
         return not self.remembers
 
@@ -257,7 +258,7 @@ class Effect(ABC):
         Raises
         ------
         ValueError
-            If there is none.
+            If no such signal is found.
         """
         if not self.follows_voltage:
             return wanted
@@ -271,12 +272,12 @@ class Effect(ABC):
         raise ValueError(f"no signal gives the wanted one through {self.name}: ask for less")
 
     def lag(self) -> control.StateSpace | None:
-        """Return what a feedback loop meets of the effect; None if it lags nothing.
+        """Return the lag of the effect in a feedback loop; None if it has none.
 
         Returns
         -------
         control.StateSpace or None
-            Continuous.
+            Continuous system.
         """
         return None
 
@@ -286,12 +287,12 @@ class Effect(ABC):
         Returns
         -------
         control.StateSpace
-            Continuous: that of the whole effect, or of the mode alone with unit gain at rest.
+            Continuous system of the effect, or of the mode alone with unit DC gain.
 
         Raises
         ------
         NotImplementedError
-            If the effect acts elsewhere.
+            If the effect has another place.
         """
         raise NotImplementedError(f"{self.name} acts on the {self.place}: it is no linear system")
 
@@ -328,56 +329,55 @@ class Effect(ABC):
     @classmethod
     @abstractmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
-        """Guess effects to begin a fit from by a recording; none if nothing hints at one."""
+        """Estimate initial effects for a fit from a recording; an empty list if none is found."""
 
     @classmethod
     def lacks_excitation(cls, evidence: Evidence) -> str | None:
-        """Tell why a recording cannot show the effect; None if it can."""
+        """Return why a recording cannot show the effect; None if it can."""
         return None
 
     @classmethod
     def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
-        """Bound what the parameters can physically be in recordings that go so far.
+        """Return bounds of what the parameters can physically be in recordings of this extent.
 
         Returns
         -------
         dict of str to (float, float)
-            Least and largest value of each parameter that the recordings bound more closely than
-            its declaration does.
+            Lower and upper bound of each parameter whose bounds are closer than declared.
         """
         return {}
 
     def recurrence(self, time_s: FloatArray, duration_s: float) -> FloatArray:
-        """Return the signals that sum up to what the effect adds to any other recording.
+        """Return signals whose combination is the effect's contribution to another recording.
 
         Parameters
         ----------
         time_s : (n,) array
-            Of some samples of that recording, from its first one on.
+            Times of samples of that recording in s, from its first one.
         duration_s : float
-            Of that recording.
+            Duration of that recording in s.
 
         Returns
         -------
         (n, k) array
-            None of them for an effect that does not recur.
+            One column for each signal; none for an effect that does not recur.
         """
         return np.zeros((time_s.size, 0))
 
     def hysteresis_ahead(self, hysteresis: PreisachModel) -> PreisachModel | None:
-        """Return the hysteresis that, with the effect behind it, does what the given one does.
+        """Return the hysteresis that is equivalent to the given one if the effect acts behind it.
 
-        A model that was identified with the effect in the stage has the given one.
+        The given hysteresis was identified with the effect in the stage.
 
         Returns
         -------
         PreisachModel or None
-            None where no hysteresis does what the effect does, which holds by default.
+            None if the effect cannot be separated from a hysteresis, which is the default.
         """
         return None
 
     def impossible(self, extent: Extent) -> str | None:
-        """Tell why no stage can have the effect with these parameters; None if one can."""
+        """Return why no stage can have the effect with these parameters; None if one can."""
         return None
 
     def parameters(self) -> dict[str, Any]:
@@ -405,17 +405,17 @@ class Effect(ABC):
 
 def fitted_values(effect: Effect, extent: Extent | None = None,
                   ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """List the numbers that a fit may change, logarithms where the parameter is fitted as one.
+    """Return the numbers that a fit may change, as logarithms where the parameter is so fitted.
 
     Parameters
     ----------
     extent : Extent, optional
-        Of the recordings, which bound the parameters by `Effect.bounds`.
+        Extent of the recordings, which bound the parameters by `Effect.bounds`.
 
     Returns
     -------
     values, low, high : (n,) arrays
-        Each value within its bounds.
+        Values, each within its bounds.
     """
     closer = {} if extent is None else effect.bounds(extent)
     values, lows, highs = ([np.zeros(0)] for _ in range(3))
@@ -437,7 +437,7 @@ def fitted_values(effect: Effect, extent: Extent | None = None,
 
 
 def units_of_fitted(effect: Effect) -> list[str | None]:
-    """List the unit of each number of `fitted_values`, None where it is fitted as a logarithm."""
+    """Return the unit of each number of `fitted_values`, None if it is fitted as a logarithm."""
     units: list[str | None] = []
     for field in dataclasses.fields(effect):
         unit, scale = field.metadata["unit"], field.metadata["scale"]

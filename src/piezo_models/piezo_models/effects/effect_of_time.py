@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the effects share that come from outside and depend on the time since a recording began."""
+"""Base of the disturbances that depend on the time since a recording began."""
 
 from abc import abstractmethod
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from piezo_models.effects.effect import Effect
 
 @dataclass(frozen=True)
 class EffectOfTime(Effect):
-    """An effect on the displacement that remembers nothing but how many samples have passed."""
+    """An effect on the displacement whose only memory is the number of samples that have passed."""
 
     place: ClassVar[str] = "displacement"
     of_the_stage: ClassVar[bool] = False
@@ -39,7 +39,7 @@ class EffectOfTime(Effect):
         return self.behind(signal, sample_period_s, 0)
 
     def acts_at_once(self, sample_period_s: float) -> bool:
-        """Tell that every sample depends on itself and on its time alone."""
+        """Return True: every sample depends only on itself and on its time."""
         return True
 
     def advance(self, signal: FloatArray, sample_period_s: float,

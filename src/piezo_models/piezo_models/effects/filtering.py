@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Linear filters on sampled displacements, which are straight between samples, not held."""
+"""Linear filters for sampled displacements, taken as straight between samples, not held."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -11,7 +11,7 @@ from scipy.signal import cont2discrete, lfilter, lfilter_zi
 from piezo_common.arrays import FloatArray
 
 FAR_APART = 0.1
-"""Up to this T1 T2 / (T1 + T2)^2 of two lags T1 and T2 partial fractions lose no digit."""
+"""Up to this value of T1 T2 / (T1 + T2)^2, partial fractions of two lags lose no digit."""
 
 
 def filtered(numerator: Sequence[float], denominator: Sequence[float], signal: FloatArray,
@@ -21,9 +21,9 @@ def filtered(numerator: Sequence[float], denominator: Sequence[float], signal: F
     Parameters
     ----------
     numerator, denominator : sequence of float
-        Of the powers of s, the highest first.
+        Coefficients of the powers of s, the highest first.
     signal : (N,) array
-        Taken as straight between samples.
+        Signal, taken as straight between samples.
     rest : float, optional
         Level at which the signal has rested before; its first value by default.
 
@@ -44,7 +44,7 @@ def filtered_on(numerator: Sequence[float], denominator: Sequence[float], signal
     numerator, denominator, signal, sample_period_s
         As in `filtered`.
     state : (n,) array, optional
-        After the part before; from rest at the first value where there is none.
+        State after the previous part; by default from rest at the first value.
 
     Returns
     -------
@@ -68,7 +68,7 @@ def _from_rest(numerator: Sequence[float], denominator: Sequence[float], signal:
 @lru_cache(maxsize=2048)
 def _discrete(numerator: tuple[float, ...], denominator: tuple[float, ...],
               sample_period_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return coefficients, and the state in which a level of 1 has settled; a scan asks again."""
+    """Return coefficients, and the settled state for a level of 1; cached, as a scan repeats."""
     lags_s = _lags(numerator, denominator)
     if lags_s is not None:
         b, a = _two_lags(*lags_s, sample_period_s)
@@ -81,7 +81,7 @@ def _discrete(numerator: tuple[float, ...], denominator: tuple[float, ...],
 
 def _lags(numerator: tuple[float, ...],
           denominator: tuple[float, ...]) -> tuple[float, float] | None:
-    """Return the time constants of two lags in series that are far apart; None if they are not.
+    """Return the time constants of two lags in series that are far apart, else None.
 
     The faster one may be zero.
     """
@@ -98,7 +98,7 @@ def _two_lags(slow_s: float, fast_s: float,
               sample_period_s: float) -> tuple[FloatArray, FloatArray]:
     """Return the discrete coefficients of two lags in series, by partial fractions.
 
-    The matrix exponential of the usual way loses all digits where one lag is very short.
+    The usual matrix exponential loses all digits if one lag is very short.
     """
     (slow_b, slow_a), (fast_b, fast_a) = (
         _first_order_lag(time_s, sample_period_s) for time_s in (slow_s, fast_s))
@@ -138,9 +138,9 @@ def unfiltered_period(numerator: Sequence[float], denominator: Sequence[float],
 
 def slowed(numerator: Sequence[float], denominator: Sequence[float],
            factor: float) -> control.StateSpace:
-    """Return a transfer function of s in time that runs slower by a factor.
+    """Return a transfer function of s with its time scaled by a factor.
 
-    Its numbers stay well scaled however short the time.
+    The scaling keeps its numbers well conditioned for any time.
 
     Parameters
     ----------

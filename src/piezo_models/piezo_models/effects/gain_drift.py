@@ -11,19 +11,20 @@ from piezo_models.effects.effect import LEAST, MOST, Evidence, Extent, parameter
 from piezo_models.effects.effect_of_time import EffectOfTime
 
 SCANNED_TIMES = (0.1, 0.3, 1.0, 10.0)
-"""Time constants that are tried, in durations of the recording: the longest is a straight line."""
+"""Time constants that are tried, in durations of the recording; the longest is nearly a line."""
 
 FARTHEST = 10.0
-"""Travels away from the middle of the motion at which its fixed point may lie. Farther away, a gain
-that changes is a drift."""
+"""Largest distance of the fixed point from the middle of the motion, in travels. Beyond it, a
+change of gain is equivalent to a drift."""
 
 LEAST_SHARE = 0.05
-"""Part of what a drift leaves of the residual that the gain must remove before it is fitted."""
+"""The gain must remove at least this fraction of the residual that a drift leaves, or it is not
+fitted."""
 
 
 @dataclass(frozen=True)
 class GainDrift(EffectOfTime):
-    """The motion about a fixed point grows or shrinks, and comes to rest exponentially.
+    """The motion about a fixed point grows or shrinks exponentially to a final gain.
 
     It is multiplied by 1 + change (1 - exp(-t / time constant)), from the first sample on.
     """
@@ -51,19 +52,19 @@ class GainDrift(EffectOfTime):
                                     SCANNED_TIMES[-1] * extent.duration_s)}
 
     def impossible(self, extent: Extent) -> str | None:
-        """Refuse a gain that changes its sign within the recording."""
+        """Reject a gain that changes its sign within the recording."""
         if 1.0 + self.change * float(self._approach(np.array(extent.duration_s))) <= 0.0:
             return "the gain would change its sign"
         return None
 
     @classmethod
     def lacks_excitation(cls, evidence: Evidence) -> str | None:
-        """Ask for motion."""
+        """Require motion."""
         return None if evidence.travel_um > 0.0 else "the displacement does not move"
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
-        """Begin with the best of a few time constants, where a drift leaves clearly more."""
+        """Start with the best of a few time constants, if a drift leaves clearly more."""
         found: list[tuple[float, Self]] = []
         middle_um = float(np.mean(evidence.displacement_um))
         about_um = evidence.displacement_um - middle_um

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Hysteresis that a model has not, or has of another shape: plays in front of it."""
+"""Hysteresis that the model lacks or has in another shape: plays in front of it."""
 
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
@@ -12,31 +12,31 @@ from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, p
 from piezo_models.linear.dynamics import simulate_linear, zoh
 
 SCANNED_THRESHOLDS = np.array([0.0, *np.geomspace(0.01, 0.9, 28)])
-"""Half widths of the plays that are tried, over half the range: a play of 1 would never move. That
-of no width is another gain, which may be less."""
+"""Half widths of the plays that are tried, over half the range; a play of 1 would never move. The
+play of width zero is a change of the gain, which may be negative."""
 
 MOST_PLAYS = 8
-"""Of those that are not needed, most have no weight in a fit of weights that are not negative."""
+"""Largest number of plays; in a fit with non-negative weights most unneeded ones have none."""
 
 FARTHEST = 1.5
-"""Half ranges up to which the curvature is told; beyond, it adds no more."""
+"""Half ranges up to which the curvature is modelled; beyond, its contribution is constant."""
 
 LEAST_SHARE = 0.2
-"""Part of the residual's power that the plays must remove, beyond what a curve without hysteresis
-does, before they are fitted: hysteresis that is missing is a good part of a residual."""
+"""The plays must remove at least this fraction of the residual's power, beyond a curve without
+hysteresis, or they are not fitted: missing hysteresis is a large part of a residual."""
 
 SCANNED_FIRST = slice(0, None, 5)
-"""Plays that are tried first: where they remove half of `LEAST_SHARE` beyond a line, all are."""
+"""Plays that are tried first; all are tried if these remove half of `LEAST_SHARE` beyond a line."""
 
 SOFTEST = 0.02
-"""Slope that remains, over the one without hysteresis."""
+"""Smallest remaining slope, relative to that without hysteresis."""
 
 LEAST_REVERSALS = 2
 
 
 @njit(cache=True)
 def _plays(x: FloatArray, thresholds: FloatArray, positions: FloatArray) -> FloatArray:
-    """Return the outputs of plays, and change their positions to those at the end."""
+    """Return the outputs of plays, and overwrite their positions with the final ones."""
     outputs = np.empty((x.size, thresholds.size))
     for n in range(x.size):
         for i in range(thresholds.size):
@@ -47,12 +47,12 @@ def _plays(x: FloatArray, thresholds: FloatArray, positions: FloatArray) -> Floa
 
 @dataclass(frozen=True)
 class Hysteresis(Effect):
-    """Plays on the voltage, with a line and a parabola behind each.
+    """Plays on the voltage, each followed by a line and a parabola.
 
-    The voltage v is taken as x, from -1 to 1 over its range. With the plays p_i(x), whose half
-    widths are the thresholds, the effect adds h sum(weight_i p_i + curvature_i p_i^2), h being half
-    the range: a generalised operator of Prandtl and Ishlinskii. The parabolas make the way up
-    another one than the way down.
+    Let x be the voltage scaled to -1 to 1 over its range, p_i(x) the plays whose half widths are
+    the thresholds, and h half the range. The effect adds h sum(weight_i p_i + curvature_i p_i^2): a
+    generalised Prandtl-Ishlinskii operator. The parabolas make the ascending branch differ from the
+    descending one.
     """
 
     name: ClassVar[str] = "hysteresis"
@@ -80,7 +80,7 @@ class Hysteresis(Effect):
         return signal + added @ np.array([*self.weights, *self.curvatures]), positions
 
     def parts(self, signal: FloatArray) -> FloatArray:
-        """Return what each part of size 1 would add: plays, then their squares."""
+        """Return the contribution of each part of weight 1: plays, then their squares."""
         return self._parts(signal, self._resting(float(signal[0])))
 
     def _resting(self, level: float) -> FloatArray:
@@ -92,10 +92,10 @@ class Hysteresis(Effect):
         return self.half_range_v * np.hstack([plays, np.clip(plays, -FARTHEST, FARTHEST) ** 2])
 
     def impossible(self, extent: Extent) -> str | None:
-        """Refuse a stage that goes back where the voltage goes on."""
+        """Reject a displacement that decreases while the voltage rises."""
         weights, curvatures, thresholds = (
             np.array(each) for each in (self.weights, self.curvatures, self.thresholds))
-        # A larger swing moves more plays; each stands between the ends of what is left to it.
+        # A larger swing moves more plays; each lies within the remaining range.
         slopes = [1.0 + np.cumsum(weights + side * 2.0 * curvatures * (1.0 - thresholds))
                   for side in (-1.0, 1.0)]
         if np.min(slopes) < SOFTEST:
@@ -104,14 +104,14 @@ class Hysteresis(Effect):
 
     @classmethod
     def lacks_excitation(cls, evidence: Evidence) -> str | None:
-        """Ask for a voltage that turns around."""
+        """Require a voltage that reverses."""
         if _large_reversals(evidence.voltage_v) < LEAST_REVERSALS:
             return "the voltage does not turn around twice by a tenth of its range"
         return None
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
-        """Begin with the plays of least squares, where they remove a good part of the residual."""
+        """Start with the least-squares plays, if they remove enough of the residual."""
         low, high = float(evidence.voltage_v.min()), float(evidence.voltage_v.max())
         shape = cls((), (), tuple(SCANNED_THRESHOLDS), 0.5 * (low + high), 0.5 * (high - low))
         few = replace(shape, thresholds=tuple(SCANNED_THRESHOLDS[SCANNED_FIRST]))
@@ -121,7 +121,7 @@ class Hysteresis(Effect):
             return []
         plays = shape._contributions(evidence, slice(0, SCANNED_THRESHOLDS.size))
         weights, _ = evidence.reduction(np.column_stack([-plays[:, 0], plays]), positive=True)
-        # A play matters by what it holds back, which grows with its width.
+        # The effect of a play grows with its width.
         matters = weights[1:] * SCANNED_THRESHOLDS
         count = min(MOST_PLAYS, int(np.count_nonzero(matters)))
         if count == 0:
@@ -138,7 +138,7 @@ class Hysteresis(Effect):
                         thresholds=tuple(SCANNED_THRESHOLDS[chosen]))]
 
     def _contributions(self, evidence: Evidence, numbers: slice) -> FloatArray:
-        """Return what some parts would add to the displacement if the model were a gain there."""
+        """Return what some parts would add to the displacement if the model there were a gain."""
         gain = evidence.travel_um / (2.0 * self.half_range_v)
         dynamics = zoh(evidence.dynamics.state_space(), evidence.sample_period_s)
         return np.column_stack([
@@ -147,7 +147,7 @@ class Hysteresis(Effect):
 
 
 def _large_reversals(voltage_v: FloatArray) -> int:
-    """Count the turns after which the voltage comes back by a tenth of its range, at least."""
+    """Count the reversals after which the voltage returns by at least a tenth of its range."""
     outputs = _plays(np.ascontiguousarray(voltage_v, dtype=float),
                      np.array([0.05 * np.ptp(voltage_v)]), np.array([float(voltage_v[0])]))[:, 0]
     moves = np.sign(np.diff(outputs))

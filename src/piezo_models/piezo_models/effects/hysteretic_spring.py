@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Hysteresis inside the mechanics: a spring whose force depends on the way that was gone."""
+"""Hysteresis inside the mechanics: a spring whose force depends on its past motion."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -17,23 +17,24 @@ from piezo_models.effects.stiffening import UNRESOLVED
 
 SCANNED_BETAS = (0.3, 1.0, 3.0)
 SCANNED_GAMMAS = (-1.0, -0.5, 0.0, 1.0)
-"""Times beta. What the forces of the middle beta do not remove together, no other one does."""
+"""Factors of beta. If the forces of the middle beta together remove too little, no other one is
+tried."""
 
 PERIODS_TO_REPEAT = 10
-"""After so many periods the hysteresis has forgotten how it began."""
+"""Periods after which the hysteresis no longer depends on its initial state."""
 
 LEAST_SPEED = 0.2
-"""Largest speed, over the RMS displacement times the frequency of the mode, from which the motion
-is more than that of a spring that is pushed slowly."""
+"""Smallest maximum speed, over the RMS displacement times the frequency of the mode, at which the
+motion is not quasi-static."""
 
 LEAST_SHARE = 0.05
-"""Part of what a linear change of the mode leaves that the hysteresis must remove to be fitted:
-each fit solves the equation of motion dozens of times."""
+"""The hysteresis must remove at least this fraction of the residual that a linear change of the
+mode leaves, or it is not fitted: each fit solves the equation of motion dozens of times."""
 
 
 @dataclass(frozen=True)
 class HystereticSpring(Effect):
-    """A spring with the hysteresis of Bouc and Wen, beside the linear spring of a mode.
+    """A spring with Bouc-Wen hysteresis, parallel to the linear spring of a mode.
 
     With the displacement x of the linear spring and the spring's mode G of frequency w, the
     displacement y is the solution of y = x - G f, f = linear y + viscous y'/w + z. The force z,
@@ -102,17 +103,18 @@ class HystereticSpring(Effect):
         return behind, state
 
     def impossible(self, extent: Extent) -> str | None:
-        """Refuse a mode that swings up by itself."""
+        """Reject a mode whose small vibrations would grow."""
         if 2.0 * self.damping_ratio + self.viscous < 0.0:
             return "the mode would gain energy in small vibrations"
         return None
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
-        """Begin with the best shapes of a scan under the measured displacement.
+        """Start with the best shapes of a scan under the measured displacement.
 
-        There all parts of the force but the shape are linear in what they remove. A motion that is
-        slow beside the mode hints at none: hysteresis of the voltage does the same.
+        The removed displacement is linear in all parameters of the force except its shape. Motion
+        that is slow compared with the mode gives no start, as hysteresis of the voltage is
+        equivalent there.
         """
         measured_um = evidence.displacement_um + evidence.residual_um
         low, high = float(measured_um.min()), float(measured_um.max())
@@ -132,9 +134,9 @@ class HystereticSpring(Effect):
 
     def _scanned(self, evidence: Evidence, measured_um: FloatArray,
                  force: Callable[[float, float], FloatArray]) -> list[tuple[float, Self]]:
-        """Return the shapes whose force would remove more than a change of the mode, and how much.
+        """Return shapes whose force removes more than a change of the mode, with the removed share.
 
-        With the exponent 1, a stiffness s makes s times the force of a stiffness 1.
+        With the exponent 1, the force of a stiffness s is s times that of a stiffness 1.
         """
         period_s, w = evidence.sample_period_s, self.frequency_rad_per_s
         mode = [1.0, 2.0 * self.damping_ratio * w, w * w]
@@ -169,7 +171,7 @@ class HystereticSpring(Effect):
 
 
 def _moved(evidence: Evidence) -> list[tuple[float, float]]:
-    """Return frequency in rad/s and damping of the modes whose motion is resolved, and not slow."""
+    """Return frequency in rad/s and damping of the modes whose motion is resolved and not slow."""
     dynamics, period_s = evidence.dynamics, evidence.sample_period_s
     size_um = float(np.std(evidence.displacement_um))
     speed_um = float(np.abs(np.diff(evidence.displacement_um)).max()) / period_s

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Find samples that leave a signal and come back to it, which no stage can do so fast."""
+"""Find samples that leave a signal and return to it faster than any stage can move."""
 
 import numpy as np
 from numba import njit
@@ -9,70 +9,72 @@ from scipy.ndimage import maximum_filter1d, median_filter
 from piezo_common.arrays import FloatArray
 
 Mask = NDArray[np.bool_]
-"""One truth for each sample, shape (N,)."""
+"""One boolean for each sample, shape (N,)."""
 
 AROUND = 25
-"""Samples on each side of a step, whose own steps tell what the signal usually does."""
+"""Samples on each side of a step whose steps give the usual size."""
 
 SPREAD = 7.0
-"""Standard deviations of the noise of the samples around."""
+"""Limit of a step in standard deviations of the noise of the samples around it."""
 
 STEPS = 2.0
-"""Typical steps around: a tip of a triangle is no larger than one."""
+"""Limit of a step in typical steps around it; the tip of a triangle is no larger than one."""
 
-ROUNDINGS = 3.0
-"""So many steps of a converter count as its rounding."""
+ROUNDINGS, COMMON, ALIKE = 3.0, 0.25, 1e-9
+"""Limit of a step in steps of the converter, as its rounding. The converter's step is this quantile
+of the distances between values, as rows that were interpolated have values in between. Values that
+differ by less than the last fraction of the range are equal up to rounding."""
 
 ANSWER = 40
-"""Samples in which a step of the voltage may be answered, by ringing too."""
+"""Samples within which the signal may respond to a step of the voltage, including ringing."""
 
 JUMP, FEWEST_JUMPS = 0.05, 4
-"""Part of the voltage's range that is a jump, and jumps that show how fast the answer is."""
+"""Fraction of the voltage's range that counts as a jump; fewest jumps to estimate the response."""
 
 ANSWERED = 1.5
-"""What a step of the voltage may be answered by, over the mean gain."""
+"""Largest response to a step of the voltage, relative to the mean gain."""
 
 LENGTHS = (1, 3, 8, 20, 50)
-"""Samples of the runs that are looked for, in turn: of two that take turns, the shorter ones are
+"""Longest runs in samples, tried in this order: of two alternating levels, the shorter runs are
 wrong. A run that is longer than all of these is a state of the sensor."""
 
 RETURN = 0.3
-"""Part of its height to which a run comes back to where it began."""
+"""Fraction of its height within which a run must return to where it began."""
 
 SUDDEN = 0.3
-"""Part of the height of a run by which it begins and ends at once."""
+"""Fraction of its height by which a run must begin and end within one sample."""
 
 PREDICTED_FROM, MOST_LEARNT = 8, 20_000
-"""Samples on each side that foretell one, and examples from which it is learnt how."""
+"""Samples on each side from which one is predicted; most examples to fit the prediction."""
 
 AT_THE_ENDS = 3
-"""Samples at either end of a signal that may leave it and have no time to come back."""
+"""Samples at either end of a signal that may be wrong without a return to it."""
 
 MOST = 0.1
-"""Part of the samples: where more stand out, it is the signal that does."""
+"""Largest fraction of wrong samples; if more stand out, they belong to the signal."""
 
 
 def isolated(signal: FloatArray, voltage_v: FloatArray, answer_per_v: float | None = None,
              noise: float = 0.0, answered_part: float = 0.0) -> Mask:
     """Mark single samples and short runs that stand out of a signal on both sides.
 
-    The signal leaves by a step that is large beside the noise and beside the steps around, all
-    samples lie as far off the line between the good ones on either side, and it comes back. Steps
-    of the voltage explain steps of the signal for a while. So neither tips of triangles nor edges
-    nor ringing stand out: the samples beside them move alike.
+    The signal leaves by a step that is large compared with the noise and with the steps around it.
+    All samples of the run lie as far from the line between the good neighbours, and the signal
+    returns. Steps of the voltage explain steps of the signal for a while. Tips of triangles, edges
+    and ringing therefore do not stand out, as the samples next to them move alike.
 
     Parameters
     ----------
     signal : (N,) array
     voltage_v : (N,) array
     answer_per_v : float, optional
-        By how much the signal may move from one sample to the next for a step of 1 V; by default
-        by `ANSWERED` times its range over that of the voltage, or less if the signal's answers to
-        jumps of the voltage show that it is slower.
+        Largest change of the signal from one sample to the next for a step of 1 V. By default
+        `ANSWERED` times its range over that of the voltage, or less if its responses to jumps
+        of the voltage are slower.
     noise : float
-        Standard deviation of the signal's noise, at least.
+        Lower bound of the standard deviation of the signal's noise.
     answered_part : float
-        Part of the voltage's range below which its steps explain none of the signal.
+        Fraction of the voltage's range below which its steps explain no step of the signal.
 
     Returns
     -------
@@ -82,13 +84,13 @@ def isolated(signal: FloatArray, voltage_v: FloatArray, answer_per_v: float | No
     voltage_v = np.asarray(voltage_v, dtype=float)
     if signal.size < 2 * AROUND:
         return np.zeros(signal.size, dtype=bool)
-    # What a model leaves moves with the stage at the ends, too; only a stage itself has its range.
+    # A residual may move at the ends like the stage; only the signal of a stage has its range.
     has_range = answer_per_v is None
     if answer_per_v is None:
         answer_per_v = typical_answer_per_v(signal, voltage_v)
     changes_v = np.abs(np.diff(voltage_v, prepend=voltage_v[0]))
     changes_v[changes_v < answered_part * typical_range(voltage_v)] = 0.0
-    # The window lies before the sample, and takes in a change at the sample itself.
+    # The window lies before the sample and includes a change at the sample itself.
     answer = answer_per_v * maximum_filter1d(
         changes_v, ANSWER, origin=ANSWER // 2 - 1, mode="nearest")
     good = np.arange(signal.size)
@@ -99,7 +101,7 @@ def isolated(signal: FloatArray, voltage_v: FloatArray, answer_per_v: float | No
                 break
             limit, walk = (each[way] for each in limits)
             if way.step:
-                # The limit of a step stands at its second sample.
+                # The limit of a step is stored at its second sample.
                 limit = np.roll(limit, 1)
             wrong = _runs(np.ascontiguousarray(left[way]), np.ascontiguousarray(limit),
                           np.ascontiguousarray(walk), longest)
@@ -118,7 +120,7 @@ def isolated(signal: FloatArray, voltage_v: FloatArray, answer_per_v: float | No
 
 
 def typical_answer_per_v(signal: FloatArray, voltage_v: FloatArray) -> float:
-    """Estimate how far a signal may move from one sample to the next for a step of 1 V.
+    """Estimate the largest change of a signal between samples for a step of 1 V.
 
     Parameters
     ----------
@@ -137,13 +139,13 @@ def typical_answer_per_v(signal: FloatArray, voltage_v: FloatArray) -> float:
 
 
 def typical_range(values: FloatArray) -> float:
-    """Return the range of the values, without the most extreme 2 % on either side."""
+    """Return the range of the values without the most extreme 2 % on either side."""
     low, high = np.quantile(values, (0.02, 0.98))
     return float(high - low)
 
 
 def _away_at_the_ends(signal: FloatArray, answer: FloatArray) -> Mask:
-    """Mark the few first or last samples that lie farther off than the signal usually reaches."""
+    """Mark up to three first or last samples that are off by more than the signal's usual range."""
     wrong, far = np.zeros(signal.size, dtype=bool), typical_range(signal)
     steps = np.abs(np.diff(signal))
     for count in range(1, AT_THE_ENDS + 1):
@@ -155,22 +157,23 @@ def _away_at_the_ends(signal: FloatArray, answer: FloatArray) -> Mask:
 
 
 def _limits(left: FloatArray, answer: FloatArray, noise: float) -> tuple[FloatArray, FloatArray]:
-    """Return the step to each sample that a good signal does not exceed, and a usual walk, (N,)."""
+    """Return for each sample the largest step of a good signal and the usual change, (N,)."""
     walk = STEPS * _beside(np.abs(np.diff(left, prepend=left[0])))
     bends = np.abs(np.diff(left, 2, prepend=left[0], append=left[-1]))
     spread = 1.4826 / np.sqrt(6.0) * _beside(bends)
-    values = np.unique(left)
-    rounding = np.diff(values).min(initial=np.inf) if values.size > 1 else 0.0
+    apart = np.diff(np.unique(left))
+    apart = apart[apart > ALIKE * apart.sum()]
+    rounding = float(np.quantile(apart, COMMON)) if apart.size else 0.0
     return np.maximum.reduce([
         SPREAD * np.maximum(spread, noise), walk, np.full(left.size, ROUNDINGS * rounding), answer,
     ]), walk
 
 
 def _surprising(signal: FloatArray, wrong: Mask, noise: float) -> Mask:
-    """Keep the runs that the samples around do not foretell as they foretell all others.
+    """Keep the runs that the samples around them predict worse than the rest.
 
-    Each sample is predicted from some before and some behind it, with weights from least squares
-    over all samples far from any run: a tone that swings within few samples is predicted, too.
+    Each sample is predicted from some before and after it, with least-squares weights over all
+    samples far from any run. A tone with a period of few samples is therefore predicted, too.
     """
     if not wrong.any():
         return wrong
@@ -189,7 +192,7 @@ def _surprising(signal: FloatArray, wrong: Mask, noise: float) -> Mask:
     missed, usual = (
         np.abs(np.convolve(each - level, filter_[::-1], mode="same")) for each in (signal, bridged)
     )
-    # At the ends nothing foretells.
+    # There is no prediction at the ends.
     missed[:PREDICTED_FROM] = missed[-PREDICTED_FROM:] = np.inf
     usual[:PREDICTED_FROM] = usual[-PREDICTED_FROM:] = 0.0
     spread = SPREAD * np.maximum(noise, 1.4826 * _beside(usual))
@@ -202,9 +205,9 @@ def _surprising(signal: FloatArray, wrong: Mask, noise: float) -> Mask:
 
 
 def _beside(sizes: FloatArray) -> FloatArray:
-    """Return the larger of the median sizes before each sample and behind it, (N,)."""
+    """Return the larger of the median sizes before and after each sample, (N,)."""
     middle = median_filter(sizes, AROUND, mode="reflect")
-    # A step belongs to both samples that it joins: both windows leave out the nearest two.
+    # A step belongs to both samples that it joins, so both windows exclude the nearest two.
     away = AROUND // 2 + 2
     before = np.concatenate([np.full(away, middle[0]), middle[:-away]])
     behind = np.concatenate([middle[away:], np.full(away, middle[-1])])
@@ -213,7 +216,7 @@ def _beside(sizes: FloatArray) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def _runs(signal: FloatArray, limit: FloatArray, walk: FloatArray, longest: int) -> Mask:
-    """Mask of the runs between a step away and the next sample where the signal is back."""
+    """Mark the runs between a step away and the next sample at which the signal is back."""
     wrong = np.zeros(signal.size, dtype=np.bool_)
     n = 1
     while n < signal.size:
@@ -236,7 +239,7 @@ def _runs(signal: FloatArray, limit: FloatArray, walk: FloatArray, longest: int)
                     far = False
                     break
             returns = abs(signal[back] - begin) <= RETURN * farthest + walk[n] * length
-            # The crest of a wave is far off too, but not by its first step and its last.
+            # The crest of a wave is far off too, but not by its first and last step.
             first = abs(signal[n] - begin)
             if far and returns and min(first, last) >= SUDDEN * farthest:
                 end = back

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What every lag does to a signal, wherever it stands."""
+"""The common base of all lags of a signal."""
 
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
@@ -14,12 +14,12 @@ from piezo_models.effects.filtering import filtered, filtered_on, unfiltered_per
 SCANNED = np.geomspace(0.1, 1000.0, 13)
 """Time constants that are tried, in sample periods."""
 LIKELY = (1e-3, 3.0)
-"""Gain of the best of them, by which its time constant is multiplied, at least and at most."""
+"""Bounds of the factor on the best time constant of the scan, which is its fitted gain."""
 
 
 @dataclass(frozen=True)
 class Lag(Effect):
-    """A signal follows another one behind a filter of unit gain at rest."""
+    """A signal passes a filter of unit DC gain."""
 
     distortion: ClassVar[frozenset[str] | None] = frozenset()
 
@@ -43,15 +43,15 @@ class Lag(Effect):
 
     @property
     def slow_delay_s(self) -> float:
-        """Return by how much slow signals come late, in s."""
+        """Return the delay of slow signals in s."""
         return self.time_constant_s
 
     def _numerator(self) -> list[float]:
-        """Return the coefficients of the filter's numerator, of the highest power first."""
+        """Return the coefficients of the filter's numerator, the highest power first."""
         return [1.0]
 
     def _denominator(self) -> list[float]:
-        """Return the coefficients of the filter, of the square of the rate first."""
+        """Return the coefficients of the filter's denominator, the highest power first."""
         # With a square of zero the filter has a closed form, however short the lag is.
         return [0.0, self.time_constant_s, 1.0]
 
@@ -62,15 +62,15 @@ class Lag(Effect):
 
     @classmethod
     def tried(cls, time_constant_s: float) -> Self:
-        """Return the lag of a time constant that a scan tries."""
+        """Return the lag with a time constant of the scan."""
         return cls(time_constant_s)
 
     @classmethod
     def scanned(cls, evidence: Evidence) -> list[tuple[Self, float]]:
-        """Return the best of a scan, and how many times what it delays is missing; or nothing.
+        """Return lags of a scan, best first, with the gain of their contribution; may be empty.
 
-        A lag ahead of the hysteresis moves the displacement much as one behind it does: they differ
-        where the voltage has just turned.
+        A lag in front of the hysteresis moves the displacement much as one behind it does; they
+        differ where the voltage has just reversed.
         """
         found = evidence.best(
             [cls.tried(time_s) for time_s in evidence.sample_period_s * SCANNED],
@@ -80,7 +80,7 @@ class Lag(Effect):
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
-        """Begin with the best of a scan."""
+        """Start with the best of a scan."""
         found = cls.scanned(evidence)
         # A gain below one means a shorter lag.
         return [replace(shape, time_constant_s=shape.time_constant_s * float(np.clip(

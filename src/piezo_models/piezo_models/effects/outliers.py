@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Samples that the sensor got wrong."""
+"""Samples with a wrong value of the sensor."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self
@@ -11,16 +11,16 @@ from piezo_models.effects.effect import MOST, Effect, Evidence, parameter
 from piezo_models.effects.isolated_samples import isolated
 
 THRESHOLD = 7.0
-"""An outlier stands out by so many standard deviations of the noise."""
+"""Smallest size of an outlier in standard deviations of the noise."""
 FEWEST = 3
 
 
 @dataclass(frozen=True)
 class Outliers(Effect):
-    """Single samples or short runs far off their neighbours: known by their size, not their time.
+    """Single samples or short runs far off their neighbours, described by size, not by time.
 
-    Nothing can foretell them: a model with this effect leaves such samples out where it is fitted
-    or compared with others.
+    They cannot be predicted. For a model with this effect, such samples are excluded from fits and
+    comparisons.
     """
 
     name: ClassVar[str] = "outliers"
@@ -36,12 +36,12 @@ class Outliers(Effect):
 
     def apply(self, signal: FloatArray, sample_period_s: float,
               rest: float | None = None) -> FloatArray:
-        """Return the signal itself: no sample is known to be wrong before it is seen."""
+        """Return the signal unchanged, as wrong samples cannot be predicted."""
         return signal
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
-        """Begin with the outliers of the recording, if there are more than chance makes."""
+        """Start with the outliers of the recording, if there are more than expected by chance."""
         residual_um = evidence.residual_um
         wrong = isolated(residual_um, evidence.voltage_v, noise=evidence.noise_um)
         if wrong.sum() < FEWEST:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Disturbance of one frequency: mains, a pump, the building."""
+"""Disturbance of one frequency, for example from mains, a pump or the building."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self
@@ -12,29 +12,29 @@ from piezo_models.effects.effect import LEAST, MOST, Evidence, Extent, parameter
 from piezo_models.effects.effect_of_time import EffectOfTime
 
 FEWEST_PERIODS = 10
-"""A recording must show so many; slower disturbances are drift."""
+"""Periods that a recording must contain; slower disturbances are drift."""
 HARMONICS = 2
 
 DRIVEN = 0.05
-"""Part of the displacement's energy from which a line is the waveform's own."""
+"""Fraction of the displacement's energy above which a line belongs to the waveform."""
 LINE_BINS = 2
 
 WANDERING = 3
-"""Waves over a recording by which sizes of the tones, and so their phases, may change."""
+"""Waves over a recording by which amplitudes, and so phases, of the tones may change."""
 
 TURNED_ON = 64
-"""Samples after which the angle is computed anew, before rounding adds up."""
+"""Samples after which the angle is computed anew, to limit the rounding error."""
 
 
 @njit(cache=True, nogil=True)
 def _sum_of_tones(sizes: ComplexArray, turn: float, first: int, samples: int) -> FloatArray:
-    """Return c cos k p + s sin k p = Re (c - i s) exp(i p)^k, summed over the harmonics k."""
+    """Return Re (c - i s) exp(i p)^k = c cos k p + s sin k p, summed over the harmonics k."""
     tones = np.empty(samples)
     step = np.exp(1j * turn)
     for begin in range(0, samples, TURNED_ON):
         number = np.exp(1j * turn * (first + begin))
         for n in range(begin, min(begin + TURNED_ON, samples)):
-            # Horner's scheme in the turning number.
+            # Horner's scheme in the rotating number.
             value = 0j
             for k in range(sizes.size - 1, -1, -1):
                 value = (value + sizes[k]) * number
@@ -45,9 +45,9 @@ def _sum_of_tones(sizes: ComplexArray, turn: float, first: int, samples: int) ->
 
 @dataclass(frozen=True)
 class PeriodicDisturbance(EffectOfTime):
-    """A tone that is added to the displacement, with its phase at the first sample.
+    """A tone added to the displacement, with its phase at the first sample.
 
-    Its harmonics, the second and on, have sizes of their own.
+    Its harmonics, from the second on, have independent amplitudes.
     """
 
     name: ClassVar[str] = "periodic_disturbance"
@@ -79,9 +79,9 @@ class PeriodicDisturbance(EffectOfTime):
         return signal + _sum_of_tones(sizes, turn, first, signal.size)
 
     def recurrence(self, time_s: FloatArray, duration_s: float) -> FloatArray:
-        """Return tones of the same frequencies, whose phases wander slowly.
+        """Return tones of the same frequencies with slowly changing phases.
 
-        As in `Effect.recurrence`; those above half of the sample clock show as their aliases.
+        See `Effect.recurrence`; tones above half of the sample rate appear as their aliases.
         """
         multiples = np.arange(1, 2 + len(self.harmonic_cosines_um))
         phases = 2.0 * np.pi * self.frequency_hz * np.outer(time_s, multiples)
@@ -98,7 +98,7 @@ class PeriodicDisturbance(EffectOfTime):
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
-        """Begin with the largest line of the residual that the voltage does not drive."""
+        """Start with the largest line of the residual that the voltage does not drive."""
         size = _lines(evidence.residual_um)
         driven = _lines(evidence.displacement_um) ** 2
         for line in np.flatnonzero(driven > DRIVEN * driven.sum()).tolist():
@@ -126,5 +126,5 @@ class PeriodicDisturbance(EffectOfTime):
 
 
 def _lines(signal: FloatArray) -> FloatArray:
-    """Size of the spectrum, without the mean."""
+    """Return the magnitude of the spectrum, without the mean."""
     return np.abs(np.fft.rfft((signal - signal.mean()) * np.hanning(signal.size)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Hysteresis that widens with the speed."""
+"""Hysteresis that widens with speed."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
@@ -13,7 +13,7 @@ from piezo_models.linear.dynamics import simulate_linear, zoh
 
 SCANNED_EXPONENTS = (0.02, 0.5)
 SCANNED_ONSETS = np.geomspace(3e-3, 1.0, 5)
-"""These parts of the typical speed are tried."""
+"""Onsets that are tried, as fractions of the typical speed."""
 SCANNED_TIMES_S = (1e-4, 1e-3, 5e-3)
 
 
@@ -21,8 +21,8 @@ SCANNED_TIMES_S = (1e-4, 1e-3, 5e-3)
 class RateDependentHysteresis(Effect):
     """The thresholds of the hysteresis move away from the voltage by a function of its speed.
 
-    By widening_v ((1 + speed / onset)^exponent - 1) / exponent, with the speed averaged over a
-    time: an exponent of 1 would be a lag of the voltage, one near 0 is a logarithm.
+    They move by widening_v ((1 + speed / onset)^exponent - 1) / exponent, with the speed averaged
+    over a time. An exponent of 1 would be a lag of the voltage; one near 0 is a logarithm.
     """
 
     name: ClassVar[str] = "rate_dependent_hysteresis"
@@ -53,20 +53,20 @@ class RateDependentHysteresis(Effect):
             filtered([1.0, 0.0], [self.averaging_time_s, 1.0], signal, sample_period_s, rest))
 
     def _growth(self, speed: FloatArray) -> FloatArray:
-        """Tell how far the thresholds move, in V, at an averaged speed."""
+        """Return how far the thresholds move in V at an averaged speed."""
         p = self.rate_exponent
         growth = np.expm1(p * np.log1p(np.abs(speed) / self.onset_v_per_s)) / p
         return self.widening_v * np.sign(speed) * growth
 
     @classmethod
     def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
-        """Bound the widening: no threshold moves farther than the voltage does."""
+        """Bound the widening: no threshold moves farther than the voltage."""
         return {"widening_v": (-extent.span_v, extent.span_v),
                 "averaging_time_s": (1e-2 * extent.sample_period_s, extent.duration_s)}
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
-        """Begin with the best of a scan, in which the hysteresis is no more than a gain."""
+        """Start with the best of a scan in which the hysteresis is approximated by a gain."""
         period_s, voltage_v = evidence.sample_period_s, evidence.voltage_v
         span_v = np.ptp(voltage_v)
         if span_v == 0.0:

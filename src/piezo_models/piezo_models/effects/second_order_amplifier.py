@@ -13,10 +13,10 @@ from piezo_models.effects.filtering import slowed
 
 @dataclass(frozen=True)
 class SecondOrderAmplifier(AmplifierLag):
-    """The voltage at the actuator is that asked for behind 1 / (1 + T s + (Q T s)^2).
+    """The voltage at the actuator is the commanded one behind 1 / (1 + T s + (Q T s)^2).
 
-    Slow voltages come late by the time constant T, whatever the quality factor Q is. It is 1/2 of
-    two equal lags, 0.71 without overshoot of the amplitude over frequency, and 0 of a single lag.
+    The time constant T is the delay of slow voltages for any quality factor Q. Q is 1/2 for two
+    equal lags, 0.71 for a flat amplitude over frequency without overshoot, and 0 for a single lag.
     """
 
     name: ClassVar[str] = "second_order_amplifier"

@@ -15,15 +15,15 @@ from piezo_models.effects.lag import Lag
 ROUNDED = 0.25
 
 SHARPEST = 1e-6
-"""Roundness up to which the lag is of first order for a feedback loop."""
+"""Roundness up to which the lag is taken as of first order in a feedback loop."""
 
 
 @dataclass(frozen=True)
 class SensorLag(Lag):
     """The sensor follows the displacement with a time constant; the stage itself does not lag.
 
-    By 1 / (1 + T s + r (T s)^2): of first order where the roundness r is 0, two equal lags where
-    it is 1/4, nearly a delay where it is 1/2.
+    The lag is 1 / (1 + T s + r (T s)^2): of first order for a roundness r of 0, two equal lags for
+    1/4, nearly a delay for 1/2.
     """
 
     name: ClassVar[str] = "sensor_lag"
@@ -49,5 +49,5 @@ class SensorLag(Lag):
 
     @classmethod
     def tried(cls, time_constant_s: float) -> Self:
-        """Return a rounded lag of a time constant that a scan tries."""
+        """Return a rounded lag with a time constant of the scan."""
         return cls(time_constant_s, ROUNDED)

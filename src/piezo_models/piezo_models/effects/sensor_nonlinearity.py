@@ -12,7 +12,7 @@ from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, p
 
 @dataclass(frozen=True)
 class SensorNonlinearity(Effect):
-    """The sensor reads off by Legendre polynomials of first to fourth degree over its range."""
+    """The sensor's error is a sum of Legendre polynomials of degree 1 to 4 over its range."""
 
     name: ClassVar[str] = "sensor_nonlinearity"
     place: ClassVar[str] = "sensor"
@@ -30,7 +30,7 @@ class SensorNonlinearity(Effect):
     half_range_um: float = parameter("um", "fixed", LEAST, MOST)
 
     def deviations(self, signal: FloatArray) -> FloatArray:
-        """Return what each polynomial would add with a size of 1 um, shape (N, 4)."""
+        """Return the contribution of each polynomial with a size of 1 um, shape (N, 4)."""
         x = np.clip((signal - self.centre_um) / self.half_range_um, -1.5, 1.5)
         square = x * x
         return np.column_stack([
@@ -47,12 +47,12 @@ class SensorNonlinearity(Effect):
 
     @classmethod
     def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
-        """Bound the polynomials: what the sensor reads wrong is less than what it reads."""
+        """Bound the polynomials: the error of the sensor is less than its reading."""
         names = ("first_um", "second_um", "third_um", "fourth_um")
         return {name: (-0.5 * extent.travel_um, 0.5 * extent.travel_um) for name in names}
 
     def impossible(self, extent: Extent) -> str | None:
-        """Refuse a sensor that reads less where there is more."""
+        """Reject a sensor whose reading decreases with the displacement."""
         position_um = self.centre_um + self.half_range_um * np.linspace(-1.0, 1.0, 201)
         if np.any(np.diff(self.apply(position_um, 1.0)) <= 0.0):
             return "the sensor would read less where the displacement is more"
@@ -60,7 +60,7 @@ class SensorNonlinearity(Effect):
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
-        """Begin with the polynomials of least squares over the travel of the recording."""
+        """Start with the least-squares polynomials over the travel of the recording."""
         low, high = evidence.displacement_um.min(), evidence.displacement_um.max()
         if evidence.travel_um == 0.0:
             return []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The equation of a nonlinear spring, solved sample by sample to rounding."""
+"""The equation of a nonlinear spring, solved sample by sample to rounding accuracy."""
 
 from functools import lru_cache
 
@@ -11,42 +11,43 @@ from scipy.linalg import expm
 from piezo_common.arrays import FloatArray
 
 SOFTEST = 0.1
-"""Part of the linear stiffness that the spring keeps. Beyond the displacement at which a polynomial
-would fall below it, the force goes on straight: every load then has one displacement."""
+"""Smallest slope of the spring, relative to the linear stiffness. Beyond the displacement at which
+a polynomial would fall below it, the force is a straight line, so that every load has one
+displacement."""
 
 FARTHEST = 4.0
-"""Displacement, in half ranges from the middle, beyond which the force goes on straight in any
-case: a fourth power is not known so far beyond the samples that it was fitted to."""
+"""Displacement, in half ranges from the middle, beyond which the force is always a straight line: a
+fourth power cannot be extrapolated that far beyond the fitted samples."""
 
 PHASE_STEP = 0.3
-"""Radians by which the mode turns in a step of the solution, at most, where its spring is stiffest:
-a rule of the fourth order is stable up to 2.8, and errs by less here than samples leave open."""
+"""Largest angle in rad by which the mode turns in a step of the solution, at its stiffest. A rule
+of fourth order is stable up to 2.8; at this step its error is less than that of the samples."""
 
 VISITED = 1.5
-"""Half ranges from the middle within which the stiffest place of the spring is sought."""
+"""Half ranges from the middle within which the largest stiffness is sought."""
 
 MOST_NEWTON_STEPS = 100
 
 ORDER = 5
-"""Of the polynomial through the last samples of a load, by which it goes on between them. Of noise
-up to a third of the sample rate on a mode of a ninth of it, a third order errs by three to six
-times as much."""
+"""Order of the polynomial that interpolates a load between its samples. For noise up to a third of
+the sample rate on a mode at a ninth of it, the error of third order is three to six times as
+large."""
 
 
 def straight_beyond(parts: ArrayLike, half_range_um: float) -> tuple[float, float]:
-    """Find the displacements between which the polynomial of a force holds.
+    """Return the displacements between which the polynomial of a force is valid.
 
-    Beyond them the force goes on straight.
+    Beyond them the force is a straight line.
 
     Parameters
     ----------
     parts : (4,) sequence of float
-        Force at the end of the range, as displacement in um, of the powers one to four.
+        Force at the end of the range, as displacement in um, for the powers one to four.
 
     Returns
     -------
     low, high : float
-        In half ranges from the middle of the range; low <= 0 <= high.
+        Displacements in half ranges from the middle of the range; low <= 0 <= high.
     """
     slope = np.arange(1.0, 5.0) * np.asarray(parts, dtype=float) / half_range_um
     roots = np.roots([*slope[:0:-1], slope[0] + 1.0 - SOFTEST])
@@ -61,9 +62,9 @@ def straight_beyond(parts: ArrayLike, half_range_um: float) -> tuple[float, floa
 @njit(cache=True, nogil=True)
 def force_and_slope(x: float, parts: FloatArray, low: float,
                     high: float) -> tuple[float, float]:
-    """Return the force of the spring beside its linear one, and its slope, at a displacement.
+    """Return the force of the spring in addition to the linear one, and its slope.
 
-    The slope of the whole spring is `SOFTEST` at least; see `straight_beyond`.
+    The slope of the whole spring is at least `SOFTEST`; see `straight_beyond`.
 
     Parameters
     ----------
@@ -72,12 +73,12 @@ def force_and_slope(x: float, parts: FloatArray, low: float,
     parts : (4,) sequence of float
         As for `straight_beyond`.
     low, high : float
-        Between which the polynomial holds.
+        Displacements between which the polynomial is valid, in half ranges.
 
     Returns
     -------
     force, slope : float
-        In half ranges, and per half range.
+        Force in half ranges, and its slope per half range.
     """
     inside = min(max(x, low), high)
     force = inside * (parts[0] + inside * (parts[1] + inside * (parts[2] + inside * parts[3])))
@@ -93,7 +94,7 @@ def _balanced(load: float, part: float, first: float, centre: float, half_range:
     y = first
     force, slope = force_and_slope((y - centre) / half_range, parts, low, high)
     excess = y + part * force - load
-    # The left side rises by so much at least: the solution lies no farther away than this.
+    # The left side has at least this slope, which bounds the distance of the solution.
     steepest = 1.0 - part * (1.0 - SOFTEST)
     reach = abs(excess) / steepest * (1.0 + 1e-9)
     below, above = y - reach, y + reach
@@ -130,9 +131,9 @@ def _static(loads: FloatArray, centre: float, half_range: float, parts: FloatArr
 
 @lru_cache(maxsize=64)
 def _within_sample(substeps: int) -> tuple[FloatArray, FloatArray]:
-    """Return how a load and its slope per sample follow from its samples, at half substeps.
+    """Return the matrices from samples to a load and its slope per sample, at half substeps.
 
-    Lagrange's polynomial through the last samples, from the one before the newest on.
+    They evaluate Lagrange's polynomial through the last samples, from the one before the newest.
 
     Returns
     -------
@@ -152,21 +153,22 @@ def _within_sample(substeps: int) -> tuple[FloatArray, FloatArray]:
 def _swinging(loads: FloatArray, rest: float, viscous: float, centre: float, half_range: float,
               parts: FloatArray, low: float, high: float, half_step: FloatArray,
               step_rad: float, within: FloatArray, slopes: FloatArray) -> FloatArray:
-    """Simulate the mode under the force of its spring by Lawson's form of Runge and Kutta's rule.
+    """Simulate the mode under the force of its spring by Lawson's form of the Runge-Kutta rule.
 
-    What the force removes and its speed turn exactly without the force; `half_step` turns them by
-    half a substep, with the further damping. Of that, the speed of the load is a part of the force.
-    `within` and `slopes` are those of `_within_sample`.
+    The state is the displacement that the force removes and its velocity. Without the force it is
+    propagated exactly: `half_step` is the matrix for half a substep, including the additional
+    damping. The part of that damping by the velocity of the load is added to the force. `within`
+    and `slopes` are those of `_within_sample`.
     """
     substeps = within.shape[0] // 2
     balanced = np.empty(loads.size)
-    # Removed by the force: at rest all of it.
+    # Displacement that the force removes: at rest all of it.
     y, taken = _balanced(rest, 1.0, rest, centre, half_range, parts, low, high)
     speed = 0.0
     a, b, c, d = half_step[0, 0], half_step[0, 1], half_step[1, 0], half_step[1, 1]
-    # What a push at the begin makes of both at the end.
+    # Response of both at the end to a push at the beginning.
     far, far_speed = a * b + b * d, c * b + d * d
-    # A further damping pushes by the speed of the load.
+    # The additional damping acts on the velocity of the load.
     damped = viscous / (step_rad * substeps)
     known = np.full(within.shape[1], rest)
     load, push_of_speed = np.empty(within.shape[0]), np.empty(within.shape[0])
@@ -190,7 +192,7 @@ def _swinging(loads: FloatArray, rest: float, viscous: float, centre: float, hal
             at, _ = force_and_slope(
                 (middle - own - 0.5 * b * push - centre) / half_range, parts, low, high)
             second_push = step_rad * (at + middle_push)
-            # A push changes the speed first, so the displacement in the middle is that of before.
+            # A push changes the velocity first, so the displacement in the middle is unchanged.
             at, _ = force_and_slope((middle - own - centre) / half_range, parts, low, high)
             third_push = step_rad * (at + middle_push)
             whole, whole_speed = a * own + b * own_speed, c * own + d * own_speed
@@ -206,7 +208,7 @@ def _swinging(loads: FloatArray, rest: float, viscous: float, centre: float, hal
 
 def _substeps(phase: float, parts: FloatArray, half_range_um: float, low: float,
               high: float) -> int:
-    """Return the substeps of a sample in which the mode alone turns by a phase in radians."""
+    """Return the substeps of a sample in which the mode alone turns by a phase in rad."""
     visited = np.clip(np.linspace(-VISITED, VISITED, 13), low, high)
     slope = np.polyval(np.arange(4.0, 0.0, -1.0) * parts[::-1], visited) / half_range_um
     stiffest = 1.0 + max(0.0, float(slope.max()))
@@ -215,7 +217,7 @@ def _substeps(phase: float, parts: FloatArray, half_range_um: float, low: float,
 
 @lru_cache(maxsize=256)
 def _half_step(step_rad: float, damping_ratio: float) -> FloatArray:
-    """Return the matrix that turns displacement and speed by half of a step, without force."""
+    """Return the propagation matrix of displacement and velocity for half a step without force."""
     return np.ascontiguousarray(
         expm(0.5 * step_rad * np.array([[0.0, 1.0], [-1.0, -2.0 * damping_ratio]])))
 
@@ -227,29 +229,29 @@ def balance(
     """Solve for the displacement of a mode whose spring has a nonlinear force.
 
     Solves y = x - G (f(y) + v y'/w): x is the displacement of the linear spring, G the mode with
-    unit gain at rest. That is the equation of motion y''/w^2 + (2 zeta + v) y'/w + y + f(y) = drive
-    of a mode that would reach x without f and v.
+    unit DC gain. This is the equation of motion y''/w^2 + (2 zeta + v) y'/w + y + f(y) = drive of a
+    mode that would reach x without f and v.
 
     Parameters
     ----------
     load_um : (N,) array
-        x.
+        Displacement x of the linear spring in um.
     parts : (4,) sequence of float
-        f at the end of the range, as displacement in um, of the powers one to four.
+        Force f at the end of the range, as displacement in um, for the powers one to four.
     viscous : float
-        v, a further damping.
+        Additional damping v.
     centre_um, half_range_um : float
-        Of the range.
+        Centre and half width of the range in um.
     frequency_rad_per_s, damping_ratio : float
-        w and zeta; with w = 0, the spring acts at once.
+        Frequency w and damping ratio zeta; with w = 0, the spring acts at once.
     rest_um : float
-        x before the first sample.
+        Displacement x before the first sample, in um.
 
     Returns
     -------
     (N,) array
-        y: to rounding where the spring acts at once; else with an error of the fourth order of
-        `PHASE_STEP`, and of the polynomial by which the load goes on between its samples.
+        Displacement y in um: to rounding accuracy if the spring acts at once; else with an error of
+        fourth order in `PHASE_STEP`, and of the interpolation of the load between its samples.
     """
     load_um = np.ascontiguousarray(load_um, dtype=float)
     parts = np.asarray(parts, dtype=float)

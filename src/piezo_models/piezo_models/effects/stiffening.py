@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Stiffness that changes with the displacement."""
+"""Stiffness that changes with displacement."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self
@@ -12,28 +12,29 @@ from piezo_models.effects.filtering import filtered
 from piezo_models.effects.spring_equation import FARTHEST, SOFTEST, balance, straight_beyond
 
 STRONGEST = 100.0
-"""Force of a part at the end of the range over that of the linear spring, at most."""
+"""Largest force of a part at the end of the range, over that of the linear spring."""
 
 UNRESOLVED = 20.0
-"""Radians of the mode between two samples from which its motion is not followed: none of it shows
-in recordings of that kind, and following it over minutes takes minutes."""
+"""Angle in rad of the mode between two samples from which it is taken as static: recordings do not
+show it, and simulating it for minutes would take minutes."""
 
 
 LEAST_VISCOUS, MOST_VISCOUS = -1.0, 10.0
-"""Further damping of the mode, twice its damping ratio: from half of a critical one less."""
+"""Bounds of the additional damping, which is twice a damping ratio: the lower one removes half of
+the critical damping."""
 
 
 @dataclass(frozen=True)
 class Stiffening(Effect):
-    """A spring whose force has parts up to the fourth power beside a linear one.
+    """A spring whose force has parts up to the fourth power in addition to a linear one.
 
-    The parts f are given as the displacement by which they would shorten the linear spring at the
-    ends of the range. With the displacement x of the linear spring and the spring's mode G of
-    frequency w, the displacement y is the solution of y = x - G (f(y) + viscous y'/w), however
-    large it is. The linear part of f and the viscous part make good a mode that was identified
-    without the spring, whose frequency and damping are then wrong. The force goes on
-    straight beyond `spring_equation.FARTHEST` half ranges, or where the spring would be softer
-    than `spring_equation.SOFTEST` of the linear one.
+    Each part f is given as the displacement by which it would shorten the linear spring at the ends
+    of the range. With the displacement x of the linear spring and the spring's mode G of frequency
+    w, the displacement y is the solution of y = x - G (f(y) + viscous y'/w), for any size of f. The
+    linear part of f and the viscous part correct the frequency and damping of a mode that was
+    identified without the spring. The force is a straight line beyond `spring_equation.FARTHEST`
+    half ranges, or where the spring would be softer than `spring_equation.SOFTEST` of the linear
+    one.
     """
 
     name: ClassVar[str] = "stiffening"
@@ -75,7 +76,7 @@ class Stiffening(Effect):
         ])
 
     def _damped(self, signal: FloatArray, sample_period_s: float) -> FloatArray:
-        """Return what a further damping of 1 removes from a displacement, (N, 1) or (N, 0)."""
+        """Return what an additional damping of 1 removes, shape (N, 1); (N, 0) without a mode."""
         if self.acts_at_once(sample_period_s):
             return np.empty((signal.size, 0))
         w = self.frequency_rad_per_s
@@ -92,7 +93,7 @@ class Stiffening(Effect):
         )
 
     def acts_at_once(self, sample_period_s: float) -> bool:
-        """Tell whether the spring has no mode, or one that is too fast for the samples."""
+        """Return True if the spring has no mode, or one that is too fast for the samples."""
         turned = self.frequency_rad_per_s * sample_period_s
         return turned == 0.0 or turned >= UNRESOLVED
 
@@ -104,7 +105,7 @@ class Stiffening(Effect):
         return {name: (-strongest_um, strongest_um) for name in parts}
 
     def impossible(self, extent: Extent) -> str | None:
-        """Refuse a spring that gives way within the range, or swings up by itself."""
+        """Reject a spring that is too soft within the range, or whose small vibrations grow."""
         if self.frequency_rad_per_s and 2.0 * self.damping_ratio + self.viscous < 0.0:
             return "the mode would gain energy in small vibrations"
         if np.abs(straight_beyond(self._parts, self.half_range_um)).min() < 1.0:
@@ -114,11 +115,11 @@ class Stiffening(Effect):
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
-        """Begin with least squares for each mode of the model.
+        """Start with least squares for each mode of the model.
 
-        The spring's equation is linear in its parts where the displacement is the measured one.
-        One without a mode would do what a curved sensor does, and nothing could tell the two apart:
-        it is tried only where the model has no mode.
+        The spring's equation is linear in its parts for the measured displacement. A spring without
+        a mode would be indistinguishable from a curved sensor, so it is tried only for a model
+        without modes.
         """
         low, high = evidence.displacement_um.min(), evidence.displacement_um.max()
         if evidence.travel_um == 0.0:

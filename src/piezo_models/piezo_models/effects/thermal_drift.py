@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Drift with the temperature of the surroundings, whatever the voltage."""
+"""Drift with ambient temperature, independent of the voltage."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
@@ -13,21 +13,21 @@ from piezo_models.effects.effect import LEAST, MOST, Evidence, Extent, parameter
 from piezo_models.effects.effect_of_time import EffectOfTime
 
 WAVES = 8
-"""Half periods of the fastest wave over the recording."""
+"""Half periods of the fastest wave in the recording."""
 
 VISIBLE = 0.005
-"""Part of a steady drift that unknown creep must leave to be seen."""
+"""Fraction of a steady drift that unknown creep must leave unexplained, for the drift to show."""
 
 FARTHEST, SLOWEST = 2.0, 3.0
-"""Measured ranges by which a part may drift: two may in part undo each other, or the motion. And
-durations of the recording that an approach may take: of a slower one it shows no end."""
+"""Bounds of a part in measured ranges (two parts may partly cancel each other or the motion), and
+of the time constant in durations of the recording, which shows no end of a slower approach."""
 
 
 @dataclass(frozen=True)
 class ThermalDrift(EffectOfTime):
     """A constant rate, an approach to a new temperature, and slow waves about both.
 
-    Nothing foretells the waves beyond the recording they were found in: they stay as they end.
+    The waves cannot be extrapolated: beyond the recording they keep their final value.
     """
 
     name: ClassVar[str] = "thermal_drift"
@@ -48,7 +48,7 @@ class ThermalDrift(EffectOfTime):
         return signal + self._drift_um(time_s)
 
     def _drift_um(self, time_s: FloatArray) -> FloatArray:
-        """Return the sum of all parts; the waves as a Chebyshev series, of one cosine for all."""
+        """Return the sum of all parts in um; the waves are a Chebyshev series of one cosine."""
         drift_um = self.rate_um_per_s * time_s - self.approach_um * np.expm1(
             -time_s / self.time_constant_s)
         if self.waves_um:
@@ -70,7 +70,7 @@ class ThermalDrift(EffectOfTime):
 
     @classmethod
     def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
-        """Bound the parts: none drifts farther than `FARTHEST` times the measured range."""
+        """Bound each part to a drift of `FARTHEST` times the measured range."""
         farthest_um = FARTHEST * extent.travel_um
         return {
             "rate_um_per_s": (-farthest_um / extent.duration_s, farthest_um / extent.duration_s),
@@ -79,7 +79,7 @@ class ThermalDrift(EffectOfTime):
         }
 
     def impossible(self, extent: Extent) -> str | None:
-        """Refuse a drift that goes farther than the sensor ever showed a motion."""
+        """Reject a drift that exceeds the motion that the sensor measured."""
         time_s = np.linspace(0.0, extent.duration_s, 200)
         drift_um = self._drift_um(time_s)
         if np.ptp(drift_um) > FARTHEST * extent.travel_um:
@@ -89,7 +89,7 @@ class ThermalDrift(EffectOfTime):
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
-        """Begin with the best of a few time constants."""
+        """Start with the best of a few time constants."""
         shapes = [
             cls(0.0, 0.0, part * evidence.duration_s, (0.0,) * waves, evidence.duration_s)
             for part in (0.1, 0.3, 1.0) for waves in (0, WAVES - 1)
@@ -102,7 +102,7 @@ class ThermalDrift(EffectOfTime):
 
     @classmethod
     def lacks_excitation(cls, evidence: Evidence) -> str | None:
-        """Refuse a recording so short that a drift looks like creep that had begun before."""
+        """Reject a recording that is too short to distinguish drift from earlier creep."""
         if evidence.visible(evidence.time_s[:, None]) < VISIBLE:
             return "in so short a time, a drift looks like creep that had begun before"
         return None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A further mode of vibration."""
+"""An additional mode of vibration."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self
@@ -13,15 +13,15 @@ from piezo_models.effects.filtering import filtered
 
 SCANNED_DAMPING_RATIOS = (0.01, 0.05)
 LOWEST_PERIODS = 20
-"""A mode shows in a recording that lasts at least as many of its periods."""
+"""Fewest periods of a mode in a recording for it to be visible."""
 
 
 @dataclass(frozen=True)
 class VibrationMode(Effect):
-    """The part `participation` of the displacement is that of a mode beside the others.
+    """An additional mode with the fraction `participation` of the displacement.
 
-    The modes of a structure add up: the further mode is driven as the others are, and brings an
-    antiresonance with each of them. The gain at rest is not changed.
+    The modes of a structure act in parallel: the additional mode has the same input as the others,
+    and adds an antiresonance with each of them. The DC gain does not change.
     """
 
     name: ClassVar[str] = "vibration_mode"
@@ -44,7 +44,7 @@ class VibrationMode(Effect):
         return self.participation, 0.0
 
     def state_space(self) -> control.StateSpace:
-        """Return the continuous system of the mode alone, with unit gain at rest."""
+        """Return the continuous system of the mode alone, with unit DC gain."""
         return self._system(1.0, 0.0)
 
     def _system(self, position: float, velocity: float) -> control.StateSpace:
@@ -53,7 +53,7 @@ class VibrationMode(Effect):
                           [[position, velocity]], [[0.0]])
 
     def branch_response(self, s: ComplexArray) -> ComplexArray:
-        """Return what the mode adds to the response at complex rates s (rad/s), in their shape."""
+        """Return the mode's part of the response at complex rates s in rad/s, in their shape."""
         position, velocity = self._parts()
         ratio = s / self.frequency_rad_per_s
         return (position + velocity * ratio) / (1.0 + 2.0 * self.damping_ratio * ratio + ratio**2)
@@ -65,7 +65,7 @@ class VibrationMode(Effect):
 
     def apply(self, signal: FloatArray, sample_period_s: float,
               rest: float | None = None) -> FloatArray:
-        """Return the signal behind the mode, where there is no mode beside it."""
+        """Return the signal behind the mode if it is the only one."""
         response = self._response(signal, sample_period_s, rest)
         return signal + self.participation * (response - signal)
 
@@ -81,7 +81,7 @@ class VibrationMode(Effect):
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
-        """Begin with the best of a scan over frequency and damping."""
+        """Start with the best of a scan over frequency and damping."""
         low_hz = LOWEST_PERIODS / evidence.duration_s
         high_hz = 0.2 / evidence.sample_period_s
         if low_hz >= high_hz:
@@ -105,7 +105,7 @@ class VibrationMode(Effect):
 
     @classmethod
     def lacks_excitation(cls, evidence: Evidence) -> str | None:
-        """Refuse a recording without fast motion, in which no mode rings."""
+        """Require fast motion, as slow motion does not excite a mode."""
         fast_um = np.diff(evidence.displacement_um, 2)
         if np.sqrt(np.mean(fast_um**2)) < 1e-2 * evidence.noise_um:
             return "the displacement has nothing fast that could make a mode ring"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Amplifier that does not reach the voltages asked for."""
+"""Amplifier that does not reach the commanded voltages."""
 
 import math
 from dataclasses import dataclass
@@ -13,11 +13,12 @@ from piezo_common.arrays import FloatArray
 from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
 
 SCANNED_PARTS = (-0.03, -0.01, 0.0, 0.003, 0.01, 0.03, 0.1, 0.2)
-"""These parts of the voltage's span are tried from its ends to the limit; a soft one acts early."""
+"""Distances of the limit from the end of the voltages that are tried, as fractions of their span; a
+soft limit acts early."""
 SCANNED_KNEES = (0.003, 0.01, 0.03)
 KNEES_OF_REACH = 2.0
 WIDEST_KNEE_V = 10.0
-"""A curve that bends over more than that is that of the stage, not an amplifier at its end."""
+"""Largest width of the knee: a wider curvature belongs to the stage, not to an amplifier limit."""
 
 TRIED, LIKELY_GAIN = 4, 4.0
 
@@ -25,12 +26,12 @@ NEWTON_STEPS = 40
 INVERSION_TOLERANCE = 1e-9
 
 FARTHEST_KNEES = 9.0
-"""So far in front of a limit it removes less than the rounding of a voltage."""
+"""Distance from a limit, in knees, at which it removes less than the rounding of a voltage."""
 
 
 @njit(cache=True, nogil=True)
 def _beyond(distance_v: FloatArray, knee_v: float) -> tuple[FloatArray, FloatArray]:
-    """Return what a limit removes from a voltage that lies so far beyond it, and its slope."""
+    """Return what a limit removes from a voltage at a distance beyond it, and the slope."""
     removed, slopes = np.zeros(distance_v.size), np.zeros(distance_v.size)
     for n in range(distance_v.size):
         x = distance_v[n] / knee_v
@@ -45,9 +46,9 @@ def _beyond(distance_v: FloatArray, knee_v: float) -> tuple[FloatArray, FloatArr
 
 @dataclass(frozen=True)
 class VoltageClipping(Effect):
-    """Voltages beyond two limits come out as the limits.
+    """Voltages beyond two limits are replaced by the limits.
 
-    The limits may be soft: as if they were spread by a normal distribution of deviation `knee_v`.
+    The limits may be soft, as if spread by a normal distribution of standard deviation `knee_v`.
     """
 
     name: ClassVar[str] = "voltage_clipping"
@@ -71,7 +72,7 @@ class VoltageClipping(Effect):
         return signal - over + under
 
     def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
-        """Return the wanted voltage within the limits, and more of it where they bend it."""
+        """Return the voltage that gives the wanted one through the knees of the limits."""
         refusal = (
             f"the voltage would go from {wanted.min():.6g} to {wanted.max():.6g} V, the amplifier "
             f"gives {self.lowest_v:.6g} to {self.highest_v:.6g} V: ask for less"
@@ -92,20 +93,20 @@ class VoltageClipping(Effect):
 
     @classmethod
     def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
-        """Bound the limits to the voltages played and near them, bent over a part of them."""
+        """Bound the limits to the played voltages and near them, the knee to half their span."""
         low, high, span_v = extent.lowest_v, extent.highest_v, extent.span_v
         return {"lowest_v": (low - span_v, high), "highest_v": (low, high + span_v),
                 "knee_v": (0.0, 0.5 * span_v)}
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
-        """Begin with the best of a scan, by what the limits remove from the voltage."""
+        """Start with the best of a scan, by what the limits remove from the voltage."""
         low, high = evidence.voltage_v.min(), evidence.voltage_v.max()
         span = high - low
         shapes = []
         for knee, part in product(SCANNED_KNEES, SCANNED_PARTS):
             if part > -KNEES_OF_REACH * knee:
-                # Where nothing is clipped, the limit is out of reach.
+                # The other limit is out of reach.
                 out_of_reach = 2.0 * KNEES_OF_REACH * knee * span
                 knee_v = min(knee * span, WIDEST_KNEE_V)
                 shapes += [cls(low - out_of_reach, high - part * span, knee_v),
@@ -116,14 +117,14 @@ class VoltageClipping(Effect):
                            - evidence.voltage_v)[:, None],
             len(shapes),
         )
-        # What a limit takes off must be missing with about the gain of the stage.
+        # The voltage removed by a limit must be missing with about the gain of the stage.
         gain = evidence.travel_um / span
         return [shape for shape, gains in found
                 if gain / LIKELY_GAIN < gains[0] < gain * LIKELY_GAIN][:TRIED]
 
     @classmethod
     def lacks_excitation(cls, evidence: Evidence) -> str | None:
-        """Refuse a recording whose voltage does not change, of which nothing is clipped."""
+        """Require a voltage that changes."""
         if np.ptp(evidence.voltage_v) == 0.0:
             return "the voltage does not change"
         return None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A part of the voltage that comes late, in front of the hysteresis."""
+"""A delayed part of the voltage, in front of the hysteresis."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self
@@ -12,20 +12,20 @@ from piezo_models.effects.filtering import slowed
 from piezo_models.effects.lag import Lag
 
 MOST = 0.9
-"""Share that comes late at most: of more, the lag of the whole voltage is the simpler form."""
+"""Largest delayed share; for a larger one, a lag of the whole voltage is the simpler form."""
 LEAST = 1e-3
-"""Share from which a fit begins at least."""
+"""Smallest share with which a fit starts."""
 CLEARLY_LESS = 0.95
-"""Part of what the lag of the whole voltage leaves that a guess may leave: in motion that is slow
-beside the time constant both are the same delay."""
+"""Largest residual of a start, relative to that of a lag of the whole voltage: for motion that is
+slow compared with the time constant, both are the same delay."""
 
 
 @dataclass(frozen=True)
 class VoltageRelaxation(Lag):
-    """A share of the voltage at the actuator comes late, and the rest at once.
+    """A share of the voltage at the actuator is delayed; the rest acts at once.
 
-    By 1 - share + share / (1 + T s): what leads with two paths to the actuator do, or a dielectric
-    that takes up its charge in two ways. Where all of it comes late, it is `amplifier_lag`.
+    The transfer function is 1 - share + share / (1 + T s), as for leads with two paths to the
+    actuator or a dielectric that charges in two ways. With a share of 1 it is `amplifier_lag`.
     """
 
     name: ClassVar[str] = "voltage_relaxation"
@@ -37,7 +37,7 @@ class VoltageRelaxation(Lag):
 
     @property
     def slow_delay_s(self) -> float:
-        """Return by how much slow signals come late, in s."""
+        """Return the delay of slow signals in s."""
         return self.share * self.time_constant_s
 
     def lag(self) -> control.StateSpace:
@@ -52,12 +52,12 @@ class VoltageRelaxation(Lag):
 
     @classmethod
     def tried(cls, time_constant_s: float) -> Self:
-        """Return the relaxation of a time constant that a scan tries."""
+        """Return the relaxation with a time constant of the scan."""
         return cls(time_constant_s, MOST)
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
-        """Begin with the best of a scan, whose gain is the share, unless all may come late."""
+        """Start with the best of a scan, whose gain is the share, unless a plain lag fits too."""
         def left(effect: Lag) -> float:
             behind_um = effect.apply(evidence.displacement_um, evidence.sample_period_s)
             return 1.0 - evidence.reduction((behind_um - evidence.displacement_um)[:, None])[1]

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A feedback law that whoever holds the samples can check and evaluate: no design, no messages."""
+"""Checks and evaluation of a feedback law from samples, without its design and without ROS."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a feedback law consists of, and whether its parts fit together."""
+"""The parts of a feedback law, and checks that they fit together."""
 
 from dataclasses import dataclass, field
 
@@ -14,7 +14,7 @@ LARGEST_DELAY_TICKS = 8
 
 
 class FeedbackLawError(ValueError):
-    """A feedback law that must not act: says which part, and what to change."""
+    """A feedback law must not act; the message gives the part at fault and the remedy."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,12 +35,12 @@ class LinearBlock:
     @classmethod
     def of(cls, a: npt.ArrayLike, b: npt.ArrayLike, c: npt.ArrayLike,
            d: npt.ArrayLike) -> "LinearBlock":
-        """Make a block of matrices in any layout: A row by row, B and C as rows or columns.
+        """Make a block from matrices in any layout: A row by row, B and C as rows or columns.
 
         Raises
         ------
         FeedbackLawError
-            The numbers of elements do not fit each other.
+            If the numbers of elements do not fit each other.
         """
         a, b, c, d = (np.ravel(np.asarray(part, dtype=float)) for part in (a, b, c, d))
         if d.size != 1 or a.size != b.size**2 or c.size != b.size:
@@ -56,7 +56,7 @@ class LinearBlock:
 
     @property
     def empty(self) -> bool:
-        """Tell whether the output is zero whatever the input."""
+        """Return True if the output is zero for every input."""
         return self.order == 0 and self.d == 0.0
 
     def response(self, points: ComplexArray) -> ComplexArray:
@@ -69,14 +69,14 @@ class LinearBlock:
 
 @dataclass(frozen=True, eq=False)
 class InverseHysteresis:
-    """The inverse that a feedback passes together with the feedforward.
+    """The inverse hysteresis that the sum of feedback and feedforward passes.
 
     Attributes
     ----------
     gain_um_per_v : float
-        By which the blocks' voltage becomes an output of the hysteresis (um/V).
+        Factor from the voltage of the blocks to an output of the hysteresis, in um/V.
     held : bool
-        Add the mean over a tick of what the inverse gives, not each sample of it.
+        True to add the mean of the inverse's output over a tick, instead of each sample.
     """
 
     hysteresis: PreisachModel
@@ -86,14 +86,14 @@ class InverseHysteresis:
 
 @dataclass(frozen=True, eq=False)
 class DeclaredPlant:
-    """What the law was designed for.
+    """The plant that the law was designed for.
 
     Attributes
     ----------
     linear : LinearBlock
-        The stage behind its hysteresis (um per um), sampled with the stage's clock.
+        The stage behind its hysteresis (um per um), at the sample rate of the stage.
     gains_um_per_v : ndarray, shape (k,)
-        Gains of the hysteresis at which the loop must be stable.
+        Gains of the hysteresis in um/V at which the loop must be stable.
     """
 
     linear: LinearBlock
@@ -104,36 +104,36 @@ class DeclaredPlant:
 class FeedbackLaw:
     """A feedback at the tick's rate, at the sample rate, or both, with its reference and limits.
 
-    The error is reference minus displacement. The voltage of both blocks together is limited.
+    The error is reference minus displacement. The sum of the voltages of both blocks is limited.
 
     Attributes
     ----------
     tick : LinearBlock
-        Once a tick: from the mean error of a tick (um) to a voltage (V).
+        Block at the tick's rate: from the mean error of a tick (um) to a voltage (V).
     observer : ndarray, shape (n,)
-        Corrects the state of `tick` by what the limits cut off the voltage (anti-windup).
+        Factors that correct the state of `tick` by the voltage that the limits cut (anti-windup).
     once_um, period_um : ndarray, shape (N,), (M,)
-        Displacement to expect of each sample of the run: once, then again and again; without a
-        period the last value is held.
+        Expected displacement of each sample of the run in um: `once_um` first, then `period_um`
+        repeatedly; without a period the last value is held.
     start_sample : int
-        Of the run: a tick that begins earlier is not fed back.
+        Sample of the run before which no tick is fed back.
     delay_ticks : int
-        Between the end of the tick that was measured and the tick in which the answer acts.
+        Ticks from the end of the measured tick to the tick in which the response acts.
     sample : LinearBlock
-        Once a sample: from the error of the sample before (um) to a voltage (V).
+        Block at the sample rate: from the error of the previous sample (um) to a voltage (V).
     inverse : InverseHysteresis, optional
-        Passed by the voltage; None where it is added to the feedforward.
+        Inverse hysteresis that the voltage passes; None to add it to the feedforward.
     max_error_um : float
-        A mean error of a tick that exceeds by more what there was before anything was fed back must
-        stop the stage.
+        The stage must stop if the mean error of a tick exceeds the error before the feedback by
+        more than this, in um.
     fade_samples : int
-        Over which the error in which the law begins is faded in: at first the law answers only what
-        the error has changed by, so that its voltage begins at 0. 0: it answers all at once.
+        Samples over which the initial error is faded in. At first the law responds only to the
+        change of the error, so that its voltage starts at 0. With 0 it responds to all of it.
 
     Raises
     ------
     FeedbackLawError
-        A part is not finite, too large, or does not fit the others.
+        If a part is not finite, too large, or does not fit the others.
     """
 
     tick: LinearBlock

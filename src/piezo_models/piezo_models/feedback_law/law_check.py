@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Whether a feedback law is safe with the plant that it declares."""
+"""Check that a feedback law is safe with the plant that it declares."""
 
 import numpy as np
 
@@ -12,30 +12,30 @@ from piezo_models.feedback_law.feedback_law import (
 )
 from piezo_models.linear.lifted import lift
 
-# The amplitude of a mode that never decays is stable no more; rounding of eigenvalues is far less.
+# A mode on the unit circle never decays; the rounding of eigenvalues is far less than this margin.
 LARGEST_EIGENVALUE = 1.0 - 1e-9
-# An error that the loop makes so many times larger than it would be without is no control. PID by
-# the rules of Ziegler and Nichols, the least damped design of this suite, reaches about 5.
+# A loop that amplifies errors by more than this is not useful. PID by the rules of Ziegler and
+# Nichols, the least damped design of this suite, reaches about 5.
 LARGEST_SENSITIVITY = 10.0
-# A gain beyond the declared ones by this factor is another stage's: the loops of this suite have
-# gain margins of 1.4 to 2, and the secant of an approach lies within 1.5 of the declared gains.
+# A gain beyond the declared ones by this factor is that of another stage: the loops of this suite
+# have gain margins of 1.4 to 2, and the secant of an approach is within 1.5 of the declared gains.
 OTHER_GAIN = 3.0
 FREQUENCIES = 400
 LOWEST_FREQUENCY = 1e-4  # of the tick's rate
 
 
 def check_law(law: FeedbackLaw, samples_per_tick: int, lead_ticks: int = 0) -> None:
-    """Refuse a law that is not stable with the plant it declares, or amplifies errors.
+    """Reject a law that is unstable with its declared plant, or amplifies errors too much.
 
     Parameters
     ----------
     lead_ticks : int
-        Ticks that are written ahead of what is measured.
+        Ticks by which voltages are written ahead of the measurement.
 
     Raises
     ------
     FeedbackLawError
-        Names the gain of the hysteresis at which it fails.
+        If the check fails; the message gives the gain of the hysteresis.
     """
     if lead_ticks and not law.sample.empty:
         raise FeedbackLawError("this stage is written ahead, so that no feedback acts from sample "
@@ -60,7 +60,7 @@ def check_law(law: FeedbackLaw, samples_per_tick: int, lead_ticks: int = 0) -> N
 
 
 def _check_inverse_gain(law: FeedbackLaw) -> None:
-    """Refuse an inverse of another stage's hysteresis, which multiplies the loop's gain."""
+    """Reject the inverse of another stage's hysteresis, which would change the loop gain."""
     if law.inverse is None:
         return
     hysteresis, declared = law.inverse.hysteresis, law.plant.gains_um_per_v
@@ -75,9 +75,9 @@ def _check_inverse_gain(law: FeedbackLaw) -> None:
 
 def declared_plant(plant: DeclaredPlant, gain_um_per_v: float,
                    sample: LinearBlock) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the plant from a voltage to the displacement, at the sample rate.
+    """Return the plant from voltage to displacement at the sample rate.
 
-    The block at the sample rate is closed around it. Its output is known one sample late.
+    It includes the closed loop of the block at the sample rate, whose output acts one sample late.
 
     Returns
     -------
@@ -109,7 +109,7 @@ def _closed(a: FloatArray, b: FloatArray, c: FloatArray, block: LinearBlock) -> 
 
 
 def _sampled_peak(law: FeedbackLaw, gain_um_per_v: float) -> float:
-    """Return the peak of the loop of the block at the sample rate, which acts one sample late."""
+    """Return the peak sensitivity of the loop at the sample rate, which acts one sample late."""
     if law.sample.empty:
         return 1.0
     points = np.exp(2j * np.pi * np.geomspace(LOWEST_FREQUENCY, 0.5, FREQUENCIES))

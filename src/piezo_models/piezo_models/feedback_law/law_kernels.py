@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Kernels of a feedback law: nothing in them asks Python for anything."""
+"""Kernels of a feedback law, compiled without Python objects."""
 
 from numba import njit
 
@@ -7,7 +7,7 @@ from piezo_common.arrays import FloatArray, IntArray
 from piezo_models.hysteresis.preisach_inversion import invert
 from piezo_models.hysteresis.preisach_kernels import Grid, Table, simulate
 
-# Of the sums that `take` keeps.
+# Indices of the sums that `take` updates.
 EXPECTED, MEASURED, FADED = 0, 1, 2
 
 
@@ -22,26 +22,26 @@ def take(displacement_um: FloatArray, first: int, once_um: FloatArray, period_um
     ----------
     displacement_um : ndarray, shape (k,)
     first : int
-        Number of the first of them in the run.
+        Number of the first sample in the run.
     once_um, period_um : ndarray
-        Expected.
+        Expected displacement in um.
     begun, fade : int
-        The sample from which on the error counts, and how many after it until all of it does.
+        First sample whose error counts, and the number of samples of the fade.
     initial_um : float
-        Error in which the law began, faded out of what it sees.
+        Initial error in um, which is subtracted and faded out.
     sums : ndarray, shape (3,)
-        Of what is expected, measured, and faded out; changed in place.
+        Sums of the expected, measured and faded displacements; changed in place.
     a, b, c, d
-        Of the block at the sample rate.
+        Matrices of the block at the sample rate.
     state, work : ndarray, shape (m,)
-        Of that block, and room for it; changed in place.
+        State of that block, and a work array; changed in place.
     added_v : float
-        What it gave last (V).
+        Last output of the block (V).
 
     Returns
     -------
     float
-        What it gives for the sample that follows (V).
+        Output of the block for the next sample (V).
     """
     once, period = once_um.size, period_um.size
     for i in range(displacement_um.size):
@@ -67,21 +67,21 @@ def take(displacement_um: FloatArray, first: int, once_um: FloatArray, period_um
 @njit(cache=True)
 def advance(error: float, a: FloatArray, b: FloatArray, c: FloatArray, d: float,
             state: FloatArray, work: FloatArray) -> float:
-    """Return the output of a block for an input, and go on to its next state.
+    """Return the output of a block for an input, and update its state.
 
     Parameters
     ----------
     error : float
-        The input (um).
+        Input (um).
     a, b, c, d
-        Of the block.
+        Matrices of the block.
     state, work : ndarray, shape (n,)
-        Changed in place.
+        State and work array; changed in place.
 
     Returns
     -------
     float
-        In V.
+        Output (V).
     """
     output = d * error
     for i in range(state.size):
@@ -99,24 +99,25 @@ def decide(error: float, a: FloatArray, b: FloatArray, c: FloatArray, d: float,
            limit_v: float, step_v: float) -> tuple[float, bool]:
     """Return the voltage of the block at the tick's rate within its limits.
 
-    Where they cut the voltage, the observer keeps the state in agreement with what is given.
+    If they cut the voltage, the observer corrects the state to agree with the limited voltage.
 
     Parameters
     ----------
     error : float
-        Mean of the tick (um).
+        Mean error of the tick (um).
     a, b, c, d, observer
-        Of the block, and what corrects its state.
+        Matrices of the block, and the factors of its anti-windup.
     state, work : ndarray, shape (n,)
-        Changed in place.
+        State and work array; changed in place.
     last_v, limit_v, step_v : float
-        The voltage before, the largest of either sign, and the largest change (V).
+        Previous voltage, largest voltage of either sign, and largest change (V).
 
     Returns
     -------
     voltage_v : float
+        Limited voltage (V).
     stepped : bool
-        Whether it was asked to change by more than `step_v` from `last_v`.
+        True if the change from `last_v` was limited to `step_v`.
     """
     wanted_v = advance(error, a, b, c, d, state, work)
     voltage_v = min(max(wanted_v, -limit_v), limit_v)
@@ -133,36 +134,36 @@ def through_inverse(wanted_um: float, planned_v: FloatArray, rounding_um: float,
                     range_um: tuple[float, float], range_v: tuple[float, float], held: bool,
                     stacks: FloatArray, tops: IntArray, grid: Grid, table: Table,
                     feedback_v: FloatArray) -> tuple[float, float]:
-    """Find the voltages that add an output of the hysteresis to that of what is planned.
+    """Find the voltages that add a given output of the hysteresis to the planned one.
 
     Parameters
     ----------
     wanted_um : float
-        To be added.
+        Output to add (um).
     planned_v : ndarray, shape (k,)
-        Without the feedback.
+        Voltages without the feedback (V).
     range_um : tuple of float
-        Of the hysteresis' output.
+        Output range of the hysteresis (um).
     range_v : tuple of float
-        Of what may be added.
+        Bounds of the added voltage (V).
     held : bool
-        Whether the mean of these is added to all samples.
+        True to add the mean to all samples.
     stacks : ndarray, shape (6, m)
-        Extremes and outputs that the hysteresis remembers without the feedback, with it, and room
-        for a trial; with room for 2 k entries more. Changed in place.
+        Extremes and outputs of the hysteresis memory: without the feedback, with it, and a work
+        copy; with room for 2 k more entries. Changed in place.
     tops : ndarray of int, shape (2,)
-        Of the first two.
+        Top indices of the first two memories.
     grid, table : tuple
-        Of the hysteresis.
+        Arguments of the hysteresis kernels.
     feedback_v : ndarray, shape (k,)
-        To be filled with what is added (V).
+        Filled with the added voltages (V).
 
     Returns
     -------
     mean_v : float
-        Of what is added.
+        Mean of the added voltages (V).
     lacking_v : float
-        Mean of what `range_v` cut off.
+        Mean of what `range_v` cut off (V).
     """
     target_um, _, _, top = simulate(planned_v, stacks[0], stacks[1], tops[0], grid, table)
     tops[0] = top

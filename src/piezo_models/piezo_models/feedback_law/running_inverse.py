@@ -13,12 +13,12 @@ FREE_ENTRIES = 256
 
 
 class RunningInverse:
-    """What the hysteresis remembers of the planned voltages, and of the played ones.
+    """Memories of the hysteresis for the planned voltages and for the played ones.
 
     Parameters
     ----------
     rest_voltage_v : float
-        Where the run begins, reached from negative saturation (V).
+        Voltage at the beginning of the run, reached from negative saturation (V).
     """
 
     def __init__(self, inverse: InverseHysteresis, rest_voltage_v: float) -> None:
@@ -31,17 +31,17 @@ class RunningInverse:
             self._reach(which, [rest_voltage_v])
 
     def past_v(self, which: int) -> FloatArray:
-        """Return the remembered extremes of the planned or the played voltage, shape (k,)."""
+        """Return the stored extremes of the planned or the played voltage, shape (k,)."""
         return self._stacks[2 * which, 1:self._tops[which] + 1].copy()
 
     def pass_on(self, wanted_v: float, planned_v: FloatArray, lowest_v: float,
                 highest_v: float, feedback_v: FloatArray) -> tuple[float, float]:
-        """Fill `feedback_v` with what is added to planned voltages.
+        """Fill `feedback_v` with the voltages to add to planned voltages.
 
         Returns
         -------
         mean_v, lacking_v : float
-            Of `feedback_v`, and of what its bounds cut off.
+            Mean of `feedback_v`, and of what its bounds cut off (V).
         """
         self._make_room(len(planned_v))
         grid, table, rounding_um = self._kernel
@@ -50,7 +50,7 @@ class RunningInverse:
             (lowest_v, highest_v), self._held, self._stacks, self._tops, grid, table, feedback_v)
 
     def follow(self, planned_v: FloatArray) -> None:
-        """Remember planned voltages that are played as they are."""
+        """Update both memories with planned voltages that are played unchanged."""
         self._make_room(len(planned_v))
         grid, table, _ = self._kernel
         for which in PLANNED, PLAYED:
@@ -59,17 +59,17 @@ class RunningInverse:
                 self._tops[which], grid, table)[3]
 
     def take_over(self, other: "RunningInverse | None") -> None:
-        """Go on with the past of another inverse.
+        """Continue with the past of another inverse.
 
         Raises
         ------
         FeedbackLawError
-            There is none, or it is of another voltage range.
+            If there is none, or it has another voltage range.
         """
         if other is None or self._kernel[0][:2] != other._kernel[0][:2]:
             raise FeedbackLawError("the law that acts does not tell the past of this law's "
                                    "hysteresis: load it between two runs")
-        # The extremes of the voltage are the past of every Preisach hysteresis.
+        # The extremes of the voltage determine the state of every Preisach hysteresis.
         for which in PLANNED, PLAYED:
             self._reach(which, other.past_v(which))
 
@@ -82,7 +82,7 @@ class RunningInverse:
         self._stacks[2 * which + 1, :used] = memory.outputs_um[:used]
 
     def _make_room(self, samples: int) -> None:
-        """Make sure that the kernels need not change to longer stacks."""
+        """Extend the stacks, if necessary, so that the kernels have room for the samples."""
         if max(self._tops) + 2 * samples + 2 > self._stacks.shape[1]:
             longer = np.empty((6, 2 * (self._stacks.shape[1] + samples)))
             longer[:, :self._stacks.shape[1]] = self._stacks

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A feedback law in the hands of whoever plays the voltages and has the samples."""
+"""A running feedback law, for code that plays the voltages and receives the samples."""
 
 from collections import deque
 from typing import NamedTuple
@@ -19,37 +19,37 @@ from piezo_models.feedback_law.law_kernels import EXPECTED, FADED, MEASURED, dec
 from piezo_models.feedback_law.running_inverse import RunningInverse
 from piezo_models.hysteresis.preisach import PreisachModel
 
-# From which a law that takes over learns its state: longer than any law of this suite remembers
-# what its observer does not correct.
+# Ticks from which a law that takes over estimates its state; no law of this suite has a longer
+# memory that its observer does not correct.
 REMEMBERED_TICKS = 64
-# Frequencies of a block's quick gain, as parts of the sample rate.
+# Frequencies of the high-frequency gain of a block, as fractions of the sample rate.
 QUICK = np.linspace(0.01, 0.5, 400)
 LEAST_GAIN = 1e-6  # V per um
-# A state that changes by less a sample, as a part of itself, counts as one that stays.
+# A state whose relative change per sample is below this is taken as constant.
 LEAST_CHANGE = 1e-6
 
 
 class RunningLaw:
-    """Evaluate a law from tick to tick, and from sample to sample where it asks for that.
+    """Evaluate a law from tick to tick, and from sample to sample if the law requires it.
 
-    Call `begin` with the next planned voltages, play them with what it returns, and give `take`
-    what was measured; so many samples at once as `samples_at_once` says.
+    Call `begin` with the next planned voltages, play them with the returned ones added, and pass
+    what was measured to `take`; `samples_at_once` is the number of samples of each call.
 
     Parameters
     ----------
     rest_voltage_v : float
-        Where the run begins, reached from negative saturation (V).
+        Voltage at the beginning of the run, reached from negative saturation (V).
     largest_step_v : float
-        From one tick to the next (V).
+        Largest change of the feedback voltage from one tick to the next (V).
 
     Attributes
     ----------
     error_um : float
-        Mean error of the last tick.
+        Mean error of the last tick (um).
     voltage_v : float
-        What acts in the present tick: the mean over what `begin` gave of it last.
+        Feedback voltage in the present tick: mean of the last output of `begin` (V).
     stepped : bool
-        Whether the largest step cut what acts.
+        True if the largest step limited the voltage.
     """
 
     def __init__(self, law: FeedbackLaw, samples_per_tick: int, rest_voltage_v: float = 0.0,
@@ -71,7 +71,7 @@ class RunningLaw:
         self._none = np.zeros((0, 0)), *(np.zeros(0),) * 2, 0.0, *(np.zeros(0),) * 2
         self._once_um = np.ascontiguousarray(law.once_um)
         self._period_um = np.ascontiguousarray(law.period_um)
-        # A tick counts as a whole: as a remote controller, which sees blocks.
+        # A tick is fed back as a whole, like by a remote controller, which gets blocks.
         self._start_sample = -(-law.start_sample // samples_per_tick) * samples_per_tick
         self._sums = np.zeros(3)
         self._fade_samples, self._initial_um, self._seen_um = law.fade_samples, 0.0, 0.0
@@ -84,17 +84,17 @@ class RunningLaw:
         self._inverse = None if law.inverse is None else RunningInverse(law.inverse, rest_voltage_v)
 
     def begin(self, planned_v: FloatArray) -> FloatArray:
-        """Return what is added to the next planned voltages.
+        """Return the voltages to add to the next planned voltages.
 
         Parameters
         ----------
         planned_v : ndarray, shape (k,)
-            `samples_at_once` of them.
+            Next `samples_at_once` planned voltages (V).
 
         Returns
         -------
         ndarray, shape (k,)
-            In V; the same array each time.
+            Voltages to add (V); the same array is returned each time.
         """
         if self._played % self._samples_per_tick == 0:
             self._decisions.append(self._decided_v)
@@ -102,7 +102,7 @@ class RunningLaw:
             self._acts = self._acts or self._decided_ticks > self.law.delay_ticks
         self._played += len(planned_v)
         if not (self._acts or self._each_sample and self.begun):
-            # Nothing is fed back yet: nothing is added, not even the rounding of an inverse.
+            # No feedback yet: nothing is added, not even the rounding of an inverse.
             if self._inverse is not None:
                 self._inverse.follow(planned_v)
             return self._feedback_v
@@ -123,14 +123,14 @@ class RunningLaw:
         return self._feedback_v
 
     def correct(self, lacking_v: float) -> None:
-        """Keep the states in agreement with what was played of the feedback (anti-windup).
+        """Correct the states by the feedback voltage that was not played (anti-windup).
 
-        Call it between `begin` and `take` where the amplifier's limits cut what was asked for.
+        Call it between `begin` and `take` if the amplifier's limits cut the voltage.
 
         Parameters
         ----------
         lacking_v : float
-            Mean of what was played less what was asked for (V).
+            Mean of the played voltage minus the requested one (V).
         """
         if not self.begun:
             return
@@ -141,7 +141,7 @@ class RunningLaw:
             self._state += self._tick[4] * lacking_v
 
     def take(self, displacement_um: FloatArray) -> None:
-        """Take what was measured next, shape (k,): of one tick, or a part that ends with it."""
+        """Process the next measured samples, shape (k,): a tick, or a part that ends with it."""
         sample = self._sample if self._measured >= self._start_sample else self._none
         if self._measured == self._start_sample:
             self._initial_um = self._first_error_um(displacement_um[0])
@@ -159,7 +159,7 @@ class RunningLaw:
             self._decide()
 
     def _first_error_um(self, displacement_um: float) -> float:
-        """Return the error in which the law begins: of the tick before, if there was one."""
+        """Return the initial error: that of the tick before, if there was one."""
         if self._measured:
             return self.error_um
         expected_um = self._once_um if self._once_um.size else self._period_um
@@ -167,7 +167,7 @@ class RunningLaw:
 
     @property
     def begun(self) -> bool:
-        """Tell whether a tick has been fed back."""
+        """Return True once a tick has been fed back."""
         return self._measured > self._start_sample
 
     def _decide(self) -> None:
@@ -178,19 +178,19 @@ class RunningLaw:
         self._past.append((self._seen_um, self._decided_v))
 
     def take_over(self, other: "RunningLaw") -> None:
-        """Go on in place of another law, between two ticks and without a bump.
+        """Continue in place of another law, between two ticks and without a bump.
 
-        The observer that prevents windup finds the state with which the block at the tick's rate
-        would have given what the other gave of late. The block at the sample rate goes on from the
-        other's state if that has the same; otherwise it begins at rest. What either leaves of a
-        step is taken out of its state. Where a block has no state that gives a voltage, the other
-        block gives its share too.
+        The observer that prevents windup estimates the state with which the block at the tick's
+        rate would have given the recent output of the other law. The block at the sample rate
+        continues from the other's state if both blocks are equal; otherwise it starts at rest. The
+        remaining step is removed by a change of the states. If a block has no state that gives a
+        voltage, the other block gives its share too.
 
         Raises
         ------
         FeedbackLawError
-            This law passes the inverse of a hysteresis whose past the other does not tell, expects
-            another run, gives less than what acts, or begins later than now.
+            If this law passes an inverse whose past the other law does not provide, expects another
+            run, has a lower limit than the present voltage, or begins later than now.
         """
         scale = self._volts_per_volt(other)
         self._check_follows(other, scale)
@@ -224,7 +224,7 @@ class RunningLaw:
         self._sample_state += _at_rest(self.law.sample) * (sample_v - self._foreseen_sample_v())
 
     def _check_follows(self, other: "RunningLaw", scale: float) -> None:
-        """Refuse to take over where the voltage would jump, or nothing be fed back for a while."""
+        """Reject a change of law at which the voltage would jump or the feedback would pause."""
         acting_v = abs(scale * min(max(other._acting_v + other._added_v, -other.law.max_feedback_v),
                                    other.law.max_feedback_v))
         if acting_v > self.law.max_feedback_v * (1.0 + 1e-9):
@@ -242,19 +242,19 @@ class RunningLaw:
                 f"{other._measured} of the run is fed back already: load it between two runs")
 
     def _volts_per_volt(self, other: "RunningLaw") -> float:
-        """Return what a volt of another law is here: as much output of the hysteresis."""
+        """Return the factor from the other law's voltage to this one's, for equal output."""
         inverses = self.law.inverse, other.law.inverse
         if inverses[0] is None or inverses[1] is None:
             return 1.0
         return inverses[1].gain_um_per_v / inverses[0].gain_um_per_v
 
     def _foreseen_v(self) -> float:
-        """Return the next decision, if the error stays."""
+        """Return the next decision for a constant error."""
         tick = self.law.tick
         return float(tick.c @ self._state + tick.d * self._seen_um)
 
     def _foreseen_sample_v(self) -> float:
-        """Return what the block at the sample rate gives next, if the error stays."""
+        """Return the next output of the block at the sample rate for a constant error."""
         sample = self.law.sample
         return float(sample.c @ self._sample_state + sample.d * self._seen_um)
 
@@ -266,7 +266,7 @@ class _Shares(NamedTuple):
     sample_v: float
 
     def between(self, law: FeedbackLaw) -> tuple[float, float]:
-        """Return the same voltage as the blocks of a law give it that have states to hold it."""
+        """Return the same total voltage, distributed to the blocks that have states."""
         if not law.sample.c.any():
             return self.tick_v + self.sample_v, 0.0
         return (self.tick_v, self.sample_v) if law.tick.c.any() else (
@@ -278,7 +278,7 @@ def _same(block: LinearBlock, other: LinearBlock) -> bool:
 
 
 def _at_rest(block: LinearBlock) -> FloatArray:
-    """Return the state that gives 1 V and changes least without an error; 0 if none gives any."""
+    """Return the state of 1 V that changes least without an error; zeros if there is none."""
     if not block.c.any():
         return np.zeros(block.order)
     change = block.a - np.eye(block.order)
@@ -288,10 +288,10 @@ def _at_rest(block: LinearBlock) -> FloatArray:
 
 
 def _observer(block: LinearBlock) -> FloatArray:
-    """Return the gain of the Kalman predictor for an error and a voltage known equally well.
+    """Return the gain of the Kalman predictor for an error and a voltage of equal accuracy.
 
-    The voltage is known as well as the block's quick gain makes it of the error: one known much
-    better leads a block of high gain from one limit to the other for ever.
+    The voltage has the accuracy that the block's high-frequency gain gives it from the error. A
+    much more accurate voltage would drive a block of high gain from limit to limit.
     """
     if not block.order:
         return np.zeros(0)
@@ -304,11 +304,11 @@ def _observer(block: LinearBlock) -> FloatArray:
 
 
 COMPILED_TICKS = 3
-"""From the second on a law of no delay acts."""
+"""Ticks to run for compilation; from the second one on, a law without delay acts."""
 
 
 def compile_law() -> None:
-    """Compile what is not compiled yet, so that no tick has to wait for it."""
+    """Compile what is not compiled yet, so that no tick is delayed."""
     block = LinearBlock.of([0.0], [1.0], [1.0], [0.0])
     hysteresis = PreisachModel(0.0, 1.0, np.ones((1, 1)))
     for inverse in (None, InverseHysteresis(hysteresis, 1.0)):

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """First-cycle remanence: relays that switch on once within the voltage range, and never off.
 
-A stage that was never cycled, or was depolarised, does not come back from its first rise: relays
+A stage that was never cycled, or was depolarised, does not return from its first rise: relays
 whose upper threshold alpha lies within the voltages of use and whose lower threshold beta lies
-below all of them switch on for good. Their output depends on the highest voltage so far alone. The
-stage that has been cycled over the whole range is the reference: there they add nothing.
+below all of them stay on. Their output depends only on the highest voltage so far. The reference
+is the stage that was cycled over the whole range, to which they add nothing.
 """
 
 from dataclasses import dataclass
@@ -20,15 +20,15 @@ CYCLED = float("inf")
 
 @dataclass(frozen=True)
 class FirstRise:
-    """What relays without a way back have added once the voltage was as high as that.
+    """Displacement that irreversible relays add when the voltage first reaches a level.
 
     Parameters
     ----------
     voltages_v : tuple of float
-        Increasing, from the lowest voltage on.
+        Increasing voltages, from the lowest voltage on.
     remanence_um : tuple of float
-        Displacement that remains after a first rise to each of them; from 0 on, never falling, and
-        on a straight line between.
+        Displacement that remains after a first rise to each voltage; starts at 0, does not
+        decrease, and is interpolated linearly.
 
     Raises
     ------
@@ -51,11 +51,11 @@ class FirstRise:
 
     @property
     def whole_um(self) -> float:
-        """Remanence after a rise over the whole range."""
+        """Return the remanence in um after a rise over the whole range."""
         return self.remanence_um[-1]
 
     def simulate(self, voltage_v: ArrayLike, highest_v: float = CYCLED) -> FloatArray:
-        """Return what the hysteresis of a cycled stage has too much, as a negative displacement.
+        """Return the displacement of the first rise minus that of a cycled stage, not positive.
 
         Parameters
         ----------
@@ -66,7 +66,7 @@ class FirstRise:
         Returns
         -------
         ndarray, shape (N,)
-            In um; 0 once the voltage has been at the last of `voltages_v`.
+            In um; 0 once the voltage has reached the last of `voltages_v`.
         """
         voltage_v = np.asarray(voltage_v, dtype=float)
         if highest_v >= self.voltages_v[-1]:

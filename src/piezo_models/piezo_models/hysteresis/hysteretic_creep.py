@@ -24,13 +24,13 @@ class HystereticCreepMemory:
 
 @dataclass(frozen=True)
 class HystereticCreep:
-    """Sum of w x with tau dx/dt = play(voltage) - x, beside the hysteresis (thesis 6.2).
+    """Sum of w x with tau dx/dt = play(voltage) - x, in parallel with the hysteresis (thesis 6.2).
 
     Parameters
     ----------
     half_widths_v, time_constants_s, weights_um_per_v : sequence of float
         One of each for an operator: half the width of its play, its time constant tau and its
-        weight w. Time constants are long beside a sample period.
+        weight w. The time constants must be long compared with a sample period.
     """
 
     half_widths_v: tuple[float, ...]
@@ -61,7 +61,7 @@ class HystereticCreep:
         Parameters
         ----------
         extremes_v : (M,) array_like
-            All extremes that are not wiped out; those of a `PreisachMemory` are.
+            All extremes that are not wiped out, as a `PreisachMemory` has them.
         settled : bool
             True: the stage has rested at the last voltage until the creep was over. False: the
             relaxing states are zero.
@@ -86,9 +86,9 @@ class HystereticCreep:
         Parameters
         ----------
         voltage_v : (N,) array_like
-            Each held for a sample period.
+            Voltages, each held for a sample period.
         memory : HystereticCreepMemory
-            Continued, and updated in place.
+            Past of the operators; continued, and updated in place.
 
         Returns
         -------

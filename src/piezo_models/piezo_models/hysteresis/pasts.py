@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Ways by which the first voltage of a recording may have been reached."""
+"""Ways in which the first voltage of a recording may have been reached."""
 
 import numpy as np
 
 from piezo_common.arrays import FloatArray
 
 PASTS = ("rising", "falling", "demagnetised")
-"""From the lowest voltage, from the highest, or in swings that became smaller and smaller."""
+"""From the lowest voltage, from the highest, or by swings of decreasing amplitude."""
 
 SWINGS = 40
-"""A voltage that demagnetises swings so often."""
+"""Number of swings of a demagnetising voltage."""
 
 
 def past_voltages(past: str, first_v: float, low_v: float, high_v: float) -> FloatArray:
@@ -22,7 +22,7 @@ def past_voltages(past: str, first_v: float, low_v: float, high_v: float) -> Flo
     first_v : float
         Voltage with which the recording begins.
     low_v, high_v : float
-        Between which the voltage goes.
+        Range of the voltage.
 
     Returns
     -------

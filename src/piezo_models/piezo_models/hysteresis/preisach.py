@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Preisach hysteresis with a piecewise-constant density, exact through its Everett function.
 
-The relays are 0/1, as in the thesis, eq. (2.1) and (4.2). The output is a sum of Everett
-integrals over the remembered voltage extremes, so a sample costs a table look-up, whatever the
-number of relays. Wiping-out keeps the memory short, and every remembered extreme keeps its own
-output, so no sum runs over time and nothing drifts.
+The relays are 0/1, as in the thesis, eq. (2.1) and (4.2). The output is a sum of Everett integrals
+over the stored voltage extremes, so a sample costs a table look-up for any number of relays.
+Wiping-out keeps the memory short. Every extreme is stored with its output, so no sum accumulates
+over time and nothing drifts.
 """
 
 from dataclasses import dataclass, replace
@@ -26,16 +26,15 @@ from piezo_models.hysteresis.preisach_kernels import (
 
 @dataclass(frozen=True)
 class InversionSettings:
-    """Numbers that steer the inverse of the hysteresis, each as a part of the output's span.
+    """Tolerances of the inverse of the hysteresis, as fractions of the output's span.
 
     Attributes
     ----------
     range_tolerance : float
-        A target that lies outside the output range by less is limited to it: it is rounding, and
-        not a mistake of the caller.
+        A target that exceeds the output range by less is limited to it as a rounding error.
     rounding : float
-        A sum of Everett integrals is known so well, a few roundings of a double; no flat stretch
-        is crossed for a smaller rest.
+        Accuracy of a sum of Everett integrals, a few roundings of a double. No flat stretch is
+        crossed for a smaller remainder.
     """
 
     range_tolerance: float = 1e-9
@@ -47,7 +46,7 @@ INVERSION = InversionSettings()
 
 @dataclass(eq=False)
 class PreisachMemory:
-    """What the hysteresis remembers: the alternating voltage extremes that are not wiped out.
+    """Memory of the hysteresis: the alternating voltage extremes that are not wiped out.
 
     Entry 0 is negative saturation, odd entries are maxima, even entries are minima, and the entry
     at `top` is the present point. Everything above `top` is free space.
@@ -60,12 +59,12 @@ class PreisachMemory:
 
     @property
     def voltage_v(self) -> float:
-        """Present voltage, within the range of the model."""
+        """Present voltage in V, within the range of the model."""
         return float(self.extremes_v[self.top])
 
     @property
     def hysteresis_um(self) -> float:
-        """Present hysteresis output."""
+        """Present hysteresis output in um."""
         return float(self.outputs_um[self.top])
 
     def copy(self) -> "PreisachMemory":
@@ -80,7 +79,7 @@ class PreisachModel:
     Parameters
     ----------
     voltage_min_v, voltage_max_v : float
-        Limits of the Preisach triangle. A voltage beyond them acts as the limit: all relays are
+        Limits of the Preisach triangle. A voltage beyond them acts like the limit: all relays are
         off below `voltage_min_v` and on above `voltage_max_v`.
     density_um_per_v2 : (L, L) array
         Row i is the cell of the upper threshold alpha, column j <= i that of the lower threshold
@@ -88,8 +87,8 @@ class PreisachModel:
     offset_um : float
         Output at negative saturation, where all relays are off.
     reversible_um_per_v : (L,) array, optional
-        Density of the relays that switch on and off at one voltage, alpha = beta, on each cell of
-        the diagonal: the slope of the output that remains at a reversal. None by default.
+        Density of the relays with equal thresholds, alpha = beta, on each cell of the diagonal:
+        the slope of the output that remains at a reversal. Zeros by default.
 
     Raises
     ------
@@ -145,18 +144,18 @@ class PreisachModel:
 
     @property
     def cell_width_v(self) -> float:
-        """Return the width of a cell of the grid."""
+        """Return the width of a cell of the grid in V."""
         return (self.voltage_max_v - self.voltage_min_v) / self.density_um_per_v2.shape[0]
 
     @property
     def levels_v(self) -> FloatArray:
-        """Return the edges of the cells, shape (L + 1,)."""
+        """Return the edges of the cells in V, shape (L + 1,)."""
         size = self.density_um_per_v2.shape[0]
         return np.linspace(self.voltage_min_v, self.voltage_max_v, size + 1)
 
     @cached_property
     def output_range_um(self) -> tuple[float, float]:
-        """Return the output at negative and at positive saturation."""
+        """Return the output in um at negative and at positive saturation."""
         span = self.everett_um(self.voltage_max_v, self.voltage_min_v)
         return self.offset_um, self.offset_um + float(span)
 
@@ -175,7 +174,7 @@ class PreisachModel:
         return self.voltage_min_v, self.voltage_max_v, self.cell_width_v
 
     def kernel_arguments(self) -> tuple[Grid, Table, float]:
-        """Return grid, table and rounding (um), with which the kernels can be called in others."""
+        """Return grid, table and rounding (um) for calls of the kernels."""
         low, high = self.output_range_um
         return self._grid, self._table, INVERSION.rounding * (abs(low) + high - low)
 
@@ -193,7 +192,7 @@ class PreisachModel:
         Returns
         -------
         array
-            Exact integral; zero where `alpha_v` <= `beta_v`.
+            Exact integral in um; zero if `alpha_v` <= `beta_v`.
 
         Raises
         ------
@@ -208,7 +207,7 @@ class PreisachModel:
         return values.reshape(alpha.shape)[()]
 
     def memory(self) -> PreisachMemory:
-        """Return the memory that is wiped at `voltage_min_v`: all relays off."""
+        """Return the memory of negative saturation: all relays off at `voltage_min_v`."""
         extremes, outputs = np.empty(16), np.empty(16)
         extremes[0], outputs[0] = self.voltage_min_v, self.offset_um
         return PreisachMemory(self, extremes, outputs, 0)
@@ -251,10 +250,10 @@ class PreisachModel:
         return output
 
     def line_beyond_um(self, voltage_v: FloatArray) -> FloatArray:
-        """Return what a line adds to its output beyond the voltage range, zero for a hysteresis.
+        """Return the output that a line without hysteresis adds beyond its range in um, else 0.
 
-        Simulations add it, as a line that was identified on a small range goes on. `simulate` and
-        `invert` do not: a stage is not driven beyond the voltages that its model was identified on.
+        Simulations add it, as a line that was identified on a small range can be extrapolated.
+        `simulate` and `invert` do not, as a stage is not driven beyond the identified voltages.
         """
         if self.density_um_per_v2.any():
             return np.zeros(voltage_v.shape)
@@ -266,12 +265,12 @@ class PreisachModel:
                memory: PreisachMemory | None = None) -> FloatArray:
         """Return the voltages whose hysteresis output is the given sequence: the exact inverse.
 
-        The output tells the voltage only where it has a slope. Where the density leaves it flat,
-        the voltage moves no further than it must: it stays while the target stays, goes to the
-        first voltage that reaches a new target, and returns to the nearest remembered extreme
-        whose output is the target, so that a periodic target gives a periodic voltage. Just after
-        a reversal the slope starts from zero, and a rounding e of the target moves the voltage by
-        at most sqrt(2 e / density).
+        The output determines the voltage only where its slope is not zero. Where the density makes
+        it flat, the voltage moves as little as possible: it is constant while the target is
+        constant, goes to the first voltage that reaches a new target, and returns to the nearest
+        stored extreme whose output is the target, so that a periodic target gives a periodic
+        voltage. Just after a reversal the slope starts from zero, and a rounding error e of the
+        target moves the voltage by at most sqrt(2 e / density).
 
         Parameters
         ----------
@@ -287,9 +286,9 @@ class PreisachModel:
         Raises
         ------
         ValueError
-            If a target is not finite or out of the reachable range, a density is negative, so that
-            several voltages give one output, or the memory is that of another model. The memory is
-            left untouched.
+            If a target is not finite or out of range, a density is negative, so that several
+            voltages give one output, or the memory is that of another model. The memory is then
+            unchanged.
         """
         target = _finite_sequence(hysteresis_um, "hysteresis_um")
         if self._has_negative_cells:
@@ -328,7 +327,7 @@ class PreisachModel:
         Parameters
         ----------
         voltage_v : array_like, optional
-            Voltages to look at, above `voltage_min_v`; by default all upper edges of the cells.
+            Voltages to consider, above `voltage_min_v`; by default all upper edges of the cells.
 
         Returns
         -------

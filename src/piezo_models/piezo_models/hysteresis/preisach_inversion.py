@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Kernels of the inverse Preisach hysteresis: voltages from outputs, branch by branch.
 
-On a branch one argument of the Everett function is fixed, and the cell of the other moves one way
-alone. Each target therefore searches from the cell of the last one, first as many cells further as
-that went, and solves a quadratic where it finds its cell. This guess waits for no table and no
-division, so the processor looks ahead over several targets; and the search is a part of the loop
-(`inline`), since a call for each target costs as much as the search.
+On a branch one argument of the Everett function is fixed, and the cell of the other moves in one
+direction only. The search for a target therefore starts from the cell of the last one, first at
+the distance of the last step, and a quadratic is solved in the cell that is found. This guess needs
+no table and no division, so that the processor can execute several targets ahead. The search is
+inlined into the loop (`inline`), since a call for each target costs as much as the search.
 """
 
 import numpy as np
@@ -24,7 +24,7 @@ from piezo_models.hysteresis.preisach_kernels import (
 
 @njit(cache=True)
 def _root(quadratic: float, linear: float, value: float) -> float:
-    """Root of quadratic x^2 + linear x = value in [0, 1]; all non-negative, so nothing cancels."""
+    """Root of quadratic x^2 + linear x = value in [0, 1]; no cancellation, as all are >= 0."""
     denominator = linear + np.sqrt(linear * linear + 4.0 * quadratic * value)
     if denominator <= 0.0:
         return 0.0
@@ -36,7 +36,7 @@ def _last_row_below(near: FloatArray, far: FloatArray, y: float, goal: float, i:
                     guess: int) -> int:
     """Return the last row from i on at whose lower edge the function is below `goal`, or i.
 
-    It is looked for at `guess` first, at growing distances from there, then by halving.
+    The search starts at `guess`, continues at growing distances from there, and ends by bisection.
     """
     last = near.size - 2
     step = 1
@@ -96,23 +96,24 @@ def _along_rise(target_um: FloatArray, voltage_v: FloatArray, n: int, v: float, 
     Parameters
     ----------
     target_um, voltage_v : (N,) array
-        What is inverted, and where the voltage is written.
+        Targets, and the array for the voltages.
     n : int
-        Its target lies above the minimum's output and below `limit_um`.
+        First sample; its target lies above the minimum's output and below `limit_um`.
     v : float
-        Present voltage, from which the voltage does not fall.
+        Present voltage, below which the voltage does not fall.
     start_v, start_um : float
-        Minimum, and its output.
+        Minimum and its output.
     limit_v, limit_um : float
-        Remembered maximum and its output, which wipe the minimum out.
+        Stored maximum and its output; reaching it wipes the minimum out.
     rounding_um : float
-        No flat stretch is crossed for a rest within it.
+        No flat stretch is crossed for a smaller remainder.
 
     Returns
     -------
     n : int
-        The first sample that falls or reaches the limit.
+        First sample that falls or reaches the limit.
     v : float
+        Last voltage in V.
     """
     voltage_min, _, cell_width = grid
     columns, _, diagonal, reversible = table
@@ -123,11 +124,11 @@ def _along_rise(target_um: FloatArray, voltage_v: FloatArray, n: int, v: float, 
     own_diagonal, own_reversible = diagonal[j], reversible[j]
     corner = y * (own_reversible + own_diagonal * y)
     near, far = columns[j + 1], columns[j]
-    # By so much the function lies below the straight line between these two.
+    # Distance of the function below the straight line between these two.
     dip = y * (1.0 - y) * own_diagonal
     i, step = j + 1, 0
     curve = slope = below = 0.0
-    # The function at the lower and at the upper edge of row i; -inf before the first search.
+    # The function at the lower and the upper edge of row i; -inf before the first search.
     above = -np.inf
     present = start_um
     while n < target_um.size:
@@ -162,7 +163,7 @@ def _along_fall(target_um: FloatArray, voltage_v: FloatArray, n: int, v: float, 
                 grid: Grid, table: Table) -> tuple[int, float]:
     """Invert targets from sample `n` on for as long as they fall from one maximum.
 
-    The start is the maximum, the limit the remembered minimum; the rest is as for `_along_rise`.
+    The start is the maximum, the limit the stored minimum; all else is as for `_along_rise`.
     """
     voltage_min, _, cell_width = grid
     _, rows, diagonal, reversible = table
@@ -172,11 +173,11 @@ def _along_fall(target_um: FloatArray, voltage_v: FloatArray, n: int, v: float, 
     own_diagonal, own_reversible = diagonal[i], reversible[i]
     corner = x * (own_reversible + own_diagonal * x)
     near, far = rows[i], rows[i + 1]
-    # By so much the function lies below the straight line between these two.
+    # Distance of the function below the straight line between these two.
     dip = x * (1.0 - x) * own_diagonal
     j, step = i - 1, 0
     curve = slope = above = 0.0
-    # The function at the upper and at the lower edge of column j; -inf before the first search.
+    # The function at the upper and the lower edge of column j; -inf before the first search.
     below = -np.inf
     present = start_um
     while n < target_um.size:
@@ -239,13 +240,14 @@ def invert_while_room(target_um: FloatArray, voltage_v: FloatArray, n: int, roun
     ----------
     target_um, voltage_v : (N,) array
     extremes, outputs : array
-        Of the memory; changed in place.
+        Stacks of the memory; changed in place.
 
     Returns
     -------
     n : int
-        N, or the sample whose reversal finds no room.
+        N, or the sample whose reversal does not fit into the memory.
     top : int
+        Index of the present point in the stacks.
     """
     while n < target_um.size:
         goal = target_um[n]
@@ -277,7 +279,7 @@ def invert_while_room(target_um: FloatArray, voltage_v: FloatArray, n: int, roun
             n, extremes[top] = _along_fall(
                 target_um, voltage_v, n, v, extremes[start], outputs[start], extremes[start - 1],
                 limit_um, rounding_um, grid, table)
-        # The target itself is stored, so that a target that stays leaves the voltage where it is.
+        # The target itself is stored, so that a constant target gives a constant voltage.
         outputs[top] = target_um[n - 1]
     return n, top
 
@@ -285,16 +287,16 @@ def invert_while_room(target_um: FloatArray, voltage_v: FloatArray, n: int, roun
 @njit(cache=True)
 def invert(target_um: FloatArray, rounding_um: float, extremes: FloatArray,
            outputs: FloatArray, top: int, grid: Grid, table: Table) -> Past:
-    """Return the voltages that bring the output to each target, from a remembered past on.
+    """Return the voltages that bring the output to each target, continuing a stored past.
 
     Parameters
     ----------
     target_um : (N,) array
-        Within the output range.
+        Targets within the output range.
     rounding_um : float
-        No flat stretch is crossed for a rest within it.
+        No flat stretch is crossed for a smaller remainder.
     extremes, outputs : array
-        Of the memory; changed in place, and left for longer ones where they are full.
+        Stacks of the memory; changed in place, and replaced by longer ones if they are full.
 
     Returns
     -------

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Kernels of the Preisach hysteresis: the Everett function from tables, and wiping out.
+"""Kernels of the Preisach hysteresis: the Everett function from tables, and wiping-out.
 
 Positions are voltages in cells from the lower end of the grid. A grid is `(voltage_min_v,
-voltage_max_v, cell_width_v)`, a table what `everett_table` returns. The remembered extremes are
-laid out as in `preisach.PreisachMemory`.
+voltage_max_v, cell_width_v)`, a table is the result of `everett_table`. The stored extremes have
+the layout of `preisach.PreisachMemory`.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ from piezo_common.arrays import FloatArray
 Grid = tuple[float, float, float]
 Table = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 Past = tuple[FloatArray, FloatArray, FloatArray, int]
-"""What a simulation or an inversion returns: its result, and the memory to go on from."""
+"""Result of a simulation or an inversion: the signal, and the memory after it."""
 
 
 def everett_table(density: FloatArray, reversible: FloatArray, cell_width: float) -> Table:
@@ -24,9 +24,9 @@ def everett_table(density: FloatArray, reversible: FloatArray, cell_width: float
     -------
     columns, rows : (L + 1, L + 1) array
         The Everett function at pairs of levels. `columns[j, i]` is `rows[i, j]`, that of level i
-        over level j: a branch, on which one of the two stays, finds its neighbours side by side.
-        In between, off the diagonal, the function is bilinear less x (1 - x) times the triangle
-        of each of its two voltages, which lies a part x of the cell from its edge.
+        over level j. On a branch one level is fixed, so its values are adjacent in one of them.
+        Between the levels, off the diagonal, the function is bilinear minus x (1 - x) times the
+        triangle of each of its two voltages, where x is the position of the voltage in its cell.
     diagonal : (L,) array
         Integrals of the triangles on the diagonal.
     reversible : (L,) array
@@ -43,7 +43,7 @@ def everett_table(density: FloatArray, reversible: FloatArray, cell_width: float
 
 @njit(cache=True)
 def cell_of(position: float, size: int) -> int:
-    """Return the index of the cell in which a position lies; the last one has its upper end."""
+    """Return the index of the cell of a position; the last cell includes its upper end."""
     return min(int(position), size - 1)
 
 
@@ -51,20 +51,20 @@ def cell_of(position: float, size: int) -> int:
 def between(near: FloatArray, far: FloatArray, part: float, level: int) -> float:
     """Interpolate the Everett function between two levels of one voltage, at a level of the other.
 
-    Where the one lies a part x of its cell from `near`, the function is less than that by x (1 - x)
-    times the triangle of this cell on the diagonal.
+    If the voltage lies at the fraction x of its cell from `near`, the function is smaller than the
+    result by x (1 - x) times the triangle of this cell on the diagonal.
 
     Parameters
     ----------
     near, far : ndarray, shape (n + 1,)
-        The function over the levels of the other voltage, um, at the two levels of the one.
+        The function at the two levels of the one voltage, over the levels of the other, in um.
     part : float
-        Of the way from `near` to `far`.
+        Fraction of the way from `near` to `far`.
 
     Returns
     -------
     float
-        In um.
+        Interpolated value in um.
     """
     return near[level] + part * (far[level] - near[level])
 
@@ -93,12 +93,12 @@ def everett_values(alpha_v: FloatArray, beta_v: FloatArray, grid: Grid,
     Parameters
     ----------
     alpha_v, beta_v : (N,) array
-        Within the grid.
+        Voltages within the grid.
 
     Returns
     -------
     (N,) array
-        In um; zero where `alpha_v` <= `beta_v`.
+        Values in um; zero if `alpha_v` <= `beta_v`.
     """
     voltage_min, _, cell_width = grid
     columns, _, diagonal, reversible = table
@@ -113,7 +113,7 @@ def everett_values(alpha_v: FloatArray, beta_v: FloatArray, grid: Grid,
 
 @njit(cache=True)
 def branch_start(extremes: FloatArray, top: int, value: float) -> int:
-    """Return the index of the extreme from which the branch to `value` starts; -1 if none is left.
+    """Return the index of the extreme from which the branch to `value` starts; -1 if none remains.
 
     `value` differs from the present point `extremes[top]` and is not below `extremes[0]`.
     """
@@ -148,25 +148,26 @@ def _along_rise(voltage_v: FloatArray, output_um: FloatArray, n: int, beta: floa
     Parameters
     ----------
     voltage_v, output_um : (N,) array
-        What is played, and where the output is written.
+        Voltages, and the array for the output.
     n : int
-        Its voltage lies above the minimum and below `limit_v`.
+        First sample; its voltage lies above the minimum and below `limit_v`.
     beta, start_um : float
         Minimum, in cells, and its output.
     limit_v : float
-        Remembered maximum, which wipes the minimum out.
+        Stored maximum; reaching it wipes the minimum out.
 
     Returns
     -------
     n : int
-        The first sample that falls or reaches the limit.
+        First sample that falls or reaches the limit.
     present_v : float
+        Last voltage in V.
     """
     voltage_min, voltage_max, cell_width = grid
     columns, _, diagonal, reversible = table
     scale = 1.0 / cell_width
     size = diagonal.size
-    # Only what depends on alpha is left in the loop; the order of the sums is that of `_everett`.
+    # The loop has only what depends on alpha; the order of the sums is that of `_everett`.
     j = cell_of(beta, size)
     y = j + 1 - beta
     own_diagonal, own_reversible = diagonal[j], reversible[j]
@@ -196,7 +197,7 @@ def _along_fall(voltage_v: FloatArray, output_um: FloatArray, n: int, alpha: flo
                start_um: float, limit_v: float, grid: Grid, table: Table) -> tuple[int, float]:
     """Play voltages from sample `n` on for as long as they fall from one maximum.
 
-    `alpha` is the maximum, `limit_v` the remembered minimum; the rest is as for `_along_rise`.
+    `alpha` is the maximum, `limit_v` the stored minimum; all else is as for `_along_rise`.
     """
     voltage_min, voltage_max, cell_width = grid
     _, rows, diagonal, reversible = table
@@ -236,13 +237,14 @@ def simulate_while_room(voltage_v: FloatArray, output_um: FloatArray, n: int,
     ----------
     voltage_v, output_um : (N,) array
     extremes, outputs : array
-        Of the memory; changed in place.
+        Stacks of the memory; changed in place.
 
     Returns
     -------
     n : int
-        N, or the sample whose reversal finds no room.
+        N, or the sample whose reversal does not fit into the memory.
     top : int
+        Index of the present point in the stacks.
     """
     voltage_min, voltage_max, cell_width = grid
     scale = 1.0 / cell_width
@@ -274,13 +276,13 @@ def simulate_while_room(voltage_v: FloatArray, output_um: FloatArray, n: int,
 @njit(cache=True, nogil=True)
 def simulate(voltage_v: FloatArray, extremes: FloatArray, outputs: FloatArray, top: int,
              grid: Grid, table: Table) -> Past:
-    """Return the hysteresis output for voltages that continue a remembered past.
+    """Return the hysteresis output for voltages that continue a stored past.
 
     Parameters
     ----------
     voltage_v : (N,) array
     extremes, outputs : array
-        Of the memory; changed in place, and left for longer ones where they are full.
+        Stacks of the memory; changed in place, and replaced by longer ones if they are full.
 
     Returns
     -------

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The hysteresis in front of a play, from the hysteresis of both together.
 
-After a reversal, a play of width w follows a motion F only beyond w. So Preisach hysteresis with an
-Everett function F(alpha, beta) and a play behind it are together Preisach hysteresis with
-max(F - w, 0): quasistatic loops do not tell the two apart. Backwards, F is the given function plus
-w; of smaller motion nothing is seen, and its gain is taken for that at which the play is taken up.
+After a reversal, a play of width w follows a motion F only beyond w. Preisach hysteresis with an
+Everett function F(alpha, beta), followed by a play, is therefore equivalent to Preisach hysteresis
+with max(F - w, 0): quasistatic loops cannot distinguish them. For the inverse, F is the given
+function plus w. Smaller motion is not visible; its gain is taken from where the play is taken up.
 """
 
 from dataclasses import replace
@@ -14,22 +14,22 @@ import numpy as np
 from piezo_models.hysteresis.preisach import PreisachModel
 
 TAKEN_UP = 3.0
-"""Widths of a motion by which the play is taken up, whatever the resolution of the density."""
+"""Motion in widths of the play after which it is taken up, for any resolution of the density."""
 
 
 def without_play(hysteresis: PreisachModel, width_um: float) -> PreisachModel:
-    """Return the hysteresis that does what the given one does with a play behind it.
+    """Return the hysteresis that is equivalent to the given one if a play follows it.
 
     Parameters
     ----------
     width_um : float
-        Of the play.
+        Width of the play in um.
 
     Returns
     -------
     PreisachModel
-        On the same grid. Where the given one has more motion just after a reversal than the play
-        allows, this is lost.
+        Hysteresis on the same grid. If the given one has more motion just after a reversal than
+        the play allows, the excess is lost.
     """
     levels_v, cell_v = hysteresis.levels_v, hysteresis.cell_width_v
     seen_um = hysteresis.everett_um(levels_v[:, None], levels_v[None, :]) + width_um

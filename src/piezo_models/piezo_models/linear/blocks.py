@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Simulation of a discrete system by blocks of samples, which are products of matrices.
+"""Simulation of a discrete system by blocks of samples, as products of matrices.
 
-A recursion from sample to sample waits for each of them. Within a block the output is linear in
-the block's input and in the state at its start (Burrus 1972), and so is the state behind it.
+A recursion processes one sample after the other. Within a block the output is linear in the block's
+input and in the state at its start (Burrus 1972), and so is the state after it.
 """
 
 from collections.abc import Iterator
@@ -16,42 +16,42 @@ from numpy.typing import NDArray
 from piezo_common.arrays import FloatArray
 
 LENGTH = 32
-"""Samples of a block, a power of two: a longer one takes more products, a shorter one more
+"""Samples of a block, a power of two; a longer block needs more products, a shorter one more
 states."""
 
 FEWEST = 64 * LENGTH
-"""Samples of an input from which the matrices of a block are worth their computation."""
+"""Smallest number of samples for which computing the matrices of a block is worthwhile."""
 
 BATCH = 512
-"""Blocks at a time: as many as the cache holds."""
+"""Blocks of a batch, which fit into the cache."""
 
 KEPT = 64
-"""Systems whose matrices are kept, 0.1 MB each: a fit asks its recordings for some dozens."""
+"""Systems whose matrices are cached, 0.1 MB each; a fit uses some dozens for its recordings."""
 
 LONG = 256
-"""Samples of a block of which few outputs are asked for, so that a state costs what counts."""
+"""Samples of a block if few outputs are needed, which makes the states the main cost."""
 
 
 def run_blocks(a: FloatArray, b: FloatArray, c: FloatArray, direct: float, samples: FloatArray,
                state: FloatArray, output: FloatArray) -> int:
-    """Simulate as many whole blocks as there are, and return how many samples they are.
+    """Simulate all whole blocks, and return their number of samples.
 
     Parameters
     ----------
     a : (n, n) array
     b, c : (n,) array
     direct : float
-        Of x[k + 1] = a x[k] + b v[k], y[k] = c x[k] + direct v[k].
+        System x[k + 1] = a x[k] + b v[k], y[k] = c x[k] + direct v[k].
     samples : (N,) array
     state : (n,) array
-        At the first sample; updated in place to that behind the last block.
+        State at the first sample; updated in place to that after the last block.
     output : (N,) array
-        Gets the output of the blocks.
+        Filled with the output of the blocks.
 
     Returns
     -------
     int
-        A multiple of `LENGTH`.
+        Number of samples, a multiple of `LENGTH`.
     """
     gains, outputs, impulse, transposed = _block(a, b, c, direct, LENGTH)
     answers = np.ascontiguousarray(
@@ -69,16 +69,16 @@ def blocks_at(a: FloatArray, b: FloatArray, c: FloatArray, direct: float, sample
               state: FloatArray, at: NDArray[np.intp]) -> FloatArray:
     """Simulate whole blocks, and return the output at a few of their samples.
 
-    The states alone are known of the other blocks, which saves most of the work and the memory.
+    For the other blocks only the states are computed, which saves most of the work and the memory.
 
     Parameters
     ----------
     a, b, c, direct, state
-        Of `run_blocks`.
+        As for `run_blocks`.
     samples : (N,) array
-        N is a multiple of `LONG`.
+        Input; N is a multiple of `LONG`.
     at : (n,) array of int
-        Samples, sorted.
+        Samples whose output is returned, sorted.
 
     Returns
     -------
@@ -103,10 +103,10 @@ def _batches(blocks: FloatArray, gains: FloatArray, transposed: FloatArray, stat
 
 def _block(a: FloatArray, b: FloatArray, c: FloatArray, direct: float, length: int,
            ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return what turns input into state and state into output, the impulse response and a^length.
+    """Return the matrices to state and output, the impulse response and a^length transposed.
 
-    The last is transposed. It is kept, since one system often answers many inputs: nobody may
-    change it.
+    They are cached and shared, since one system is often simulated with many inputs. Do not change
+    them.
     """
     return _block_of(a.tobytes(), b.tobytes(), c.tobytes(), float(direct), length)
 
@@ -134,7 +134,7 @@ def _sequence(a: FloatArray, vector: FloatArray, length: int) -> tuple[FloatArra
 @njit(cache=True, nogil=True)
 def _answer(samples: FloatArray, states: FloatArray, latest_first: FloatArray,
             outputs: FloatArray, at: NDArray[np.intp], output: FloatArray) -> None:
-    """Write the output at some samples of whole blocks, given the states at their starts."""
+    """Write the output at some samples of whole blocks, from the states at their starts."""
     length = latest_first.size
     for k in range(at.size):
         block, place = divmod(at[k], length)
@@ -148,7 +148,7 @@ def _answer(samples: FloatArray, states: FloatArray, latest_first: FloatArray,
 
 @njit(cache=True, nogil=True)
 def _states(transposed: FloatArray, driven: FloatArray, state: FloatArray) -> FloatArray:
-    """Return the states at the start of each block; the given one moves behind the last."""
+    """Return the states at the start of each block; update `state` to that after the last."""
     states = np.empty(driven.shape)
     size = state.size
     for k in range(len(driven)):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Series and parallel connections of linear systems, by their matrices.
 
-They are what the operators of python-control give, to the last digit. Those check and name each
-system on the way, which takes longer than a simulation of thousands of samples.
+The results are identical to those of python-control's operators. Those check and name each system,
+which takes longer than a simulation of thousands of samples.
 """
 
 from collections.abc import Iterable, Sequence
@@ -23,7 +23,7 @@ def matrices_of(system: control.StateSpace) -> Matrices:
 
 
 def in_series(systems: Iterable[Matrices]) -> Matrices:
-    """Return the series connection, the first system first; of none, what passes its input on."""
+    """Return the series connection, the first system first; the identity for no system."""
     return reduce(_followed_by, systems, _passing_on())
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How errors of a creep model go together: where a pair lies, and how much it creeps."""
+"""Correlation of the errors of a creep model: rate and size of each pair of pole and zero."""
 
 import numpy as np
 
@@ -7,22 +7,22 @@ from piezo_models.linear.dynamics import CreepDynamics
 
 
 def creep_error_map(creep: CreepDynamics) -> np.ndarray:
-    """Turn relative errors of creep into errors of the logarithms of its poles and zeros.
+    """Return the matrix from relative errors of creep to errors of log poles and log zeros.
 
-    Pole and zero of a pair lie so close that they are not known apart: an error of a few percent in
-    each alone would turn creep that goes on into creep that recedes. What is known with an error is
-    their common rate, and the size of the pair, zero - pole.
+    Pole and zero of a pair lie so close that they cannot be determined separately: an error of a
+    few percent in one alone would reverse the sign of the creep. The independent quantities are
+    their common rate and the size of the pair, zero - pole.
 
     Parameters
     ----------
     creep : CreepDynamics
-        With P pairs.
+        Creep with P pairs.
 
     Returns
     -------
     ndarray, shape (2 P, 2 P)
-        For the errors of the rates, then of the sizes: the errors of the logarithms of the poles,
-        then of the zeros.
+        Columns: errors of the rates, then of the sizes. Rows: errors of the logarithms of the
+        poles, then of the zeros.
     """
     poles, zeros = np.array(creep.poles_rad_per_s), np.array(creep.zeros_rad_per_s)
     identity = np.eye(poles.size)
@@ -36,7 +36,7 @@ def with_creep_errors(creep: CreepDynamics, errors: np.ndarray) -> CreepDynamics
     Parameters
     ----------
     errors : ndarray, shape (2 P,)
-        Of the pairs' rates, then of their sizes.
+        Errors of the pairs' rates, then of their sizes.
     """
     changes = np.exp(creep_error_map(creep) @ errors)
     by_pole, by_zero = np.split(changes, 2)

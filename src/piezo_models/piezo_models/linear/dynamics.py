@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Linear dynamics behind the hysteresis: creep, electric and vibration dynamics, and sampling.
 
-The state space is a cascade of sections of first and second order, whose states have the size of
-their input. Creep poles of hundredths of rad/s and modes of thousands of rad/s then stand side by
-side without the cancellation of high-order polynomials.
+The state space is a cascade of sections of first and second order, whose states have the magnitude
+of their input. Creep poles of hundredths of rad/s and modes of thousands of rad/s can then be
+combined without the cancellation of high-order polynomials.
 """
 
 from collections.abc import Iterator, Sequence
@@ -37,7 +37,7 @@ class CreepDynamics:
     Parameters
     ----------
     poles_rad_per_s, zeros_rad_per_s : sequence of float
-        Positive p and z, as many of one as of the other. Empty for no creep.
+        Positive poles p and zeros z, of equal number; empty for no creep.
     """
 
     poles_rad_per_s: tuple[float, ...] = ()
@@ -54,8 +54,8 @@ class CreepDynamics:
 
     def state_space(self) -> control.StateSpace:
         """Return the continuous state space of the creep."""
-        # Sections of one pole each, one after the other: the input of each is that of the first,
-        # and what those before it add.
+        # Sections of one pole each in series: the input of each is that of the first section plus
+        # the contributions of those before it.
         poles, zeros = np.array(self.poles_rad_per_s), np.array(self.zeros_rad_per_s)
         gains = zeros / poles - 1.0
         return control.ss(np.tril(np.outer(poles, gains), -1) - np.diag(poles),
@@ -79,15 +79,15 @@ class ElectricVibrationDynamics:
     time_constant_s : float
         Time constant of the electric lag, 1 / (tau s + 1); 0 for none.
     mode_frequencies_rad_per_s, damping_ratios : sequence of float
-        One of each for a mode.
+        One of each for every mode.
     antiresonance_frequencies_rad_per_s, antiresonance_damping_ratios : sequence of float, optional
-        One of each for a pair of zeros; no more of them than modes.
+        One of each for every pair of zeros; no more of them than modes.
 
     Notes
     -----
     With a lag, or more modes than antiresonances, the dynamics are strictly proper: a displacement
-    does not know yet the voltage that is applied at its instant. Without any, as by default, they
-    pass that voltage on at once, which is what slow recordings of other stages show.
+    does not depend on the voltage applied at its instant. The default dynamics are a gain of 1,
+    which follows that voltage at once, as slow recordings of other stages show.
     """
 
     time_constant_s: float = 0.0
@@ -132,11 +132,11 @@ class ElectricVibrationDynamics:
 
     @property
     def is_static(self) -> bool:
-        """Tell whether there is neither a lag nor a mode."""
+        """Return True if there is neither a lag nor a mode."""
         return self.time_constant_s == 0.0 and not self.mode_frequencies_rad_per_s
 
     def _modes(self) -> Iterator[tuple[float, float, tuple[float, float] | None]]:
-        """Yield w and zeta of each mode, and the pair of zeros that share its section, or None."""
+        """Yield w and zeta of each mode, and the pair of zeros of its section or None."""
         antiresonances: list[tuple[float, float] | None] = list(
             zip(
                 self.antiresonance_frequencies_rad_per_s,
@@ -155,7 +155,7 @@ class ElectricVibrationDynamics:
         Parameters
         ----------
         beside : sequence of `piezo_models.effects.vibration_mode.VibrationMode`
-            Further modes: each takes its participation of the displacement from these.
+            Additional parallel modes; the others keep the rest of the displacement.
         """
         lag: list[Section] = []
         if self.time_constant_s > 0.0:
@@ -187,7 +187,7 @@ class ElectricVibrationDynamics:
         return _cascade(sections)
 
     def response(self, frequency_hz: ArrayLike, beside: Sequence[Any] = ()) -> ComplexArray:
-        """Return the complex response at frequencies, in their shape; see `state_space`."""
+        """Return the complex response at frequencies in Hz, in their shape; see `state_space`."""
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=float)
         response = np.ones_like(s)
         for w, zeta, antiresonance in self._modes():
@@ -201,7 +201,7 @@ class ElectricVibrationDynamics:
 
 
 def _branch(mode: Any) -> Matrices:
-    """Return what a mode adds to the displacement; one of another package its part at rest."""
+    """Return the mode's part of the displacement; of other packages, its part at rest."""
     if hasattr(mode, "branch"):
         return matrices_of(mode.branch())
     return scaled(mode.participation, matrices_of(mode.state_space()))
@@ -231,12 +231,12 @@ def zoh(system: control.StateSpace, sample_period_s: float) -> control.StateSpac
     Parameters
     ----------
     system : control.StateSpace
-        Continuous; its states are kept.
+        Continuous system; its states are kept.
 
     Returns
     -------
     control.StateSpace
-        Discrete, with `dt` = `sample_period_s`.
+        Discrete system with `dt` = `sample_period_s`.
 
     Raises
     ------
@@ -261,18 +261,19 @@ def zoh(system: control.StateSpace, sample_period_s: float) -> control.StateSpac
 
 
 def answering_means(system: control.StateSpace, sample_period_s: float) -> control.StateSpace:
-    """Return a system that answers held means of an input as a system answers the input itself.
+    """Return a system whose response to held means of an input is that to the input itself.
 
-    Holding the means of an input that moves within periods h smooths it, by 1 + (s h)^2 / 12 up to
-    the third power of s h. The outputs y become y - h C z (1 - 3 z / 2) / (1 - z / 2)^3 x' / 12,
-    with z = A h: that undoes it as far, keeps the gain at rest, and is bounded for any stable pole.
+    Holding the means of an input over periods h smooths it, by 1 + (s h)^2 / 12 up to the third
+    power of s h. The outputs y become y - h C z (1 - 3 z / 2) / (1 - z / 2)^3 x' / 12, with z = A
+    h. This cancels the smoothing to the same order, keeps the DC gain, and is bounded for any
+    stable pole.
 
     Parameters
     ----------
     system : control.StateSpace
-        Continuous; its states are kept.
+        Continuous system; its states are kept.
     sample_period_s : float
-        For which each mean is held.
+        Period in s for which each mean is held.
     """
     a, b, c, d = matrices_of(system)
     none, z = np.eye(len(a)), sample_period_s * a
@@ -283,17 +284,17 @@ def answering_means(system: control.StateSpace, sample_period_s: float) -> contr
 
 def zoh_response(system: control.StateSpace, frequency_hz: ArrayLike,
                  sample_period_s: float) -> ComplexArray:
-    """Return the response of the ZOH-sampled system: that of the discrete one at exp(j 2 pi f T).
+    """Return the response of the ZOH-sampled system, its transfer function at exp(j 2 pi f T).
 
     Parameters
     ----------
     system : control.StateSpace
-        Continuous, one input and one output.
+        Continuous system with one input and one output.
 
     Returns
     -------
     complex array
-        In the shape of `frequency_hz`.
+        Response in the shape of `frequency_hz`.
     """
     discrete = zoh(system, sample_period_s)
     _check_single(discrete)
@@ -301,7 +302,7 @@ def zoh_response(system: control.StateSpace, frequency_hz: ArrayLike,
     z = np.exp(2j * np.pi * frequency.ravel() * sample_period_s)
     response = np.full(z.size, discrete.D[0, 0], dtype=complex)
     states = discrete.nstates
-    # Blocks bound the memory that the stacked matrices take.
+    # Blocks limit the memory of the stacked matrices.
     for start in range(0, z.size if states else 0, 4096):
         block = slice(start, start + 4096)
         resolvent = z[block, None, None] * np.eye(states) - discrete.A
@@ -313,12 +314,12 @@ def zoh_response(system: control.StateSpace, frequency_hz: ArrayLike,
 def equilibrium_state(system: control.StateSpace, held_input: float = 1.0) -> FloatArray:
     """Return the state in which a continuous system rests under a constant input.
 
-    The ZOH-sampled system shares its states and so its equilibrium.
+    The ZOH-sampled system has the same states and therefore the same equilibrium.
 
     Parameters
     ----------
     system : control.StateSpace
-        Continuous and stable.
+        Continuous, stable system.
 
     Returns
     -------
@@ -334,7 +335,7 @@ def simulate_linear(discrete_system: control.StateSpace, input: ArrayLike,
     Parameters
     ----------
     discrete_system : control.StateSpace
-        Discrete, one input and one output.
+        Discrete system with one input and one output.
     input : (N,) array_like
     initial_state : (n,) array_like, optional
         State at the first sample; zero by default.
@@ -357,21 +358,21 @@ def simulate_linear(discrete_system: control.StateSpace, input: ArrayLike,
 
 def continue_linear(discrete_system: control.StateSpace, input: ArrayLike,
                     state: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Return the output of `simulate_linear`, and the state after the last sample to go on from.
+    """Return the output of `simulate_linear`, and the state with which to continue.
 
     Parameters
     ----------
     discrete_system : control.StateSpace
-        Discrete, one input and one output.
+        Discrete system with one input and one output.
     input : (N,) array_like
     state : (n,) array_like
-        State at the first sample; left as it is.
+        State at the first sample; not changed.
 
     Returns
     -------
     output : (N,) array
     state : (n,) array
-        State at the sample after the last.
+        State at the sample after the last one.
     """
     _check_single(discrete_system)
     if not discrete_system.isdtime(strict=True):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A sampled system as a feedback at the tick's rate sees it: one voltage, one mean a tick."""
+"""A sampled system at the tick rate of a feedback: one voltage and one mean for each tick."""
 
 import numpy as np
 
@@ -8,21 +8,22 @@ from piezo_common.arrays import FloatArray
 
 def lift(a: FloatArray, b: FloatArray, c: FloatArray, samples_per_tick: int,
          delay_ticks: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Lift a sampled system to the tick, with its averaging and its delay.
+    """Lift a sampled system to the tick rate, with its averaging and its delay.
 
-    What is known in tick k is the mean of the samples of tick k - 1. The input that is decided in
-    tick k acts over tick k + `delay_ticks`, held for all its samples.
+    In tick k the mean of the samples of tick k - 1 is known. The input that is decided in tick k is
+    held for all samples of tick k + `delay_ticks`.
 
     Parameters
     ----------
     a, b, c : ndarray, shape (n, n), (n, 1), (1, n)
-        Strictly proper, at the sample clock's period.
+        Strictly proper system at the sample rate.
 
     Returns
     -------
     a, b, c : ndarray, shape (m, m), (m, 1), (1, m)
-        At the tick's period, m = n + 1 + `delay_ticks`. States: those of the system at the start
-        of the tick, the mean known, the inputs decided that have not acted, the oldest first.
+        System at the tick rate, m = n + 1 + `delay_ticks`. Its states are those of the sampled
+        system at the start of the tick, the known mean, and the decided inputs that have not acted
+        yet, the oldest first.
     """
     order, size = len(a), len(a) + 1 + delay_ticks
     power, held, mean, through = np.eye(order), np.zeros_like(b), np.zeros_like(c), 0.0

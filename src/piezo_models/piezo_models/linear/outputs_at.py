@@ -10,22 +10,22 @@ from piezo_models.linear.blocks import LONG, blocks_at
 from piezo_models.linear.dynamics import simulate_linear
 
 FEW = 8
-"""At most one sample in so many is asked for; of more, all are simulated."""
+"""Samples per requested output, at least; if more outputs are requested, all are simulated."""
 
 
 def simulate_linear_at(discrete_system: control.StateSpace, input: FloatArray,
                        initial_state: FloatArray, at: NDArray[np.intp]) -> FloatArray:
-    """Simulate as `piezo_models.linear.dynamics.simulate_linear` does, but for most of the outputs.
+    """Simulate like `piezo_models.linear.dynamics.simulate_linear`, but return few of the outputs.
 
     Parameters
     ----------
     discrete_system : control.StateSpace
-        Discrete, one input and one output.
+        Discrete system with one input and one output.
     input : (N,) array
     initial_state : (n,) array
-        State at the first sample; left as it is.
+        State at the first sample; not changed.
     at : (m,) array of int
-        Samples whose output is asked for, sorted.
+        Samples whose output is returned, sorted.
 
     Returns
     -------

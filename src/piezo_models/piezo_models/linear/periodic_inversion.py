@@ -13,16 +13,16 @@ from piezo_models.linear.dynamics import zoh_response
 
 @dataclass(frozen=True)
 class PeriodicInversionSettings:
-    """Numbers that steer the inversion for periodic references.
+    """Tolerances of the inversion for periodic references.
 
     Attributes
     ----------
     negligible_content : float
-        Harmonics below this part of the largest one are rounding of the Fourier transform, and not
-        the reference.
+        Harmonics below this fraction of the largest one are rounding errors of the Fourier
+        transform.
     smallest_gain : float
-        Where the gain is below this part of the DC gain, the inverse would amplify the rounding of
-        a harmonic more than a million times; the reference is refused.
+        The reference is rejected if it has a harmonic at which the gain is below this fraction of
+        the DC gain: the inverse would amplify its rounding error more than a million times.
     """
 
     negligible_content: float = 1e-12
@@ -42,12 +42,11 @@ def invert_linear_periodic(reference_um: ArrayLike, system: control.StateSpace,
     Parameters
     ----------
     reference_um : (N,) array_like
-        One period.
+        One period of the reference.
     system : control.StateSpace
-        Continuous, one input and one output.
+        Continuous system with one input and one output.
     dc_gain : float, optional
-        Gain for the mean of the reference, where the creep is not over; that of the system by
-        default.
+        Gain for the mean of the reference while creep continues; that of the system by default.
 
     Returns
     -------
@@ -57,7 +56,7 @@ def invert_linear_periodic(reference_um: ArrayLike, system: control.StateSpace,
     Raises
     ------
     ValueError
-        If the reference is not finite, or has content where the system passes next to nothing.
+        If the reference is not finite, or has content where the system has almost no gain.
 
     Examples
     --------

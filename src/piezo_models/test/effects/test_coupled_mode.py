@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from piezo_models.effects.coupled_mode import CoupledMode
+from piezo_models.effects.coupled_mode import CoupledMode, modes_in_parallel
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
@@ -51,3 +51,23 @@ def test_alone_it_acts_as_beside_what_follows_at_once():
     behind = MODES[0].apply(signal, 1e-5)[10_000:]
     wave = np.exp(100j * np.pi * time_s[10_000:])
     assert 2.0 * np.mean(behind * wave.conj()) * 1j == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize(("dampings", "zeros"), [
+    ((0.02, 0.3, 0.1), ((4000.0, 0.05), (7000.0, 0.3))),
+    ((0.02, 1.7, 0.1), ((4000.0, 0.05),)),
+    ((0.7, 0.01, 3.0), ()),
+])
+def test_modes_in_parallel_are_those_in_series(dampings, zeros):
+    series = ElectricVibrationDynamics(
+        LAG_S, (3000.0, 5000.0, 9000.0), dampings, *(zip(*zeros, strict=True) if zeros else ()))
+    modes = modes_in_parallel(series)
+    frequency_hz = np.geomspace(1.0, 1e4, 50)
+    assert sum(mode.participation for mode in modes) == pytest.approx(1.0)
+    assert ElectricVibrationDynamics(LAG_S).response(frequency_hz, modes) == pytest.approx(
+        series.response(frequency_hz), rel=1e-9)
+
+
+def test_modes_that_are_nearly_equal_have_no_parts_in_parallel():
+    with pytest.raises(ValueError, match="participation"):
+        modes_in_parallel(ElectricVibrationDynamics(LAG_S, (3000.0, 3000.001), (0.02, 0.02)))

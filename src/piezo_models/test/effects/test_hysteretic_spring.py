@@ -102,15 +102,21 @@ def test_nothing_is_guessed_where_the_mode_is_only_softer_and_damped_otherwise()
     assert HystereticSpring.starts(evidence(softer_um, unloaded(time_s))) == []
 
 
+@pytest.fixture(scope="module")
+def shown():
+    """Return evidence from which a spring is guessed."""
+    time_s = np.arange(4000) * PERIOD_S
+    shown = evidence(solved(time_s, *SHAPES["opening"]), unloaded(time_s))
+    assert HystereticSpring.starts(shown)
+    return shown
+
+
 @pytest.mark.parametrize("changed", [
     {"sample_period_s": 10.0 * PERIOD_S},
     {"displacement_um": 4.0 * np.sin(5.0 * PERIOD_S * np.arange(4000))},
     {"displacement_um": np.zeros(4000)},
 ], ids=["samples too slow", "motion too slow", "no motion"])
-def test_where_the_mode_does_not_show_nothing_is_guessed_and_nothing_is_asked_for(changed):
-    time_s = np.arange(4000) * PERIOD_S
-    shown = evidence(solved(time_s, *SHAPES["opening"]), unloaded(time_s))
-    assert HystereticSpring.starts(shown)
+def test_where_the_mode_does_not_show_nothing_is_guessed_and_nothing_is_asked_for(shown, changed):
     slow = replace(shown, **changed)
     assert HystereticSpring.starts(slow) == []
     # A lack of excitation would be listed as not decidable in every recording of a slow motion.

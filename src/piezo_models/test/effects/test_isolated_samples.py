@@ -92,6 +92,16 @@ def test_spikes_are_found_beside_ringing(name):
     np.testing.assert_array_equal(np.flatnonzero(isolated(broken_um, voltage_v)), at)
 
 
+def test_a_row_that_was_put_in_hides_none_of_a_converters_steps():
+    """Coarse ones, in a signal that rests: noise takes it to the next value and back."""
+    step_um, rests_v = 0.0244, np.where(TIME < SAMPLES // 2, 10.0, 90.0)
+    noise_um = 0.4 * step_um * np.random.default_rng(2).normal(size=SAMPLES)
+    signal = step_um * np.round((0.1 * rests_v + noise_um) / step_um)
+    signal[7000] = 0.5 * (signal[6999] + signal[7001]) + 0.25 * step_um
+    signal *= 1.0 + 1e-15 * np.arange(SAMPLES) / SAMPLES  # as by resampling
+    assert not isolated(signal, rests_v).any()
+
+
 def test_where_most_stands_out_it_is_the_signal():
     spikes = np.where(TIME % 7 == 0, 5.0, 0.0) + 1e-3 * NOISE_V
     assert np.mean(TIME % 7 == 0) > MOST

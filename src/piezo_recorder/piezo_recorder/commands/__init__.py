@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The commands convert, repair and report, and the options of all that read data."""
+"""The commands convert, repair and report, and the options of all commands that read data."""

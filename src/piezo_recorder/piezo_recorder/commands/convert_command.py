@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""`convert`: a recording of any origin as ours or as CSV."""
+"""The command `convert`: rewrite any recording in the format of this suite, or as CSV."""
 
 import argparse
 import sys

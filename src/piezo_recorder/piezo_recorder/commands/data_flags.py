@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Options of the commands that read data; `piezo_recorder.reading.data_options` obeys them."""
+"""Options of the commands that read data; evaluated by `piezo_recorder.reading.data_options`."""
 
 import argparse
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""`repair`: a whole recording of what a killed recorder left."""
+"""The command `repair`: make a complete recording from that of a killed recorder."""
 
 import argparse
 import sys

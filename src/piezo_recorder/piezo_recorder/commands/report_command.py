@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""`report`: an account of the samples of a recording."""
+"""The command `report`: describe the samples of a recording."""
 
 import argparse
 import sys

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Attachments of a recording that come as the path and the hash of a file."""
+"""Attachments of a recording that are given as path and hash of a file."""
 
 import hashlib
 from collections.abc import Callable
@@ -10,26 +10,26 @@ from piezo_interfaces.srv import StartRecording
 from piezo_common.regular_file import open_regular
 
 MOST_BYTES = 64_000_000
-"""A model of 1000 levels has a third of that."""
+"""Largest size of an attachment; a model of 1000 levels has a third of it."""
 
 
 def read_attachments(request: StartRecording.Request, readable: Callable[[str], str],
                      ) -> tuple[dict[str, bytes], list[str], str]:
-    """Read what is to be kept inside a recording.
+    """Read the attachments of a recording.
 
     Parameters
     ----------
     readable : callable
-        Returns the path of a file to read; raises ValueError where it must not be read.
+        Returns the path of a file to read; raises ValueError if it must not be read.
 
     Returns
     -------
     contents : dict of str to bytes
-        By name.
+        Contents by name.
     unread : list of str
-        Names whose files cannot be read, or hold something else than they did.
+        Names whose files cannot be read, or have changed since the request.
     refusal : str
-        Says so; empty where everything was read.
+        Reason for the unread ones; empty if everything was read.
     """
     contents, unread, reasons = {}, [], []
     for name, content, path, sha256 in zip_longest(
@@ -48,7 +48,7 @@ def read_attachments(request: StartRecording.Request, readable: Callable[[str], 
 
 
 def _read(path: str, sha256: str) -> bytes:
-    """Return what a file holds; raise ValueError unless it is what the client has read."""
+    """Return the content of a file; raise ValueError unless it is what the client has read."""
     with open_regular(path, MOST_BYTES) as file:
         content = file.read(MOST_BYTES)
     if hashlib.sha256(content).hexdigest() != sha256:

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Wait as long as there is progress: how long it takes depends on how busy the computer is."""
+"""Wait as long as there is progress, as durations depend on the load of the computer."""
 
 import time
 from collections.abc import Callable
 
 
 class Patience:
-    """Tell when nothing has changed for too long.
+    """Detect when nothing has changed for too long.
 
     Parameters
     ----------
     limit_s : float
-        Of the time without a change.
+        Longest time without a change (s).
     clock : callable
         Returns the present time (s).
     """
@@ -22,12 +22,12 @@ class Patience:
         self._since_s = clock()
 
     def ended(self, state: object = None) -> bool:
-        """Tell whether this state, compared by equality, has been there for longer than the limit.
+        """Return whether this state, compared by equality, has lasted for longer than the limit.
 
         Parameters
         ----------
         state : object
-            What changes while there is progress.
+            A value that changes while there is progress.
         """
         now_s = self._clock()
         if state != self._state:

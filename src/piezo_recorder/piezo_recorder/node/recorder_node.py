@@ -43,7 +43,7 @@ ARRIVAL_TIMEOUT_S = 5.0
 QUIET_TIMEOUT_S = 0.5
 POLL_PERIOD_S = 0.01
 DIAGNOSTICS_PERIOD_S = 1.0
-# After the client of a recording is gone: when it is closed, and while the stage still moves.
+# Time from the loss of a client to the end of its recording (s), at rest and while moving.
 AFTERMATH_S, LONGEST_AFTERMATH_S = 2.0, 10.0
 MOVING = sample_block.Flag.RAMPING | sample_block.Flag.PLAYING | sample_block.Flag.TRACKING
 MEGABYTE = 1e6
@@ -69,7 +69,7 @@ class Recorder(LifecycleNode):
         self._data_root = declare_data_root(self)
         self._stage = DescribedStage(self, self._record_description)
         self._session: RecordingSession | None = None
-        # Asked again by who did not hear the answer, they get the same.
+        # Kept for clients that ask again because they missed the answer.
         self._started: StartRecording.Request | None = None
         self._stopped: tuple[StopRecording.Request, StopRecording.Response] | None = None
         self._client_gone_at: float | None = None
@@ -89,7 +89,7 @@ class Recorder(LifecycleNode):
     # Lifecycle
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Look up the definitions of the types."""
+        """Look up the definitions of the message types."""
         topics = self.get_parameter("topics").value
         types = self.get_parameter("types").value
         if len(topics) != len(types):
@@ -113,10 +113,10 @@ class Recorder(LifecycleNode):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Subscribe to the topics."""
-        # Connected from here on: a subscription made only when a recording starts could miss
-        # the first samples.
+        # Subscribe now: a subscription made only when a recording starts could miss the first
+        # samples.
         for topic, definition in self._definitions.items():
-            if topic == self._stage.topic:  # was told long ago, and is kept
+            if topic == self._stage.topic:  # published long ago, and stored
                 continue
             self._subscriptions_by_topic[topic] = self.create_subscription(
                 _message_class(definition.type_name), topic,
@@ -124,7 +124,7 @@ class Recorder(LifecycleNode):
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Close the recording that runs, and unsubscribe."""
+        """Close the recording in progress, and unsubscribe."""
         self.close()
         for subscription in self._subscriptions_by_topic.values():
             self.destroy_subscription(subscription)
@@ -132,12 +132,12 @@ class Recorder(LifecycleNode):
         return super().on_deactivate(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Close the recording that runs, from any state."""
+        """Close the recording in progress, from any state."""
         self.close()
         return TransitionCallbackReturn.SUCCESS
 
     def close(self) -> None:
-        """Close the recording that runs, if any."""
+        """Close the recording in progress, if any."""
         if self._recording:
             self._end("the recorder was stopped")
 
@@ -151,7 +151,7 @@ class Recorder(LifecycleNode):
             refusal = (f"Nobody publishes {self._samples_topic}: "
                        "start the stage, or set the parameter topics.")
         refusal = refusal or await self._why_undescribed()
-        # Asked again: another request may have come while this one waited.
+        # Checked again, as another request may have come while this one waited.
         refusal = refusal or self._refusal(request)
         recording = self._recording
         if recording and asks_the_same(request, self._started) and request.client:
@@ -179,7 +179,7 @@ class Recorder(LifecycleNode):
         return response
 
     def _refusal(self, request: StartRecording.Request) -> str:
-        """Say why a recording cannot start now; empty if it can."""
+        """Return why a recording cannot start now; empty if it can."""
         if late := why_too_late(request):
             return f"start_recording refused: {late}"
         if not self._subscriptions_by_topic:
@@ -205,7 +205,7 @@ class Recorder(LifecycleNode):
         return ""
 
     def _path(self, request: StartRecording.Request) -> Path:
-        """Where the recording goes; DataRootError if it, or an attachment, is not to be there."""
+        """Return the path of the recording; raise DataRootError if a path is not allowed."""
         check_file_name(request.name, "a recording")
         for name in request.attachment_names:
             check_file_name(name, "an attachment")
@@ -217,7 +217,7 @@ class Recorder(LifecycleNode):
             lambda: samples.get_publisher_count() > 0, DISCOVERY_TIMEOUT_S)
 
     async def _why_undescribed(self) -> str:
-        """Say why the clock of the samples is not known; empty if it is."""
+        """Return why the clock of the samples is unknown; empty if it is known."""
         if not await self._until(
                 lambda: self._stage.description is not None, DISCOVERY_TIMEOUT_S):
             return f"Nobody describes the stage on {self._stage.topic}: configure the stage."
@@ -226,7 +226,7 @@ class Recorder(LifecycleNode):
     def _new_session(self, request: StartRecording.Request,
                      attachments: Mapping[str, bytes]) -> RecordingSession:
         described = self._stage.description
-        if described is None:  # ended since it was asked for
+        if described is None:  # withdrawn since the check
             raise OSError(f"Nobody describes the stage on {self._stage.topic} any more: "
                           "start the stage.")
         sample_rate_hz = described.sample_rate_hz
@@ -284,7 +284,7 @@ class Recorder(LifecycleNode):
 
     async def _until(self, condition: Callable[[], bool], timeout_s: float,
                      progress: Callable[[], object] = lambda: None) -> bool:
-        """Wait until a condition holds, or nothing gets on; return whether the condition holds."""
+        """Wait until a condition holds or there is no progress; return whether it holds."""
         future = Future()
         patience = Patience(timeout_s)
 
@@ -302,7 +302,7 @@ class Recorder(LifecycleNode):
 
     @property
     def _recording(self) -> RecordingSession | None:
-        """What is being recorded; None if nothing is."""
+        """The recording in progress; None if there is none."""
         session = self._session
         return session if session is not None and not session.closed else None
 
@@ -327,7 +327,7 @@ class Recorder(LifecycleNode):
             self._end(_sentence(error))
 
     def _record_description(self, description: StageDescription) -> None:
-        """Keep what a stage says that is configured, or started anew, while it is recorded."""
+        """Record the description of a stage that is configured or restarted meanwhile."""
         if self._recording:
             self._receive(self._stage.topic, serialize_message(description))
 
@@ -338,7 +338,7 @@ class Recorder(LifecycleNode):
                               clock=self._steady_clock)]
 
     def _client_is_gone(self, session: RecordingSession) -> bool:
-        """Whether the recording's client went away, and the stage has come to rest since."""
+        """Return whether the recording's client has gone, and the stage has come to rest since."""
         if self._client_gone_at is None and session.client.gone:
             self._client_gone_at = time.monotonic()
         if self._client_gone_at is None:
@@ -347,7 +347,7 @@ class Recorder(LifecycleNode):
         return gone_s > (LONGEST_AFTERMATH_S if self._moves() else AFTERMATH_S)
 
     def _moves(self) -> bool:
-        """Whether the stage moved in the last block that came."""
+        """Return whether the stage moved in the last block that was received."""
         block = self._last_block
         return block is not None and bool(deserialize_message(block, SampleBlock).flags & MOVING)
 
@@ -369,7 +369,7 @@ class Recorder(LifecycleNode):
 
     def _end(self, ended_early: str = "") -> None:
         session = self._session
-        assert session is not None  # what has begun can end
+        assert session is not None  # a recording has begun
         session.ended_early = ended_early
         for timer in self._housekeeping:
             self.destroy_timer(timer)
@@ -414,7 +414,7 @@ def _free_mb(path: Path) -> float:
 
 
 def _sentence(error: OSError) -> str:
-    """Text of an OSError without its number."""
+    """Return the text of an OSError without its number."""
     if error.strerror is None:
         return str(error)
     return f"{error.strerror}: {error.filename}" if error.filename else error.strerror

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Services whose callbacks wait for something before they answer."""
+"""Services whose callbacks wait before they answer."""
 
 from collections.abc import Callable, Coroutine
 from typing import Any
@@ -25,7 +25,7 @@ def create_waiting_service(
             late.give()
 
         executor = node.executor
-        if executor is not None:  # else the node has ended without waiting any longer
+        if executor is not None:  # otherwise the node has ended without waiting any longer
             executor.create_task(answer)
 
     create_late_service(node, service_type, name, begin)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Readers of recordings, whatever file they come in."""
+"""Readers of recordings in files of any kind."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Recordings of two or three axes: those of a stage, tables with columns for each, and arrays."""
+"""Recordings of two or three axes: of a stage, of tables with columns for each, and of arrays."""
 
 import hashlib
 import json
@@ -32,13 +32,13 @@ from piezo_recorder.reading.units import scale_of
 MOST_AXES = 3
 FORMAT = "piezo_axes_arrays"
 HEAD_BYTES = 1 << 16
-"""The labels of a table stand within them."""
+"""Length of the beginning of a file that contains the labels of a table."""
 ZIP_MAGIC = b"PK\x03\x04"
 PARAMETERS = "parameters.json"
-"""Attachment of an experiment's recording that tells its repeats."""
+"""Attachment of an experiment's recording that contains the number of repeats."""
 
 _VOLTAGE = re.compile(r"([a-z][a-z0-9]*)_voltage_v")
-"""Label of the voltage of an axis: its short lower-case name stands before the unit."""
+"""Label of the voltage of an axis, with the axis' short lower-case name before the unit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,20 +48,19 @@ class AxesRecording:
     Attributes
     ----------
     path : str
-        Where it was read.
+        Path of the file that was read.
     axes : tuple of str
         Names, in the order of the columns.
-    sample_period_s : float
     voltage_v, displacement_um : (N, n) array
     periods : int
-        Equal periods of the voltage that the samples are, measured once the stage had settled;
-        0 where that is not known.
+        Number of equal periods of the voltage, measured after the stage had settled; 0 if it is
+        unknown.
     title : str
-        Which of several recordings of one file.
+        Title that distinguishes several recordings of one file.
     sha256 : str
         Hash of the samples.
     notes : tuple of str
-        What was assumed or mended when it was read, for people.
+        Assumptions and corrections made while reading, for users.
     """
 
     path: str
@@ -85,7 +84,7 @@ class AxesRecording:
 
     @property
     def amplitude_v(self) -> float:
-        """Return the RMS of all voltages about their means."""
+        """Return the rms of all voltages about their means."""
         return float(np.sqrt(np.mean(np.var(self.voltage_v, axis=0))))
 
 
@@ -99,7 +98,7 @@ class ChannelsPart(Part):
 
 
 class ArraysDocument(Document):
-    """Arrays of several axes: which file is what, and what the dimensions mean."""
+    """Description of arrays of several axes: their files, and the meaning of their dimensions."""
 
     TITLE: ClassVar[str] = "description of arrays"
     SYNTAX: ClassVar[str] = "yaml"
@@ -118,22 +117,22 @@ class ArraysDocument(Document):
 
 
 def axes_with_voltage(labels: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the axes of which a table has the voltage, in its order."""
+    """Return the names of the axes whose voltage a table contains, in its order."""
     return tuple(match[1] for match in map(_VOLTAGE.fullmatch, labels) if match)
 
 
 def axes_of_labels(labels: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the axes of which a table has both columns, in its order."""
+    """Return the names of the axes for which a table contains both columns, in its order."""
     return tuple(axis for axis in axes_with_voltage(labels) if f"{axis}_displacement_um" in labels)
 
 
 def is_of_axes(path: str | PathLike[str]) -> bool:
-    """Tell whether a file is a recording of several axes, or a description of such arrays."""
+    """Return whether a file is a recording of several axes, or a description of such arrays."""
     path = Path(path)
     try:
         if holds_messages(path):
             return bool(axes_of_messages(path))
-    except RecordingError:  # said by who reads it
+    except RecordingError:  # reported when the file is read
         return False
     with open(path, "rb") as file:
         head = file.read(HEAD_BYTES)
@@ -153,16 +152,16 @@ def read_axes(path: str | PathLike[str]) -> list[AxesRecording]:
     Parameters
     ----------
     path : str or Path
-        A recording of a stage of several axes, of which the way to the first sample of what it
-        played and back is left out; a table with columns such as ``time_s,x_voltage_v,
-        y_voltage_v,x_displacement_um,y_displacement_um`` in any format that is read of one axis;
-        or the description of arrays (YAML), see `ArraysDocument`. A column that fits no axis is
-        left.
+        A recording of a stage of several axes, without the approach to the first sample of a
+        waveform and the return from it; a table with columns such as ``time_s,x_voltage_v,
+        y_voltage_v,x_displacement_um,y_displacement_um`` in any format that can be read for one
+        axis; or the description of arrays (YAML), see `ArraysDocument`. Columns that belong to no
+        axis are ignored.
 
     Raises
     ------
     RecordingError
-        If the file, a column, a row or the sample period is not as it should be; one line.
+        If the file, a column, a row or the sample period is invalid; the message is one line.
 
     Examples
     --------
@@ -188,10 +187,10 @@ def read_axes(path: str | PathLike[str]) -> list[AxesRecording]:
 
 
 def axes_recording_of(recording: Recording) -> AxesRecording:
-    """Return what a stage of several axes played, from the first sample of waveforms to the last.
+    """Return the waveforms of a stage of several axes, from their first sample to the last.
 
-    Where the recording tells that the waveform was repeated, and how many repeats settle, only the
-    equal periods behind these are returned.
+    If the recording contains the number of repeats, and of those that settle, only the equal
+    periods after these are returned.
 
     Raises
     ------
@@ -216,7 +215,7 @@ def axes_recording_of(recording: Recording) -> AxesRecording:
 
 
 def _repeats_told(attachments: Mapping[str, bytes]) -> tuple[int, int]:
-    """Return how many repeats settle, and how many there are; 0 and 1 where that is not told."""
+    """Return the number of settling repeats, and of all repeats; 0 and 1 if they are unknown."""
     try:
         told = json.loads(attachments.get(PARAMETERS, b"{}"))
         return int(told.get("settling_repeats", 0)), int(told.get("repeats", 1))
@@ -225,12 +224,12 @@ def _repeats_told(attachments: Mapping[str, bytes]) -> tuple[int, int]:
 
 
 def axes_recordings_in(data: Mapping[str, ArrayLike], name: str = IN_MEMORY) -> list[AxesRecording]:
-    """Return the recordings that columns in memory hold, by label as in a table.
+    """Return the recordings in columns that are held in memory, by the labels of a table.
 
     Raises
     ------
     RecordingError
-        See `read_axes`.
+        If the columns are invalid, see `read_axes`.
 
     Examples
     --------
@@ -257,21 +256,21 @@ def axes_recordings_of_arrays(
     Parameters
     ----------
     voltage_v, displacement_um : array_like
-        Of one shape.
+        Arrays of the same shape.
     axes : sequence of str
         Names of the channels.
     dimensions : sequence of str
-        "sample", "channel", "realisation" and "period" in the order of the arrays; those that are
-        not there are single. Periods are equal ones, measured once the stage had settled.
+        "sample", "channel", "realisation" and "period" in the order of the arrays; missing ones
+        have length 1. Periods are equal, and measured after the stage had settled.
     signs : sequence of float, optional
-        Of the displacement of each channel.
+        Sign of the displacement of each channel.
     name : str
-        Stands for the path of a file.
+        Name in place of the path of a file.
 
     Raises
     ------
     RecordingError
-        If the arrays do not fit the dimensions and axes, or hold what is not finite.
+        If the arrays do not match the dimensions and axes, or contain values that are not finite.
 
     Examples
     --------
@@ -313,7 +312,7 @@ def _periods(values: np.ndarray, dimensions: Sequence[str]) -> list[int]:
 
 
 def _by_realisation(values: np.ndarray, dimensions: Sequence[str]) -> np.ndarray:
-    """Return (realisations, samples of all periods in a row, channels)."""
+    """Return an array of shape (realisations, samples of all periods in sequence, channels)."""
     order = ("realisation", "period", "sample", "channel")
     present = [each for each in order if each in dimensions]
     turned = np.transpose(values, [list(dimensions).index(each) for each in present])
@@ -367,7 +366,7 @@ def _signed(values: np.ndarray, signs: Sequence[float], dimensions: Sequence[str
 
 def _joined(name: str, axes: tuple[str, ...],
             read: Callable[[ColumnsDocument], list[Recording]]) -> list[AxesRecording]:
-    """Read each axis as a recording of its own, and join those of one time."""
+    """Read each axis as a separate recording, and join those with the same times."""
     if not 2 <= len(axes) <= MOST_AXES:
         raise RecordingError(
             f"{name} has {len(axes)} axes ({', '.join(axes) or 'none'}): give 2 to {MOST_AXES}, "
@@ -393,7 +392,7 @@ def _joined(name: str, axes: tuple[str, ...],
 
 
 def _joined_notes(axes: Sequence[str], parts: Sequence[Recording]) -> tuple[str, ...]:
-    """Return the notes on each axis once, with its name where they are not those of all."""
+    """Return each note once; notes that do not apply to all axes begin with the axis' name."""
     return tuple(dict.fromkeys(
         note if all(note in each.notes for each in parts) else f"axis {axis}: {note}"
         for axis, part in zip(axes, parts, strict=True) for note in part.notes))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a user says of the columns of a file: by option, or in a small YAML file beside the data."""
+"""Description of the columns of a file by the user: by option, or in a YAML file next to it."""
 
 import re
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ _OPTION = re.compile(r"\s*(\w+)\s*=\s*(.*?)\s*(?:\[([^\]]*)\])?\s*", re.S)
 
 
 class SignalColumn(Part):
-    """Where a signal stands in a file, and in which unit."""
+    """Column and unit of a signal in a file."""
 
     column: str = entry("Label of the column, with or without its unit, or its number from 1.")
     unit: str = entry("Unit of its numbers; that of the label by default.", default="")
@@ -27,7 +27,7 @@ class SignalColumn(Part):
 
 
 class RecordingColumn(Part):
-    """What tells the recordings of one file apart."""
+    """Column that distinguishes the recordings of one file."""
 
     column: str = entry("Label of a column that numbers them; none where they are groups of the "
                         "file, or where the time begins anew.", default="")
@@ -35,7 +35,7 @@ class RecordingColumn(Part):
 
 
 class ColumnsDocument(Document):
-    """What the columns of a file mean; what is left out is guessed."""
+    """Meaning of the columns of a file; omitted entries are guessed."""
 
     TITLE: ClassVar[str] = "file of columns"
     SYNTAX: ClassVar[str] = "yaml"
@@ -50,22 +50,23 @@ class ColumnsDocument(Document):
 
 
 GUESSED = ColumnsDocument()
-"""Nothing is said: all is guessed where it is unambiguous."""
+"""No description: everything unambiguous is guessed."""
 
 
 def parse_columns(options: Sequence[str] | None) -> ColumnsDocument:
-    """Read the words of an option ``--columns``.
+    """Parse the values of the option ``--columns``.
 
     Parameters
     ----------
     options : sequence of str, optional
-        Such as ``time=t[ms]``, ``voltage=Vpiezo[V]``, ``displacement=pos[nm]``, ``rate=10[kHz]``,
-        ``recording=run[2]``; or the path of one YAML file. A number before the unit multiplies.
+        Values such as ``time=t[ms]``, ``voltage=Vpiezo[V]``, ``displacement=pos[nm]``,
+        ``rate=10[kHz]``, ``recording=run[2]``; or the path of one YAML file. A number before the
+        unit is a factor.
 
     Raises
     ------
     RecordingError
-        If a word is not of this form, or the file does not fit its schema.
+        If a value does not have this form, or the file does not match its schema.
 
     Examples
     --------
@@ -108,7 +109,7 @@ def _entry(kind: str, name: str, brackets: str | None) -> dict[str, Any]:
 
 
 def load_columns(path: Path) -> ColumnsDocument:
-    """Read a YAML file that tells the columns; RecordingError where it does not fit."""
+    """Read a YAML file that describes the columns; raise RecordingError if it is invalid."""
     try:
         return load_document(ColumnsDocument, path)
     except SchemaError as error:
@@ -116,15 +117,15 @@ def load_columns(path: Path) -> ColumnsDocument:
 
 
 def columns_for(path: Path, said: ColumnsDocument = GUESSED) -> ColumnsDocument:
-    """Complete what a user said of a file by the YAML file that lies beside it.
+    """Complete the user's description of a file by the YAML file next to it.
 
     Parameters
     ----------
     path : Path
-        The data. ``run.csv`` has ``run.columns.yaml`` beside it, or all files of a folder have
-        ``columns.yaml``.
+        Data file. ``run.csv`` may have ``run.columns.yaml`` next to it, or all files of a
+        folder may share ``columns.yaml``.
     said : ColumnsDocument
-        What it says comes first.
+        Description by the user, which takes precedence.
     """
     for beside in (path.with_name(path.stem + SUFFIX), path.with_name(FOLDER_FILE)):
         if beside.is_file() and beside != path:

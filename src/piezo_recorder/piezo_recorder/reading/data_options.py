@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How the commands read the data that they are given: columns, notes, progress."""
+"""How the commands read their data: columns, notes, progress."""
 
 import argparse
 from os import PathLike
@@ -12,18 +12,18 @@ from piezo_recorder.reading.recording import Recording
 from piezo_recorder.reading.tables.table import no_progress
 
 WORTH_A_LINE_BYTES = 30_000_000
-"""Smaller files are read in about a second."""
+"""Size from which on progress is printed; smaller files are read in about a second."""
 
 def read_all_given(path: str | PathLike[str], options: argparse.Namespace,
                    several_axes: bool = False) -> list[Recording]:
-    """Read all recordings of a file, and print what there is to say of them.
+    """Read all recordings of a file, and print the notes on them.
 
     Parameters
     ----------
     options : argparse.Namespace
-        Of a parser with `add_columns_option`.
+        Options of a parser with `add_columns_option`.
     several_axes : bool
-        See `read_recording`.
+        Whether a recording of several axes is accepted, too.
 
     Raises
     ------

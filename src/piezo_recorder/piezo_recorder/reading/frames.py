@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Recordings as pandas frames and xarray datasets, where these libraries are installed."""
+"""Recordings as pandas frames and xarray datasets, if these libraries are installed."""
 
 from collections.abc import Iterable
 from os import PathLike
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from piezo_common.extras import how_to_install
 from piezo_recorder.reading.reader import read_recording
 from piezo_recorder.reading.recording import Recording, RecordingError
 from piezo_recorder.sample_block import Flag
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     import xarray
 
 UNITS = {"voltage_v": "V", "displacement_um": "um"}
-"""Of further columns of a table only the label tells the unit."""
+"""Units of the signals; those of further columns of a table are in their labels only."""
 
 
 def to_frame(recording: Recording) -> "pandas.DataFrame":
@@ -25,10 +26,10 @@ def to_frame(recording: Recording) -> "pandas.DataFrame":
     Returns
     -------
     pandas.DataFrame
-        One row a sample, indexed by ``time_s``, with the columns ``sample_index``, ``voltage_v``,
-        ``displacement_um``, ``flags``, ``reference_um`` where a run was recorded, and those of a
-        CSV file beside; of several axes, ``x_voltage_v`` and so on. Its ``attrs`` hold ``units``
-        by column, ``source`` and ``sample_rate_hz``.
+        One row per sample, indexed by ``time_s``, with the columns ``sample_index``,
+        ``voltage_v``, ``displacement_um``, ``flags``, ``reference_um`` if a run was recorded, and
+        the further columns of a CSV file; for several axes ``x_voltage_v`` and so on. Its
+        ``attrs`` hold ``units`` by column, ``source`` and ``sample_rate_hz``.
 
     Raises
     ------
@@ -50,8 +51,8 @@ def to_frame(recording: Recording) -> "pandas.DataFrame":
     try:
         import pandas
     except ImportError:
-        raise RecordingError("pandas is not installed: install it (`pip install pandas`, or the "
-                             "extra `pip install '.[frames]'` of the suite), "
+        raise RecordingError("pandas is not installed: "
+                             f"{how_to_install('pandas', 'frames')}, "
                              "or use the arrays of read_recording.") from None
     frame = pandas.DataFrame(
         _columns_of(recording), index=pandas.Index(recording.time_s, name="time_s"))
@@ -65,7 +66,7 @@ def to_xarray(recording: Recording) -> "xarray.Dataset":
     Returns
     -------
     xarray.Dataset
-        The variables have the names of the columns of `to_frame`, and the one dimension
+        The variables have the names of the columns of `to_frame`, and the single dimension
         ``time_s``. Their ``units``, and the ``flag_masks`` and ``flag_meanings`` of ``flags``,
         follow the CF conventions for netCDF files. ``attrs`` hold ``source`` and
         ``sample_rate_hz``.
@@ -83,8 +84,8 @@ def to_xarray(recording: Recording) -> "xarray.Dataset":
     try:
         import xarray
     except ImportError:
-        raise RecordingError("xarray is not installed: install it (`pip install xarray`, or the "
-                             "extra `pip install '.[frames]'` of the suite), "
+        raise RecordingError("xarray is not installed: "
+                             f"{how_to_install('xarray', 'frames')}, "
                              "or use the arrays of read_recording.") from None
     columns = {"time_s": recording.time_s, **_columns_of(recording)}
     dataset = xarray.Dataset(
@@ -106,12 +107,12 @@ def read_frame(path: str | PathLike[str], **options: Any) -> "pandas.DataFrame":
     path : path-like
         Rosbag2 directory, MCAP or CSV file.
     **options
-        Of `piezo_recorder.reading.reader.read_recording`.
+        Options of `piezo_recorder.reading.reader.read_recording`.
 
     Returns
     -------
     pandas.DataFrame
-        See `to_frame`.
+        Samples as from `to_frame`.
 
     Raises
     ------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Recordings from what a program holds in memory: arrays by name, frames, datasets."""
+"""Recordings from data in memory: arrays by name, frames, datasets."""
 
 import hashlib
 from collections.abc import Mapping
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
     import xarray
 
 IN_MEMORY = "data in memory"
-"""Stands where a recording tells the file that it came from."""
+"""Name that a recording has instead of a file."""
 
 OF_OUR_FRAMES = {"sample_index", "flags", "voltage_v", "displacement_um"}
-"""Columns by which a frame or dataset of `piezo_recorder.reading.frames` is known."""
+"""Columns that identify a frame or dataset of `piezo_recorder.reading.frames`."""
 
 
 def recording_of(data: "Mapping[str, ArrayLike] | pandas.DataFrame | xarray.Dataset",
                  columns: ColumnsDocument = GUESSED, name: str = IN_MEMORY) -> Recording:
-    """Return the one recording that arrays, a frame or a dataset hold; see `recordings_in`.
+    """Return the single recording in arrays, a frame or a dataset; see `recordings_in`.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def recording_of(data: "Mapping[str, ArrayLike] | pandas.DataFrame | xarray.Data
     Raises
     ------
     RecordingError
-        As `recordings_in`, or where there are several recordings.
+        If the data are invalid, see `recordings_in`, or if there are several recordings.
 
     Examples
     --------
@@ -57,18 +57,18 @@ def recording_of(data: "Mapping[str, ArrayLike] | pandas.DataFrame | xarray.Data
 
 def recordings_in(data: "Mapping[str, ArrayLike] | pandas.DataFrame | xarray.Dataset",
                   columns: ColumnsDocument = GUESSED, name: str = IN_MEMORY) -> list[Recording]:
-    """Return the recordings that arrays, a frame or a dataset hold, by the rules for tables.
+    """Return the recordings in arrays, a frame or a dataset, by the same rules as for tables.
 
     Parameters
     ----------
     data : mapping of str to array_like, shape (N,), pandas.DataFrame or xarray.Dataset
         Columns by label, such as ``time_s``, ``Vpiezo [V]`` and ``pos_nm``; the index of a frame
-        counts as one where it is not merely the number of the row. Variables and coordinates of a
-        dataset count alike, with their attribute ``units``.
+        is a column unless it is only the row number. The variables and coordinates of a dataset
+        are columns, with their attribute ``units``.
     columns : ColumnsDocument
-        What is known of the columns, such as by `piezo_recorder.reading.columns.parse_columns`.
+        Description of the columns, e.g. from `piezo_recorder.reading.columns.parse_columns`.
     name : str
-        Stands for the path of a file, in messages too.
+        Name in place of the path of a file, also in messages.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def recordings_in(data: "Mapping[str, ArrayLike] | pandas.DataFrame | xarray.Dat
 
 
 def _columns_of(data: Any) -> dict[str, Any]:
-    """Return the columns by label; of a frame the index too, if it is more than a row number."""
+    """Return the columns by label, including a frame's index if it is more than a row number."""
     if hasattr(data, "data_vars"):
         return {_label_of(str(name), str(variable.attrs.get("units", ""))): variable.to_numpy()
                 for name, variable in data.variables.items()}
@@ -121,12 +121,12 @@ def _columns_of(data: Any) -> dict[str, Any]:
 
 
 def _label_of(name: str, unit: str) -> str:
-    """Return the label of a variable with its unit, unless the name itself ends in one."""
+    """Return the label of a variable with its unit, unless the name itself ends with one."""
     return f"{name} [{unit}]" if unit and not name_and_unit(name)[1] else name
 
 
 def _with_flags(recording: Recording) -> Recording:
-    """Return a recording that came from our frames or datasets with the flags that it had."""
+    """Return a recording from frames or datasets of this package with its original flags."""
     further = dict(recording.columns)
     flags = further.pop("flags")
     further.pop("sample_index")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is implausible about a recording: said to people, never a reason to refuse."""
+"""Checks for implausible recordings; they lead to notes, never to a refusal."""
 
 from dataclasses import dataclass
 
@@ -12,39 +12,41 @@ from piezo_recorder.reading.recording import Recording
 
 @dataclass(frozen=True)
 class UsualStage:
-    """Bounds that every piezo stage keeps; beyond them a unit or a sensor is wrong.
+    """Bounds for any piezo stage; values beyond them mean a wrong unit or sensor.
 
     Attributes
     ----------
     least_range_um, largest_range_um : float
-        Of the displacement: from a shear tube to the longest amplified stage.
+        Range of the displacement, from a shear tube to the longest amplified stage.
     least_swing_v, largest_voltage_v : float
-        Of the voltage: amplifiers for piezos end at 3 kV.
+        Swing and magnitude of the voltage; amplifiers for piezos end at 3 kV.
     least_gain_um_per_v, largest_gain_um_per_v : float
         Range over swing: a stack for 1 kV moves a few nm/V, a bender at 60 V some tens of um/V.
     shortest_period_s : float
-        Of the samples; no sensor of displacement is faster.
+        Sample period; no displacement sensor is faster.
     fewest_rows : int
-        With fewer there is nothing to fit.
+        Number of rows below which a model cannot be fitted.
     stuck_while : float
-        Part of the voltage's range that moves while a sensor stands at its end: clipping.
+        A sensor is clipped if it stays at its end while the voltage moves by this part of its
+        range.
     quanta, shortest_clip, repeated : float, int, float
-        Where less than this part of the readings elsewhere equals the one before, so that noise or
-        motion shows: steps of the sensor that so many equal readings must not hide.
+        A sensor is clipped if at its end at least `shortest_clip` readings are equal while the
+        voltage moves by `quanta` steps of the sensor; only if elsewhere less than the part
+        `repeated` of the readings equals the one before, due to noise or motion.
     stuck_samples : int
         Equal samples at the end of a sensor's range, at a resting voltage, that may be chance.
     stuck_ratio : float
-        By which they outnumber equal samples elsewhere, where noise tells them apart.
+        Largest ratio of their number to that of equal samples elsewhere, which noise distinguishes.
     coarse : float
-        Part of the displacement's range; a sensor whose steps are larger is coarse, not clipped.
+        Part of the displacement's range; a sensor with larger steps is coarse, not clipped.
     ahead : float
-        Area of a loop over that of its frame from which on its sense counts; loops of stages have
-        0.05 to 0.2.
+        Smallest area of a loop relative to its bounding box for which its sense counts; loops of
+        stages have 0.05 to 0.2.
     follows : float
-        Correlation of voltage and displacement from which on a loop has a sense: below it, modes
-        may turn the phase by more than a quarter.
+        Smallest correlation of voltage and displacement for which the sense of a loop counts;
+        below it, modes may shift the phase by more than 90 degrees.
     rows_ahead : int
-        By which a logger may read the displacement later than the voltage.
+        Number of rows by which a logger may read the displacement later than the voltage.
     """
 
     least_range_um: float = 0.3
@@ -71,7 +73,7 @@ USUAL = UsualStage()
 
 
 def implausible(recording: Recording) -> list[str]:
-    """Say what no usual stage does.
+    """Return descriptions of what is unusual for any stage.
 
     Returns
     -------
@@ -104,15 +106,15 @@ def implausible(recording: Recording) -> list[str]:
 
 
 def runs_ahead(voltage_v: FloatArray, displacement_um: FloatArray) -> bool:
-    """Tell whether loops are run through in the sense that no passive stage has.
+    """Return whether loops have a sense that is impossible for a passive stage.
 
-    Hysteresis, creep and lags all let the displacement come behind the voltage, so that loops over
-    the voltage turn counterclockwise.
+    With hysteresis, creep and lags the displacement lags behind the voltage, so that loops over
+    the voltage are counterclockwise.
 
     Parameters
     ----------
     voltage_v, displacement_um : ndarray, shape (N,)
-        Neither is constant.
+        Signals, neither of which is constant.
     """
     late = USUAL.rows_ahead
     driving, driven = voltage_v[late:], displacement_um[:-late]
@@ -150,10 +152,10 @@ def _beyond_usual(largest_v: float, swing_v: float, range_um: float) -> list[str
 
 def clipped_ends(displacement_um: FloatArray, voltage_v: FloatArray,
                  ) -> list[tuple[str, float, float]]:
-    """Find the ends of the range at which the sensor is clipped.
+    """Return the ends of the range at which the sensor is clipped.
 
-    A sensor that is clipped repeats one value while the voltage moves on, or without its noise.
-    One of coarse steps stands still, too, and is not looked at.
+    A clipped sensor repeats one value while the voltage moves on, or without its noise. A sensor
+    with coarse steps repeats values, too, and is not examined.
 
     Parameters
     ----------
@@ -162,7 +164,7 @@ def clipped_ends(displacement_um: FloatArray, voltage_v: FloatArray,
     Returns
     -------
     list of (str, float, float)
-        ``lowest`` or ``highest``, that value in um, and the part of the samples that stay there.
+        ``lowest`` or ``highest``, the value there (um), and the part of the samples at it.
     """
     steps_um = np.diff(np.unique(displacement_um))
     if not steps_um.size or steps_um.min() > USUAL.coarse * np.ptp(displacement_um):
@@ -181,17 +183,17 @@ def clipped_ends(displacement_um: FloatArray, voltage_v: FloatArray,
 
 def _is_stuck(voltage_v: FloatArray, starts: NDArray[np.intp], lengths: NDArray[np.intp],
               at_end: NDArray[np.bool_], quantum_v: float) -> bool:
-    """Tell whether the displacement stands while the voltage moves, or lacks its noise.
+    """Return whether the displacement is constant while the voltage moves, or lacks its noise.
 
     Parameters
     ----------
     voltage_v : ndarray, shape (N,)
     starts, lengths : ndarray of int, shape (M,)
-        Of the runs of equal displacements.
+        Starts and lengths of the runs of equal displacements.
     at_end : ndarray of bool, shape (M,)
-        Which of them stand at the end of the range.
+        Which of the runs are at the end of the range.
     quantum_v : float
-        Voltage that moves the displacement by the smallest of its steps.
+        Voltage that changes the displacement by its smallest step.
     """
     moved_v = np.maximum.reduceat(voltage_v, starts) - np.minimum.reduceat(voltage_v, starts)
     if np.any(moved_v[at_end] > USUAL.stuck_while * np.ptp(voltage_v)):
@@ -203,5 +205,5 @@ def _is_stuck(voltage_v: FloatArray, starts: NDArray[np.intp], lengths: NDArray[
     at_rest = moved_v == 0.0
     elsewhere = int(lengths[~at_end & at_rest].max(initial=1))
     most = max(USUAL.stuck_samples, USUAL.stuck_ratio * elsewhere)
-    # A stage without noise may rest once before it first moves; a sensor clips again.
+    # A stage without noise may rest once before it first moves; a clipped sensor does so again.
     return bool(np.count_nonzero(lengths[at_end & at_rest] > most) > 1)

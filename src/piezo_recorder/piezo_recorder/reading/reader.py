@@ -31,10 +31,10 @@ GROUND_TRUTH = "ground_truth"
 LARGEST_BYTES = 16_000_000_000
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 NO_KIND = 0
-"""No kind of record in an MCAP file."""
+"""A record type that does not exist in MCAP files."""
 PART_BYTES = 1 << 20
 MOST_NAMED = 20
-"""Files of a folder that a message names."""
+"""Largest number of a folder's files that a message names."""
 
 
 def read_recording(path: str | PathLike[str], topic: str | None = None,
@@ -45,30 +45,31 @@ def read_recording(path: str | PathLike[str], topic: str | None = None,
     Parameters
     ----------
     path : str or Path
-        The kind is told by being a directory, by the ending ``.mcap``, or by its first bytes:
-        text of any delimiter, .mat, HDF5, .npz, .npy, TDMS, Parquet, Arrow.
+        The kind is recognised by being a directory, by the extension ``.mcap``, or by its first
+        bytes: text of any delimiter, .mat, HDF5, .npz, .npy, TDMS, Parquet, Arrow.
     topic : str, optional
-        Topic of the sample blocks, or its last part such as ``ground_truth``. By default the
-        only one that is not the ground truth.
+        Topic of the sample blocks, or its last part such as ``ground_truth``. The default is the
+        only topic that is not the ground truth.
     sample_rate_hz : float, optional
-        Rate of the sample clock, for recordings of ours that do not tell it; 40 kHz by default.
+        Rate of the sample clock, for recordings of this suite that do not contain it; 40 kHz by
+        default.
     columns : ColumnsDocument
-        What is known of the columns of another program's file, such as by `parse_columns`; a YAML
-        file beside the data may tell it as well, and the rest is guessed.
+        Description of the columns of another program's file, e.g. from `parse_columns`; a YAML
+        file next to the data may add to it, and the rest is guessed.
     progress : callable
-        Called with what is done and which part of it (0 to 1).
+        Called with the name of the present step and the fraction done (0 to 1).
     several_axes : bool
-        Whether a recording of a stage of several axes is read, too, which is refused otherwise.
+        Whether a recording of a stage of several axes is accepted, too.
 
     Returns
     -------
     Recording
-        Its ``notes`` say what was assumed, mended or found implausible.
+        Its ``notes`` describe what was assumed, corrected or found implausible.
 
     Raises
     ------
     RecordingError
-        If the file is missing, damaged, ambiguous, holds no samples, or several recordings.
+        If the file is missing, damaged or ambiguous, has no samples, or several recordings.
 
     Examples
     --------
@@ -85,7 +86,7 @@ def read_recording(path: str | PathLike[str], topic: str | None = None,
 
 
 def only_recording(path: str | PathLike[str], found: list[Recording]) -> Recording:
-    """Return the one recording of a file; RecordingError where it has several."""
+    """Return the single recording of a file; raise RecordingError if it has several."""
     if len(found) > 1:
         titles = ", ".join(each.title for each in found[:12])
         raise RecordingError(
@@ -98,10 +99,10 @@ def read_recordings(path: str | PathLike[str], topic: str | None = None,
                     sample_rate_hz: float | None = None, columns: ColumnsDocument = GUESSED,
                     progress: Progress = no_progress,
                     several_axes: bool = False) -> list[Recording]:
-    """Read all recordings of a file, of which those of other programs may have several.
+    """Read all recordings of a file; those of other programs may have several.
 
-    They are told apart by a column that numbers them, by groups of the file, by a header that is
-    repeated, or by a time that begins anew. See `read_recording`.
+    They are distinguished by a column that numbers them, by groups of the file, by a repeated
+    header, or by a time that starts again. See `read_recording`.
 
     Examples
     --------
@@ -126,7 +127,7 @@ def read_recordings(path: str | PathLike[str], topic: str | None = None,
 
 
 def holds_messages(path: Path) -> bool:
-    """Tell a recording of ours, its MCAP file or its folder, from the files of other programs."""
+    """Return whether a path is a recording of this suite (MCAP file or its folder)."""
     if path.is_dir() or path.suffix.lower() == ".mcap":
         return True
     file, = data_files(path)
@@ -135,12 +136,12 @@ def holds_messages(path: Path) -> bool:
 
 
 def axes_of_messages(path: Path) -> tuple[str, ...]:
-    """Return the names of the axes of a recording of ours; none where it is of one.
+    """Return the names of the axes of a recording of this suite; empty for a single axis.
 
     Raises
     ------
     RecordingError
-        If there is no file.
+        If there is no such file.
     """
     contents = _Contents()
     for file in data_files(path):
@@ -152,7 +153,7 @@ def axes_of_messages(path: Path) -> tuple[str, ...]:
 
 
 def sha256_of(path: str | PathLike[str]) -> str:
-    """Return the SHA-256 hash of a recording's data: of its MCAP or CSV file, hexadecimal.
+    """Return the SHA-256 hash (hexadecimal) of a recording's data, i.e. its MCAP or CSV file.
 
     Examples
     --------
@@ -171,13 +172,13 @@ def sha256_of(path: str | PathLike[str]) -> str:
 
 
 def origin_of(data: Any) -> dict[str, str]:
-    """Return what a model file keeps of data: `path` and `sha256`."""
+    """Return the entries of a model file that identify the data: `path` and `sha256`."""
     path = getattr(data, "path", data)
     return {"path": str(path), "sha256": getattr(data, "sha256", "") or sha256_of(path)}
 
 
 def data_files(path: Path) -> list[Path]:
-    """Return the files that hold a recording's data; RecordingError where there are none."""
+    """Return the files that contain a recording's data; raise RecordingError if there are none."""
     if not path.exists():
         raise RecordingError(f"{path} does not exist: give a recording's directory, an MCAP file, "
                              "or a table of samples.")
@@ -220,10 +221,10 @@ def _bounded(file: Path) -> Path:
 
 
 class RecordReader(StreamReader):
-    """Reads records until the work is cancelled; zeros to the end of the file end it.
+    """Reads records until the work is cancelled, or only zeros remain in the file.
 
-    A power failure can leave them. Taken for records of no kind and no length, they would be
-    skipped one by one.
+    A power failure can leave zeros. Read as records without type and length, they would be skipped
+    one by one.
     """
 
     def _read_record(self, opcode: int, length: int) -> mcap.records.McapRecord | None:
@@ -237,7 +238,7 @@ class RecordReader(StreamReader):
 
 
 class _Contents:
-    """Sample blocks, references and side files of one or more MCAP files, undecoded."""
+    """Serialised sample blocks, references and attachments of one or more MCAP files."""
 
     def __init__(self) -> None:
         self.topics: dict[str, str] = {}
@@ -263,9 +264,9 @@ class _Contents:
                     self._add(record, schemas, channels)
                     if until():
                         return
-            # Whatever the parser stumbles over in damaged bytes.
+            # The parser may raise any exception on damaged bytes.
             except Exception as error:
-                check_cancelled()  # a read that was given up is no damage
+                check_cancelled()  # a cancelled read is not damage
                 if not was_cut_short(stream):
                     raise RecordingError(
                         f"{path} is damaged or no MCAP file ({_brief(error)}): "
@@ -296,12 +297,12 @@ class _Contents:
 
 
 def _brief(error: Exception) -> str:
-    """Shorten what a library says to one line."""
+    """Shorten the message of a library to one line."""
     return " ".join(str(error).split())[:200] or type(error).__name__
 
 
 def was_cut_short(stream: BinaryIO) -> bool:
-    """Tell a file that a killed recorder left, read to its end, from a damaged one."""
+    """Return whether a file was left by a killed recorder and read to its end, not damaged."""
     read_to_end = not stream.read(1)
     stream.seek(0)
     starts_well = stream.read(len(MCAP_MAGIC)) == MCAP_MAGIC
@@ -402,12 +403,12 @@ def _join(path: Path, topic: str, blocks: list[Any], sample_rate_hz: float,
 
 
 def _axes_of(block: Any) -> tuple[str, ...]:
-    """Return the names of the axes of a block; older ones know of none."""
+    """Return the names of the axes of a block; older blocks have none."""
     return tuple(getattr(block, "axes", ()))
 
 
 def _strides(path: Path, periods_s: np.ndarray, sample_rate_hz: float) -> np.ndarray:
-    """Return, for every block, the samples of the clock from one of its samples to the next."""
+    """Return, for every block, the number of clock samples between two of its samples."""
     exact = periods_s * sample_rate_hz
     if not np.all(np.isfinite(exact)) or np.any(exact < 0.5):
         strides = np.zeros(len(exact), dtype=np.int64)

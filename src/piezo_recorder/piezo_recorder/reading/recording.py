@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class RecordingError(ValueError):
-    """A recording cannot be read; the message tells where and what to do."""
+    """A recording cannot be read; the message says where and what to do."""
 
 
 @dataclass(frozen=True)
@@ -27,39 +27,39 @@ class Recording:
     Attributes
     ----------
     path : str
-        Where it was read.
+        Path of the file that was read.
     sample_rate_hz : float
         Rate of the sample clock.
     sample_index : ndarray, shape (N,), int64
         Index of each sample on the sample clock.
     sample_periods_s : ndarray, shape (N,)
-        Distance to the next sample; longer than the clock's where a slow waveform plays.
+        Distance to the next sample; longer than the clock's period for a slow waveform.
     voltage_v : ndarray, shape (N,)
-        Applied from the sample on.
+        Voltage that is applied from the sample on.
     displacement_um : ndarray, shape (N,)
-        Measured before the voltage acts.
+        Displacement that is measured before the voltage acts.
     flags : ndarray, shape (N,), uint32
         `Flag` bits. A CSV file counts as a waveform that plays throughout.
     gaps : list of (int, int)
-        First missing index of the sample clock, and how many are missing.
+        First missing index of the sample clock, and number of missing samples.
     reference_um : ndarray, shape (N,) or (0,)
-        What a tracking run followed; NaN where nothing did, empty where nothing was told.
+        Reference of a tracking run; NaN for samples without one, empty if none was recorded.
     attachments : dict of str to bytes
-        Files kept in the recording.
+        Files that are stored in the recording.
     columns : dict of str to ndarray, shape (N,)
         Further columns of a table.
     complete : bool
-        False where the recorder was killed before it closed the file.
+        False if the recorder was killed before it closed the file.
     notes : list of str
-        What was assumed, mended or found implausible when it was read, for people.
+        What was assumed, corrected or found implausible while reading, for users.
     jitter_s : float
         Standard deviation of the times of the rows from an even clock; 0 on the sample clock.
     title : str
-        Which of several recordings of one file; empty where there is one.
+        Title that distinguishes several recordings of one file; empty for a single one.
     sha256 : str
-        Hash of samples that came from no file; empty where `path` is one.
+        Hash of samples that came from no file; empty if `path` is a file.
     axes : tuple of str
-        Names, where the stage has several: voltage and displacement then have the shape (N, axes).
+        Names of several axes: voltage and displacement then have the shape (N, axes).
     """
 
     path: str
@@ -124,7 +124,7 @@ class Recording:
 
     @property
     def sample_period_s(self) -> float:
-        """Return the one sample period; RecordingError where parts differ."""
+        """Return the sample period; raise RecordingError if it is not the same throughout."""
         periods_s = np.unique(self.sample_periods_s)
         if len(periods_s) > 1:
             raise RecordingError(
@@ -134,17 +134,17 @@ class Recording:
 
     @property
     def playing(self) -> np.ndarray:
-        """Mask of the samples of waveforms proper, without ramps, shape (N,)."""
+        """Return the mask of the samples of waveforms, without ramps, shape (N,)."""
         return self.has(Flag.PLAYING) & ~self.has(Flag.RAMPING)
 
     @property
     def tracking(self) -> np.ndarray:
-        """Mask of the samples while the feedforward plays, shape (N,)."""
+        """Return the mask of the samples while the feedforward plays, shape (N,)."""
         return self.has(Flag.TRACKING) & ~self.has(Flag.RAMPING)
 
     @property
     def segments(self) -> list["Recording"]:
-        """The parts between gaps, in order; the recording itself where it has none."""
+        """Return the parts between gaps, in order; the recording itself if it has no gaps."""
         edges = [first for first, _ in self.gaps]
         bounds = [0, *np.searchsorted(self.sample_index, edges).tolist(), len(self.sample_index)]
         row = np.arange(len(self.sample_index))
@@ -152,7 +152,7 @@ class Recording:
                 for start, end in zip(bounds[:-1], bounds[1:], strict=True)] if edges else [self]
 
     def of_axis(self, axis: str) -> "Recording":
-        """Return one of several axes as a recording of its own."""
+        """Return one of several axes as a separate recording."""
         at = self.axes.index(axis)
         return replace(self, axes=(), title=f"{self.title} {axis}".lstrip(),
                        voltage_v=self.voltage_v[:, at], displacement_um=self.displacement_um[:, at])
@@ -171,7 +171,7 @@ class Recording:
         Raises
         ------
         RecordingError
-            If no sample is left.
+            If no sample remains.
         """
         if not np.any(mask):
             raise RecordingError(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A recording as people see it: one line, a table, a picture."""
+"""Presentation of a recording: one line, a table, a figure."""
 
 from typing import TYPE_CHECKING
 
@@ -15,17 +15,17 @@ if TYPE_CHECKING:
     from piezo_recorder.reading.recording import Recording
 
 SHOWN_PERIODS = 3
-"""Periods of a fast signal that a close look holds."""
+"""Number of periods of a fast signal in a close-up."""
 
 MOST_REVERSALS = 40
-"""Crossings of the mid voltage; where there are more, the whole is a solid block."""
+"""Largest number of crossings of the mid voltage for which the whole recording is drawn."""
 
 CROSSED = 0.1
-"""Part of the swing to both sides of the mid voltage that has to be passed, so as to pass noise."""
+"""Part of the swing around the mid voltage that a crossing must exceed, so that noise has none."""
 
 
 def text_of(recording: "Recording") -> str:
-    """Return what a recording is in one line."""
+    """Return a one-line description of a recording."""
     kinds = np.unique(recording.sample_periods_s)
     period = f"{kinds[0]:.4g} s" if kinds.size == 1 else f"{kinds[0]:.4g} to {kinds[-1]:.4g} s"
     gaps = f", {len(recording.gaps)} gaps" if recording.gaps else ""
@@ -36,7 +36,7 @@ def text_of(recording: "Recording") -> str:
 
 
 def summary_of(recording: "Recording") -> SummaryTable:
-    """Return the table of a recording: extent, clock, ranges, and what is wrong with it."""
+    """Return the table of a recording: extent, clock, ranges, and problems."""
     periods_s = np.unique(recording.sample_periods_s)
     duration_s = float(recording.time_s[-1] + recording.sample_periods_s[-1])
     rows: list[tuple[str | float | None, ...]] = [
@@ -58,7 +58,7 @@ def summary_of(recording: "Recording") -> SummaryTable:
 
 
 def error_um(recording: "Recording") -> FloatArray:
-    """Return reference minus displacement of the samples that have a reference (um)."""
+    """Return reference minus displacement (um) of the samples that have a reference."""
     if not recording.reference_um.size:
         return np.empty(0)
     followed = np.isfinite(recording.reference_um)
@@ -76,12 +76,12 @@ def _reference_rows(recording: "Recording") -> list[tuple[str | float | None, ..
 
 
 def draw_recording(recording: "Recording") -> "Figure":
-    """Draw voltage and displacement over time, and the one over the other.
+    """Draw voltage and displacement over time, and the displacement over the voltage.
 
-    Of a tracking run the reference is drawn over the displacement, and the error below.
+    For a tracking run the reference is drawn with the displacement, and the error below.
 
-    Where the voltage goes up and down so often that the whole is a solid block, a few periods
-    from the middle are drawn beside it, and the loop is that of these periods.
+    If the voltage reverses so often that the whole recording would be a solid block, a few periods
+    from the middle are drawn next to it, and only their loop is drawn.
     """
     from piezo_common.picture_style import WIDE_IN, label, new_figure
 
@@ -119,7 +119,7 @@ def close_look(voltage_v: FloatArray) -> slice | None:
     Returns
     -------
     slice or None
-        None where the voltage passes its mid value so rarely that the whole can be looked at.
+        None if the voltage crosses its mid value so rarely that the whole can be drawn.
     """
     low_v, high_v = voltage_v.min(), voltage_v.max()
     part = (voltage_v - 0.5 * (low_v + high_v)) / max(high_v - low_v, np.finfo(float).tiny)

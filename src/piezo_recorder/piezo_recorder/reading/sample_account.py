@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Account for the samples of a recording: ``report RECORDING``."""
+"""Description of the samples of a recording: ``report RECORDING``."""
 
 import argparse
 
@@ -14,12 +14,12 @@ GAPS_STATUS = 1
 
 
 def report(recording: Recording) -> list[str]:
-    """Say what is in a recording, and what is not.
+    """Return a description of a recording, including what is missing.
 
     Returns
     -------
     lines : list of str
-        Those of the samples that are missing begin with ``error``.
+        Lines on missing samples begin with ``error``.
     """
     periods_s = np.unique(recording.sample_periods_s)
     lines = [
@@ -44,7 +44,7 @@ def report(recording: Recording) -> list[str]:
 
 
 def report_file(options: argparse.Namespace) -> int:
-    """Print the account of the recording of the options; return 1 where samples are missing."""
+    """Print the description of a recording; return 1 if samples are missing."""
     recording = read_recording(options.recording, several_axes=True)
     print("\n".join(report(recording)))
     print_next(options, "piezo_identification", "check", "--data", options.recording)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which columns of a table are time, voltage and displacement: as said, or by their labels."""
+"""Columns of a table for time, voltage and displacement: as described, or by their labels."""
 
 import re
 from collections.abc import Iterable
@@ -17,7 +17,7 @@ from piezo_recorder.reading.units import (
 )
 
 OWN_LABELS = {"time": "time_s", "voltage": "voltage_v", "displacement": "displacement_um"}
-"""The suite's own CSV files have these labels."""
+"""Labels in the suite's own CSV files."""
 
 WORDS = {
     "time": {"time", "times", "timestamp", "timestamps", "datetime", "date", "elapsed", "zeit",
@@ -35,26 +35,26 @@ RATES = {"fs": 1.0, "rate": 1.0, "samplerate": 1.0, "samplingrate": 1.0, "sample
          "samplingfrequency": 1.0, "fshz": 1.0}
 PERIODS = {"dt": 1.0, "ts": 1.0, "sampleperiod": 1.0, "sampleperiods": 1.0, "sampletime": 1.0,
            "samplingtime": 1.0, "samplinginterval": 1.0}
-"""Single numbers of a file that tell the rate in Hz, or the period in s."""
+"""Names of single numbers in a file that are the rate (Hz) or the period (s), with their units."""
 
 OF_UNIT, OF_WORD, OF_LETTER = 4, 2, 1
-"""How much speaks for a column: its unit, a word of its name, a usual letter."""
+"""Scores of a column for its unit, a word in its name, and a usual letter."""
 
 EXAMPLE = "--columns time=NAME[s] voltage=NAME[V] displacement=NAME[um]"
 
 
 @dataclass(frozen=True)
 class SignalSource:
-    """Where a signal comes from.
+    """Column of a signal.
 
     Attributes
     ----------
     label : str
-        Of the column.
+        Label of the column.
     scale : float
-        What one of its numbers is in s, V or um.
+        Value of one unit of the column in s, V or um.
     note : str
-        What was assumed, for people; empty where nothing was.
+        Assumption to report; empty if there is none.
     """
 
     label: str
@@ -68,19 +68,19 @@ def needed_columns(table: Table, said: ColumnsDocument) -> dict[str, SignalSourc
     Parameters
     ----------
     table : Table
-        Its rows are not looked at.
+        Table, whose rows are not used.
     said : ColumnsDocument
-        What the user said; the rest is guessed.
+        Description by the user; the rest is guessed.
 
     Returns
     -------
     dict of str to SignalSource
-        By ``time``, ``voltage`` and ``displacement``; no time where the rate is known.
+        Sources by ``time``, ``voltage`` and ``displacement``; without time if the rate is known.
 
     Raises
     ------
     RecordingError
-        If a signal has no column, or several that may be it, or one without a unit.
+        If a signal has no column, several candidates, or a column without a unit.
     """
     labels = list(table.columns)
     own_time = said.time is not None or OWN_LABELS["time"] in labels
@@ -105,7 +105,7 @@ def needed_columns(table: Table, said: ColumnsDocument) -> dict[str, SignalSourc
 
 
 def said_label(table: Table, signal: str, name: str) -> str:
-    """Return the label of the column that a user named, by label, name or number."""
+    """Return the label of the column that a user gave by label, name or number."""
     labels = list(table.columns)
     small = name.strip().lower()
     for matches in (
@@ -122,7 +122,7 @@ def said_label(table: Table, signal: str, name: str) -> str:
 
 
 def guessed_labels(table: Table, signal: str, labels: Iterable[str]) -> list[str]:
-    """Return the columns for which most speaks, by unit and name; none where nothing does."""
+    """Return the columns with the highest score by unit and name; empty if all scores are zero."""
     scores = {label: _score(table, signal, label) for label in labels}
     best = max(scores.values(), default=0)
     return [label for label, score in scores.items() if score == best] if best > 0 else []
@@ -143,7 +143,7 @@ def _score(table: Table, signal: str, label: str) -> int:
 
 
 def _unit(table: Table, label: str) -> str:
-    """Return the unit of a column; beside units alone, ``s`` is seconds and no way."""
+    """Return the unit of a column; among labels that are all units, ``s`` is seconds."""
     unit = table.units.get(label) or name_and_unit(label)[1]
     return unit or (label if all(map(is_unit, table.columns)) else "")
 
@@ -195,7 +195,7 @@ def _refuse_shared(table: Table, found: dict[str, SignalSource]) -> None:
 
 
 def rate_hz_of(table: Table, said: ColumnsDocument) -> float | None:
-    """Return the rate of the rows that the user said, or a single number of the file tells."""
+    """Return the rate of the rows given by the user, or by a single number in the file."""
     if said.sample_rate_hz is not None:
         return said.sample_rate_hz
     for name, value in table.scalars.items():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Recordings in the files of other programs: one reader for all kinds of table."""
+"""Recordings in the files of other programs: one reader for all kinds of tables."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -22,15 +22,15 @@ from piezo_recorder.reading.time_axis import TimeAxis, repeated_rows, restarts, 
 from piezo_recorder.sample_block import Flag
 
 HOLDING = 0.5
-"""Part of the voltages that equal the one before, from which on a voltage is held between rows."""
+"""Part of the voltages that equal the one before, above which a voltage is held between rows."""
 
 MOST_RECORDINGS = 1000
 
 MOST_MISSING = 0.05
-"""Part of the rows that may lack a value; with more of them the column is another one."""
+"""Part of the rows that may lack a value; with more, the column is probably the wrong one."""
 
 SCPI_MISSING = 9.91e37
-"""What instruments by the standard SCPI send for "not a number"."""
+"""Value that SCPI instruments send for "not a number"."""
 
 
 def read_table_recordings(path: Path, columns: ColumnsDocument = GUESSED,
@@ -42,17 +42,17 @@ def read_table_recordings(path: Path, columns: ColumnsDocument = GUESSED,
     path : Path
         Text of any delimiter, .mat, HDF5, .npz, .npy, TDMS, Parquet or Arrow.
     columns : ColumnsDocument
-        What is known of the columns; `columns_for` adds what a YAML file beside the data says.
+        Description of the columns; `columns_for` adds that of a YAML file next to the data.
 
     Returns
     -------
     list of Recording
-        One or more, in the order of the file.
+        One or more recordings, in the order of the file.
 
     Raises
     ------
     RecordingError
-        If the file, a column, a row or the sample period is not as it should be; one line.
+        If the file, a column, a row or the sample period is invalid; the message is one line.
     """
     said = columns_for(path, columns)
     tables = read_tables(path, lambda table: _needed_labels(table, said), progress)
@@ -63,17 +63,17 @@ def read_table_recordings(path: Path, columns: ColumnsDocument = GUESSED,
 
 
 def recordings_of(tables: Sequence[Table], said: ColumnsDocument) -> list[Recording]:
-    """Return the recordings that tables hold.
+    """Return the recordings in tables.
 
     Parameters
     ----------
     tables : sequence of Table
-        The groups of a file, then the whole of it; at least one.
+        The groups of a file, then the whole file; at least one.
 
     Raises
     ------
     RecordingError
-        See `read_table_recordings`.
+        If a table is invalid, see `read_table_recordings`.
     """
     *groups, whole = tables
     usable = [group for group in groups if _sources(group, said)]
@@ -94,7 +94,7 @@ def _needed_labels(table: Table, said: ColumnsDocument) -> list[str]:
 
 
 def _sources(table: Table, said: ColumnsDocument) -> dict[str, SignalSource]:
-    """Return the columns of the signals of a group; empty where it has not all of them."""
+    """Return the columns of the signals of a group; empty if it lacks one of them."""
     try:
         return needed_columns(table, said)
     except RecordingError:
@@ -102,7 +102,7 @@ def _sources(table: Table, said: ColumnsDocument) -> dict[str, SignalSource]:
 
 
 def _parts(table: Table, said: ColumnsDocument) -> list[Table]:
-    """Split a table where another recording begins."""
+    """Split a table at the rows where another recording begins."""
     sources = needed_columns(table, said)
     if table.rows < 2:
         return [table]
@@ -167,14 +167,14 @@ def _axis(table: Table, sources: dict[str, SignalSource], signals: dict[str, np.
     if "time" in sources:
         return time_axis(signals["time"][rows], place, sources["time"].label)
     rate_hz = rate_hz_of(table, said)
-    assert rate_hz is not None  # or the time would be needed
+    assert rate_hz is not None  # otherwise a column of time is required
     axis = time_axis(rows / rate_hz, place, "the number of the row")
     return replace(axis, period_s=1.0 / rate_hz, notes=[
         f"there is no time; {rate_hz:g} rows a second are assumed as told", *axis.notes])
 
 
 def _in_unit(table: Table, source: SignalSource) -> np.ndarray:
-    """Return a signal in s, V or um, with nan where the file has no value."""
+    """Return a signal in s, V or um, with NaN where the file has no value."""
     values = table.columns[source.label]
     values = np.where(np.abs(values) == SCPI_MISSING, np.nan, values)
     return values if source.scale == 1.0 else values * source.scale
@@ -213,7 +213,7 @@ def _rows_of_samples(table: Table, sources: dict[str, SignalSource],
 
 
 def _at_rows(values: np.ndarray, at_rows: np.ndarray) -> np.ndarray:
-    """Return values between rows, by straight lines."""
+    """Return values between rows by linear interpolation."""
     return np.interp(at_rows, np.arange(len(values)), values)
 
 

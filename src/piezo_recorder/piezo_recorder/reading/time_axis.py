@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""From the times of rows to samples of one period: jitter, rounding, lost rows and gaps."""
+"""Samples of one period from the times of rows: jitter, rounding, lost rows and gaps."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -13,28 +13,28 @@ from piezo_recorder.reading.recording import RecordingError
 
 @dataclass(frozen=True)
 class TimeSettings:
-    """Numbers that decide what the times of rows mean.
+    """Thresholds for the interpretation of the times of rows.
 
     Attributes
     ----------
     uniform : float
-        Of a period: rows that lie no farther off count as samples at their instants. A ramp that
-        is sampled so is wrong by this part of its step from sample to sample.
+        Part of a period: rows with a smaller deviation count as samples at their instants. In a
+        ramp the error is this part of the step from sample to sample.
     gap_periods : float
-        A longer distance between rows is a gap; a shorter one is bridged by a straight line.
+        A longer distance between rows is a gap; a shorter one is interpolated linearly.
     longest_gap : float
-        Periods beyond which a time is no gap, but wrong.
+        Distance in periods above which a time is invalid rather than a gap.
     even : float
-        Of a period: the spread of the distances below which a distance of two periods is a row
-        that was lost; at this spread 1.5 periods are five standard deviations away.
+        Part of a period: if the spread of the distances is smaller, a distance of two periods is a
+        lost row; at this spread 1.5 periods are five standard deviations away.
     most_gaps : float
-        Part of the rows that may end at a gap; more of them mean that there is no period.
+        Part of the rows that may end at a gap; with more there is no period.
     anew : float
-        Of the duration of a recording: the time begins anew if it falls to this part of it.
+        Part of a recording's duration: if the time falls to this part, it starts again.
     most_repeated : float
         Part of the rows that may repeat the row above by a fault of the logger.
     most_ticks : int
-        Different distances, in ticks of a clock that rounds, up to which it is seen as one.
+        Largest number of different distances, in ticks, for which times count as rounded to ticks.
     """
 
     uniform: float = 0.1
@@ -52,19 +52,19 @@ SETTINGS = TimeSettings()
 
 @dataclass(frozen=True)
 class TimeAxis:
-    """The samples that rows become.
+    """The samples that correspond to the rows.
 
     Attributes
     ----------
     sample_index : ndarray, shape (N,), int64
         Index of each sample on a clock of this period.
     at_rows : ndarray, shape (N,), or None
-        Place of each sample among the rows, 2.5 being half-way between rows 2 and 3; None where
+        Position of each sample among the rows, e.g. 2.5 half-way between rows 2 and 3; None if
         the rows are the samples.
     jitter_s : float
         Standard deviation of the times of the rows from a clock of this period.
     notes : list of str
-        What was done, for people, without the name of the file.
+        What was done, for users, without the name of the file.
     """
 
     period_s: float
@@ -81,12 +81,12 @@ def first_decrease(time_s: FloatArray) -> int | None:
 
 
 def restarts(time_s: FloatArray) -> list[int]:
-    """Return the rows at which the time begins anew near where it began before, if that is all.
+    """Return the rows at which the time starts again near its first value.
 
     Returns
     -------
     list of int
-        Empty where the time decreases in another way, too.
+        Empty if the time also decreases in another way.
     """
     rows = (np.flatnonzero(np.diff(time_s) < 0.0) + 1).tolist()
     for begin, row in zip([0, *rows], rows, strict=False):
@@ -97,7 +97,7 @@ def restarts(time_s: FloatArray) -> list[int]:
 
 
 def repeated_rows(time_s: FloatArray, signals: Sequence[FloatArray]) -> NDArray[np.bool_]:
-    """Mark the rows that a logger wrote twice: with all the numbers of the row above.
+    """Mark the rows that a logger wrote twice: they equal the row above in all numbers.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def repeated_rows(time_s: FloatArray, signals: Sequence[FloatArray]) -> NDArray[
     Returns
     -------
     ndarray of bool, shape (N,)
-        None where the time stands in many rows: its clock is rounded, or does not run.
+        False everywhere if the time repeats in many rows: its clock is rounded, or does not run.
     """
     stands = np.diff(time_s, prepend=-np.inf) == 0.0
     if np.mean(stands) > SETTINGS.most_repeated:
@@ -118,16 +118,16 @@ def repeated_rows(time_s: FloatArray, signals: Sequence[FloatArray]) -> NDArray[
 
 
 def time_axis(time_s: FloatArray, place: Callable[[int], str], label: str) -> TimeAxis:
-    """Find the period of rows that do not go back in time.
+    """Determine the period of rows whose times do not decrease.
 
     Parameters
     ----------
     time_s : ndarray, shape (N,)
         At least two rows.
     place : callable
-        Tells where a row stands, for messages.
+        Returns the position of a row, for messages.
     label : str
-        Of the column of time.
+        Label of the column of time.
 
     Raises
     ------
@@ -155,7 +155,7 @@ def time_axis(time_s: FloatArray, place: Callable[[int], str], label: str) -> Ti
 
 def _uneven(time_s: FloatArray, steps_s: FloatArray, place: Callable[[int], str],
             label: str) -> TimeAxis:
-    """Find the period of rows that are not at equal distances throughout."""
+    """Determine the period of rows that are not equally spaced throughout."""
     typical_s = float(np.median(steps_s[steps_s > 0.0]))
     limit_s = SETTINGS.gap_periods * typical_s
     inside = steps_s <= limit_s
@@ -199,7 +199,7 @@ def _uneven(time_s: FloatArray, steps_s: FloatArray, place: Callable[[int], str]
 
 
 def _period(core_s: FloatArray, typical_s: float) -> tuple[float, np.ndarray]:
-    """Return the period of rows without gaps, and how many rows are lost in each step."""
+    """Return the period of rows without gaps, and the number of lost rows in each step."""
     lost = np.maximum(np.round(core_s / typical_s).astype(np.int64) - 1, 0)
     even = np.std(core_s - typical_s * (1 + lost)) < SETTINGS.even * typical_s
     if not even or np.mean(lost > 0) > SETTINGS.even:
@@ -209,7 +209,7 @@ def _period(core_s: FloatArray, typical_s: float) -> tuple[float, np.ndarray]:
 
 def _row_ticks(time_s: FloatArray, counts: np.ndarray, gaps: np.ndarray,
                period_s: float) -> np.ndarray:
-    """Return the place of each row on the clock; what a gap takes is rounded to whole periods."""
+    """Return the position of each row on the clock; gaps are rounded to whole periods."""
     steps = counts.copy()
     for gap in gaps.tolist():
         steps[gap] = max(round((time_s[gap + 1] - time_s[gap]) / period_s), 1)
@@ -217,7 +217,7 @@ def _row_ticks(time_s: FloatArray, counts: np.ndarray, gaps: np.ndarray,
 
 
 def _fitted_period_s(time_s: FloatArray, ticks: np.ndarray, gaps: np.ndarray) -> float:
-    """Return the period by least squares over all segments; 0 where each is a single row."""
+    """Return the period by least squares over all segments; 0 if each is a single row."""
     product = square = 0.0
     for time, tick in zip(np.split(time_s, gaps + 1), np.split(ticks, gaps + 1), strict=True):
         from_mean = tick - tick.mean()
@@ -227,13 +227,13 @@ def _fitted_period_s(time_s: FloatArray, ticks: np.ndarray, gaps: np.ndarray) ->
 
 
 def _off_s(off_s: FloatArray, gaps: np.ndarray) -> FloatArray:
-    """Return how far rows lie off the clock; each segment may begin between two of its ticks."""
+    """Return the deviations of rows from the clock, less the median of each of several segments."""
     parts = np.split(off_s, gaps + 1)
     return np.concatenate([part - np.median(part) if len(parts) > 1 else part for part in parts])
 
 
 def _rounding_s(core_s: FloatArray, typical_s: float) -> float:
-    """Return the tick of a clock that rounds the times; 0 where they are not rounded."""
+    """Return the tick of a clock that rounds the times; 0 if they are not rounded."""
     distances = np.unique(np.round(core_s / typical_s, 4))
     if not 1 < distances.size <= SETTINGS.most_ticks:
         return 0.0
@@ -252,7 +252,7 @@ def _gap_notes(gaps: np.ndarray, steps_s: FloatArray, place: Callable[[int], str
 
 
 def _grid(time_s: FloatArray, gaps: np.ndarray, period_s: float) -> tuple[np.ndarray, FloatArray]:
-    """Return the samples of an even clock inside each segment, and their places among the rows."""
+    """Return the samples of an even clock in each segment, and their positions among the rows."""
     edges = [0, *(gaps + 1).tolist(), time_s.size]
     indices, places = [], []
     for start, end in zip(edges[:-1], edges[1:], strict=True):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The reference of a tracking run, as the controller told it, beside the samples."""
+"""The reference of a tracking run, as published by the controller, for each sample."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -17,14 +17,14 @@ def reference_of(messages: Iterable[Any], sample_index: np.ndarray) -> FloatArra
     Parameters
     ----------
     messages : iterable of TrackedReference
-        Of one run or several, in any order.
+        Messages of one run or several, in any order.
     sample_index : ndarray, shape (N,), int64
-        Of the samples, rising.
+        Indices of the samples, in rising order.
 
     Returns
     -------
     ndarray, shape (N,) or (0,)
-        In um; NaN where none was told. Empty where no sample has one.
+        In um; NaN if none was published. Empty if no sample has one.
     """
     reference_um = np.full(sample_index.size, np.nan)
     for message in messages:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Units of time, voltage and displacement, and the labels of columns that bear them."""
+"""Units of time, voltage and displacement, and labels of columns with units."""
 
 import re
 
@@ -21,12 +21,12 @@ UNITS: dict[str, dict[str, float]] = {
                      "nanometre": 1e-3, "nanometres": 1e-3, "pm": 1e-6, "mm": 1e3,
                      "millimeter": 1e3, "millimetre": 1e3, "m": 1e6, "angstrom": 1e-4},
 }
-"""What one of the unit is in s, V and um; all in small letters."""
+"""Value of one unit in s, V and um; all names in lower case."""
 
 SHOWN = {"time": "s, ms, us, ns, min, h or d", "voltage": "V, mV, uV or kV",
          "displacement": "um, nm, pm, mm or m"}
 SUFFIXES = {"s", "ms", "us", "ns", "v", "mv", "kv", "um", "nm", "pm", "mm", "m"}
-"""Units that may end a name behind an underscore or a space: ``v_min`` is no time."""
+"""Units that may end a name after an underscore or a space: ``v_min`` is not a time."""
 
 OTHER_UNITS = {"hz", "khz", "rad", "deg", "°", "db", "ma", "°c", "degc", "%", "counts", "mn"}
 
@@ -37,7 +37,7 @@ _FACTORED = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)?\s*\*?\s
 
 
 def plain(unit: str) -> str:
-    """Write a unit as the tables of this module do: both signs for micro as u, no capitals."""
+    """Return a unit as in the tables of this module: in lower case, both micro signs as u."""
     text = unit.strip().replace("µ", "u").replace("μ", "u").replace("Å", "angstrom")
     return text.strip("[]() .").lower()
 
@@ -48,7 +48,7 @@ def signal_of_unit(unit: str) -> str | None:
 
 
 def is_unit(text: str) -> bool:
-    """Tell whether a text is a unit, of a signal or of what else stands beside it."""
+    """Return whether a text is a unit, of a signal or of another quantity."""
     above, _, below = plain(text).partition("/")
     known = bool(signal_of_unit(above)) or above in OTHER_UNITS
     return known and (not below or bool(signal_of_unit(below)))
@@ -60,7 +60,7 @@ def name_and_unit(label: str) -> tuple[str, str]:
     Returns
     -------
     name, unit : str
-        The unit is empty where the label has none that is known.
+        The unit is empty if the label has no known one.
     """
     found = _BRACKETED.fullmatch(label)
     if found:
@@ -71,18 +71,18 @@ def name_and_unit(label: str) -> tuple[str, str]:
     found = _SUFFIXED.fullmatch(label)
     if found and plain(found[2]) in SUFFIXES:
         return found[1].strip(), found[2]
-    # Other letters than V alone are rather a quantity: "s" may be a way as well as seconds.
+    # Other single letters than V are more likely a quantity: "s" may be a displacement.
     is_unit_alone = signal_of_unit(label) and (len(plain(label)) > 1 or label.strip() == "V")
     return label.strip(), label.strip() if is_unit_alone else ""
 
 
 def factor_and_unit(text: str) -> tuple[float, str]:
-    """Split what a user wrote in brackets: ``nm``, ``20V``, or ``2.5um/V`` for a sensor in volts.
+    """Split the text in brackets: ``nm``, ``20V``, or ``2.5um/V`` for a sensor in volts.
 
     Returns
     -------
     factor : float
-        1 where there is none.
+        1 if there is none.
     unit : str
     """
     found = _FACTORED.fullmatch(text)
@@ -92,12 +92,12 @@ def factor_and_unit(text: str) -> tuple[float, str]:
 
 
 def scale_of(signal: str, unit: str) -> float:
-    """Return what one of a unit is in s, V or um.
+    """Return the value of one unit in s, V or um.
 
     Raises
     ------
     RecordingError
-        If it is no unit of that signal.
+        If it is not a unit of that signal.
     """
     scale = UNITS[signal].get(plain(unit))
     if scale is None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Read a voltage to play from a table of samples."""
+"""Reader of a voltage to play from a table of samples."""
 
 import io
 from pathlib import Path
@@ -12,10 +12,10 @@ from piezo_common.regular_file import UnreadableFile, open_regular
 from piezo_recorder.reading.axes import axes_with_voltage
 
 LARGEST_BYTES = 1_000_000_000
-"""Some minutes of the sample clock; a table without line ends is read at once."""
+"""Largest size, some minutes of the sample clock; a table without line ends is read at once."""
 
 UNEVEN = 1e-3
-"""Largest deviation of a row's instant, in sample periods; a table in microseconds rounds less."""
+"""Largest deviation of a row's time, in sample periods; times in microseconds round less."""
 
 
 class StoredWaveform(NamedTuple):
@@ -24,9 +24,8 @@ class StoredWaveform(NamedTuple):
     Attributes
     ----------
     voltage_v : ndarray, shape (N,) or (N, axes)
-    sample_period_s : float
     axes : tuple of str
-        Names, where there are several.
+        Names of several axes.
     """
 
     voltage_v: FloatArray
@@ -40,8 +39,8 @@ def read_waveform(path: Path) -> StoredWaveform:
     Raises
     ------
     ValueError
-        If it is no regular file of a bounded size, there are no such columns, fewer than two rows,
-        or the rows are not uniform.
+        If it is not a regular file of bounded size, lacks the columns, has fewer than two rows,
+        or is not sampled uniformly.
     """
     try:
         with open_regular(path, LARGEST_BYTES) as raw, io.TextIOWrapper(

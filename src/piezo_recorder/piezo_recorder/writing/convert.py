@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Write a recording of any origin as ours or as CSV: ``convert FILE NEW``."""
+"""Rewrite any recording in the format of this suite, or as CSV: ``convert FILE NEW``."""
 
 import argparse
 import json
@@ -24,14 +24,14 @@ TOPIC = "/stage/samples"
 
 
 def write_csv(recording: Recording, path: Path) -> None:
-    """Write a recording as a CSV file with our columns and its further ones.
+    """Write a recording as a CSV file with the columns of this suite and its further ones.
 
-    Numbers are written so that they are read back to the last bit; times to 12 digits.
+    Numbers have as many digits as are needed to read them back exactly; times have 12 digits.
 
     Raises
     ------
     FileExistsError
-        If it is there already.
+        If the file exists already.
     """
     columns = [*recording.signals.values(), *recording.columns.values()]
     labels = ["time_s", *recording.signals,
@@ -52,14 +52,14 @@ def write_recording(recording: Recording, path: Path) -> None:
     Parameters
     ----------
     recording : Recording
-        Its further columns are not written; gaps are.
+        Recording; its further columns are not written, but gaps are.
     path : Path
-        Directory to make.
+        Directory to create.
 
     Raises
     ------
     FileExistsError
-        If it is there already.
+        If the directory exists already.
     """
     definition = installed_definition(TYPE_NAME)
     typestore = get_typestore(Stores.EMPTY)
@@ -84,7 +84,7 @@ def write_recording(recording: Recording, path: Path) -> None:
 
 
 def _blocks(recording: Recording) -> Iterator[slice]:
-    """Yield the rows of each block: no gap, change of period or of flags lies inside one."""
+    """Yield the rows of each block; gaps and changes of period or flags are only between blocks."""
     strides = np.round(recording.sample_periods_s * recording.sample_rate_hz).astype(np.int64)
     breaks = ((np.diff(recording.sample_index) != strides[:-1]) | (np.diff(strides) != 0)
               | (np.diff(recording.flags.astype(np.int64)) != 0))
@@ -95,11 +95,11 @@ def _blocks(recording: Recording) -> Iterator[slice]:
 
 
 def convert_file(options: argparse.Namespace) -> None:
-    """Write the recordings of the file of the options as the new ones."""
+    """Write the recordings of a file as new ones."""
     output: Path = options.output
     found = read_all_given(options.recording, options, several_axes=True)
     for recording in found:
-        # Titles come from the file: they may hold anything.
+        # Titles come from the file and may contain any character.
         title = re.sub(r"[^\w-]+", "_", recording.title)
         name = f"{output.stem}_{title}" if len(found) > 1 else output.stem
         path = output.with_name(name + output.suffix)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Definitions of installed ROS message types, as a recording embeds them."""
+"""Definitions of installed ROS message types, as embedded in a recording."""
 
 import json
 import re
@@ -11,11 +11,11 @@ try:
     from ament_index_python import PackageNotFoundError, get_package_share_directory
 except ImportError:  # without ROS no package of messages is installed
     class PackageNotFoundError(KeyError):  # type: ignore[no-redef]
-        """No package is installed."""
+        """The package is not installed."""
 
     def get_package_share_directory(  # type: ignore[misc]
             package_name: str, print_warning: bool = True) -> str:
-        """Say that a package is not installed."""
+        """Raise, as the package is not installed."""
         raise PackageNotFoundError(package_name)
 
 from piezo_recorder.sample_block import TYPE_NAME
@@ -24,21 +24,21 @@ SEPARATOR = "\n" + "=" * 80 + "\n"
 PRIMITIVES = re.compile(
     r"(bool|byte|char|w?string(<=\d+)?|float32|float64|u?int(8|16|32|64))$")
 PACKAGED = Path(__file__).with_name("sample_block.json")
-"""The definition of our own samples, as they are installed with ROS."""
+"""Definition of the suite's own sample block, the same as installed with ROS."""
 
 
 @dataclass(frozen=True)
 class MessageDefinition:
-    """What a reader needs to decode a type without having it installed.
+    """Information that a reader needs to decode a type that is not installed.
 
     Attributes
     ----------
     type_name : str
-        For instance ``std_msgs/msg/Header``.
+        Name, for instance ``std_msgs/msg/Header``.
     text : str
         The ``.msg`` file followed by those of every type it uses (schema encoding ``ros2msg``).
     type_hash : str
-        RIHS01 hash of the type, empty where it is unknown.
+        RIHS01 hash of the type; empty if it is unknown.
     """
 
     type_name: str
@@ -47,17 +47,17 @@ class MessageDefinition:
 
 
 def installed_definition(type_name: str) -> MessageDefinition:
-    """Read the definition of an installed message type; that of our samples needs no ROS.
+    """Return the definition of an installed message type; the sample block needs no ROS.
 
     Parameters
     ----------
     type_name : str
-        For instance ``std_msgs/msg/Header``.
+        Name, for instance ``std_msgs/msg/Header``.
 
     Raises
     ------
     ValueError
-        If the name has another shape or the type is not installed.
+        If the name has another form, or the type is not installed.
     """
     if type_name == TYPE_NAME and not _is_installed(type_name.split("/")[0]):
         return _packaged_definition()
@@ -92,7 +92,7 @@ def _collect(type_name: str, texts: dict[str, str]) -> None:
 
 
 def _used_types(text: str, package: str) -> Iterator[str]:
-    """Yield the full names of the message types that a definition's fields have."""
+    """Yield the full names of the message types of a definition's fields."""
     for line in text.splitlines():
         fields = line.split("#")[0].split()
         if not fields:

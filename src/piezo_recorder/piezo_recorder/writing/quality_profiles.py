@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Qualities of service of recorded topics in the form that rosbag2 replays them from."""
+"""Quality of service of recorded topics, in the form that rosbag2 replays."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -12,17 +12,17 @@ DURATIONS = ("deadline", "lifespan")
 
 
 def offered_profile(quality: Any) -> dict[str, Any]:
-    """Return the entry of ``offered_qos_profiles`` for what a publisher offers.
+    """Return the entry of ``offered_qos_profiles`` for the quality that a publisher offers.
 
     Parameters
     ----------
     quality : rclpy.qos.QoSProfile
-        As the graph tells it; it does not tell the history, which is then ``unknown``.
+        Quality reported by the graph; the history, which it does not contain, is ``unknown``.
 
     Returns
     -------
     dict
-        As rosbag2 writes it since version 9 of its metadata.
+        Entry in the format of rosbag2 since version 9 of its metadata.
     """
     return {
         "history": quality.history.short_key,
@@ -36,12 +36,12 @@ def offered_profile(quality: Any) -> dict[str, Any]:
 
 
 def profiles_to_text(profiles: Iterable[dict[str, Any]]) -> str:
-    """Return the YAML text of a list of profiles, as a channel of an MCAP file bears it."""
+    """Return the YAML text of a list of profiles for a channel of an MCAP file."""
     return yaml.safe_dump(list(profiles), sort_keys=False)
 
 
 def profiles_from_text(text: str) -> list[dict[str, Any]]:
-    """Return the profiles of a channel's YAML text; none where it has none or is damaged."""
+    """Return the profiles in a channel's YAML text; empty if there are none or it is damaged."""
     try:
         profiles = yaml.safe_load(text)
     except yaml.YAMLError:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Make a whole recording of what a killed recorder left: ``repair RECORDING NEW``."""
+"""Make a complete recording from that of a killed recorder: ``repair RECORDING NEW``."""
 
 import argparse
 from os import PathLike
@@ -16,14 +16,14 @@ from piezo_recorder.writing.writer import STAGE_METADATA, RecordingWriter
 
 
 def repair(path: str | PathLike[str], output: str | PathLike[str]) -> int:
-    """Copy every whole message of a recording into a new one with an index.
+    """Copy every complete message of a recording into a new one with an index.
 
     Parameters
     ----------
     path : str or Path
-        A recording's directory, or an MCAP file.
+        Directory of a recording, or an MCAP file.
     output : str or Path
-        Directory to make.
+        Directory to create.
 
     Returns
     -------
@@ -32,9 +32,9 @@ def repair(path: str | PathLike[str], output: str | PathLike[str]) -> int:
     Raises
     ------
     RecordingError
-        If the recording is no MCAP file, or damaged rather than cut short.
+        If the recording is not an MCAP file, or is damaged rather than cut short.
     FileExistsError
-        If something is at ``output`` already.
+        If ``output`` exists already.
     """
     files = data_files(Path(path))
     for file in files:
@@ -52,7 +52,7 @@ class _Copy:
     def __init__(self, output: str | PathLike[str]):
         self.writer = RecordingWriter(output)
         self._topics: dict[str, int] = {}
-        # By their numbers in the file that is read, which begin anew in the next.
+        # By their numbers in the file that is read, which start again in the next file.
         self._schemas: dict[int, mcap.records.Schema] = {}
         self._channels: dict[int, int] = {}
 
@@ -69,7 +69,7 @@ class _Copy:
             try:
                 for record in RecordReader(stream, validate_crcs=True).records:
                     self._take(record)
-            # Whatever the parser stumbles over where the file ends.
+            # The parser may raise any exception at the end of the file.
             except Exception as error:
                 if not was_cut_short(stream):
                     raise RecordingError(
@@ -98,7 +98,7 @@ class _Copy:
 
 
 def repair_given(options: argparse.Namespace) -> None:
-    """Make a whole recording of that of the options, and print what was kept."""
+    """Make a complete recording, and print what was kept."""
     messages = repair(options.recording, options.output)
     print(f"{messages} messages kept in {options.output}")
     print_next(options, "piezo_recorder", "report", options.output)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""One recording while it is made."""
+"""A recording in progress."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -10,25 +10,25 @@ from piezo_recorder.sample_block import SampleCount
 from piezo_recorder.writing.message_definition import MessageDefinition
 from piezo_recorder.writing.writer import RecordingWriter
 
-# What belongs to the last sample may come behind it on other topics.
+# Messages that belong to the last sample may come after it on other topics.
 QUIET_S = 0.02
 
 
 class RecordingSession:
-    """One recording and the counts of its samples.
+    """A recording in progress, and the counts of its samples.
 
     Parameters
     ----------
     definitions : dict of str to MessageDefinition
-        By topic.
+        Definitions by topic.
     sample_rate_hz : float
         Rate of the sample clock.
     axes : int
-        Of the stage.
+        Number of the stage's axes.
     client : Presence
-        Of the node it is made for.
+        Presence of the node that requested the recording.
     quality_profiles : dict of str to sequence of dict
-        What the publishers of each topic offer.
+        Profiles that the publishers of each topic offer.
     """
 
     def __init__(self, writer: RecordingWriter, definitions: Mapping[str, MessageDefinition],
@@ -53,17 +53,17 @@ class RecordingSession:
 
     @property
     def quiet(self) -> bool:
-        """Tell whether nothing has come for a while."""
+        """Return whether no message has come for `QUIET_S`."""
         return time.monotonic() - self._received_at > QUIET_S
 
     @property
     def samples(self) -> int:
-        """Return the samples received of the first topic of samples."""
+        """Return the number of samples received on the first topic of samples."""
         return next(iter(self._counts.values())).samples
 
     @property
     def missing(self) -> int:
-        """Return the samples that no block of the first topic of samples covers."""
+        """Return the number of samples that no block of the first topic of samples covers."""
         return next(iter(self._counts.values())).missing
 
     def receive(self, topic: str, data: bytes, time_ns: int) -> None:
@@ -74,10 +74,10 @@ class RecordingSession:
             self._counts[topic].add(data)
 
     def missing_until(self, last_sample: int) -> int:
-        """Return how many samples are still to come on the topic that is furthest behind.
+        """Return the number of samples still to come on the topic that is furthest behind.
 
-        A topic that never sent anything, such as the ground truth of a stage that has none,
-        is not waited for, except the first.
+        Topics without any message, such as the ground truth of a stage that has none, are ignored,
+        except the first.
         """
         first, *others = self._counts.values()
         started = [first, *(count for count in others if count.end is not None)]

@@ -17,9 +17,9 @@ from piezo_recorder.writing.quality_profiles import profiles_to_text
 
 METADATA_VERSION = 9
 CHUNK_BYTES = 1024 * 1024
-# Half of what a killed recorder may lose.
+# Half of what may be lost if the recorder is killed.
 FLUSH_PERIOD_S = 0.5
-# Name of the MCAP metadata record that tells the rate of the sample clock.
+# Name of the MCAP metadata record with the rate of the sample clock.
 STAGE_METADATA = "piezo_stage"
 
 
@@ -27,21 +27,21 @@ class RecordingWriter:
     """Write serialised messages into a new rosbag2 directory.
 
     The directory holds ``metadata.yaml`` and one MCAP file with the definitions of
-    all types, so any reader of rosbag2 or MCAP decodes it. Every write hands older
-    messages to the operating system after at most half a second; where messages come
-    seldom, call `flush` as often.
+    all types, so any reader of rosbag2 or MCAP decodes it. Every write passes older
+    messages to the operating system after at most half a second; if messages are
+    rare, call `flush` as often.
 
     Parameters
     ----------
     path : str or Path
-        Directory to make; its parents are made too.
+        Directory to create, with its parents.
     sample_rate_hz : float, optional
-        Rate of the sample clock, kept in the file for the reader.
+        Rate of the sample clock, stored in the file for the reader.
 
     Raises
     ------
     FileExistsError
-        If something is at ``path`` already: nothing is ever overwritten.
+        If ``path`` exists already: nothing is ever overwritten.
     """
 
     def __init__(self, path: str | PathLike[str], sample_rate_hz: float | None = None):
@@ -74,11 +74,11 @@ class RecordingWriter:
 
     @property
     def message_count(self) -> int:
-        """Return the messages written so far."""
+        """Return the number of messages written so far."""
         return sum(self._counts.values())
 
     def add_metadata(self, metadata: dict[str, str]) -> None:
-        """Keep facts of the stage, a dict of str to str, for the reader."""
+        """Store facts on the stage, a dict of str to str, for the reader."""
         self._mcap.add_metadata(STAGE_METADATA, metadata)
 
     def add_topic(self, topic: str, definition: MessageDefinition,
@@ -90,13 +90,13 @@ class RecordingWriter:
         topic : str
             Full name.
         quality_profiles : sequence of dict
-            What its publishers offer, see `quality_profiles.offered_profile`: a replay offers
-            the same.
+            Profiles that its publishers offer, see `quality_profiles.offered_profile`; a replay
+            offers the same.
 
         Returns
         -------
         int
-            The channel that `write` wants.
+            Channel number for `write`.
         """
         if definition.type_name not in self._schemas:
             self._schemas[definition.type_name] = self._mcap.register_schema(
@@ -111,12 +111,12 @@ class RecordingWriter:
         return channel
 
     def attach(self, name: str, content: bytes) -> None:
-        """Keep a file inside the recording.
+        """Store a file in the recording.
 
         Parameters
         ----------
         name : str
-            For instance ``model.json``.
+            Name, for instance ``model.json``.
         """
         media_type = mimetypes.guess_type(name)[0] or "text/plain"
         now_ns = time.time_ns()
@@ -129,11 +129,11 @@ class RecordingWriter:
         Parameters
         ----------
         channel : int
-            From `add_topic`.
+            Channel number from `add_topic`.
         data : bytes
             CDR as received.
         time_ns : int
-            When it was received.
+            Time of reception (ns).
         """
         self._mcap.add_message(channel, time_ns, data, time_ns, self._counts[channel])
         self._counts[channel] += 1
@@ -145,7 +145,7 @@ class RecordingWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Hand everything written so far to the operating system."""
+        """Pass everything written so far to the operating system."""
         self._mcap.flush()
         self._flushed_at = time.monotonic()
 
@@ -181,7 +181,7 @@ class RecordingWriter:
             "custom_data": None,
             "ros_distro": "jazzy",
         }}
-        # Replaced as a whole: a kill leaves the old one or the new one.
+        # Replaced as a whole, so that a kill leaves either the old or the new file.
         complete = self.path / ".metadata.yaml"
         complete.write_text(_to_yaml(metadata), encoding="utf-8")
         os.replace(complete, self.path / "metadata.yaml")
@@ -202,7 +202,7 @@ def _topic_metadata(topic: str, definition: MessageDefinition,
 
 
 def _to_yaml(value: object) -> str:
-    # rosbag2's parser wants no anchors, which the shared time span would get.
+    # rosbag2's parser accepts no anchors, which the shared time span would get.
     class Dumper(yaml.SafeDumper):
         def ignore_aliases(self, _: object) -> bool:
             return True

@@ -200,7 +200,7 @@ def test_library_that_is_missing_is_named_in_one_line(
     monkeypatch.setitem(sys.modules, module, None)
     path = tmp_path / "data.bin"
     path.write_bytes(content)
-    with pytest.raises(RecordingError, match=f"needs the package {package}.*pip install"):
+    with pytest.raises(RecordingError, match=f"needs the package {package}.*install it"):
         read_recording(path)
 
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Goals and service calls: how they are asked for, and how goals are served."""
+"""Goals and service calls: clients for both, and servers of goals."""

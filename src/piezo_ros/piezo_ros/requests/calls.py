@@ -33,23 +33,23 @@ InvalidHandle = rclpy_implementation.InvalidHandle
 # Long enough for a stage that is still compiling its simulation.
 CALL_TIMEOUT_S = 60.0
 POLL_S = 0.05
-# A node that ends may be gone before its answer is read.
+# A node that ends may be gone before its response is read.
 LAST_ANSWER_S = 1.0
-# A response gets lost where the server has not met the client yet. The next wait is twice as long.
+# A response is lost if the server has not discovered the client. Each wait is twice the last one.
 RESEND_S = 2.0
 
 IDEMPOTENT = tuple(service.Request for service in (
     StopRecording, Trigger, GetState, ListParameters, DescribeParameters, GetParameters,
     SetParameters))
-"""Requests that do no more when they come twice."""
+"""Requests whose repetition has no further effect."""
 
 
 class CallFailed(ValueError):
-    """A service or an action did not do what it was asked to."""
+    """A service or an action did not do what was requested."""
 
 
 class Refused(CallFailed):
-    """A response says that the service did not do what it was asked to."""
+    """A response reports that the service did not do what was requested."""
 
     def __init__(self, response: Message) -> None:
         super().__init__(response.message)
@@ -57,7 +57,7 @@ class Refused(CallFailed):
 
 
 class NoAnswer(CallFailed):
-    """Nobody knows whether a request has acted: it must not act any later."""
+    """It is unknown whether a request has acted; it must not act later."""
 
 
 class GoalAborted(CallFailed):
@@ -66,7 +66,7 @@ class GoalAborted(CallFailed):
     Parameters
     ----------
     result : message
-        What the action gave all the same.
+        Result of the action in spite of that.
     """
 
     def __init__(self, result: Message) -> None:
@@ -79,13 +79,13 @@ class Cancelled(Exception):
 
 
 def may_be_repeated(request: Message) -> bool:
-    """Tell whether a request may be sent again where no answer came; give it a number if need be.
+    """Return whether a request may be repeated if no response comes; number it if possible.
 
     Returns
     -------
     repeatable : bool
-        Whether the second acts as one would: it bears a number, or does no more than the first. A
-        recorder answers a start by the same named client, and any stop, as it did before.
+        True if a repetition has no further effect: the request has a number, or is idempotent. A
+        recorder gives the same response to a repeated start by a named client, and to any stop.
     """
     if isinstance(request, StartRecording.Request):
         return bool(request.client)
@@ -93,14 +93,14 @@ def may_be_repeated(request: Message) -> bool:
 
 
 def number_request(request: Message) -> bool:
-    """Give a request a number of its own, if it can bear one and has none.
+    """Give a request a unique number, if it has such a field and it is not set.
 
-    The server answers a number once: such a request may be sent again.
+    The server acts once for each number, so that such a request may be repeated.
 
     Returns
     -------
     repeatable : bool
-        Whether the request bears a number.
+        True if the request has a number.
     """
     if getattr(request, "request_id", None) == 0:
         request.request_id = secrets.randbits(63) + 1
@@ -111,32 +111,28 @@ def call_service(node: Node, client: Client, request: Message, timeout_s: float 
                  appearance_s: float = CALL_TIMEOUT_S) -> Message:
     """Call a service whose response has ``success`` and ``message``.
 
-    A request is sent again where no response came, if `may_be_repeated` allows it. It is not acted
-    upon later than its client waits for it, if it can bear a deadline.
+    A request is repeated if no response comes and `may_be_repeated` allows it. If it has a field
+    for a deadline, it does not act after its client has stopped waiting.
 
     Parameters
     ----------
     node : rclpy.node.Node
-        That asks; it logs for whom it waits.
+        Node of the client, which logs the wait.
     client : rclpy.client.Client
-        Of this node.
+        Client of this node.
     timeout_s : float
-        For the response.
+        Time to wait for the response in s.
     appearance_s : float
-        For the service to be there.
-
-    Returns
-    -------
-    response : message
+        Time to wait for the service to appear in s.
 
     Raises
     ------
     CallFailed
-        If nobody serves, or if the node that serves or this one ends meanwhile.
+        If there is no server, or if its node or this one ends meanwhile.
     Refused
-        If the response says so.
+        If the response reports a failure.
     NoAnswer
-        If nobody answers.
+        If no response comes.
     """
     repeatable = may_be_repeated(request)
     _await_service(node, client.wait_for_service, client.srv_name, appearance_s)
@@ -163,25 +159,25 @@ class ActionCaller:
         Parameters
         ----------
         on_feedback : callable, optional
-            Called with each feedback message, in the executor's thread; what it raises cancels
-            the goal, and is raised here unless the work is cancelled anyway.
+            Called with each feedback message, in the executor's thread. An exception cancels the
+            goal, and is raised here unless the work is cancelled anyway.
         cancelled : callable
-            Asked now and then; true cancels the goal, whose end is still waited for.
+            Called periodically; True cancels the goal, whose end is still awaited.
 
         Returns
         -------
         result : message
-            Of a cancelled goal as well.
+            Result; also that of a cancelled goal.
 
         Raises
         ------
         CallFailed
-            If nobody serves the action, the goal was rejected, or the node that serves or this
-            one ends meanwhile.
+            If there is no server, the goal was rejected, or the server's node or this one ends
+            meanwhile.
         GoalAborted
             If the goal ended without success.
         Exception
-            What ``on_feedback`` raised.
+            Exception of ``on_feedback``.
         """
         _await_service(self._node, self._client.wait_for_server, self._name, CALL_TIMEOUT_S)
         set_deadline(goal, CALL_TIMEOUT_S)
@@ -210,7 +206,7 @@ class ActionCaller:
         return result
 
     def _settle_late(self) -> Callable[[], None]:
-        """Return what, once an answer is late, does without it where the goal's status tells."""
+        """Return a function that, if a response is late, checks the goal's status instead."""
         begin_s = time.monotonic()
 
         def look() -> None:
@@ -237,9 +233,9 @@ class ActionCaller:
 
     def _await(self, send: Callable[[], Future], timeout_s: float | None,
                look: Callable[[], None] = lambda: None) -> Any:
-        """Send from the executor's thread, between two callbacks, and wait for the answer.
+        """Send from the executor's thread, between two callbacks, and wait for the response.
 
-        From another thread the answer may come before rclpy has noted what it answers.
+        From another thread the response may come before rclpy has registered the request.
         """
         sent: queue.SimpleQueue[Future] = queue.SimpleQueue()
         self._in_executor(lambda: sent.put(send()))
@@ -262,7 +258,7 @@ class ActionCaller:
 
 def _await_service(node: Node, appears: Callable[[float], bool], name: str,
                    timeout_s: float) -> None:
-    """Wait until somebody serves a name, and log that nobody does."""
+    """Wait for the server of a name, and log while there is none."""
     waiting, begin_s, waited_s = Waiting(node, name), time.monotonic(), 0.0
     while not appears(min(timeout_s - waited_s, WORD_AFTER_S)):
         _check_alive(node, name)
@@ -275,9 +271,9 @@ def _await_service(node: Node, appears: Callable[[float], bool], name: str,
 def _await(send: Callable[[], Future], node: Node, is_served: Callable[[], bool], name: str,
            timeout_s: float | None, repeatable: bool = False,
            look: Callable[[], None] = lambda: None) -> Any:
-    """Send, and return the first answer; look at what goes on while there is none.
+    """Send, and return the first response; monitor the server while there is none.
 
-    A goal's result, which has no timeout, may take long: its progress is told elsewhere.
+    The result of a goal has no timeout and may take long; its progress is reported separately.
     """
     answers: queue.SimpleQueue[Future] = queue.SimpleQueue()
     waiting = Waiting(node, name)
@@ -313,5 +309,5 @@ def _check_alive(node: Node, name: str) -> None:
 def _holds(is_served: Callable[[], bool]) -> bool:
     try:
         return is_served()
-    except InvalidHandle:  # of a node that is being destroyed
+    except InvalidHandle:  # the node is being destroyed
         return False

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Serve actions whose work takes long: one goal at a time, in a thread of its own."""
+"""Serve actions with long work: one goal at a time, each in its own thread."""
 
 import functools
 import threading
@@ -30,7 +30,7 @@ GOAL = "goal"
 
 
 class GoalState(StrEnum):
-    """What a node that serves actions works on."""
+    """Work state of a node that serves actions."""
 
     NONE = "none"
     BUSY = "busy"
@@ -38,14 +38,14 @@ class GoalState(StrEnum):
 
 
 class Progress:
-    """What the work reports while it runs, and whether it shall end.
+    """Reports of the work while it runs, and requests to end it.
 
     Parameters
     ----------
     client : Presence
-        Of the node that asked.
+        Presence of the client's node.
     why_ending : callable
-        Says why the node that serves ends its goals; empty while it does not.
+        Returns why the server ends its goals; empty if it does not.
     """
 
     def __init__(self, goal_handle: ServerGoalHandle, feedback_type: MessageType, client: Presence,
@@ -59,14 +59,14 @@ class Progress:
 
     @property
     def account(self) -> str:
-        """Tell for whom the work is done, and how far it was when it last reported."""
+        """Return the client of the work, and its progress at the last report."""
         client = f" for {self._client.name}" if self._client.name else ""
         left = f", {100 * self._fraction:.0f} %, {self._left_s:.3g} s left"
         return f"{client} ({self._step}{left if self._fraction else ''})"
 
     @property
     def cause(self) -> str:
-        """Tell why the work shall end early; empty if it shall not."""
+        """Return why the work must end early; empty if it need not."""
         if self._goal_handle.is_cancel_requested:
             return "cancelled"
         if self._client.gone:
@@ -76,11 +76,11 @@ class Progress:
 
     @property
     def cancelled(self) -> bool:
-        """Tell whether the work shall end early."""
+        """Return True if the work must end early."""
         return bool(self.cause)
 
     def check(self) -> None:
-        """Raise ``Cancelled`` if the work shall end early."""
+        """Raise ``Cancelled`` if the work must end early."""
         if self.cancelled:
             raise Cancelled
 
@@ -95,15 +95,15 @@ class Progress:
 
 
 Work = Callable[[Message, Message, Progress], None]
-"""Fills in the result of a goal: ``work(goal, result, progress)``."""
+"""Function ``work(goal, result, progress)`` that fills in the result of a goal."""
 
 
 class GoalServers(ManagedEntity):
-    """Actions of one lifecycle node, of which one goal runs at a time, while it is active.
+    """Actions of one lifecycle node, which runs one goal at a time while it is active.
 
-    A goal that comes while another runs, or while the node is not active, is rejected, and the
-    log says why; one that asks for what cannot be done is aborted with a message. The goal's
-    field ``client`` names the node that asks: once that is gone the goal is cancelled.
+    A goal is rejected, and the reason logged, while another runs or the node is not active. A goal
+    that cannot be done is aborted with a message. The goal's field ``client`` names the client's
+    node; the goal is cancelled once that node is gone.
     """
 
     def __init__(self, node: LifecycleNode) -> None:
@@ -121,7 +121,7 @@ class GoalServers(ManagedEntity):
 
     @property
     def busy(self) -> bool:
-        """Tell whether a goal runs."""
+        """Return True if a goal runs."""
         return self._one_at_a_time.locked()
 
     def serve(self, action_type: MessageType, name: str, work: Work) -> None:
@@ -130,8 +130,8 @@ class GoalServers(ManagedEntity):
         Parameters
         ----------
         work : callable
-            ``work(goal, result, progress)`` fills in the result. A ValueError aborts the
-            goal with its text as the message; ``Cancelled`` cancels it.
+            Called as ``work(goal, result, progress)`` to fill in the result. A ValueError aborts
+            the goal with its text as the message; ``Cancelled`` cancels it.
         """
         self._servers.append(ActionServer(
             self._node, action_type, name, self._end_goal, goal_callback=self._examine,
@@ -140,17 +140,17 @@ class GoalServers(ManagedEntity):
             feedback_pub_qos_profile=PROGRESS))
 
     def end(self) -> bool:
-        """Ask the running goal to end; return whether none runs any more."""
+        """Request the end of the running goal; return True if none runs any more."""
         self._why_ending = f"the node {self._node.get_fully_qualified_name()} was ended"
         return not self.busy
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Take goals from now on."""
+        """Accept goals from now on."""
         self._active, self._why_ending = True, ""
         return TransitionCallbackReturn.SUCCESS
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Cancel the running goal, and take no more."""
+        """Cancel the running goal, and accept no more."""
         self._active = False
         self._why_ending = f"the node {self._node.get_fully_qualified_name()} was deactivated"
         return TransitionCallbackReturn.SUCCESS
@@ -158,7 +158,7 @@ class GoalServers(ManagedEntity):
     on_shutdown = on_deactivate
 
     def _examine(self, goal: Message) -> GoalResponse:
-        """Tell whether a goal can be taken at all; the answer has no room for a reason."""
+        """Return whether a goal is accepted; the response has no field for a reason."""
         reason = ""
         if late := why_too_late(goal):
             reason = f"is asked too late: {late}"
@@ -172,7 +172,7 @@ class GoalServers(ManagedEntity):
         return GoalResponse.REJECT if reason else GoalResponse.ACCEPT
 
     def _tell(self) -> None:
-        """Publish what the node works on; who was rejected learns from it why."""
+        """Publish the work state, from which rejected clients learn the reason."""
         present = self._present
         if present is not None:
             state, message = GoalState.BUSY, f"busy with {present[0]}{present[1].account}"
@@ -185,7 +185,7 @@ class GoalServers(ManagedEntity):
 
     def _begin_goal(self, goal_handle: ServerGoalHandle, name: str, action_type: MessageType,
                     work: Work) -> None:
-        # Free: the executor takes one goal after the other, and has just asked.
+        # The lock is free: the executor processes one goal after the other, and has just checked.
         self._one_at_a_time.acquire(blocking=False)
         client = Presence(self._node, goal_handle.request.client)
         progress = Progress(
@@ -209,7 +209,7 @@ class GoalServers(ManagedEntity):
             result.success, end = True, "succeed"
         except Cancelled:
             result.message = progress.cause
-            # A goal that ends for another reason was never asked to be cancelled.
+            # A goal that ends for another reason has no cancel request.
             end = "canceled" if goal_handle.is_cancel_requested else "abort"
             self._node.get_logger().warning(f"goal ended early: {result.message}")
         except ValueError as error:
@@ -219,13 +219,14 @@ class GoalServers(ManagedEntity):
             result.message = ("this takes more memory than the node may have: give less data, or "
                               "start the node with a larger memory_limit_percent")
             self._node.get_logger().error(result.message)
-        except InvalidHandle:  # the node has ended without waiting any longer
+        except InvalidHandle:  # the node has ended without waiting
             return
         except Exception as error:
             result.message = f"internal error: {error!r}"
             self._node.get_logger().error(traceback.format_exc())
         executor = self._node.executor
-        if executor is not None:  # which a node that has ended lacks, too
-            # Executed now that it is over: the executor polls, busily, a goal that waits.
+        if executor is not None:  # it is None after the node has ended
+            # Executed only now that the work is over: the executor polls a waiting goal
+            # continuously.
             executor.create_task(goal_handle.execute, functools.partial(
                 self._end_goal, result=result, end=end))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Learn from an action's status that a goal was taken, where the answer itself was lost.
+"""Detect from an action's status that a goal was accepted, if the response was lost.
 
-A server that has not met its new client yet answers nobody, but the status that it publishes is
-kept for those who come later.
+A server that has not discovered its new client yet cannot respond to it, but the status that it
+publishes is kept for later subscribers.
 """
 
 from collections.abc import Callable
@@ -18,7 +18,7 @@ from piezo_ros.quality import PROGRESS
 
 
 class PatientActionClient(ActionClient):
-    """An action client that can do without the answer to a goal."""
+    """An action client that works without the response to a goal."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         self._taken: set[bytes] = set()
@@ -28,7 +28,7 @@ class PatientActionClient(ActionClient):
     def send_goal_async(self, goal: Message,
                         feedback_callback: Callable[[Message], object] | None = None,
                         goal_uuid: UUID | None = None) -> Future:
-        """Send a goal; return what will hold its handle."""
+        """Send a goal; return a future for its handle."""
         number = goal_uuid or self._generate_random_uuid()
         answer = super().send_goal_async(goal, feedback_callback, number)
         self._unanswered = [(of, future) for of, future in self._unanswered if not future.done()]
@@ -36,13 +36,13 @@ class PatientActionClient(ActionClient):
         return answer
 
     async def execute(self, taken_data: dict[str, Any]) -> None:
-        """Note the goals of a status, then do what every action client does."""
+        """Store the goals of a status, then do the same as every action client."""
         if status := taken_data.get("status"):
             self._taken |= {bytes(one.goal_info.goal_id.uuid) for one in status.status_list}
         await super().execute(taken_data)
 
     def settle(self) -> None:
-        """Take the goals that a status told of for accepted; call it once an answer is late."""
+        """Treat goals in a received status as accepted; call it when a response is late."""
         accepted = self._action_type.Impl.SendGoalService.Response(accepted=True)
         for number, answer in self._unanswered:
             if bytes(number.uuid) in self._taken and not answer.done():

@@ -1,23 +1,23 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Say which node is waited for."""
+"""Log which node a request waits for."""
 
 from contextlib import suppress
 
 from rclpy.node import Node, NodeNameNonExistentError
 
 WORD_AFTER_S = 5.0
-"""So long a request waits without a word; then it says so each time that this has passed."""
+"""Time in s without a response after which a request logs that it waits, repeatedly."""
 
 
 class Waiting:
-    """Log now and then for which node a request waits.
+    """Log periodically which node a request waits for.
 
     Parameters
     ----------
     node : rclpy.node.Node
-        That waits.
+        Node that waits.
     service : str
-        Name of the service or action that is asked.
+        Name of the service or action.
     """
 
     def __init__(self, node: Node, service: str) -> None:
@@ -25,7 +25,7 @@ class Waiting:
         self._told = 0
 
     def look(self, waited_s: float) -> None:
-        """Say so where another `WORD_AFTER_S` has passed."""
+        """Log the wait if another `WORD_AFTER_S` has passed."""
         due = int(waited_s / WORD_AFTER_S)
         if due <= self._told:
             return
@@ -42,9 +42,9 @@ def server_of(node: Node, service: str) -> str:
     Parameters
     ----------
     node : rclpy.node.Node
-        That sees the others.
+        Node that looks for it.
     service : str
-        Its name, relative to the node's namespace or full.
+        Name of the service or action, relative to the node's namespace or full.
     """
     full_name = node.resolve_service_name(service)
     names = {full_name, f"{full_name}/_action/send_goal"}

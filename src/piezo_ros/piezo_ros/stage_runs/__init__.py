@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Runs of the stage as a client sees them: fed, answered, recorded, watched and accounted for."""
+"""Runs of the stage for a client: play, respond, record, supervise, and count deviations."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Take limits, clock and rates from the stage that has them."""
+"""Get limits, clock and rates from the stage itself."""
 
 import math
 import time
@@ -15,11 +15,11 @@ from piezo_ros.quality import DESCRIPTION
 from piezo_ros.requests.calls import CALL_TIMEOUT_S, RESEND_S, CallFailed
 from piezo_ros.requests.servers import Waiting
 
-# Parameters that other nodes had, too, before the stage described itself. Files may still set
-# them for all nodes; they must then say the same.
+# Parameters that other nodes had before the stage described itself. Files may still set them for
+# all nodes, but only to the values of the stage.
 OF_THE_STAGE = ("sample_rate_hz", "samples_per_tick", "minimum_voltage_v", "maximum_voltage_v",
                 "rest_voltage_v", "slew_limit_v_per_s")
-# What the node of a stage that has just been started may take to be seen.
+# Largest time in s from the start of a stage's node to its discovery.
 APPEARANCE_S = 10.0
 POLL_S = 0.05
 
@@ -30,12 +30,12 @@ class DescribedStage:
     Parameters
     ----------
     on_change : callable, optional
-        Takes each `StageDescription` as it comes.
+        Called with each `StageDescription`.
 
     Attributes
     ----------
     topic : str
-        On which the stage describes itself; its full name.
+        Full name of the topic of the description.
     """
 
     def __init__(self, node: Node,
@@ -51,14 +51,14 @@ class DescribedStage:
 
     @property
     def description(self) -> StageDescription | None:
-        """What the stage says of itself; None while there is no stage that is configured."""
+        """Present description of the stage; None without a configured stage."""
         heard, present = self._heard, self._present()
         self._publishers = self._publishers or present
         return heard if self._publishers & present else None
 
     @property
     def contradiction(self) -> str:
-        """Which parameters of this node contradict the stage; empty where none does."""
+        """Parameters of this node that contradict the stage; empty if there are none."""
         return "; ".join(
             f"parameter {name} is {value}, but {self.topic} says {told}: set it at the stage alone"
             for name, value in self._given.items()
@@ -66,7 +66,7 @@ class DescribedStage:
 
     @property
     def too_many_axes(self) -> str:
-        """Why a node that takes one axis cannot use the stage; empty where it can."""
+        """Why a node for one axis cannot use the stage; empty if it can."""
         axes = self._heard.axes if self._heard is not None else []
         if not axes:
             return ""
@@ -75,19 +75,19 @@ class DescribedStage:
                 "them, and identify from the recordings")
 
     def wait(self, check: Callable[[], None], several_axes: bool = False) -> StageDescription:
-        """Return what the stage says of itself; wait for one that has just been started.
+        """Return the description of the stage; wait for one that is starting.
 
         Parameters
         ----------
         check : callable
-            Called now and then; ends the wait by an exception.
+            Called periodically; ends the wait by an exception.
         several_axes : bool
-            Whether a stage of several axes will do, which is refused otherwise.
+            True to accept a stage of several axes.
 
         Raises
         ------
         CallFailed
-            If nobody serves the stage, it is not configured or has too many axes, or a parameter
+            If there is no stage, it is not configured or has too many axes, or a parameter
             contradicts it.
         """
         begin_s, asked_s, state = time.monotonic(), -math.inf, None
@@ -97,7 +97,7 @@ class DescribedStage:
             now_s = time.monotonic()
             waiting.look(now_s - begin_s)
             if not self._state.service_is_ready():
-                asked_s, state = -math.inf, None  # whoever was asked is gone
+                asked_s, state = -math.inf, None  # the previous server is gone
             elif now_s - asked_s > RESEND_S and not (state and state.done()):
                 asked_s, state = now_s, self._state.call_async(GetState.Request())
             self._check_start(state, now_s - begin_s)
@@ -109,16 +109,17 @@ class DescribedStage:
         return description
 
     def check_unchanged(self, description: StageDescription) -> None:
-        """Refuse to play what was planned for a stage that has been replaced meanwhile.
+        """Check that the stage for which something was planned has not been replaced.
 
         Parameters
         ----------
         description : StageDescription
-            Of the stage that it was planned for.
+            Description at the time of planning.
 
         Raises
         ------
         CallFailed
+            If the stage is gone, or its description has changed.
         """
         present = self.description
         if present is None:
@@ -131,7 +132,7 @@ class DescribedStage:
                              "send the goal again")
 
     def _check_start(self, state: Future | None, waited_s: float) -> None:
-        """Raise CallFailed where there is no reason to wait for a description any longer."""
+        """Raise CallFailed if it is pointless to wait longer for a description."""
         if state is None and waited_s > APPEARANCE_S:
             raise CallFailed(f"nobody serves the stage on {self.topic}: start its node")
         if state is not None and state.done():
@@ -149,13 +150,13 @@ class DescribedStage:
         self._on_change(description)
 
     def _present(self) -> set[bytes]:
-        """Identities of those who describe the stage now; one started anew has another."""
+        """Return the identities of the present publishers; a restarted stage has a new one."""
         return {bytes(publisher.endpoint_gid)
                 for publisher in self._node.get_publishers_info_by_topic(self.topic)}
 
 
 def _given_parameter(node: Node, name: str) -> object:
-    """Return what a parameter was set to that the node does not have; None if it was not."""
+    """Return the given value of a parameter that the node does not declare; None without one."""
     value = node.declare_parameter(name, None, ParameterDescriptor(dynamic_typing=True)).value
     node.undeclare_parameter(name)
     return value

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Have a run recorded by the recorder node."""
+"""Recording of a run by the recorder node."""
 
 import hashlib
 import os
@@ -18,7 +18,7 @@ from piezo_ros.presence import Presence
 from piezo_ros.quality import DIAGNOSTICS_DEPTH
 from piezo_ros.requests.calls import CallFailed, NoAnswer, Refused, call_service
 
-# The recorder itself waits for samples that are on their way, as long as they come.
+# The recorder itself waits for outstanding samples while they keep arriving.
 STOP_TIMEOUT_S = 120.0
 STOP_APPEARANCE_S = 1.0
 
@@ -26,22 +26,22 @@ STOP_APPEARANCE_S = 1.0
 class RunRecording:
     """The recording of one run; a context manager that closes it when the run is over.
 
-    A run whose recording ends before it must end, too, unless it may go on unrecorded.
+    A run ends if its recording ends early, unless it may continue unrecorded.
 
     Parameters
     ----------
     recorder : Presence
-        Of the node that records.
+        Presence of the recorder's node.
     unrecorded : bool
-        Whether the run may go on once its recording has ended.
+        True if the run may continue after its recording has ended.
     stop : callable, optional
-        Closes the recording: takes the last sample that is to be in it, and returns what the
-        recorder answers. Without it whoever had it started closes it.
+        Closes the recording: called with the last sample that it must contain; returns the
+        recorder's response. Without it, the client that started the recording must close it.
 
     Attributes
     ----------
     last_sample : int
-        Of the run, once it is over; 0 until then: the recording is then closed as it is.
+        Last sample of the run, once it is over; with 0 the recording is closed as it is.
     """
 
     def __init__(self, path: str, recorder: Presence, unrecorded: bool,
@@ -54,7 +54,7 @@ class RunRecording:
 
     @property
     def failure(self) -> str:
-        """Tell why the recording ended before the run; empty if it did not."""
+        """Return why the recording ended before the run; empty if it did not."""
         if not (self._failure or self._over) and self._recorder.gone:
             self._failure = (f"the recorder {self._recorder.name} is gone: start it again; what "
                              f"it had recorded is in {self.path}")
@@ -62,18 +62,18 @@ class RunRecording:
 
     @property
     def must_stop(self) -> bool:
-        """Tell whether the run must end because its recording has."""
+        """Return True if the run must end because its recording has ended."""
         return bool(self.failure) and not self._unrecorded
 
     @property
     def note(self) -> str:
-        """Return what to tell of the recording of a run that was played to its end, if anything."""
+        """Return a remark on the recording of a completed run; empty if there is none."""
         if self._failure:
             return f"the run went on unrecorded: {self._failure}"
         return self._note
 
     def ended(self, path: str, message: str) -> None:
-        """Take the news that the recorder closed the recording of a path early."""
+        """Process the report that the recorder closed the recording of a path early."""
         if path == self.path:
             self._failure = self._failure or f"{path} was {message}"
 
@@ -101,7 +101,7 @@ class RunRecording:
 
 
 class RecorderNews:
-    """What the recorder of a node's namespace tells of one recording after the other."""
+    """Reports of the recorder in a node's namespace on one recording after the other."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -112,7 +112,7 @@ class RecorderNews:
 
     def about(self, path: str, unrecorded: bool = False,
               stop: Callable[[int], StopRecording.Response] | None = None) -> RunRecording:
-        """Return the `RunRecording` of a path, which hears of its end from now on."""
+        """Return the `RunRecording` of a path, which receives reports from now on."""
         self._recording = RunRecording(
             path, Presence(self._node, self._recorder), unrecorded, stop)
         return self._recording
@@ -127,12 +127,12 @@ class RecorderNews:
 
 @dataclass(frozen=True)
 class Attachment:
-    """A text to be kept inside a recording.
+    """A text to be stored in a recording.
 
     Attributes
     ----------
     path : str
-        Of the file that holds it, if there is one: the recorder then reads it there.
+        Path of a file with the text, if there is one; the recorder then reads it there.
     """
 
     text: str
@@ -145,7 +145,7 @@ class Attachment:
 
 
 class RecorderCaller:
-    """Have runs recorded, one at a time."""
+    """Request recordings of runs, one at a time."""
 
     def __init__(self, node: Node) -> None:
         self._node, self._news = node, RecorderNews(node)
@@ -155,20 +155,21 @@ class RecorderCaller:
 
     def record(self, directory: str | PathLike[str], name: str,
                attachments: Mapping[str, Attachment], unrecorded: bool = False) -> RunRecording:
-        """Start a recording under a name that is not taken yet.
+        """Start a recording under a name that is not used yet.
 
         Parameters
         ----------
         directory, name : str
-            A number is added to the name where a recording of that name exists.
+            Folder and name; a number is added to the name if a recording has that name.
         attachments : dict of str to Attachment
-            What is to be kept inside the recording, by name.
+            Texts to store in the recording, by name.
         unrecorded : bool
-            Whether the run may go on once its recording has ended.
+            True if the run may continue after its recording has ended.
 
         Raises
         ------
         CallFailed
+            If the recorder cannot start the recording.
         """
         request = StartRecording.Request(
             directory=str(Path(directory).absolute()), name=free_name(directory, name),
@@ -182,12 +183,12 @@ class RecorderCaller:
             unread = refused.response.unread_attachments
             if not unread:
                 raise
-            # Of another machine, or changed since it was read: what was read is what is used.
+            # The file is on another machine, or has changed: send the text that was read and used.
             return self.record(directory, name, {
                 name: Attachment(one.text) if name in unread else one
                 for name, one in attachments.items()}, unrecorded)
         except NoAnswer:
-            # It may have begun all the same, and would keep others from theirs.
+            # The recording may have started nevertheless, and would block those of other clients.
             self._stop.call_async(StopRecording.Request(client=self._client))
             raise
         return self._news.about(path, unrecorded, self._close)
@@ -198,10 +199,10 @@ class RecorderCaller:
 
 
 def free_name(directory: str | PathLike[str], name: str) -> str:
-    """Return the name, or the first of name_2, name_3 ... that the directory does not hold yet."""
+    """Return the name, or the first of name_2, name_3 ... that is not used in the directory."""
     try:
         taken = set(os.listdir(directory))
-    except OSError:  # nothing there yet; else the recorder tells what is wrong
+    except OSError:  # no directory yet; the recorder reports any other problem
         taken = set()
     numbered = (f"{name}_{number}" for number in count(2))
     return next(candidate for candidate in chain([name], numbered) if candidate not in taken)

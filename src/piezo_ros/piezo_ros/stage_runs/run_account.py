@@ -1,28 +1,28 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Tell whether the stage played what it was asked to in a run of the loop."""
+"""Check that the stage played a run of the loop as requested."""
 
 from piezo_interfaces.msg import SampleBlock
 from rclpy.node import Node
 
 from piezo_ros.parameters import declare
 
-# A computer without real-time kernel that does nothing else is late with 0.2 % of the answers.
+# A computer without a real-time kernel, otherwise idle, is late with 0.2 % of the responses.
 MAX_LATE_PERCENT = 1.0
-# A clipped sample or two where a feedback begins do not matter; more change what is measured.
+# Few clipped samples at the beginning of a feedback do not matter; more change the measurement.
 MAX_LIMITED_PERCENT = 1.0
 
 
 class RunAccount:
-    """Count the ticks of one run in which the stage did something else than it was asked to.
+    """Count the ticks of one run in which the stage deviated from what was requested.
 
     Parameters
     ----------
     max_late_percent, max_limited_percent : float
-        Share of the blocks from which on the run does not count as done.
+        Share of the blocks in percent above which the run fails.
     answered : bool
-        Whether answers act.
+        True if responses act.
     streamed : bool
-        Whether the feedforward is streamed: the stage then never is to hold its last voltage.
+        True if the feedforward is streamed: the stage must then never hold its last voltage.
     """
 
     def __init__(self, max_late_percent: float = MAX_LATE_PERCENT,
@@ -34,7 +34,7 @@ class RunAccount:
         self.blocks = self.late = self.limited = self.starved = 0
 
     def take(self, flags: int, ticks: int = 1) -> None:
-        """Count one block by its flags, which are those of all its ticks."""
+        """Count the ticks of one block by its flags, which apply to all of them."""
         self.blocks += ticks
         if self._answered and flags & SampleBlock.FLAG_FEEDBACK_HELD:
             self.late += ticks
@@ -45,7 +45,7 @@ class RunAccount:
 
     @property
     def failure(self) -> str:
-        """Tell why the run does not count as done; empty if it does."""
+        """Return why the run failed; empty if it did not."""
         failures = []
         if self._exceeds(self.late, self._max_late_percent):
             failures.append(f"{self._late}, more than max_late_percent, "
@@ -60,7 +60,7 @@ class RunAccount:
 
     @property
     def note(self) -> str:
-        """Return what to tell of a run that counts as done; may be empty."""
+        """Return a remark on a run that did not fail; may be empty."""
         counted = ((self.late, self._late), (self.limited, self._limited))
         return "; ".join(text for count, text in counted if count)
 

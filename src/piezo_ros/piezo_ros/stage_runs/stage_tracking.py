@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Let the stage play a feedforward, and answer its blocks meanwhile."""
+"""Make the stage play a feedforward, and respond to its blocks meanwhile."""
 
 import array
 import threading
@@ -26,7 +26,7 @@ from piezo_ros.stage_runs.streaming import More, Stream
 
 REPORT_PERIOD_S = 0.1
 SILENCE_TIMEOUT_S = 10.0
-# Of a stage that was there a moment ago.
+# For a stage that was there a moment ago.
 APPEARANCE_S = 1.0
 STOP_TIMEOUT_S = 10.0
 # A node that ends may be gone before its last samples are read.
@@ -39,16 +39,16 @@ class StageTracker:
     Attributes
     ----------
     last_sample : int
-        Of the last run, its way back to rest included; 0 until the stage is at rest again.
+        Last sample of the last run, including the return to rest; 0 until the stage is at rest.
     missed_feedback : int
-        Answers of the last run that the stage missed.
+        Responses of the last run that the stage missed.
     """
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self._take: Callable[[SampleBlock], float] | None = None
         self._stream: Stream | None = None
-        # Answers to the first blocks wait here until the number of their run is known.
+        # Responses to the first blocks wait here until the number of their run is known.
         self._early_answers: list[tuple[int, float]] = []
         self._run: int | None = None
         self._first_tick = 0
@@ -58,7 +58,7 @@ class StageTracker:
         self._at_rest, self._awake, self._begun = (threading.Event() for _ in range(3))
         self.last_sample = self.missed_feedback = 0
         self._feedback = node.create_publisher(FeedbackVoltage, "feedback", FEEDBACK)
-        # Raw, as nobody looks at the blocks between two runs.
+        # Raw messages, as blocks between two runs are not read.
         node.create_subscription(SampleBlock, "samples", self._on_samples, SAMPLES, raw=True)
         self._load = node.create_client(LoadFeedforward, "load_feedforward")
         self._load_law = node.create_client(LoadFeedback, "load_feedback")
@@ -75,27 +75,27 @@ class StageTracker:
         Parameters
         ----------
         once_voltage_v, period_voltage_v : ndarray
-            See `LoadFeedforward`.
+            Voltages as in `LoadFeedforward`.
         ticks : int
-            How long; 0 until it is cancelled.
+            Duration in ticks; 0 to play until cancelled.
         take : callable
-            Takes each `SampleBlock` of the run and returns the answer to it, a voltage.
+            Called with each `SampleBlock` of the run; returns the response, a voltage in V.
         answering : bool
-            Whether the stage waits for the answers and adds them.
+            True if the stage waits for the responses and adds them.
         cancelled : callable
-            Asked now and then; true stops the run.
+            Called periodically; True stops the run.
         report : callable
-            Called now and then, and once the stage is at rest.
+            Called periodically, and once the stage is at rest.
         more : callable, optional
-            Where the feedforward is streamed behind ``once_voltage_v``, see `Stream`; the blocks
-            are then answered in any case.
+            Source of the streamed feedforward after ``once_voltage_v``, see `Stream`; the blocks
+            are then always answered.
         law : FeedbackLaw, optional
-            What the stage evaluates by itself; nothing is answered then.
+            Law that the stage evaluates itself; there are then no responses.
 
         Raises
         ------
         CallFailed
-            If the stage refuses, falls silent, or is gone.
+            If the stage rejects the run, sends no samples, or is gone.
         """
         self._stage.begin()
         for event in self._at_rest, self._awake, self._begun:
@@ -124,22 +124,22 @@ class StageTracker:
 
     def replace(self, once_voltage_v: FloatArray, period_voltage_v: FloatArray,
                 law: FeedbackLaw | None) -> int:
-        """Replace feedforward and law of the present run in one tick; from any thread.
+        """Replace feedforward and law of the present run in one tick; callable from any thread.
 
         Parameters
         ----------
         once_voltage_v, period_voltage_v, law
-            See `run`; as long as what plays.
+            As for `run`, with the same length as what plays.
 
         Returns
         -------
         int
-            Ticks since the run began.
+            Ticks from the beginning of the run to the replacement.
 
         Raises
         ------
         CallFailed
-            If nothing runs, or the stage refuses; what acts then goes on.
+            If nothing runs, or the stage rejects it; the run then continues unchanged.
         """
         if not self._begun.wait(STOP_TIMEOUT_S):
             raise CallFailed(f"no run began within {STOP_TIMEOUT_S:g} s: start one first")
@@ -150,18 +150,18 @@ class StageTracker:
         return replaced.first_tick - self._first_tick
 
     def wake(self) -> None:
-        """Look at once whether further voltages of a stream can be told now; from any thread."""
+        """Check at once whether further voltages of a stream are available; from any thread."""
         self._awake.set()
 
     def why_ended(self) -> str:
-        """Say why the stage ended the last run before its time, as far as the stage tells."""
+        """Return why the stage ended the last run early, as far as it reports that."""
         return self._stage.why_ended()
 
     def _begin(self, request: StartTracking.Request) -> StartTracking.Response:
         try:
             return call_service(self._node, self._start, request, appearance_s=APPEARANCE_S)
         except NoAnswer:
-            self._stop.call_async(Trigger.Request())  # it may have begun all the same
+            self._stop.call_async(Trigger.Request())  # the run may have started nevertheless
             raise
 
     def _load_voltages(self, once_voltage_v: FloatArray, period_voltage_v: FloatArray | bytes = b"",
@@ -209,7 +209,8 @@ class StageTracker:
             if self._blocks != blocks_before:
                 blocks_before, heard_s = self._blocks, now_s
             elif now_s - heard_s > SILENCE_TIMEOUT_S:
-                # A reader that hangs may hold it back; nobody would look after how it goes on.
+                # A reader that hangs may block the stage; nothing would supervise it once it
+                # continues.
                 self._stop.call_async(Trigger.Request())
                 raise CallFailed(f"the stage sent no samples for {SILENCE_TIMEOUT_S:g} s: "
                                  "look whether its node runs")
@@ -218,7 +219,7 @@ class StageTracker:
                 report()
         report()
         if isinstance(failure, CallFailed) and self._stage.stopped:
-            # A stage that had stopped refused what the stream went on to load.
+            # The stage had stopped, and therefore rejected the next part of the stream.
             raise CallFailed(f"the stage stopped before the end: {self._stage.stopped}")
         if failure:
             raise failure

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Know whether the stage is there, and why it stopped."""
+"""Determine whether the stage is there, and why it stopped."""
 
 import threading
 import time
@@ -10,15 +10,15 @@ from rclpy.node import Node
 from piezo_ros.presence import Presence
 from piezo_ros.quality import DIAGNOSTICS_DEPTH
 
-# The stage tells how it is every second, and later on a busy computer.
+# The stage publishes its state every second, and later on a busy computer.
 NEWS_TIMEOUT_S = 10.0
 POLL_S = 0.05
 ACTIVE = "active"
-"""Key of the stage's diagnostics: whether it is active, True or False."""
+"""Key in the stage's diagnostics: whether it is active, True or False."""
 
 
 class StageWatch:
-    """What the stage of a node's namespace tells of itself during one run after the other."""
+    """Reports of the stage in a node's namespace during one run after the other."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -29,22 +29,22 @@ class StageWatch:
             DiagnosticArray, "/diagnostics", self._on_diagnostics, DIAGNOSTICS_DEPTH)
 
     def begin(self) -> None:
-        """Begin a run: what was before does not matter any more."""
+        """Begin a run, and discard earlier reports."""
         self._stopped, self._active = "", True
         self._presence = Presence(self._node, self._name)
 
     @property
     def gone(self) -> bool:
-        """Tell whether the stage's node went away since the run began."""
+        """Return True if the stage's node has disappeared since the run began."""
         return self._presence.gone
 
     @property
     def stopped(self) -> str:
-        """Return the cause of a stop, as far as the stage has told it; empty without one."""
+        """Return the reported cause of a stop; empty without one."""
         return self._stopped
 
     def why_ended(self) -> str:
-        """Say why a run ended before its time; wait for the stage's word if need be."""
+        """Return why a run ended early; wait for the stage's report if necessary."""
         self._news.clear()
         deadline_s = time.monotonic() + NEWS_TIMEOUT_S
         while not (self._stopped or self.gone or time.monotonic() > deadline_s):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Keep a stage supplied with a feedforward that is computed while it plays."""
+"""Supply a stage with a feedforward that is computed while it plays."""
 
 import threading
 from collections.abc import Callable
@@ -11,25 +11,25 @@ LEAST_AHEAD_SAMPLES = 160
 
 
 More = Callable[[], FloatArray | None]
-"""Returns the next voltages (V): none at the end; None while they cannot be told yet."""
+"""Returns the next voltages in V: empty at the end, None while they are not available."""
 
 
 class Stream:
-    """What has been loaded and played, and the answers held back until more is loaded.
+    """Loaded and played samples, and responses that are delayed until more is loaded.
 
-    Without an answer a stage in lockstep waits: what it plays does not depend on how long the
-    next chunk takes. A paced one would miss the answers, and counts them.
+    Without a response a stage in lockstep waits, so that its motion does not depend on the
+    computing time of the next chunk. A paced stage would miss the responses, and counts them.
 
     Parameters
     ----------
     more : callable
-        Returns the next voltages, shape (n,): empty at the end; None while they cannot be told yet.
+        Returns the next voltages, shape (n,): empty at the end, None while not available.
     loaded_samples : int
-        Loaded before the first chunk.
+        Samples loaded before the first chunk.
     append : callable
-        Loads a chunk behind what is loaded.
+        Loads a chunk after what is loaded.
     answer : callable
-        Gives the stage an answer: ``answer(tick, voltage_v)``.
+        Sends a response to the stage: ``answer(tick, voltage_v)``.
     """
 
     def __init__(self, more: More, loaded_samples: int, append: Callable[[FloatArray], None],
@@ -38,17 +38,17 @@ class Stream:
         self._loaded_samples = loaded_samples
         self._played_samples = 0
         self._ended = False
-        # In order: a stage plays on before it misses the first of them.
+        # In order: a stage continues for a while before it misses the first of them.
         self._held_back: list[tuple[int, float]] = []
         self._lock = threading.Lock()
 
     @property
     def wants_more(self) -> bool:
-        """Tell whether less is loaded than is to be."""
+        """Return True if more must be loaded."""
         return not self._ended and self._loaded_samples - self._played_samples < AHEAD_SAMPLES
 
     def feed(self) -> None:
-        """Load chunks until enough is loaded, or the next cannot be told yet."""
+        """Load chunks until enough is loaded, or the next one is not available."""
         while self.wants_more:
             chunk_v = self._more()
             if chunk_v is None:
@@ -64,7 +64,7 @@ class Stream:
                     self._held_back.clear()
 
     def answer(self, tick: int, voltage_v: float, played_samples: int) -> None:
-        """Give an answer, at once or when enough is loaded for the stage to go on."""
+        """Send a response, at once or when enough is loaded for the stage to continue."""
         with self._lock:
             self._played_samples += played_samples
             if self._scarce:

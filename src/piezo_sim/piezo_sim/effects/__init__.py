@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Effects that a plant file may add and that no model is told of."""
+"""Additional effects for plant files, which models do not declare."""

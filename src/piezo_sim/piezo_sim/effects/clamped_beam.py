@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Beam clamped at both ends, pushed by an actuator at one place, measured at another.
 
-The Euler-Bernoulli beam keeps its first three modes phi_k of the frequencies w_k, normalised to
-the length, with the modal mass m of the whole beam. The stiffness s of the actuator couples them:
+The model has the first three modes phi_k of the Euler-Bernoulli beam with frequencies w_k,
+normalised to the length, and the modal mass m of the whole beam. The stiffness s of the actuator
+couples them:
 
     m (q_k'' + 2 zeta_k w_k q_k' + w_k^2 q_k) = s phi_k(x_a) (u - sum_j phi_j(x_a) q_j)
 
-The displacement sum_k phi_k(x_s) q_k is scaled to unit static gain: the stroke u is stated where
-the sensor measures.
+The displacement sum_k phi_k(x_s) q_k is scaled to unit static gain, so that the stroke u applies at
+the sensor.
 """
 
 import math
@@ -25,7 +26,7 @@ WAVE_NUMBERS = (4.730040744862704, 7.853204624095838, 10.995607838001671)
 
 
 def mode_shape(wave_number: float, place: float) -> float:
-    """Deflection of a clamped beam's mode at `place`, in parts of the length; mean square one."""
+    """Return the deflection of a mode at `place`, a fraction of the length; mean square one."""
     x = wave_number * place
     ratio = (math.cosh(wave_number) - math.cos(wave_number)) / (
         math.sinh(wave_number) - math.sin(wave_number)
@@ -69,13 +70,13 @@ class ClampedBeam:
         )
 
     def frequencies_rad_per_s(self) -> FloatArray:
-        """Modes of the beam without the actuator, shape (3,)."""
+        """Return the frequencies of the modes without the actuator, shape (3,)."""
         # Bending stiffness over mass per length, of a rectangle.
         ratio = self.elastic_modulus_pa * self.thickness_m**2 / (12.0 * self.density_kg_per_m3)
         return (np.array(WAVE_NUMBERS) / self.length_m) ** 2 * math.sqrt(ratio)
 
     def state_space(self) -> StateSpace:
-        """States are the modal deflections, then the modal velocities over the first frequency."""
+        """Return the system of modal deflections, then velocities over the first frequency."""
         w = self.frequencies_rad_per_s()
         mass = self.density_kg_per_m3 * self.width_m * self.thickness_m * self.length_m
         pushed, seen = (

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Converters that do not act at the ticks of the clock exactly.
+"""Converters that do not act exactly at the ticks of the clock.
 
-With the deviation tau from the tick, ``|normal|`` times the stated RMS and at most one period T, a
-sample becomes s[n] + (s[n-1] - s[n]) tau / T. For a held voltage that is the mean over the period
-of an update that comes late by tau; for a displacement it is a straight line, read tau early.
+Let tau be the deviation from the tick: ``|normal|`` times the given RMS, and at most one period T.
+A sample becomes s[n] + (s[n-1] - s[n]) tau / T. For a held voltage this is the mean over the period
+if the update is late by tau. For a displacement it is linear interpolation at a time earlier by
+tau.
 """
 
 from dataclasses import dataclass
@@ -29,7 +30,7 @@ def _deviate(samples: FloatArray, normals: FloatArray, previous: float,
 
 @dataclass(frozen=True)
 class UpdateJitter:
-    """Updates of the voltage that come late at random."""
+    """Updates of the voltage that are late at random."""
 
     name: ClassVar[str] = "update_jitter"
 
@@ -45,7 +46,7 @@ class UpdateJitter:
 
 @dataclass(frozen=True)
 class SamplingJitter:
-    """Readings of the displacement that are taken early at random."""
+    """Readings of the displacement that are early at random."""
 
     name: ClassVar[str] = "sampling_jitter"
 
@@ -60,7 +61,7 @@ class SamplingJitter:
 
 
 class JitterRunner:
-    """Jitter with the sample before."""
+    """Jitter with the previous sample as its state."""
 
     def __init__(self, effect: Effect, jitter_rms_s: float, surroundings: Surroundings) -> None:
         self._rms_share = jitter_rms_s / surroundings.sample_period_s
@@ -68,7 +69,7 @@ class JitterRunner:
         self._previous = 0.0
 
     def rest(self, level: float) -> float:
-        """Stand at the constant input `level`, where a deviation in time shows nothing."""
+        """Rest at the constant input `level`, where a deviation in time has no effect."""
         self._previous = level
         return level
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Limited current of the amplifier into the capacitance of the actuator.
 
-The capacitance grows with the voltage and the amplifier may sink another current than it sources,
-so that the slew rate depends on voltage and direction.
+The capacitance grows with the voltage, and the limits of source and sink current may differ, so
+that the slew rate depends on voltage and direction.
 """
 
 import math
@@ -30,14 +30,14 @@ def _charge(samples: FloatArray, output_v: float, period_s: float, source_v_per_
         else:
             charging_s = period_s
             output_v += rate_v_per_s * period_s
-        # The mean over the sample, of which the first part is a ramp.
+        # The mean over the sample, whose first part is a ramp.
         samples[n] = output_v - 0.5 * rate_v_per_s * charging_s * charging_s / period_s
     return output_v
 
 
 @dataclass(frozen=True)
 class CurrentLimit:
-    """Greatest currents into and out of a capacitance C(v) = capacitance exp(growth v)."""
+    """Largest currents into and out of a capacitance C(v) = capacitance exp(growth v)."""
 
     name: ClassVar[str] = "current_limit"
 
@@ -55,12 +55,12 @@ class CurrentLimit:
         require(self.capacitance_f > 0.0, self, "capacitance_f must be positive.")
 
     def start(self, surroundings: Surroundings) -> "CurrentLimitRunner":
-        """Start with a voltage to be set by `rest`."""
+        """Start with a voltage that `rest` sets."""
         return CurrentLimitRunner(self, surroundings.sample_period_s)
 
 
 class CurrentLimitRunner:
-    """Current limit with the voltage at the actuator."""
+    """Current limit with the voltage at the actuator as its state."""
 
     def __init__(self, effect: CurrentLimit, sample_period_s: float) -> None:
         self._output_v = 0.0
@@ -77,5 +77,5 @@ class CurrentLimitRunner:
         return level
 
     def apply(self, samples: FloatArray) -> None:
-        """Replace voltages by mean voltages over each sample."""
+        """Replace voltages by their means over each sample."""
         self._output_v = _charge(samples, self._output_v, *self._constants)

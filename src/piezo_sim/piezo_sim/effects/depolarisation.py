@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A ceramic that loses polarisation, and with it gain, the further it is driven back and forth."""
+"""A ceramic that loses polarisation, and therefore gain, with the travelled distance."""
 
 import math
 from dataclasses import dataclass
@@ -24,9 +24,9 @@ def _age(samples: FloatArray, previous_um: float, travelled_um: float, lost_gain
 
 @dataclass(frozen=True)
 class Depolarisation:
-    """The gain falls by `lost_gain` in the end, by 63 % of that within the travel `travel_um`.
+    """The gain falls by `lost_gain` in the end, by 63 % of that after the distance `travel_um`.
 
-    To stand behind the hysteresis.
+    Place it behind the hysteresis.
     """
 
     name: ClassVar[str] = "depolarisation"
@@ -39,5 +39,5 @@ class Depolarisation:
         require(self.travel_um > 0.0, self, "travel_um must be positive.")
 
     def start(self, surroundings: Surroundings) -> AccumulatingRunner:
-        """Start with a fresh ceramic; `rest` begins to count the travel."""
+        """Start with a fresh ceramic; `rest` starts the count of the distance."""
         return AccumulatingRunner(_age, self.lost_gain, self.travel_um)

@@ -35,7 +35,7 @@ def _advance(samples: FloatArray, state: FloatArray, following: FloatArray, prev
 class DistributedLag:
     """Equal first-order lags in series, which together delay a slow signal by `lag_s`.
 
-    Between its samples the input is taken to be straight, so that no delay of a hold is added.
+    Between its samples the input is taken as straight, so that holding adds no delay.
     """
 
     name: ClassVar[str] = "distributed_lag"
@@ -48,12 +48,12 @@ class DistributedLag:
         require(1 <= self.sections <= 32, self, "sections must be an integer from 1 to 32.")
 
     def start(self, surroundings: Surroundings) -> "DistributedLagRunner":
-        """Start with states to be settled by `rest`."""
+        """Start with states that `rest` sets."""
         return DistributedLagRunner(self, surroundings.sample_period_s)
 
 
 class DistributedLagRunner:
-    """Distributed lag with the state of every section."""
+    """Distributed lag with the state of each section."""
 
     def __init__(self, effect: DistributedLag, sample_period_s: float) -> None:
         n = effect.sections
@@ -79,7 +79,7 @@ class DistributedLagRunner:
         return level
 
     def apply(self, samples: FloatArray) -> None:
-        """Replace samples by lagging ones."""
+        """Replace samples by delayed ones."""
         self._previous = _advance(
             samples, self._state, self._following, self._previous, *self._matrices
         )

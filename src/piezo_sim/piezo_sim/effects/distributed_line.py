@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Resistance and capacitance spread along a stack of piezo layers, as a line open at its end.
+"""Resistance and capacitance along a stack of piezo layers, as a line open at its end.
 
 The mean voltage of all layers follows that at the entrance by tanh(q) / q with q = sqrt(s R C), a
 lag of half order at high frequencies. Its partial fractions are
@@ -19,7 +19,7 @@ from numba import njit
 from piezo_common.arrays import FloatArray
 from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 
-# Faster parts than this many time constants a sample keep nothing from one sample to the next.
+# Parts with more than this many decays per sample have no state from one sample to the next.
 _FASTEST = 36.0
 
 
@@ -38,7 +38,7 @@ def _charge(samples: FloatArray, levels_v: FloatArray, weights: FloatArray, deca
 
 @dataclass(frozen=True)
 class DistributedLine:
-    """Total resistance and capacitance of the line."""
+    """Line with its total resistance and capacitance."""
 
     name: ClassVar[str] = "distributed_line"
 
@@ -50,12 +50,12 @@ class DistributedLine:
         require(self.capacitance_f > 0.0, self, "capacitance_f must be positive.")
 
     def start(self, surroundings: Surroundings) -> "LineRunner":
-        """Start with a charge to be set by `rest`."""
+        """Start with a charge that `rest` sets."""
         return LineRunner(self, surroundings.sample_period_s)
 
 
 class LineRunner:
-    """Line with the levels of its partial fractions."""
+    """Line with the levels of its partial fractions as state."""
 
     def __init__(self, effect: DistributedLine, sample_period_s: float) -> None:
         charging_s = effect.resistance_ohm * effect.capacitance_f

@@ -10,8 +10,8 @@ and returns there with a time constant, so that loops widen with the rate. The t
 quantiles of a Weibull distribution. With the polarisation p = p0 gamma(v) + p1 mean(w) the output
 is p + q p^2: strain goes with the square of the polarisation about its bias.
 
-Slowly played, the plays forget what a larger excursion wipes out. Loops between the same voltages
-are congruent in p, hence not in the output: their heights differ by the factor
+Under slow voltages, a larger excursion wipes out the memory of the plays. Loops between the same
+voltages are congruent in p, but not in the output: their heights differ by the factor
 (1 + q (p_low + p_high)) of either loop. No Preisach density has such loops.
 """
 
@@ -93,17 +93,17 @@ class GeneralisedPlays:
         )
 
     def thresholds_v(self) -> FloatArray:
-        """Thresholds of the plays, shape (plays,), ascending."""
+        """Return the thresholds of the plays in V, shape (plays,), ascending."""
         quantiles = (np.arange(self.plays) + 0.5) / self.plays
         return self.threshold_scale_v * (-np.log1p(-quantiles)) ** (1.0 / self.threshold_shape)
 
     def start(self, surroundings: Surroundings) -> "PlaysRunner":
-        """Start at the lowest voltage, coming from far above."""
+        """Start at the lowest voltage, reached from far above."""
         return PlaysRunner(self, surroundings.sample_period_s)
 
 
 class PlaysRunner:
-    """Hysteresis with the output of every play.
+    """Hysteresis with the output of each play as its state.
 
     Attributes
     ----------
@@ -123,12 +123,12 @@ class PlaysRunner:
             effect.curvature_per_um,
             effect.offset_um,
         )
-        # Far above their envelopes: the first voltage pulls all plays onto the falling ones.
+        # Far above their envelopes, so that the first voltage puts all plays on the falling ones.
         self.plays_v = np.full(effect.plays, np.finfo(float).max)
         self.rest(effect.lowest_voltage_v)
 
     def rest(self, level: float) -> float:
-        """Go slowly from the present memory to the voltage `level`; return the output."""
+        """Go slowly from the present state to the voltage `level`; return the output."""
         samples = np.array([level])
         _play(samples, self.plays_v, self._thresholds_v, 0.0, *self._shape)
         return float(samples[0])

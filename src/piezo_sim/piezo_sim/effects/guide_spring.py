@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A guide whose spring hardens, and that swings with its mode: Duffing's equation.
+"""A guide with a hardening spring and its mode: Duffing's equation.
 
 With e = y - relaxed the mode obeys y'' / w^2 + 2 zeta y' / w + e + e^3 / length^2 = u - relaxed.
-Without the cube it would reach x. What the cube takes, z = x - y, obeys the linear equation of the
-mode with the cube as its drive, so only that is solved step by step.
+Without the cubic term it would reach x. The displacement that this term removes, z = x - y, obeys
+the linear equation of the mode with the cubic term as its drive, so only that is solved step by
+step.
 """
 
 import math
@@ -18,7 +19,8 @@ from piezo_sim.effects.hardening_spring import HardeningSpring
 from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 
 LARGEST_TURN_RAD = 0.05
-"""By which the mode turns in a step: the midpoint rule then errs by 1e-4 of what the cube takes."""
+"""Largest angle in rad by which the mode turns in a step: the midpoint rule then has an error of
+1e-4 of the effect of the cube."""
 
 
 @njit(cache=True)
@@ -41,7 +43,7 @@ def _swing(samples: FloatArray, state: FloatArray, relaxed_um: float, length_um:
 
 @dataclass(frozen=True)
 class GuideSpring:
-    """The cube of the spring of a mode; stands behind the mode, whose two numbers it has."""
+    """The cubic part of the spring of a mode; place it behind the mode, with the same numbers."""
 
     name: ClassVar[str] = "guide_spring"
 
@@ -56,12 +58,12 @@ class GuideSpring:
         require(self.hardening_length_um > 0.0, self, "hardening_length_um must be positive.")
 
     def start(self, surroundings: Surroundings) -> "GuideRunner":
-        """Start with a position to be set by `rest`."""
+        """Start with a position that `rest` sets."""
         return GuideRunner(self, surroundings)
 
 
 class GuideRunner:
-    """A swinging guide with what its cube takes, and the speed of that over the frequency."""
+    """Guide with the displacement that the cube removes, and its velocity over the frequency."""
 
     def __init__(self, spring: GuideSpring, surroundings: Surroundings) -> None:
         turned_rad = spring.frequency_rad_per_s * surroundings.sample_period_s
@@ -73,7 +75,7 @@ class GuideRunner:
         self._state = np.zeros(3)
 
     def rest(self, level: float) -> float:
-        """Take the equilibrium under the drive `level`."""
+        """Set the equilibrium under the drive `level`; return it."""
         balanced_um = self._balance.rest(level)
         self._state[:] = level, level - balanced_um, 0.0
         return balanced_um

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A guide that resists more and more: a cubic restoring force against the free stroke."""
+"""A guide whose resistance increases: a cubic restoring force against the free stroke."""
 
 import math
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from piezo_sim.plant.pointwise import PointwiseRunner
 
 @njit(cache=True)
 def _balance(samples: FloatArray, relaxed_um: float, length_um: float) -> None:
-    # The one real root of a cubic without square term, in hyperbolic form.
+    # The only real root of a cubic without a square term, in hyperbolic form.
     for n in range(samples.size):
         free = (samples[n] - relaxed_um) / length_um
         root = 2.0 / math.sqrt(3.0) * math.sinh(math.asinh(1.5 * math.sqrt(3.0) * free) / 3.0)

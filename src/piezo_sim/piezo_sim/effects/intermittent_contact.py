@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A joint that loosens now and then and passes on less of the motion while it is loose."""
+"""A joint that loosens at random times, and transmits less of the motion while it is loose."""
 
 from dataclasses import dataclass
 from typing import ClassVar

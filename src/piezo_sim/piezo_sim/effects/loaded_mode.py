@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A vibration mode that carries a load from a time on.
+"""A vibration mode that carries a load from a given time on.
 
-A mass or a spring is attached to the moving part, in parts of its own mass and stiffness; the
-viscous damping stays. A negative part is one that comes off.
+A mass or a spring is attached to the moving part, given in parts of its own mass and stiffness; the
+viscous damping is unchanged. A negative part is removed.
 """
 
 import math
@@ -17,10 +17,10 @@ from piezo_sim.plant.plant_effect import parameter, require
 
 @dataclass(frozen=True)
 class LoadedMode:
-    """A mode m x'' + c x' + k x = k u whose m and k change at a time.
+    """A mode m x'' + c x' + k x = k u whose m and k change at a given time.
 
-    Behind that it is (m + dm) x'' + c x' + (k + dk) x = k u: with dm the mode is slower, with dk
-    faster and less compliant. Position and velocity go on as they are.
+    After that it is (m + dm) x'' + c x' + (k + dk) x = k u: with dm the mode is slower, with dk
+    faster and less compliant. Position and velocity are continuous.
     """
 
     name: ClassVar[str] = "loaded_mode"

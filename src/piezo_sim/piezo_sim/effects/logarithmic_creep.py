@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Creep with the logarithm of time, as piezo-ceramics show it.
+"""Creep with the logarithm of time, as in piezo-ceramics.
 
 After a unit step the output is 1 + gain ln(1 + t / onset). By Frullani's integral
 
     ln(1 + t / onset) = int exp(-onset exp(s)) (1 - exp(-t exp(s))) ds  over all s,
 
-a sum of relaxations whose rates exp(s) are spaced evenly in s: the trapezoidal rule with unit
-spacing is exact to 1e-4, because the integrand is analytic and fades at both ends.
+this is a sum of relaxations whose rates exp(s) are evenly spaced in s. The trapezoidal rule with
+unit spacing is exact to 1e-4, because the integrand is analytic and vanishes at both ends.
 """
 
 import math
@@ -18,7 +18,7 @@ import numpy as np
 from piezo_sim.plant.linear_effects import StateSpace
 from piezo_sim.plant.plant_effect import parameter, require
 
-# Faster relaxations than this many per onset time weigh less than exp(-12).
+# Relaxations faster than this number over the onset time have weights below exp(-12).
 _FASTEST = 12.0
 
 

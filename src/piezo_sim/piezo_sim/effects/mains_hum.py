@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Hum of the mains: a frequency and its harmonics whose phase wanders a little."""
+"""Mains hum: a frequency and its harmonics whose phase drifts slightly."""
 
 import math
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ def _hum(samples: FloatArray, normals: FloatArray, phase: float, amplitudes_um: 
 
 @dataclass(frozen=True)
 class MainsHum:
-    """Sines at the frequency and its multiples, in one phase that starts at random and wanders."""
+    """Sines at the frequency and its multiples; their common phase starts at random and drifts."""
 
     name: ClassVar[str] = "mains_hum"
 
@@ -50,7 +50,7 @@ class MainsHum:
 
 
 class HumRunner:
-    """Hum with its phase."""
+    """Hum with its phase as state."""
 
     def __init__(self, effect: MainsHum, surroundings: Surroundings) -> None:
         period_s = surroundings.sample_period_s
@@ -64,7 +64,7 @@ class HumRunner:
         )
 
     def rest(self, level: float) -> float:
-        """Return the level unchanged, because the hum does not wait for the stage to rest."""
+        """Return the level unchanged, as hum is independent of rest."""
         return level
 
     def apply(self, samples: FloatArray) -> None:

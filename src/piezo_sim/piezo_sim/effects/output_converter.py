@@ -12,7 +12,7 @@ from piezo_sim.plant.pointwise import PointwiseRunner
 
 @dataclass(frozen=True)
 class OutputConverter:
-    """Range and levels of the converter, stated at the output of the amplifier behind it."""
+    """Range and levels of the converter, in volts at the output of the amplifier behind it."""
 
     name: ClassVar[str] = "output_converter"
 
@@ -21,7 +21,7 @@ class OutputConverter:
     converter_bits: int = parameter("1")
 
     def __post_init__(self) -> None:
-        converter_of(self, "voltage_min_v", "voltage_max_v")  # which checks
+        converter_of(self, "voltage_min_v", "voltage_max_v")  # checks the parameters
 
     def start(self, surroundings: Surroundings) -> PointwiseRunner:
         """Start; a converter has no memory."""

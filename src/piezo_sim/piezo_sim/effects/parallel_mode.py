@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A vibration mode in parallel to the others, as the modes of a structure add up."""
+"""A vibration mode in parallel with others, as the modes of a structure add up."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -12,10 +12,10 @@ from piezo_sim.plant.plant_effect import parameter, require
 
 @dataclass(frozen=True)
 class ParallelMode:
-    """A mode that holds a share of the static compliance beside the effects before it.
+    """A mode with a share of the static compliance, in parallel with the effects before it.
 
     With the mode M = w^2 / (s^2 + 2 zeta w s + w^2) the effects G become (1 - share) G + share M:
-    the static gain stays. A negative share moves against the others.
+    the static gain is unchanged. A mode with a negative share moves against the others.
     """
 
     name: ClassVar[str] = "parallel_mode"
@@ -40,7 +40,7 @@ class ParallelMode:
         return VibrationMode(self.frequency_rad_per_s, self.damping_ratio).state_space()
 
     def join(self, others: StateSpace) -> StateSpace:
-        """Add the mode to the others."""
+        """Return the parallel connection of the mode and the others."""
         mode, share, n = self.state_space(), self.compliance_share, others.b.size
         a = np.zeros((n + 2, n + 2))
         a[:n, :n] = others.a

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where an effect that no model is told of stands in the chain of a plant."""
+"""The place of an undeclared effect, which models do not contain, in the chain of a plant."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -26,15 +26,14 @@ from piezo_sim.plant.sensor import DisplacementSensor
 
 
 def add_effect(plant: PlantConfig, effect: Effect) -> PlantConfig:
-    """Put an undeclared effect where it belongs in the chain of a plant.
+    """Return a plant with an undeclared effect at its place in the chain.
 
-    A `LoadedMode` takes the place of the mode whose frequency is nearest; a `GuideSpring` comes
-    behind it.
+    A `LoadedMode` replaces the mode of the nearest frequency; a `GuideSpring` is placed behind it.
 
     Parameters
     ----------
     plant : PlantConfig
-        A plant that holds the effects of the default plant at least.
+        Plant with at least the effects of the default plant.
     effect : piezo_sim.plant.plant_effect.Effect
         Any effect of this package.
     """
@@ -67,7 +66,7 @@ def add_effect(plant: PlantConfig, effect: Effect) -> PlantConfig:
 
 
 def _nearest_mode(stage: Sequence[Effect], frequency_rad_per_s: float) -> int:
-    """Return the place of the mode whose frequency is nearest."""
+    """Return the index of the mode of the nearest frequency."""
     frequencies = {mode.frequency_rad_per_s: place for place, mode in enumerate(stage)
                    if isinstance(mode, VibrationMode)}
     return frequencies[min(frequencies, key=lambda w: abs(w - frequency_rad_per_s))]

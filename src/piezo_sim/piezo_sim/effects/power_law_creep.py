@@ -6,8 +6,8 @@ at the reference time t1 and grows by the factor 10^a from each decade to the ne
 
     (1 + x)^a - 1 = a / Gamma(1 - a) int exp(-m) (1 - exp(-x m)) m^(-1-a) dm  over m > 0
 
-it is a continuum of relaxations. The trapezoidal rule in ln m, with unit spacing, follows it to
-1e-4, because the integrand is analytic there and fades at both ends.
+it is a continuum of relaxations. The trapezoidal rule in ln m, with unit spacing, is exact to 1e-4,
+because the integrand is analytic and vanishes at both ends.
 """
 
 import math
@@ -21,7 +21,7 @@ from scipy.special import gamma
 from piezo_common.arrays import FloatArray
 from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 
-# Faster relaxations than this many per onset time weigh less than exp(-12).
+# Relaxations faster than this number over the onset time have weights below exp(-12).
 _FASTEST = 12.0
 
 
@@ -58,12 +58,12 @@ class PowerLawCreep:
         )
 
     def start(self, surroundings: Surroundings) -> "CreepRunner":
-        """Start with relaxations to be settled by `rest`."""
+        """Start with relaxations that `rest` sets."""
         return CreepRunner(self, surroundings.sample_period_s)
 
 
 class CreepRunner:
-    """Creep with the level of every relaxation."""
+    """Creep with the level of each relaxation as its state."""
 
     def __init__(self, effect: PowerLawCreep, sample_period_s: float) -> None:
         fastest = math.log(_FASTEST)
@@ -78,10 +78,10 @@ class CreepRunner:
         self._levels = np.zeros(rates.size)
 
     def rest(self, level: float) -> float:
-        """Settle at the constant input `level`; return what it has crept to."""
+        """Settle at the constant input `level`; return the output with all creep."""
         self._levels[:] = level
         return float(level * (1.0 + self._weights.sum()))
 
     def apply(self, samples: FloatArray) -> None:
-        """Add to the inputs what they have crept at the start of each sample."""
+        """Add to the inputs their creep at the start of each sample."""
         _creep(samples, self._levels, self._weights, self._shares)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""An actuator that its own losses warm, and whose gain follows the temperature.
+"""An actuator that its own losses warm, and whose gain depends on the temperature.
 
-Hysteresis loses energy with every micrometre travelled, whatever the speed.
+Hysteresis loses energy with every micrometre travelled, at any speed.
 """
 
 import math
@@ -28,9 +28,9 @@ def _heat(samples: FloatArray, previous_um: float, warm_k: float, heating_k_per_
 
 @dataclass(frozen=True)
 class SelfHeating:
-    """Temperature above the ambient from travel and cooling; the gain changes with it.
+    """Temperature above ambient from travel and cooling, which changes the gain.
 
-    To stand behind the hysteresis.
+    Place it behind the hysteresis.
     """
 
     name: ClassVar[str] = "self_heating"
@@ -46,7 +46,7 @@ class SelfHeating:
         )
 
     def start(self, surroundings: Surroundings) -> AccumulatingRunner:
-        """Start cold; travel heats."""
+        """Start at ambient temperature; travel heats."""
         return AccumulatingRunner(
             _heat,
             self.heating_k_per_um,

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A slow carriage in y that carries a fast platform in x.
 
-The carriage moves in y, gives way in x, and yaws. The platform slides on it along x; its actuator
-stands on the carriage, which takes the reaction. So the modes depend on neither axis alone, and
-the platform's mass, off the carriage's centre, couples them.
+The carriage moves in y, is compliant in x, and yaws. The platform slides on it along x; its
+actuator is mounted on the carriage, which takes the reaction. No mode belongs to one axis alone,
+and the platform's mass, off the carriage's centre, couples them.
 """
 
 import math
@@ -18,7 +18,7 @@ from piezo_sim.plant.plant_effect import parameter, require
 
 @dataclass(frozen=True)
 class SerialStage:
-    """Masses, springs and places; the platform's place is seen from the carriage's centre."""
+    """Masses, springs and places; the platform's place is relative to the carriage's centre."""
 
     name: ClassVar[str] = "serial_stage"
     axes: ClassVar[int] = 2
@@ -56,7 +56,7 @@ class SerialStage:
         """Return the matrices of the carriage in x, y and yaw, and of the platform on it (um)."""
         along = np.array([np.cos(self.platform_askew_rad), np.sin(self.platform_askew_rad)])
         x, y = self.platform_place_m
-        # Position of the platform, from the four coordinates.
+        # Position of the platform as a function of the four coordinates.
         platform = np.array([[1.0, 0.0, -y, along[0]], [0.0, 1.0, x, along[1]]])
         mass = (np.diag([self.carriage_mass_kg, self.carriage_mass_kg,
                          self.carriage_inertia_kg_m2 + self.platform_inertia_kg_m2, 0.0])

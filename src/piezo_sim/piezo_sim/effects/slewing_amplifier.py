@@ -5,10 +5,10 @@
 
     dv/dt = z,   dz/dt = 2 zeta w (sat(w / (2 zeta) (u - v), S) - z)
 
-For small signals v'' + 2 zeta w v' + w^2 v = w^2 u; for large ones ``|dv/dt|`` stays below the
-slew rate S. The loop is advanced in steps of a fraction of a sample, each exact for the regime,
-linear or saturated, in which it begins; the output is the mean over the sample, to which what
-follows responds.
+For small signals v'' + 2 zeta w v' + w^2 v = w^2 u; for large ones ``|dv/dt|`` stays below the slew
+rate S. The loop is advanced in steps of a fraction of a sample, each exact for the regime, linear
+or saturated, in which it begins. The output is the mean over the sample, to which the following
+effects respond.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from scipy.linalg import expm
 from piezo_common.arrays import FloatArray
 from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 
-# The saturation ends in the right one of these parts of a sample.
+# Steps per sample; the regime is chosen anew at each of them.
 STEPS = 8
 
 
@@ -29,7 +29,7 @@ STEPS = 8
 def _follow(samples: FloatArray, output_v: float, slope_v_per_s: float, steps: int,
             linear: FloatArray, saturated: FloatArray, gain_per_s: float,
             slew_v_per_s: float) -> tuple[float, float]:
-    """Rows of the matrices: new output, new slope, integral; columns: output, slope, input."""
+    """Advance the amplifier; rows of the matrices are new output, new slope and integral."""
     for n in range(samples.size):
         target_v = samples[n]
         integral = 0.0
@@ -71,12 +71,12 @@ class SlewingAmplifier:
         require(self.slew_rate_v_per_s > 0.0, self, "slew_rate_v_per_s must be positive.")
 
     def start(self, surroundings: Surroundings) -> "SlewingRunner":
-        """Start with a voltage to be set by `rest`."""
+        """Start with a voltage that `rest` sets."""
         return SlewingRunner(self, surroundings.sample_period_s)
 
 
 class SlewingRunner:
-    """Amplifier with its output and the slope of it."""
+    """Amplifier with its output and slope as state."""
 
     def __init__(self, effect: SlewingAmplifier, sample_period_s: float) -> None:
         w, zeta = effect.natural_frequency_rad_per_s, effect.damping_ratio
@@ -103,7 +103,7 @@ class SlewingRunner:
 
 
 def _step_matrix(stiffness: float, friction: float, drive: float, step_s: float) -> FloatArray:
-    """Exact step of v' = z, z' = stiffness v + friction z + drive u, and the share of a mean."""
+    """Return the exact step of v' = z, z' = stiffness v + friction z + drive u, with its mean."""
     augmented = np.zeros((4, 4))
     augmented[0, 1] = 1.0
     augmented[1] = stiffness, friction, 0.0, drive

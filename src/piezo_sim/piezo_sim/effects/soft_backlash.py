@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Backlash between the drive and what it moves, with contact that sets in softly.
+"""Backlash between the drive and the driven part, with a gradual onset of contact.
 
-The driven part trails the drive by e. A drive that turns first closes half the gap freely, until
-e = 0; from there contact sets in by de/dx = 1 - (e / gap)^2, so that e = gap tanh(x / gap).
+The driven part trails the drive by e. A drive that reverses first closes half the gap freely, until
+e = 0. From there contact increases by de/dx = 1 - (e / gap)^2, so that e = gap tanh(x / gap).
 """
 
 import math
@@ -25,7 +25,7 @@ def _trail(samples: FloatArray, drive_um: float, trail_um: float,
             free_um = math.copysign(min(abs(move_um), abs(trail_um)), move_um)
             trail_um += free_um
             move_um -= free_um
-        # tanh(a + b) from tanh(a) and tanh(b): any number of steps give what one gives.
+        # tanh(a + b) from tanh(a) and tanh(b): the result does not depend on the number of steps.
         if move_um != 0.0:
             contact = math.tanh(move_um / gap_um)
             engaged = trail_um / gap_um
@@ -46,19 +46,19 @@ class SoftBacklash:
         require(self.half_gap_um > 0.0, self, "half_gap_um must be positive.")
 
     def start(self, surroundings: Surroundings) -> "BacklashRunner":
-        """Start with a position to be set by `rest`."""
+        """Start with a position that `rest` sets."""
         return BacklashRunner(self.half_gap_um)
 
 
 class BacklashRunner:
-    """Backlash with the positions of drive and driven part."""
+    """Backlash with the positions of drive and driven part as state."""
 
     def __init__(self, half_gap_um: float) -> None:
         self._gap_um = half_gap_um
         self._state = (0.0, 0.0)
 
     def rest(self, level: float) -> float:
-        """Arrive at the displacement `level` from far below."""
+        """Set the displacement `level`, reached from far below."""
         self._state = (level, self._gap_um)
         return level - self._gap_um
 

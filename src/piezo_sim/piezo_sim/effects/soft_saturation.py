@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""An amplifier whose output bends off towards its supply voltages before it stops."""
+"""An amplifier whose output saturates gradually at its supply voltages."""
 
 import math
 from dataclasses import dataclass

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Single samples that are far off, as glitches of a converter or a cable make them."""
+"""Single outliers, as from glitches of a converter or a cable."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -13,7 +13,7 @@ from piezo_sim.plant.random_stream import EventStream, bits_for
 
 @dataclass(frozen=True)
 class Spikes:
-    """Spikes at random instants, of either sign, their heights log-normal about the typical one."""
+    """Spikes at random instants, of either sign, with log-normal heights about a typical one."""
 
     name: ClassVar[str] = "spikes"
 
@@ -40,7 +40,7 @@ class SpikesRunner:
         self._events.wait(self._mean_samples)
 
     def rest(self, level: float) -> float:
-        """Return the level as it is: spikes leave it."""
+        """Return the level unchanged, as spikes do not change it."""
         return level
 
     def apply(self, samples: FloatArray) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Thermal expansion by a source of heat that is switched on at a time."""
+"""Thermal expansion by a heat source that is switched on at a given time."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -30,7 +30,7 @@ class SwitchedHeat:
 
 
 class HeatRunner:
-    """Expansion with its clock."""
+    """Expansion with its clock as state."""
 
     def __init__(self, effect: SwitchedHeat, sample_period_s: float) -> None:
         self._expansion_um = effect.expansion_um
@@ -38,7 +38,7 @@ class HeatRunner:
         self._sample = -round(effect.begin_s / sample_period_s)
 
     def rest(self, level: float) -> float:
-        """Return the level unchanged: the source is off."""
+        """Return the level unchanged, as the source is off."""
         return level
 
     def apply(self, samples: FloatArray) -> None:

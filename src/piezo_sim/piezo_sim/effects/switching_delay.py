@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Hysteresis whose relays switch later the faster the voltage changes.
 
-Switching is thermally activated: the coercive voltage grows with the logarithm of the rate. When
-all thresholds move alike, upwards in a rise and downwards in a fall, hysteresis sees the voltage
+Switching is thermally activated: the coercive voltage grows with the logarithm of the rate. If all
+thresholds move equally, upwards in a rise and downwards in a fall, this is equivalent to a voltage
 reduced by that shift.
 """
 
@@ -32,7 +32,7 @@ def _shift(samples: FloatArray, previous_v: float, speed_v_per_s: float, period_
 class SwitchingDelay:
     """Thresholds shifted by shift arsinh(speed / reference), the speed averaged over a short time.
 
-    To stand before the hysteresis.
+    Place it before the hysteresis.
     """
 
     name: ClassVar[str] = "switching_delay"
@@ -48,7 +48,7 @@ class SwitchingDelay:
         require(self.averaging_time_s > 0.0, self, "averaging_time_s must be positive.")
 
     def start(self, surroundings: Surroundings) -> AccumulatingRunner:
-        """Start with a voltage to be set by `rest`; what gathers is the averaged speed."""
+        """Start with a voltage that `rest` sets; the accumulated quantity is the averaged speed."""
         return AccumulatingRunner(
             _shift,
             surroundings.sample_period_s,

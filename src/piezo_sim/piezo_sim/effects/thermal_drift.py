@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Thermal expansion under an ambient temperature that wanders."""
+"""Thermal expansion under a varying ambient temperature."""
 
 import math
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ def _drift(samples: FloatArray, normals: FloatArray, ambient_k: float, stage_k: 
 
 @dataclass(frozen=True)
 class ThermalDrift:
-    """A thermal mass behind a random walk of the ambient temperature.
+    """A thermal mass driven by a random walk of the ambient temperature.
 
     Temperatures are relative to that of the stage at the first sample.
     """
@@ -50,7 +50,7 @@ class ThermalDrift:
 
 
 class DriftRunner:
-    """Thermal drift with its temperatures."""
+    """Thermal drift with its temperatures as state."""
 
     def __init__(self, effect: ThermalDrift, surroundings: Surroundings) -> None:
         period_s = surroundings.sample_period_s
@@ -63,7 +63,7 @@ class DriftRunner:
         self._temperatures_k = (effect.ambient_start_k, 0.0)
 
     def rest(self, level: float) -> float:
-        """Return the level unchanged, because temperature does not follow displacement."""
+        """Return the level unchanged, as the temperature does not depend on displacement."""
         return level
 
     def apply(self, samples: FloatArray) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Curvature of a displacement transducer (LVDT): the signal grows less towards both ends."""
+"""Curvature of a displacement transducer (LVDT): the sensitivity falls towards both ends."""
 
 import math
 from dataclasses import dataclass

@@ -38,15 +38,15 @@ class TransportDelay:
         require(self.delay_s >= 0.0, self, "delay_s must not be negative.")
 
     def start(self, surroundings: Surroundings) -> "DelayRunner":
-        """Start with a history to be filled by `rest`."""
+        """Start with a history that `rest` fills."""
         return DelayRunner(self.delay_s / surroundings.sample_period_s)
 
 
 class DelayRunner:
-    """Delay with the samples that it has not passed on yet."""
+    """Delay with the samples that it has not put out yet."""
 
     def __init__(self, delay_samples: float) -> None:
-        # Four samples about the instant wanted; none of them in the future.
+        # Four samples around the delayed instant; none of them in the future.
         self._first = max(math.floor(delay_samples) - 1, 0)
         wanted = delay_samples - self._first
         nodes = np.arange(4.0)

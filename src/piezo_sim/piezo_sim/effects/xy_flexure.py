@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A platform on leaf springs that two actuators push beside each other.
+"""A platform on leaf springs with one actuator for each of two directions.
 
-It moves in x, in y and in yaw about its centre of mass. Each actuator is a spring of its own
-between the frame and the platform, that pushes a little askew and beside the centre; the leaf
-springs are not quite parallel to the axes. So all three modes move both axes.
+It moves in x, in y and in yaw about its centre of mass. Each actuator is a spring between the frame
+and the platform, which pushes slightly askew and off the centre. The leaf springs are not quite
+parallel to the axes. All three modes therefore move both axes.
 """
 
 import math
@@ -48,7 +48,7 @@ class XYFlexure:
                 "damping_ratios must be three positive numbers, one for each mode.")
 
     def mechanism(self) -> Mechanism:
-        """Return the matrices of x, y and the yaw (um and urad)."""
+        """Return the matrices of x, y and yaw (um and urad)."""
         stiffness = np.diag([*self.suspension_n_per_m, self.suspension_yaw_n_m_per_rad])
         stiffness[0, 1] = stiffness[1, 0] = self.suspension_cross_n_per_m
         ways = _directions(self.actuators_askew_rad, self.actuators_beside_m)
@@ -60,6 +60,6 @@ class XYFlexure:
 
 
 def _directions(askew_rad: tuple[float, ...], beside_m: tuple[float, ...]) -> np.ndarray:
-    """Return how x, y and yaw move along two lines, shape (2, 3)."""
+    """Return the motion along two lines due to x, y and yaw, shape (2, 3)."""
     (x, y), cosines, sines = beside_m, np.cos(askew_rad), np.sin(askew_rad)
     return np.array([[cosines[0], sines[0], x], [-sines[1], cosines[1], y]])

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Breakdowns of the sensor and the hardware, for a plant file that tries the stage's guards."""
+"""Faults of the sensor and the hardware, for plant files that test the stage's guards."""

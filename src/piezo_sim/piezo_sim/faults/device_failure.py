@@ -28,7 +28,7 @@ class DeviceFailure:
 
 
 class DeviceFailureRunner(FaultWindow[DeviceFailure]):
-    """Refuses to go on."""
+    """Device that fails at the beginning of its window."""
 
     def spoil(self, samples: FloatArray, first: int, last: int) -> None:
         """Raise the fault."""

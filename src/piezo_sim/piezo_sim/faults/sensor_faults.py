@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Ways in which a displacement sensor is lost."""
+"""Faults of a displacement sensor."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -14,7 +14,7 @@ from piezo_sim.plant.random_stream import NormalStream, bits_for
 
 @dataclass(frozen=True)
 class StuckSensor:
-    """The reading stays as it is."""
+    """The reading does not change any more."""
 
     name: ClassVar[str] = "stuck_sensor"
 
@@ -30,7 +30,7 @@ class StuckSensor:
 
 
 class StuckSensorRunner(FaultWindow[StuckSensor]):
-    """Keeps the last good reading."""
+    """Sensor that repeats its last good reading."""
 
     _reading_um: float | None = None
 
@@ -43,7 +43,7 @@ class StuckSensorRunner(FaultWindow[StuckSensor]):
 
 @dataclass(frozen=True)
 class SilentSensor:
-    """The reading is not a number, as that of a sensor that does not answer."""
+    """The reading is NaN, as of a sensor that does not respond."""
 
     name: ClassVar[str] = "silent_sensor"
 
@@ -59,7 +59,7 @@ class SilentSensor:
 
 
 class SilentSensorRunner(FaultWindow[SilentSensor]):
-    """Replace the readings of a silent sensor by NaN."""
+    """Sensor whose readings are NaN."""
 
     def spoil(self, samples: FloatArray, first: int, last: int) -> None:
         """Replace readings by NaN."""
@@ -68,7 +68,7 @@ class SilentSensorRunner(FaultWindow[SilentSensor]):
 
 @dataclass(frozen=True)
 class OffScaleSensor:
-    """The reading sits at one value, as that of a cable that came off."""
+    """The reading is constant, as with a disconnected cable."""
 
     name: ClassVar[str] = "off_scale_sensor"
 
@@ -85,7 +85,7 @@ class OffScaleSensor:
 
 
 class OffScaleSensorRunner(FaultWindow[OffScaleSensor]):
-    """Reads one value."""
+    """Sensor with a constant reading."""
 
     def spoil(self, samples: FloatArray, first: int, last: int) -> None:
         """Replace readings by the value."""
@@ -94,7 +94,7 @@ class OffScaleSensorRunner(FaultWindow[OffScaleSensor]):
 
 @dataclass(frozen=True)
 class NoisySensor:
-    """White noise on top of the sensor's own."""
+    """White noise in addition to the sensor's own."""
 
     name: ClassVar[str] = "noisy_sensor"
 
@@ -112,7 +112,7 @@ class NoisySensor:
 
 
 class NoisySensorRunner(FaultWindow[NoisySensor]):
-    """Add noise from the seed to the readings of a noisy sensor."""
+    """Sensor with additional noise from the seed."""
 
     def __init__(self, effect: NoisySensor, surroundings: Surroundings) -> None:
         super().__init__(effect, surroundings)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The time for which a fault lasts."""
+"""The time window of a fault."""
 
 from abc import ABC, abstractmethod
 from typing import Generic, Protocol, TypeVar
@@ -24,7 +24,7 @@ F = TypeVar("F", bound=Fault)
 
 
 class FaultWindow(ABC, Generic[F]):
-    """A fault from ``begin_s`` to ``end_s`` of stage time; a runner's base."""
+    """A fault from ``begin_s`` to ``end_s`` of stage time; the base of its runners."""
 
     def __init__(self, effect: F, surroundings: Surroundings) -> None:
         self.effect = effect
@@ -34,11 +34,11 @@ class FaultWindow(ABC, Generic[F]):
         self._at = 0
 
     def rest(self, level: float) -> float:
-        """Return the level as it is: nothing is broken before the stage starts."""
+        """Return the level unchanged, as no fault acts before the stage starts."""
         return level
 
     def apply(self, samples: FloatArray) -> None:
-        """Spoil the samples of the window."""
+        """Apply the fault to the samples of the window."""
         first, last = (min(max(edge - self._at, 0), samples.size)
                        for edge in (self._begin, self._end))
         if first < last:
@@ -47,10 +47,10 @@ class FaultWindow(ABC, Generic[F]):
 
     @abstractmethod
     def spoil(self, samples: FloatArray, first: int, last: int) -> None:
-        """Replace the samples from the first up to the last, which is not included."""
+        """Replace the samples from `first` to `last`, the latter excluded."""
 
 
 def require_window(effect: Fault) -> None:
-    """Refuse a window that is empty or begins before the stage starts."""
+    """Reject a window that is empty or begins before the stage starts."""
     require(0.0 <= effect.begin_s < effect.end_s, effect,
             "begin_s must be at least 0 and below end_s.")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The stage node over the simulated stage, which also publishes the true displacement."""
+"""The stage node with the simulated stage, which also publishes the true displacement."""
 
 import array
 from typing import cast
@@ -23,7 +23,7 @@ GROUND_TRUTH_SAMPLES = 4000
 
 
 class SimulatedStageNode(StageNode):
-    """Publish ``ground_truth`` beside ``samples``, except where a slow waveform plays."""
+    """Publish ``ground_truth`` in addition to ``samples``, except during a slow waveform."""
 
     def __init__(self) -> None:
         self._ground_truth: Publisher | None = None
@@ -34,14 +34,14 @@ class SimulatedStageNode(StageNode):
         super().__init__(create_simulated_stage)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Start the sample clock at sample 0, and the truth with it."""
+        """Start sample clock and true displacement at sample 0."""
         self._ground_truth = self._ground_truth or self.create_publisher(
             SampleBlock, "ground_truth", self._outputs.quality)
         self._true_um, self._voltage_v, self._truth_first_sample = [], [], 0
         return super().on_activate(state)
 
     def take_truth(self, displacement_um: FloatArray) -> None:
-        """Take the true displacement of the next exchange."""
+        """Store the true displacement of an exchange."""
         self._true_um.append(displacement_um)
 
     def on_block(self, block: Block) -> None:
@@ -70,12 +70,12 @@ class SimulatedStageNode(StageNode):
             tick=block.tick, flags=block.flags, axes=self._outputs.axes,
             voltage_v=array.array("d", voltage_v.tobytes()),
             displacement_um=array.array("d", displacement_um.tobytes()))
-        assert self._ground_truth is not None  # made when the stage was activated
+        assert self._ground_truth is not None  # created when the stage was activated
         self._outputs.publish_samples(self._ground_truth, message)
 
 
 def create_simulated_stage(node: SimulatedStageNode) -> StageBackend:
-    """Make the backend that the node's parameters describe."""
+    """Return the backend that the node's parameters describe."""
     seed = declare(node, "seed", 1, "Seed of the sensor noise.", 0, 2**31 - 1)
     plant = declare(node, "plant", "", "Plant file (YAML), or the name of a plant that comes with "
                     "the simulator; empty for the default plant.")
@@ -84,10 +84,10 @@ def create_simulated_stage(node: SimulatedStageNode) -> StageBackend:
     stage = SimulatedStage(
         config, seed, node.settings.sample_rate_hz, node.settings.rest_v(axes))
     stage.on_truth = node.take_truth
-    # Both lack `lead_samples`, which a backend may.
+    # Neither has `lead_samples`, which is optional.
     return cast(StageBackend, stage if node.settings.lockstep else PacedStage(stage))
 
 
 def main(args: list[str] | None = None) -> None:
-    """Run the node ``stage`` over the simulated stage."""
+    """Run the node ``stage`` with the simulated stage."""
     run_stage(SimulatedStageNode, args)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Effects that remember their last input, and one quantity that gathers as the input moves."""
+"""Effects whose state is the last input and one quantity that accumulates with the motion."""
 
 from collections.abc import Callable
 
@@ -7,13 +7,13 @@ from piezo_common.arrays import FloatArray
 
 
 class AccumulatingRunner:
-    """A compiled function of the samples, of the two things remembered and of constants.
+    """A compiled function of the samples, of its state and of constants.
 
     Parameters
     ----------
     replace : callable
-        ``replace(samples, last, gathered, *constants)`` puts the outputs in place of the inputs
-        and returns the new ``last, gathered``.
+        Called as ``replace(samples, last, gathered, *constants)``; replaces the inputs by the
+        outputs and returns the new state ``last, gathered``.
     constants : float
         Parameters of the effect.
     """
@@ -24,7 +24,7 @@ class AccumulatingRunner:
         self._state = (0.0, 0.0)
 
     def rest(self, level: float) -> float:
-        """Stand at the constant input `level`, with nothing gathered; the output is the input."""
+        """Set the constant input `level`, with nothing accumulated; the output is the input."""
         self._state = (level, 0.0)
         return level
 

@@ -41,7 +41,7 @@ class VoltageAmplifier:
     slew_rate_v_per_s: float = parameter("V/s")
 
     def __post_init__(self) -> None:
-        converter_of(self, "voltage_min_v", "voltage_max_v")  # which checks
+        converter_of(self, "voltage_min_v", "voltage_max_v")  # checks the parameters
         require(self.slew_rate_v_per_s > 0.0, self, "slew_rate_v_per_s must be positive.")
 
     def start(self, surroundings: Surroundings) -> "AmplifierRunner":
@@ -50,7 +50,7 @@ class VoltageAmplifier:
 
 
 class AmplifierRunner:
-    """Amplifier with its present output."""
+    """Amplifier with its output as state."""
 
     def __init__(self, effect: VoltageAmplifier, sample_period_s: float) -> None:
         self._converter = converter_of(effect, "voltage_min_v", "voltage_max_v")
@@ -58,7 +58,7 @@ class AmplifierRunner:
         self._output_v = effect.voltage_min_v
 
     def rest(self, level: float) -> float:
-        """Settle at the converter's level next to the command `level`."""
+        """Settle at the level of the converter nearest to the command `level`."""
         samples = np.array([level])
         self._converter.apply(samples)
         self._output_v = float(samples[0])

@@ -5,11 +5,12 @@ With span d = alpha - beta and middle m = (alpha + beta) / 2 the density is
 
     mu(alpha, beta) = (broad + ridge exp(-d / width)) (1 + modulation cos(k (m - centre))),
 
-a product of a function of the span and a function of the middle, hence not a sum
-f(alpha) + g(beta). The integral over the triangle beta <= beta' <= alpha' <= alpha keeps the form:
-E = G0(d) + modulation cos(k (m - centre)) G1(d), with G1(d) = 2/k int_0^d g(x) sin(k (d - x)/2) dx
-for a density profile g(x) in the span.
-The output follows from the remembered extremes of the voltage and this integral, without a grid.
+a product of a function of the span and a function of the middle, and therefore not a sum f(alpha) +
+g(beta). The integral over the triangle beta <= beta' <= alpha' <= alpha has the same form: E =
+G0(d) + modulation cos(k (m - centre)) G1(d), with G1(d) = 2/k int_0^d g(x) sin(k (d - x)/2) dx for
+a density profile g(x) in the span.
+
+The output follows from the stored extremes of the voltage and this integral, without a grid.
 """
 
 import math
@@ -23,7 +24,7 @@ from piezo_common.arrays import FloatArray
 from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 
 
-# Numba's cache overlooks changes in other files: compiled functions that call each other stay here.
+# Numba's cache ignores changes in other files, so compiled functions that call each other are here.
 @njit(cache=True)
 def density_um_per_v2(alpha_v: float, beta_v: float, broad: float, ridge: float, width_v: float,
                       modulation: float, centre_v: float, period_v: float) -> float:
@@ -37,7 +38,7 @@ def density_um_per_v2(alpha_v: float, beta_v: float, broad: float, ridge: float,
 @njit(cache=True)
 def everett_um(alpha_v: float, beta_v: float, broad: float, ridge: float, width_v: float,
                modulation: float, centre_v: float, period_v: float) -> float:
-    """Return the integral of the density over the triangle between beta and alpha, um."""
+    """Return the integral of the density over the triangle between beta and alpha in um."""
     span = alpha_v - beta_v
     middle = 0.5 * (alpha_v + beta_v)
     wavenumber = 2.0 * math.pi / period_v
@@ -65,11 +66,11 @@ def _follow(samples: FloatArray, extremes_v: FloatArray, outputs_um: FloatArray,
             shape: tuple[float, ...]) -> tuple[int, float, float]:
     """Replace voltages by hysteresis outputs.
 
-    extremes_v[0..depth] are the remembered extremes: minimum, maximum, minimum, ...; outputs_um
-    are the outputs at those extremes, so that nothing is ever summed up twice.
+    extremes_v[0..depth] are the stored extremes: minimum, maximum, minimum, ...; outputs_um are the
+    outputs at those extremes, so that no sum accumulates.
     """
     for n in range(samples.size):
-        # Below the saturation voltage every relay is off already.
+        # Below the saturation voltage all relays are off already.
         voltage = max(samples[n], extremes_v[0])
         if voltage == last_v:
             samples[n] = last_um + offset_um
@@ -144,7 +145,7 @@ class PreisachHysteresis:
 
 
 class HysteresisRunner:
-    """Hysteresis with its memory of extremes."""
+    """Hysteresis with the extremes of the voltage as its state."""
 
     def __init__(self, effect: PreisachHysteresis) -> None:
         self._shape = effect.shape
@@ -154,7 +155,7 @@ class HysteresisRunner:
         self._state = (0, effect.saturation_voltage_v, 0.0)
 
     def rest(self, level: float) -> float:
-        """Go from the present memory to the voltage `level`; return the output."""
+        """Go from the present state to the voltage `level`; return the output."""
         samples = np.array([level])
         self.apply(samples)
         return float(samples[0])

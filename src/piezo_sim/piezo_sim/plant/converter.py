@@ -37,9 +37,9 @@ def converter_of(effect: Effect, low: str, high: str) -> Converter:
     Parameters
     ----------
     effect : Effect
-        Its parameter `converter_bits` says how many levels there are.
+        Effect with the parameter `converter_bits`, which determines the number of levels.
     low, high : str
-        Names of its parameters between which the levels lie.
+        Names of its parameters for the lowest and the highest level.
 
     Raises
     ------

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Linear effects in series, advanced by exact zero-order-hold discretisation of the whole series.
 
-The input is constant within a sample, so x[n+1] = A x[n] + B u[n] with the matrix exponential holds
-without error; y[n] = C x[n] is the output at the start of the sample.
+The input is constant within a sample, so x[n+1] = A x[n] + B u[n] with the matrix exponential is
+exact; y[n] = C x[n] is the output at the start of the sample.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from piezo_sim.plant.plant_effect import Effect, PlantConfigError, parameter, re
 
 
 class StateSpace(NamedTuple):
-    """Hold the matrices of dx/dt = a x + b u, y = c x + d u.
+    """Matrices of dx/dt = a x + b u, y = c x + d u.
 
     Their shapes are (n, n), (n,), (n,) and scalar; rates are in rad/s.
     """
@@ -40,30 +40,30 @@ class LinearEffect(Effect, Protocol):
 
 @runtime_checkable
 class ParallelEffect(LinearEffect, Protocol):
-    """A linear effect that lies in parallel to some before it."""
+    """A linear effect in parallel with some before it."""
 
     @property
     def beside(self) -> int:
-        """Return the number of linear effects before it that it lies in parallel to."""
+        """Return the number of linear effects before it with which it is in parallel."""
 
     def join(self, others: StateSpace) -> StateSpace:
-        """Add the effect to the series of those others."""
+        """Return the parallel connection of the effect and the series of those others."""
 
 
 @runtime_checkable
 class ChangingEffect(LinearEffect, Protocol):
-    """A linear effect that is another one from a time on."""
+    """A linear effect that changes at a given time."""
 
     @property
     def begin_s(self) -> float:
-        """Return from when on (s of stage time)."""
+        """Return the time of the change (s of stage time)."""
 
     def changed(self) -> StateSpace:
-        """Return the dynamics from then on, of the same states."""
+        """Return the dynamics after the change, with the same states."""
 
 
 class _Changed:
-    """A changing effect, as it is from its time on."""
+    """A changing effect after its change."""
 
     def __init__(self, effect: ChangingEffect) -> None:
         self.name, self.state_space = effect.name, effect.changed
@@ -85,14 +85,14 @@ def series(first: StateSpace, second: StateSpace) -> StateSpace:
 
 
 def chain(effects: Sequence[LinearEffect]) -> StateSpace:
-    """Join linear effects in the order of the signal.
+    """Return the connection of linear effects in the order of the signal.
 
-    Most follow what lies before them; a `ParallelEffect` is added to the series of those beside it.
+    Most are in series; a `ParallelEffect` is in parallel with the series of those before it.
 
     Raises
     ------
     PlantConfigError
-        If fewer linear effects lie before an effect than it wants to lie beside.
+        If there are fewer linear effects directly before an effect than it is parallel to.
     """
     systems: list[StateSpace] = []
     for effect in effects:
@@ -142,7 +142,7 @@ def _advance(samples: FloatArray, state: FloatArray, following: FloatArray, own:
 
 
 def _alone(a: FloatArray) -> int:
-    """Return how many of the first states follow from themselves only, as parallel relaxations."""
+    """Return the number of first states that depend only on themselves, as parallel relaxations."""
     others = np.flatnonzero((a - np.diag(np.diagonal(a))).any(axis=1))
     return int(others[0]) if others.size else len(a)
 
@@ -153,7 +153,7 @@ class LinearRunner:
     Raises
     ------
     PlantConfigError
-        If the output follows the input without any lag, so that a measurement would depend on a
+        If the output follows the input without a lag, so that a measurement would depend on a
         voltage that has not acted yet.
     """
 

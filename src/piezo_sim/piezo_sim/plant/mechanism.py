@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What moves several axes at once: masses and springs that their actuators push together.
+"""Mechanics of several axes: masses and springs that actuators push together.
 
 The coordinates q follow M q'' + D q' + K q = P u with the free strokes u of the actuators, held
-between samples. In the modes of M and K, which the damping D leaves apart, every mode has an exact
-discrete step of its own.
+between samples. In the modes of M and K, which the damping D does not couple, every mode has its
+own exact discrete step.
 """
 
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -22,13 +22,13 @@ class Mechanism(NamedTuple):
     Attributes
     ----------
     mass, stiffness : ndarray, shape (n, n)
-        Symmetric and positive definite.
+        Symmetric and positive definite mass and stiffness matrices.
     push : ndarray, shape (n, m)
-        Force on each coordinate by a stroke.
+        Force on each coordinate per stroke.
     position, reading : ndarray, shape (m, n)
-        From the coordinates to the position of each axis, and to what its sensor sees of it.
+        Matrices from the coordinates to the position of each axis, and to its sensor's reading.
     damping_ratios : ndarray, shape (n,)
-        Of the modes, the lowest first.
+        Damping ratios of the modes, the lowest mode first.
     """
 
     mass: FloatArray
@@ -45,10 +45,10 @@ class Mechanics(Effect, Protocol):
 
     @property
     def axes(self) -> int:
-        """Return how many axes it moves."""
+        """Return the number of axes."""
 
     def mechanism(self) -> Mechanism:
-        """Return its matrices."""
+        """Return the matrices."""
 
 
 @njit(cache=True)
@@ -75,7 +75,7 @@ class MechanismRunner:
 
     def __init__(self, mechanism: Mechanism, sample_period_s: float) -> None:
         squares, shapes = eigh(mechanism.stiffness, mechanism.mass)
-        # Force over the square of the frequency: a mode settles at what pushes it.
+        # Force over the squared frequency, so that a mode at rest equals it.
         self._push = (shapes.T @ mechanism.push) / squares[:, None]
         self._outputs = np.vstack([mechanism.position, mechanism.reading]) @ shapes
         blocks = [expm(sample_period_s * np.array([

@@ -22,7 +22,7 @@ class Plant:
     """The simulated stage, sample by sample.
 
     It starts at rest: all relays off at the lowest voltage, then long at the rest voltage, so that
-    creep and vibration have died out.
+    creep and vibration are over.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class Plant:
         rest(self._to_position + self._to_measurement, surroundings.rest_voltage_v)
 
     def respond(self, voltage_v: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Play voltages and return the displacement at their sample instants.
+        """Play voltages and return the displacements at their sample instants.
 
         Parameters
         ----------
@@ -66,16 +66,16 @@ class Plant:
 
 
 class AxesPlant:
-    """The simulated stage of several axes: chains of effects, and what moves all of them.
+    """The simulated stage of several axes: a chain of effects for each, and common mechanics.
 
-    It starts at rest as a `Plant` does.
+    It starts at rest like a `Plant`.
 
     Parameters
     ----------
     config : AxesPlantConfig
         Effects of each axis, and the mechanics.
     surroundings : Surroundings
-        Those of each axis.
+        Surroundings of each axis.
     """
 
     def __init__(self, config: AxesPlantConfig, surroundings: Sequence[Surroundings]) -> None:
@@ -98,14 +98,14 @@ class AxesPlant:
 
 
 def rest(runners: Sequence[Runner], level: float) -> float:
-    """Let effects settle one after the other at a constant input; return the output."""
+    """Settle effects one after the other at a constant input; return the output."""
     for runner in runners:
         level = runner.rest(level)
     return level
 
 
 def passed(runners: Sequence[Runner], samples: FloatArray) -> FloatArray:
-    """Return samples, shape (N,), as they come out of effects one after the other."""
+    """Return the samples, shape (N,), after a series of effects."""
     samples = samples.copy()
     for runner in runners:
         runner.apply(samples)
@@ -113,7 +113,7 @@ def passed(runners: Sequence[Runner], samples: FloatArray) -> FloatArray:
 
 
 def _passed_each(chains: Sequence[Sequence[Runner]], samples: FloatArray) -> FloatArray:
-    """Return the samples of each axis, shape (N, axes), as they come out of its own effects."""
+    """Return the samples of each axis, shape (N, axes), after its own effects."""
     return np.column_stack([passed(runners, column)
                             for runners, column in zip(chains, samples.T, strict=True)])
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What every effect of the plant has in common: parameters with units, and a place in the chain."""
+"""Common base of all effects of the plant: parameters with units, and the interface of runners."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -9,21 +9,21 @@ from piezo_common.arrays import FloatArray
 
 
 class PlantConfigError(ValueError):
-    """A plant file that cannot be used; the message says where and what to do."""
+    """A plant file is invalid; the message says where, and what to do."""
 
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What an effect needs to know of the plant around it.
+    """Properties of the plant that an effect needs.
 
     Attributes
     ----------
     sample_period_s : float
-        Period of the sample clock.
+        Period of the sample clock in s.
     rest_voltage_v : float
-        Voltage at which the stage has rested for long.
+        Voltage in V at which the stage has rested.
     seed : int
-        Seed of everything random.
+        Seed of all random numbers.
     """
 
     sample_period_s: float
@@ -32,10 +32,10 @@ class Surroundings:
 
 
 class Runner(Protocol):
-    """A started effect: it holds the state and passes samples on."""
+    """A started effect, which holds the state and processes samples."""
 
     def rest(self, level: float) -> float:
-        """Take the equilibrium state at the constant input `level`; return the output."""
+        """Set the equilibrium state at the constant input `level`; return the output."""
 
     def apply(self, samples: FloatArray) -> None:
         """Replace the input samples, float64 of shape (N,), by the output samples."""
@@ -53,10 +53,10 @@ class Effect(Protocol):
 
 @runtime_checkable
 class StartedEffect(Effect, Protocol):
-    """An effect that passes samples on by a runner of its own."""
+    """An effect that processes samples by its own runner."""
 
     def start(self, surroundings: Surroundings) -> Runner:
-        """Make the runner of this effect."""
+        """Return the runner of this effect."""
 
 
 def parameter(unit: str) -> Any:
@@ -65,7 +65,7 @@ def parameter(unit: str) -> Any:
 
 
 def require(condition: bool, effect: Effect, sentence: str) -> None:
-    """Refuse an effect whose parameters contradict each other or physics.
+    """Check that the parameters of an effect agree with each other and with physics.
 
     Raises
     ------

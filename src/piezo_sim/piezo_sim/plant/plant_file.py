@@ -66,9 +66,9 @@ from piezo_sim.plant.plant_effect import Effect, PlantConfigError
 from piezo_sim.plant.sensor import DisplacementSensor
 
 GROUP = "piezo_sim.effects"
-"""Entry points by which other packages offer effects of the plant."""
+"""Group of entry points through which other packages add effects of the plant."""
 
-# A further effect of the plant is one new module and one more entry here.
+# To add an effect, write a module and add its class here.
 EFFECTS = {
     effect.name: effect
     for effect in (
@@ -100,7 +100,7 @@ EFFECTS = {
     )
 }
 
-# Those of the plant `beam`, in the order of the signal.
+# Effects of the plant `beam`, in the order of the signal.
 BEAM_EFFECTS = {
     effect.name: effect
     for effect in (
@@ -115,28 +115,28 @@ BEAM_EFFECTS = {
     )
 }
 
-# What breaks down, and when; in the section sensor, behind what is to break.
+# Faults with their time windows; in the section sensor, behind the effects that they affect.
 FAULTS = {
     fault.name: fault
     for fault in (StuckSensor, SilentSensor, OffScaleSensor, NoisySensor, DeviceFailure)
 }
 
 MECHANICS: dict[str, type[Mechanics]] = {kind.name: kind for kind in (XYFlexure, SerialStage)}
-"""What moves several axes together."""
+"""Effects that move several axes together."""
 
 
 @dataclass(frozen=True)
 class PlantConfig:
-    """Effects of the plant, each section in the order in which the signal passes it.
+    """Effects of the plant, each section in the order of the signal.
 
     Attributes
     ----------
     amplifier : tuple of piezo_sim.plant.plant_effect.Effect
-        From the commanded voltage to the applied voltage, V.
+        Effects from the commanded voltage to the applied voltage, V.
     stage : tuple of piezo_sim.plant.plant_effect.Effect
-        From the applied voltage, V, to the true displacement, um.
+        Effects from the applied voltage, V, to the true displacement, um.
     sensor : tuple of piezo_sim.plant.plant_effect.Effect
-        From the true displacement to the measured displacement, um.
+        Effects from the true displacement to the measured displacement, um.
     """
 
     amplifier: tuple[Effect, ...]
@@ -151,9 +151,10 @@ class AxesPlantConfig:
     Attributes
     ----------
     axes : dict of str to PlantConfig
-        By name: `stage` leads to the free stroke of the axis' actuator, `sensor` from what it sees.
+        Effects of each axis by name: `stage` ends at the free stroke of its actuator, `sensor`
+        starts at the motion that its sensor sees.
     mechanics : piezo_sim.plant.mechanism.Mechanics
-        From the strokes of all axes to their positions, and to what the sensors see.
+        From the strokes of all axes to their positions, and to the motion that the sensors see.
     """
 
     axes: dict[str, PlantConfig]
@@ -161,7 +162,7 @@ class AxesPlantConfig:
 
 
 class PlantSections(Part):
-    """Effects in the order in which the signal passes them."""
+    """Effects in the order of the signal."""
 
     amplifier: list[dict[str, Any]] = entry(
         "From the commanded voltage to the applied voltage (V); each entry names its `effect`, "
@@ -215,13 +216,13 @@ class Parameter(Part):
 
 
 SCHEMAS: dict[Any, Any] = {int: int, float: Number}
-"""How a parameter of a type is checked; others are lists of numbers."""
+"""Check of a parameter by its type; all other types are lists of numbers."""
 
 
 @cache
 def effect_schema(kind: type[Effect]) -> type[Part]:
     """Return the schema of an effect's entry in a plant file, from the effect's own fields."""
-    # Of a module with postponed annotations the fields know no more than the names of the types.
+    # With postponed annotations, the fields contain only the names of the types.
     types = get_type_hints(kind)
 
     def parameter(field: dataclasses.Field) -> type[Part]:
@@ -323,7 +324,7 @@ def _effect(where: str, content: dict[str, Any], known: Mapping[str, type[Effect
 
 
 def _known_effects() -> Mapping[str, type[Effect]]:
-    """Return effects and faults by their names, those of other packages after those of this one."""
+    """Return effects and faults by name, those of this package first."""
     try:
         return registered(GROUP, EFFECTS | BEAM_EFFECTS | FAULTS)
     except ValueError as error:

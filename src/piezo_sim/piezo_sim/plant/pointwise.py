@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Effects without memory: every output sample follows from its own input sample."""
+"""Effects without memory: every output sample depends only on its own input sample."""
 
 from collections.abc import Callable
 
@@ -14,7 +14,7 @@ class PointwiseRunner:
     Parameters
     ----------
     replace : callable
-        ``replace(samples, *constants)`` puts the outputs in place of the inputs.
+        Called as ``replace(samples, *constants)``; replaces the inputs by the outputs.
     constants : float
         Parameters of the effect.
     """

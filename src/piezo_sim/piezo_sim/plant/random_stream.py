@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Random numbers of the plant: the same ones however the samples are divided into calls."""
+"""Random numbers of the plant, independent of how the samples are divided into calls."""
 
 import numpy as np
 
 from piezo_common.arrays import FloatArray
 
-# Drawn ahead in blocks: one draw for 40 samples would cost more than all the rest.
+# Drawn in blocks: a draw for 40 samples would cost more than all other work.
 _BLOCK = 4096
 
 
 def bits_for(name: str, seed: int) -> np.random.PCG64:
-    """Return random bits of the effect called `name`, independent of those of other effects."""
+    """Return random bits of an effect by its name, independent of those of other effects."""
     return np.random.PCG64(np.random.SeedSequence([seed, *name.encode()]))
 
 
@@ -20,7 +20,7 @@ class NormalStream:
     Parameters
     ----------
     bits : numpy.random.BitGenerator
-        Where the numbers come from.
+        Source of the numbers.
     """
 
     def __init__(self, bits: np.random.BitGenerator) -> None:
@@ -44,7 +44,7 @@ class EventStream:
     Parameters
     ----------
     bits : numpy.random.BitGenerator
-        Where the numbers come from; `generator` serves what else is random about an event.
+        Source of the numbers; `generator` provides all other random properties of an event.
     """
 
     def __init__(self, bits: np.random.BitGenerator) -> None:
@@ -53,7 +53,7 @@ class EventStream:
         self._first = 0
 
     def wait(self, mean_samples: float) -> None:
-        """Put the next event off by an exponentially distributed time of at least one sample."""
+        """Delay the next event by an exponentially distributed time of at least one sample."""
         self.next += 1 + int(self.generator.exponential(mean_samples))
 
     def within(self, count: int) -> int | None:
@@ -62,5 +62,5 @@ class EventStream:
         return position if position < count else None
 
     def advance(self, count: int) -> None:
-        """Let `count` samples pass."""
+        """Advance by `count` samples."""
         self._first += count

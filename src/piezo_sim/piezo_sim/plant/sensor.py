@@ -14,7 +14,7 @@ from piezo_sim.plant.random_stream import NormalStream
 
 @dataclass(frozen=True)
 class DisplacementSensor:
-    """White Gaussian noise on every sample, then the levels of the converter."""
+    """White Gaussian noise on every sample, then quantisation by the converter."""
 
     name: ClassVar[str] = "displacement_sensor"
 
@@ -25,7 +25,7 @@ class DisplacementSensor:
 
     def __post_init__(self) -> None:
         require(self.noise_rms_um >= 0.0, self, "noise_rms_um must not be negative.")
-        converter_of(self, "displacement_min_um", "displacement_max_um")  # which checks
+        converter_of(self, "displacement_min_um", "displacement_max_um")  # checks the parameters
 
     def start(self, surroundings: Surroundings) -> "SensorRunner":
         """Start the noise from the seed."""
@@ -33,7 +33,7 @@ class DisplacementSensor:
 
 
 class SensorRunner:
-    """Sensor with its stream of noise."""
+    """Sensor with its noise stream."""
 
     def __init__(self, effect: DisplacementSensor, seed: int) -> None:
         self._noise_rms_um = effect.noise_rms_um
@@ -41,7 +41,7 @@ class SensorRunner:
         self._noise = NormalStream(np.random.PCG64(seed))
 
     def rest(self, level: float) -> float:
-        """Return the level unchanged, because the sensor has no state of its own."""
+        """Return the level unchanged, as the sensor has no state."""
         return level
 
     def apply(self, samples: FloatArray) -> None:

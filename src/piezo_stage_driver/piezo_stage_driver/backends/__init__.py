@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The hardware behind the stage node, and how a backend is found."""
+"""The hardware backends of the stage node, and their registry."""

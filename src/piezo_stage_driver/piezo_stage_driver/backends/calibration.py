@@ -13,7 +13,7 @@ from piezo_common.schema import Document, Number, Part, SchemaError, entry, pars
 from piezo_common.schema.checking import quoted
 from piezo_common.text_file import read_bounded_text
 
-# Of NI-DAQmx.
+# Terminal configurations of NI-DAQmx.
 TERMINALS = ("DEFAULT", "DIFF", "RSE", "NRSE", "PSEUDO_DIFF")
 
 
@@ -25,14 +25,14 @@ class CalibrationError(ValueError):
 
 
 class AxisCalibration(Part):
-    """From volts at the card to volts at the stage and to um, of one axis.
+    """Conversion of one axis from volts at the card to volts at the stage and to um.
 
     Attributes
     ----------
     output_channel, input_channel : str
-        Physical channels, such as ``Dev1/ao0``; on one device.
+        Physical channels, such as ``Dev1/ao0``; both on the same device.
     terminal_configuration : str
-        Of the input: ``DEFAULT``, ``DIFF``, ``RSE``, ``NRSE`` or ``PSEUDO_DIFF``.
+        Configuration of the input: ``DEFAULT``, ``DIFF``, ``RSE``, ``NRSE`` or ``PSEUDO_DIFF``.
     amplifier_gain : float
         Volts at the stage per volt at the card.
     amplifier_offset_v : float
@@ -78,12 +78,12 @@ class AxisCalibration(Part):
 
     @property
     def device(self) -> str:
-        """Name of the card."""
+        """Return the name of the card."""
         return self.input_channel.split("/")[0]
 
     @property
     def voltage_range_v(self) -> tuple[float, float]:
-        """Return the lowest and highest voltage at the stage that the card can ask for."""
+        """Return the lowest and highest voltage at the stage that the card can produce."""
         ends_v = (self.voltage_v(self.output_minimum_v), self.voltage_v(self.output_maximum_v))
         return min(ends_v), max(ends_v)
 
@@ -106,8 +106,8 @@ class Calibration(AxisCalibration, Document):
     Attributes
     ----------
     lead_ticks : int
-        How far the output is written ahead: what the computer may be late without a stop, and
-        what every answer and every stop is later.
+        Ticks by which the output is written ahead: the tolerated delay of the computer, which
+        also delays every answer and every stop.
     """
 
     TITLE: ClassVar[str] = "calibration file"
@@ -156,7 +156,7 @@ class AxesCalibration(Document):
 
 
 def load_calibration(path: str | PathLike[str]) -> Calibration | AxesCalibration:
-    """Read a calibration file (YAML) of one axis, or of several where it has `axes`.
+    """Read a calibration file (YAML) of one axis, or of several if it has `axes`.
 
     Raises
     ------

@@ -2,8 +2,8 @@
 """A stage behind an NV200 of piezosystem jena, by the package ``nv200``.
 
 Its waveform generator plays up to 1024 values, and its recorder stores up to 6144, both on a clock
-of 20 kHz divided by a whole number. The recorder is started by the generator. The loop is open, so
-that the values are voltages.
+of 20 kHz divided by a whole number. The generator starts the recorder. The loop is open, so the
+values are voltages.
 """
 
 import asyncio
@@ -31,12 +31,12 @@ Answer = TypeVar("Answer")
 
 
 class Nv200Settings(Document):
-    """What the backend must know of an NV200.
+    """Settings of an NV200.
 
     Attributes
     ----------
     interface, address : str
-        ``serial`` and a port, or ``telnet`` and an address of IP.
+        ``serial`` and a port, or ``telnet`` and an IP address.
     """
 
     TITLE: ClassVar[str] = "settings of the backend nv200"
@@ -53,7 +53,7 @@ class Nv200Settings(Document):
 
 
 def load_library() -> SimpleNamespace:
-    """Import the package ``nv200`` and return what is needed of it.
+    """Import the package ``nv200`` and return the parts that are needed.
 
     Raises
     ------
@@ -79,12 +79,12 @@ def load_library() -> SimpleNamespace:
 class Nv200:
     """An NV200 as a `WaveformInstrument`.
 
-    Its library is asynchronous: a thread of its own runs it, and every call waits for its answer.
+    Its library is asynchronous: a thread runs it, and every call waits for its result.
 
     Parameters
     ----------
     library : namespace, optional
-        By default what `load_library` returns.
+        Library; the result of `load_library` by default.
     """
 
     name = "nv200"
@@ -124,7 +124,7 @@ class Nv200:
         self._wait(self._started(voltage_v))
 
     def running(self) -> bool:
-        """Tell whether the generator or the recorder runs."""
+        """Return whether the generator or the recorder runs."""
         return bool(self._wait(self._generator.is_running())
                     or self._wait(self._recorder.is_recording()))
 
@@ -143,14 +143,14 @@ class Nv200:
         return float(self._wait(self._device.get_current_position()))
 
     def held_v(self) -> float:
-        """Read the voltage once, by the recorder, as the device has no other way (V)."""
+        """Measure the voltage once (V) with the recorder, as the device has no other way."""
         value = float(self._wait(
             self._recorder.read_single_value_from(self._library.Source.PIEZO_VOLTAGE)))
         self._wait(self._prepare_recorder())
         return value
 
     def hold(self, voltage_v: float) -> None:
-        """Put out a voltage by a single command (V)."""
+        """Set a voltage by a single command (V)."""
         self._wait(self._device.move_to_voltage(voltage_v))
 
     def halt(self) -> None:
@@ -193,12 +193,12 @@ class Nv200:
 
 
 def create(settings: BackendSettings) -> StoredWaveformStage:
-    """Make the backend from its settings; the entry point ``nv200``.
+    """Create the backend from its settings; the entry point ``nv200``.
 
     Raises
     ------
     ValueError
-        If the file is missing or wrong, or the library is.
+        If the file is missing or invalid, or the library is missing.
     """
     told = settings_of("nv200", Nv200Settings, settings)
     return StoredWaveformStage(

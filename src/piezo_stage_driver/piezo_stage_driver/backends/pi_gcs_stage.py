@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A stage behind a digital piezo controller of Physik Instrumente, by the package ``pipython``.
 
-The commands are those of GCS 2.0, as the manuals of E-709, E-727 and their family describe them:
-the wave generator plays a table of points, one in every so many servo cycles, and its start (WGO)
-starts the data recorder on the same cycles. The servo is off, so that the points are control
-values of the open loop.
+The commands are those of GCS 2.0, as described in the manuals of E-709, E-727 and their family. The
+wave generator plays a table of points, each for a number of servo cycles, and its start (WGO)
+starts the data recorder in the same cycle. The servo is off, so the points are control values of
+the open loop.
 """
 
 import importlib
@@ -35,20 +35,20 @@ Volts = TypeVar("Volts", float, np.ndarray)
 
 
 class PiSettings(Document):
-    """What the backend must know of a controller.
+    """Settings of a controller.
 
     Attributes
     ----------
     controller : str
-        Name by which the library knows it, such as ``E-727``.
+        Name of the controller in the library, such as ``E-727``.
     interface, address : str
         ``tcpip`` and a host, or ``usb`` and a serial number.
     control_per_v, control_at_0_v : float
         Control value of the open loop for one volt at the stage, and at 0 V.
     displacement_um_per_unit : float
-        What the controller's unit of position is.
+        Displacement of one unit of the controller's position.
     voltage_record_option : int
-        Of the data recorder: the voltage of the output channel.
+        Option of the data recorder for the voltage of the output channel.
     """
 
     TITLE: ClassVar[str] = "settings of the backend pi_gcs"
@@ -84,7 +84,7 @@ class PiSettings(Document):
 
 
 def load_library() -> SimpleNamespace:
-    """Import the package ``pipython`` and return what is needed of it.
+    """Import the package ``pipython`` and return the parts that are needed.
 
     Raises
     ------
@@ -107,7 +107,7 @@ class PiController:
     Parameters
     ----------
     library : namespace, optional
-        By default what `load_library` returns.
+        Library; the result of `load_library` by default.
     """
 
     name = "pi_gcs"
@@ -154,7 +154,7 @@ class PiController:
         device.WGO(settings.wave_generator, START)
 
     def running(self) -> bool:
-        """Tell whether the generator runs, or points are still missing."""
+        """Return whether the generator runs, or points are still missing."""
         generator = self._settings.wave_generator
         if self._device.IsGeneratorRunning(generator)[generator]:
             return True
@@ -207,12 +207,12 @@ class PiController:
 
 
 def create(settings: BackendSettings) -> StoredWaveformStage:
-    """Make the backend from its settings; the entry point ``pi_gcs``.
+    """Create the backend from its settings; the entry point ``pi_gcs``.
 
     Raises
     ------
     ValueError
-        If the file is missing or wrong, or the library is.
+        If the file is missing or invalid, or the library is missing.
     """
     told = settings_of("pi_gcs", PiSettings, settings)
     return StoredWaveformStage(

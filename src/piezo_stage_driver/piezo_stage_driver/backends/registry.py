@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Find a backend by its name: ours, and those that other packages announce."""
+"""Find a backend by its name: those of this package, and those registered by other packages."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -13,18 +13,18 @@ GROUP = "piezo_stage_driver.backends"
 
 @dataclass(frozen=True)
 class BackendSettings:
-    """What the stage node tells a backend.
+    """Settings that the stage node passes to a backend.
 
     Attributes
     ----------
     file : str
-        Of the backend's own settings; empty where none was given.
+        File of the backend's own settings; empty if none was given.
     ramp_rate_v_per_s : float
-        For a backend that must bring the amplifier to rest by itself.
+        Rate at which a backend brings the amplifier to rest by itself (V/s).
     exchange_timeout_s : float
-        How long the node waits for one exchange.
+        Time that the node waits for one exchange (s).
     own : callable
-        Returns the voltages and the ramp rate that an axis has of its own, see `of_axis`.
+        Returns the voltages and the ramp rate of an axis, see `of_axis`.
     """
 
     file: str
@@ -43,24 +43,24 @@ class BackendSettings:
 
 
 def create_backend(name: str, settings: BackendSettings) -> StageBackend:
-    """Make the backend that an entry point of the group ``piezo_stage_driver.backends`` names.
+    """Create the backend with a name in the entry points ``piezo_stage_driver.backends``.
 
     Raises
     ------
     ValueError
-        If there is none of this name, or it cannot be loaded or made.
+        If there is none of this name, or it cannot be loaded or created.
     """
     check_backend(name)
     return registered(GROUP)[name](settings)
 
 
 def check_backend(name: str) -> None:
-    """Refuse the name of a backend that no package announces; load none.
+    """Raise if no package registers a backend of a name; no backend is loaded.
 
     Raises
     ------
     ValueError
-        With the names that there are.
+        The message lists the available names.
     """
     known = registered(GROUP)
     if name not in known:

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Drive a stage through an instrument that plays stored waveforms and records beside them.
+"""Drive a stage through an instrument that plays and records stored waveforms.
 
 Controllers of piezo stages have no clock that a computer could follow sample by sample. They have a
 memory for a waveform, and a recorder on the same clock. The stage node plays ahead of what it
-publishes by the length of that memory: every waveform is then complete, from its approach to its
-return to rest, when its first sample is due, and the instrument plays it in one go. So nothing that
-is decided meanwhile can act, and commands that need it are refused: see `longest_program_samples`.
+publishes by the length of that memory: every waveform is complete, from its approach to its return
+to rest, when its first sample is due, and the instrument plays it as a whole. Decisions during a
+waveform therefore cannot act, and commands that need them are refused: see
+`longest_program_samples`.
 """
 
 import time
@@ -22,8 +23,8 @@ POLL_S = 0.01
 IDLE_READING_S = 0.05
 REST_STEP_S = 0.01
 FASTEST_TICK_S = 1e-3
-"""What the subscribers of samples take of a paced stage without losing any."""
-# Of the swing; the instrument rounds, and its own record of the voltage may lag by a sample.
+"""Shortest tick at which the subscribers of a paced stage lose no samples (s)."""
+# Part of the swing; the instrument rounds, and its record of the voltage may lag by a sample.
 VOLTAGE_TOLERANCE = 0.05
 
 
@@ -31,48 +32,48 @@ Settings = TypeVar("Settings", bound=Document)
 
 
 class WaveformInstrument(Protocol):
-    """What an instrument with a waveform memory and a recorder is asked for.
+    """Interface of an instrument with a waveform memory and a recorder.
 
     Attributes
     ----------
     name : str
-        Of the backend.
+        Name of the backend.
     failures : tuple of type
-        What its library raises where the instrument fails.
+        Exceptions that its library raises if the instrument fails.
     """
 
     name: str
     failures: tuple[type[Exception], ...]
 
     def open(self, sample_rate_hz: float, samples: int) -> None:
-        """Connect, with the servo off; prepare for waveforms of so many samples at this rate.
+        """Connect, with the servo off, and prepare for waveforms of this length and rate.
 
         Raises
         ------
         ValueError
-            If the instrument cannot do that; the text says what it can.
+            If the instrument does not support them; the message says what it supports.
         """
 
     def start(self, voltage_v: np.ndarray) -> None:
         """Store a waveform, shape (n,), and start it together with the recorder."""
 
     def running(self) -> bool:
-        """Tell whether the waveform still plays, or is still recorded."""
+        """Return whether the waveform is still played or recorded."""
 
     def recorded(self, samples: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return voltage (V) and displacement (um), each of shape (samples,), as recorded."""
+        """Return the recorded voltage (V) and displacement (um), each of shape (samples,)."""
 
     def displacement_um(self) -> float:
-        """Read the sensor once."""
+        """Read the sensor once (um)."""
 
     def held_v(self) -> float:
-        """Tell the voltage that the instrument puts out now."""
+        """Return the present output voltage of the instrument (V)."""
 
     def hold(self, voltage_v: float) -> None:
-        """Put out a voltage by a single command."""
+        """Set a voltage by a single command (V)."""
 
     def halt(self) -> None:
-        """End a waveform that plays; the voltage may stay where it is."""
+        """End a waveform that plays; the voltage may stay at its present value."""
 
     def close(self) -> None:
         """Disconnect from the instrument."""
@@ -84,20 +85,20 @@ class StoredWaveformStage:
     Parameters
     ----------
     longest_program_samples : int
-        Of the longest waveform with its ramps; rounded down to whole ticks.
+        Length of the longest waveform including its ramps; rounded down to whole ticks.
     transfer_s : float
-        How long it may take to store a waveform and to read its record (s).
+        Largest time to store a waveform and to read its record (s).
 
     Attributes
     ----------
     longest_program_samples : int
-        The stage node refuses what takes more, and everything else than a waveform that ends at
+        The stage node refuses longer waveforms, and everything except a waveform that ends at
         rest.
 
     Raises
     ------
     ValueError
-        If the longest waveform is shorter than a tick, or longer than the node lets a backend wait.
+        If the longest waveform is shorter than a tick, or longer than the node's time limit.
     """
 
     _planned_v: np.ndarray
@@ -123,7 +124,7 @@ class StoredWaveformStage:
         self._forget()
 
     def watch_stop(self, stopped: Callable[[], bool]) -> None:
-        """Take what tells whether the stage was stopped; a waveform that plays is then ended."""
+        """Set a function that returns whether the stage was stopped; a waveform is then ended."""
         self._stopped = stopped
 
     def open(self) -> None:
@@ -140,10 +141,10 @@ class StoredWaveformStage:
             raise
 
     def exchange(self, voltage_v: np.ndarray) -> np.ndarray:
-        """Take what plays `lead_samples` later, return what belongs to what plays now."""
+        """Store the voltages for `lead_samples` later, and return the present displacements."""
         self._planned_v = np.concatenate([self._planned_v, voltage_v])
         due_v, self._planned_v = np.split(self._planned_v, [len(voltage_v)])
-        # Nothing has to wait for the clock while a waveform is only taken, or handed out.
+        # There is no need to wait for the clock while a waveform is only stored or returned.
         tick_s = len(due_v) / self.sample_rate_hz
         idle = self._at_rest(due_v) and self._at_rest(self._planned_v)
         time.sleep(tick_s if idle else min(tick_s, FASTEST_TICK_S))
@@ -163,7 +164,7 @@ class StoredWaveformStage:
         try:
             self._instrument.close()
         except self._instrument.failures:
-            pass  # it is gone already
+            pass  # it is disconnected already
 
     def _forget(self) -> None:
         self._planned_v = np.full(self.lead_samples, self._settings.rest_voltage_v)
@@ -174,7 +175,7 @@ class StoredWaveformStage:
         return bool((voltage_v == self._settings.rest_voltage_v).all())
 
     def _end(self, program_v: np.ndarray) -> int:
-        """Return the length of a program up to its last sample away from rest and one at rest."""
+        """Return the length of a program up to its last sample away from rest, plus one at rest."""
         last = int(np.flatnonzero(program_v != self._settings.rest_voltage_v)[-1])
         if last + 1 >= len(program_v):
             raise BackendFault(f"{self.name} was given a waveform that does not end at rest "
@@ -182,7 +183,7 @@ class StoredWaveformStage:
         return last + 2
 
     def _idle(self, samples: int) -> np.ndarray:
-        """Read the sensor now and then while nothing plays."""
+        """Return the displacement at rest; the sensor is read from time to time."""
         if time.monotonic() - self._read_at_s >= IDLE_READING_S:
             try:
                 self._reading_um = self._instrument.displacement_um()
@@ -212,7 +213,7 @@ class StoredWaveformStage:
         return displacement_um
 
     def _check_played(self, program_v: np.ndarray, voltage_v: np.ndarray) -> None:
-        """Refuse a record whose voltage is not the one that was to be played."""
+        """Raise if the recorded voltage is not that of the program."""
         difference_v = float(np.sqrt(np.mean((voltage_v - program_v) ** 2)))
         if difference_v > VOLTAGE_TOLERANCE * np.ptp(program_v):
             raise self._fault(
@@ -231,7 +232,7 @@ class StoredWaveformStage:
         return BackendFault(f"{self.name} failed: {_first_line(error)}", at_rest)
 
     def _ramp_to_rest(self) -> None:
-        """Go to rest by single commands in software time."""
+        """Ramp to rest by single commands in software time."""
         rest_v = self._settings.rest_voltage_v
         start_v = self._instrument.held_v()
         step_v = self._settings.ramp_rate_v_per_s * REST_STEP_S
@@ -243,19 +244,19 @@ class StoredWaveformStage:
 
 
 def settings_of(backend: str, kind: type[Settings], settings: BackendSettings) -> Settings:
-    """Read the settings' file of a backend.
+    """Read the settings file of a backend.
 
     Parameters
     ----------
     backend : str
-        Its name.
+        Name of the backend.
     kind : type
-        Of the document.
+        Class of the document.
 
     Raises
     ------
     ValueError
-        If the file is missing or wrong.
+        If the file is missing or invalid.
     """
     if not settings.file:
         raise ValueError(
@@ -267,12 +268,12 @@ def settings_of(backend: str, kind: type[Settings], settings: BackendSettings) -
 
 
 def whole_divider(base_rate_hz: float, sample_rate_hz: float, owner: str) -> int:
-    """Return by what an instrument divides its clock for a sample rate.
+    """Return the factor by which an instrument divides its clock for a sample rate.
 
     Raises
     ------
     ValueError
-        If that is no whole number; the text names the nearest rates that are.
+        If it is not a whole number; the message names the nearest possible rates.
     """
     ratio = base_rate_hz / sample_rate_hz
     divider = max(1, round(ratio))

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the stage plays, sample by sample and tick by tick."""
+"""Playing programs on the stage, sample by sample and tick by tick."""

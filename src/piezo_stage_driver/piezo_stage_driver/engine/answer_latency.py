@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How long something takes, as counts between bounds, and the answers to blocks among it."""
+"""Histograms of durations, such as the latency of the answers to blocks."""
 
 import bisect
 import time
@@ -9,12 +9,12 @@ BOUNDS_MS = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
 class LatencyCounts:
-    """Times as counts between bounds.
+    """Histogram of durations.
 
     Attributes
     ----------
     counts : list of int
-        Up to each of ``BOUNDS_MS``, and beyond the last.
+        Number of durations up to each of ``BOUNDS_MS``, and beyond the last.
     """
 
     def __init__(self) -> None:
@@ -27,12 +27,12 @@ class LatencyCounts:
         self.longest_ms = max(self.longest_ms, latency_ms)
 
     def described(self, counted: str, longest: str) -> dict[str, object]:
-        """Return the counts under names, as in ``ticks_within_0.5_ms``.
+        """Return the counts with names such as ``ticks_within_0.5_ms``.
 
         Parameters
         ----------
         counted : str
-            What is counted, such as ``ticks``.
+            Name of the counted items, such as ``ticks``.
         longest : str
             Name of the longest time.
         """
@@ -49,11 +49,11 @@ class AnswerLatency(LatencyCounts):
         self._published = [(-1, 0.0)] * REMEMBERED_TICKS
 
     def published(self, tick: int) -> None:
-        """Note that the block of a tick goes out now."""
+        """Record that the block of a tick is published now."""
         self._published[tick % REMEMBERED_TICKS] = (tick, time.monotonic())
 
     def answered(self, tick: int) -> None:
-        """Note that the answer for a tick is here, in time or late."""
+        """Record that the answer for a tick has arrived, in time or late."""
         published_tick, published_s = self._published[tick % REMEMBERED_TICKS]
         if tick == published_tick:
             self.add(1e3 * (time.monotonic() - published_s))

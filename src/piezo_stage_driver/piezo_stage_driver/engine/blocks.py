@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The samples of a stage in the blocks in which they are published."""
+"""Collection of a stage's samples into the blocks that are published."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-# Flags of a block beside those of limits.py; the values are those of SampleBlock.
+# Flags of a block in addition to those of limits.py; the values are those of SampleBlock.
 FLAG_FEEDBACK_HELD = 4
 FLAG_RAMPING = 8
 FLAG_PLAYING = 16
@@ -19,9 +19,9 @@ SAMPLES_PER_BLOCK = 40
 
 @dataclass(frozen=True)
 class Block:
-    """Hold the samples that are published together, see ``piezo_interfaces/SampleBlock``.
+    """Samples that are published together, see ``piezo_interfaces/SampleBlock``.
 
-    They have the shape (n,), or (n, axes) where the stage has several.
+    They have the shape (n,), or (n, axes) if the stage has several axes.
     """
 
     first_sample: int
@@ -32,11 +32,11 @@ class Block:
     flags: int
     missed_feedback: int
     feedback_v: np.ndarray | None = None
-    """Of each tick, shape (ticks,), where the stage evaluates the feedback by itself."""
+    """Feedback of each tick, shape (ticks,), if the stage evaluates the feedback by itself."""
 
 
 class Filled(NamedTuple):
-    """What a full block holds, and how many samples of the clock it takes."""
+    """The contents of a full block, and the number of samples of the clock that it covers."""
 
     samples: int
     voltage_v: np.ndarray
@@ -51,11 +51,11 @@ class BlockCollector:
     Attributes
     ----------
     decimation : int
-        Samples of the clock of which one published sample is the mean.
+        Number of clock samples whose mean is one published sample.
     samples_per_block : int
-        Of the clock, at the full rate: what comes in one call of `add` is never divided.
+        Clock samples per block at the full rate; samples of one call of `add` stay together.
     pending_samples : int
-        Samples of the clock that no block holds yet.
+        Number of clock samples that are not in a block yet.
     """
 
     def __init__(self) -> None:
@@ -70,22 +70,22 @@ class BlockCollector:
 
     def add(self, voltage_v: np.ndarray, displacement_um: np.ndarray, flags: int, ends: bool,
             feedback_v: float | None = None) -> "Filled | None":
-        """Take samples, and return those of a block as soon as it is full.
+        """Add samples, and return a block as soon as one is full.
 
-        At the full rate a block has one set of flags: samples with others begin the next.
+        At the full rate all samples of a block have the same flags: other flags begin a new block.
 
         Parameters
         ----------
         voltage_v, displacement_um : ndarray, shape (n,) or (n, axes)
         ends : bool
-            Whether what follows belongs into another block.
+            Whether the samples that follow belong to another block.
         feedback_v : float, optional
-            What a feedback on board added, where there is one (V).
+            Voltage of a feedback on board, if there is one (V).
 
         Returns
         -------
         Filled or None
-            None where the block is not full yet.
+            None if the block is not full yet.
         """
         before = None
         if self.decimation == 1 and self.pending_samples and flags != self._flags:
@@ -105,7 +105,7 @@ class BlockCollector:
         return self.flush()
 
     def flush(self) -> Filled:
-        """Return what is pending as a block."""
+        """Return the pending samples as a block."""
         filled = Filled(self.pending_samples, self._decimated(self._voltage_v),
                         self._decimated(self._displacement_um), self._flags, self._feedback_v)
         self._clear()

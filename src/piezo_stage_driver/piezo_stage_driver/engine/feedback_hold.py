@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The slow branch: answers to blocks, each held for one tick."""
+"""Feedback by answers to blocks, each of which is held for one tick."""
 
 import math
 
@@ -9,14 +9,14 @@ from piezo_stage_driver.safety.limits import FeedbackLimits
 
 
 class FeedbackError(ValueError):
-    """An answer that is not a voltage, or answers nothing."""
+    """An answer that is not a voltage, or belongs to no block."""
 
 
 class FeedbackHold:
     """Feedback voltage of every tick since tracking began.
 
     The block published at the start of tick k is answered during tick k; the answer
-    acts in tick k + 1. Where none came in time the last one is held and counted.
+    acts in tick k + 1. If none came in time, the last one is held and counted.
 
     Answers may come from another thread than the ticks.
 
@@ -24,18 +24,18 @@ class FeedbackHold:
     ----------
     first_tick : int
         The tick in which tracking began; the block of the next one is the first
-        that asks for an answer.
+        that requires an answer.
     lead_ticks : int
-        How much later the blocks come because the hardware is written ahead.
+        Delay of the blocks in ticks, because the hardware is written ahead.
 
     Attributes
     ----------
     voltage_v : float
-        That acts.
+        Voltage that acts (V).
     missed, missed_in_a_row : int
         Ticks without an answer.
     limited, limited_in_a_row : int
-        Answers that asked for more than the limits allow.
+        Answers beyond the limits.
     """
 
     def __init__(self, first_tick: int, lead_ticks: int = 0, limits: FeedbackLimits | None = None):
@@ -47,11 +47,11 @@ class FeedbackHold:
         self._answers: dict[int, float] = {}
 
     each_sample = False
-    """Whether it changes within a tick."""
+    """Whether the feedback changes within a tick."""
 
     @property
     def cause(self) -> str:
-        """Tell why the answers must stop the stage; empty where they need not."""
+        """Return why the answers must stop the stage; empty if they need not."""
         if self.limited_in_a_row <= self._limits.patience:
             return ""
         return (f"{self.limited_in_a_row} feedback answers in a row were beyond "
@@ -59,7 +59,7 @@ class FeedbackHold:
                 f"{self._limits.maximum_step_v:g} V")
 
     def answer(self, tick: int, voltage_v: float, present_tick: int) -> None:
-        """Keep the answer to the block of ``tick``; one that comes too late has no effect.
+        """Store the answer to the block of ``tick``; one that comes too late has no effect.
 
         Raises
         ------
@@ -76,14 +76,14 @@ class FeedbackHold:
             self._answers[tick] = voltage_v
 
     def awaited(self, tick: int) -> bool:
-        """Tell whether ``tick`` cannot be played yet without missing an answer."""
+        """Return whether playing ``tick`` now would miss an answer."""
         return tick - 1 > self._first_tick and tick - 1 not in self._answers
 
     def begin(self, tick: int) -> bool:
-        """Take over the answer that acts in ``tick``; return whether the last is held instead."""
+        """Apply the answer for ``tick``; return whether the last one is held instead."""
         if tick - 1 <= self._first_tick:
             return False
-        # One look: an answer that comes between two would act, and yet be counted as missed.
+        # Read once: an answer that came between two reads would act and yet count as missed.
         answer_v = self._answers.pop(tick - 1, None)
         # One by one, because answers may come from another thread meanwhile.
         for old in [k for k in list(self._answers) if k < tick - 1]:
@@ -101,7 +101,7 @@ class FeedbackHold:
         return planned_v + self.voltage_v
 
     def take(self, tick: int, voltage_v: np.ndarray, displacement_um: np.ndarray) -> None:
-        """Ignore what was measured: somebody else answers it."""
+        """Ignore the measurement, which is answered by another node."""
 
     def _take(self, answer_v: float) -> None:
         self.voltage_v, limited = self._limits.apply(answer_v, self.voltage_v)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The slow branch on board: an uploaded law takes the place of answers to blocks."""
+"""Feedback on board: an uploaded law instead of answers to blocks."""
 
 import numpy as np
 
@@ -12,12 +12,12 @@ from piezo_stage_driver.safety.limits import FeedbackLimits
 
 
 class CheckedLaw:
-    """A law that this stage may evaluate.
+    """A law that was checked for this stage.
 
     Raises
     ------
     FeedbackLawError
-        See `check_law`; or it may ask for more than the stage takes.
+        If the law is invalid, see `check_law`, or may exceed the limits of the stage.
     """
 
     def __init__(self, law: FeedbackLaw, samples_per_tick: int, lead_ticks: int,
@@ -28,34 +28,34 @@ class CheckedLaw:
         check_law(law, samples_per_tick, lead_ticks)
         self.law = law
         self._arguments = law, samples_per_tick, rest_voltage_v, limits.maximum_step_v
-        # Makes the tables of the hysteresis here, not between two ticks.
+        # Compiles the tables of the hysteresis here rather than between two ticks.
         self.running()
 
     def running(self) -> RunningLaw:
-        """Return the law at its beginning."""
+        """Return the law in its initial state."""
         return RunningLaw(*self._arguments)
 
 
 class OnboardFeedback:
-    """Feedback of every tick since tracking began, in place of a `FeedbackHold`.
+    """Feedback of every tick since tracking began, used instead of a `FeedbackHold`.
 
     Parameters
     ----------
     first_tick : int
-        In which tracking began.
+        Tick in which tracking began.
     lead_ticks : int
-        How much later a tick is measured because the hardware is written ahead.
+        Delay of the measurement in ticks, because the hardware is written ahead.
 
     Attributes
     ----------
     voltage_v : float
-        What acts: the mean over the tick (V).
+        Voltage that acts: the mean over the tick (V).
     missed, missed_in_a_row : int
-        Always 0: nobody has to answer.
+        Always 0, as no answers are needed.
     each_sample : bool
-        Whether it changes within a tick.
+        Whether the feedback changes within a tick.
     limited, limited_in_a_row : int
-        Ticks in which the law asked for more than the limits allow.
+        Ticks in which the law exceeded the limits.
     """
 
     missed = missed_in_a_row = 0
@@ -69,24 +69,24 @@ class OnboardFeedback:
 
     @property
     def voltage_v(self) -> float:
-        """Return what acts (V)."""
+        """Return the voltage that acts (V)."""
         return self._law.voltage_v
 
     @property
     def cause(self) -> str:
-        """Tell why the law must stop the stage; empty where it need not."""
+        """Return why the law must stop the stage; empty if it need not."""
         if self.limited_in_a_row > self._limits.patience:
             return (f"the feedback law stepped by more than {self._limits.maximum_step_v:g} V in "
                     f"{self.limited_in_a_row} ticks in a row")
         return self._cause
 
     def replace(self, checked: CheckedLaw) -> None:
-        """Let another law go on, between two ticks.
+        """Switch to another law between two ticks.
 
         Raises
         ------
         FeedbackLawError
-            See `RunningLaw.take_over`; the present one then goes on.
+            If the law cannot take over, see `RunningLaw.take_over`; the present law then continues.
         """
         law = checked.running()
         law.take_over(self._law)
@@ -105,11 +105,11 @@ class OnboardFeedback:
                             "end the publisher of feedback")
 
     def awaited(self, tick: int) -> bool:
-        """Tell that nobody is waited for."""
+        """Return False: no answers are awaited."""
         return False
 
     def begin(self, tick: int) -> bool:
-        """Begin a tick; tell that nothing is held."""
+        """Begin a tick; return False: nothing is held."""
         self.limited += self._law.stepped
         self.limited_in_a_row = self.limited_in_a_row + 1 if self._law.stepped else 0
         return False
@@ -119,7 +119,7 @@ class OnboardFeedback:
         return planned_v + self._law.begin(planned_v)
 
     def limit(self, lacking_v: np.ndarray) -> None:
-        """Learn by how much the limits changed what `add` gave last, shape (n,), in V."""
+        """Take the correction by the limits to the last result of `add`, shape (n,), in V."""
         self._law.correct(float(lacking_v.mean()))
 
     def take_sample(self, displacement_um: np.ndarray) -> None:
@@ -127,7 +127,7 @@ class OnboardFeedback:
         self._law.take(displacement_um)
 
     def take(self, tick: int, voltage_v: np.ndarray, displacement_um: np.ndarray) -> None:
-        """Take what was measured while ``tick`` was played, shape (n,)."""
+        """Take the samples measured while ``tick`` was played, shape (n,)."""
         if tick < self._first_tick + self._lead_ticks:
             return
         if not self.each_sample:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the stage is to play: phases one after the other."""
+"""Programs of the stage: a sequence of phases."""
 
 import math
 from collections import deque
@@ -10,12 +10,12 @@ from piezo_stage_driver.engine.sources import FadeOver, Hold, Source, Volts
 
 
 class StageRefusal(ValueError):
-    """A command that the stage cannot take now."""
+    """A command that the stage cannot accept now."""
 
 
 @dataclass
 class Phase:
-    """A stretch of samples from one source; ``samples`` is infinite where only a stop ends it."""
+    """A number of samples from one source; ``samples`` is infinite if only a stop ends it."""
 
     name: str
     source: Source
@@ -24,16 +24,16 @@ class Phase:
 
 
 class Program:
-    """Phases, and how much of them has been played.
+    """A sequence of phases, and the position in it.
 
     Parameters
     ----------
     phases : list of Phase
-        Those without samples are left out.
+        Phases; those without samples are omitted.
     way_back_samples : int
-        What the return to rest will take after them.
+        Duration of the return to rest after them.
     hold_at_end : bool
-        Stay at the last voltage instead.
+        Whether to stay at the last voltage instead.
     """
 
     def __init__(self, phases: Iterable[Phase] = (), way_back_samples: int = 0,
@@ -45,22 +45,22 @@ class Program:
 
     @property
     def over(self) -> bool:
-        """Tell whether every phase has been played."""
+        """Return whether every phase has been played."""
         return not self._phases
 
     @property
     def phase_name(self) -> str:
-        """Return the name of the present phase; rest where there is none."""
+        """Return the name of the present phase; ``rest`` if there is none."""
         return self._phases[0].name if self._phases else "rest"
 
     @property
     def fraction(self) -> float:
-        """Return the part of the whole that is done, 0 to 1."""
+        """Return the fraction of the whole program that is done (0 to 1)."""
         return min(1.0, self._done_samples / self._samples) if self._samples else 1.0
 
     @property
     def samples_left(self) -> float:
-        """Return the samples left of the whole; infinite until a stop."""
+        """Return the remaining samples of the whole program; infinite until a stop."""
         return max(0.0, self._samples - self._done_samples)
 
     def phase(self, voltage_v: Volts) -> Phase:
@@ -68,16 +68,16 @@ class Program:
         return self._phases[0] if self._phases else Phase("rest", Hold(voltage_v), math.inf, 0)
 
     def replace(self, phase: Phase) -> None:
-        """Go over to another last phase."""
+        """Replace all phases by another last phase."""
         self._phases = deque([phase] if phase.samples > 0 else [])
         self._samples = self._done_samples + phase.samples
 
     def fade_over(self, source: Source, samples: int) -> None:
-        """Lead the present phase over to another source in some samples."""
+        """Fade the present phase over to another source within some samples."""
         self._phases[0].source = FadeOver(self._phases[0].source, source, samples)
 
     def advance(self, count: int) -> Phase | None:
-        """Count samples played; return the phase that has ended with them, or None."""
+        """Count played samples; return the phase that ends with them, or None."""
         self._done_samples += count
         if not self._phases:
             return None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Ways from one voltage to another at a bounded rate."""
+"""Ramps from one voltage to another at a bounded rate."""
 
 import math
 
@@ -12,18 +12,18 @@ from piezo_stage_driver.engine.ticks import Ticks
 
 
 class Ramps:
-    """Make ramps of one rate, or of one for each axis: the axis that takes longest decides."""
+    """Make ramps of one rate, or of one rate per axis: the slowest axis determines the duration."""
 
     def __init__(self, rate_v_per_s: Volts, ticks: Ticks):
         self._rate_v_per_s, self._ticks = rate_v_per_s, ticks
 
     @property
     def v_per_tick(self) -> Volts:
-        """Tell how far a ramp goes in one tick (V)."""
+        """Return the change of the voltage by a ramp in one tick (V)."""
         return self._rate_v_per_s * self._ticks.sample_period_s * self._ticks.samples_per_tick
 
     def samples(self, start_v: Volts, end_v: Volts) -> int:
-        """Return how many samples of the clock a ramp takes."""
+        """Return the duration of a ramp in samples of the clock."""
         longest_s = np.max(np.abs(np.subtract(end_v, start_v)) / self._rate_v_per_s)
         return math.ceil(longest_s / self._ticks.sample_period_s)
 
@@ -34,10 +34,10 @@ class Ramps:
         Parameters
         ----------
         pending : int
-            Samples of the clock that an interrupted program left half collected; at least one
+            Samples of the clock that an interrupted program left uncollected; at least one more
             sample completes them.
         decimation : int
-            Samples of the clock in a published sample.
+            Samples of the clock per published sample.
         """
         samples = max(self.samples(start_v, end_v), pending > 0)
         length = self._ticks.aligned(samples + pending, decimation) - pending

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Let a process keep a clock's pace: priority, memory that stays, and no pause of Python's own."""
+"""Real-time operation of a process: priority, locked memory, and no pauses for collections."""
 
 import contextlib
 import ctypes
@@ -9,28 +9,28 @@ import resource
 import sys
 import threading
 
-# Of sys/mman.h: what is mapped now and later, each page from its first use on.
+# Of sys/mman.h: lock present and future mappings, each page from its first use on.
 MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT = 1, 2, 4
-# For how long another thread of this process may keep the interpreter from the loop (s).
+# Longest time for which another thread of this process may keep the interpreter (s).
 SWITCH_INTERVAL_S = 2e-4
 
 
 class RealTime:
-    """What the system allows a process that has deadlines, between `begin` and `end`.
+    """Real-time operation of the process between `begin` and `end`, as far as the system allows it.
 
-    All threads of the process get a real-time priority, because each of them at times holds the
-    interpreter or a lock of the middleware: one that is kept from a core would keep the loop from
-    going on. The loop's own is one higher.
+    All threads of the process get a real-time priority, because each of them holds the interpreter
+    or a lock of the middleware at times: if it were preempted, it would block the loop. The
+    priority of the loop is higher by one.
 
     Parameters
     ----------
     priority : int
-        Of the loop, 1 to 99; 0 asks for nothing, and leaves the memory where it is.
+        Priority of the loop, 1 to 99; 0 requests nothing, and does not lock the memory.
 
     Attributes
     ----------
     told : str
-        What the system has granted, or what it has not and what to do.
+        What the system has granted; or what it has refused, and what to do.
     """
 
     def __init__(self, priority: int) -> None:
@@ -41,13 +41,13 @@ class RealTime:
         self.told = "not asked for"
 
     def begin(self) -> None:
-        """Raise the priority of every thread there is, keep its memory, and stop long collections.
+        """Raise the priority of all threads, lock the memory, and stop long garbage collections.
 
-        Called before the loop's thread starts.
+        Called before the thread of the loop starts.
         """
         self._begun = True
         sys.setswitchinterval(SWITCH_INTERVAL_S)
-        # What there is by now stays: no collection need look through it again.
+        # Objects that exist by now persist, so collections need not examine them.
         gc.collect()
         gc.freeze()
         if self._priority:
@@ -55,22 +55,22 @@ class RealTime:
             self.told = "; ".join(filter(None, refused)) or "granted"
 
     def raise_loop(self) -> None:
-        """Raise the priority of the thread that calls, above that of the others."""
+        """Raise the priority of the calling thread above that of the others."""
         if self._raised:
             self._raised.add(threading.get_native_id())
             _set_priority(0, self._priority)
 
     def raise_new_threads(self) -> None:
-        """Raise the threads that have come since, where the system allows it.
+        """Raise the priority of new threads, if the system allows it.
 
-        Called now and then from another thread than the loop's: the executor and the middleware
-        start some of theirs once they have something to do.
+        Called from time to time from another thread than the loop's, as the executor and the
+        middleware start some threads only when they need them.
         """
         if self._raised:
             self._raise_threads()
 
     def end(self) -> None:
-        """Give back what `begin` took, unless that is done."""
+        """Undo `begin`, unless that is done."""
         if not self._begun:
             return
         self._begun = False
@@ -100,7 +100,7 @@ class RealTime:
         advice = "let the user lock all memory (memlock unlimited in /etc/security/limits.conf)"
         limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
         if os.geteuid() and limit != resource.RLIM_INFINITY:
-            # Up to a limit it may be granted, and memory is then refused later on.
+            # Below a limit locking may succeed, but later allocations then fail.
             return f"the memory is not locked (there is a limit): {advice}"
         library = ctypes.CDLL(None, use_errno=True)
         if library.mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where the voltage of the next samples comes from.
+"""Sources of the voltages to be played next.
 
-Samples have the shape (n,), or (n, axes) where the stage has several: voltages are then those of
-all axes, shape (axes,).
+Samples have the shape (n,), or (n, axes) if the stage has several axes; a voltage then has the
+shape (axes,).
 """
 
 from collections import deque
@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 
 Volts = float | np.ndarray
-"""A voltage, or one of each axis, shape (axes,), where the stage has several."""
+"""A voltage, or the voltages of several axes, shape (axes,)."""
 
 
 def held(voltage_v: Volts, samples: int) -> np.ndarray:
@@ -20,18 +20,18 @@ def held(voltage_v: Volts, samples: int) -> np.ndarray:
 
 
 class Source(Protocol):
-    """Voltages in their order; each sample is taken once."""
+    """A sequence of voltages; each sample is taken once."""
 
     def take(self, count: int) -> np.ndarray:
         """Return the next samples, shape (count,), in V."""
 
     @property
     def exhausted(self) -> bool:
-        """Tell whether the last voltage was held because nothing was left to take."""
+        """Return whether the last voltage was held because no samples remained."""
 
 
 class Hold:
-    """One voltage for as long as it is asked."""
+    """A constant voltage of unlimited duration."""
 
     exhausted = False
 
@@ -44,7 +44,7 @@ class Hold:
 
 
 class Ramp:
-    """A straight line between two voltages in a number of samples, then the second."""
+    """A straight line between two voltages in a number of samples; then the second is held."""
 
     exhausted = False
 
@@ -62,7 +62,7 @@ class Ramp:
 
 
 class Waveform:
-    """A sequence, each value held for some samples, played some times, then its last value."""
+    """A sequence that is repeated, with each value held for some samples; then its last value."""
 
     exhausted = False
 
@@ -81,27 +81,27 @@ class Waveform:
 class Feedforward:
     """A part played once, which may grow while it plays, then a part that is repeated.
 
-    What is appended is forgotten once it has been played, so that a stream of any length takes
-    the time and the memory of what is loaded ahead.
+    Appended samples are dropped once they have been played, so that time and memory of a stream
+    depend only on what is loaded ahead.
     """
 
     def __init__(self, once_voltage_v: np.ndarray, period_voltage_v: np.ndarray):
         self._once_v, self._period_v = once_voltage_v, period_voltage_v
         self._appended: deque[np.ndarray] = deque()
         self._last_v = once_voltage_v[-1] if len(once_voltage_v) else None
-        # Where the next sample lies: in the once part, then in the first of what was appended,
+        # Position of the next sample: in the once part, then in the first appended chunk,
         # then in the periods.
         self._at = self._in_chunk = 0
         self._appended_played = self._held = False
 
     @property
     def periodic(self) -> bool:
-        """Tell whether a part is repeated."""
+        """Return whether a part is repeated."""
         return len(self._period_v) > 0
 
     @property
     def sequence_v(self) -> np.ndarray:
-        """Return every voltage of what was loaded first up to its repetition, shape (n,), in V."""
+        """Return all voltages loaded first, up to the repetition, shape (n,), in V."""
         return np.r_[self._once_v, self._period_v, self._period_v[:1]]
 
     @property
@@ -111,46 +111,46 @@ class Feedforward:
 
     @property
     def last_v(self) -> float | None:
-        """Return the voltage behind which the next part is appended (V)."""
+        """Return the last voltage before the next appended part (V)."""
         return self._last_v
 
     @property
     def exhausted(self) -> bool:
-        """Tell whether nothing was left for the last samples and the last voltage was held."""
+        """Return whether no samples remained and the last voltage was held."""
         return self._held
 
     def append(self, once_voltage_v: np.ndarray) -> None:
-        """Add samples behind the part that is played once."""
+        """Append samples to the part that is played once."""
         self._appended.append(once_voltage_v)
         self._last_v = once_voltage_v[-1]
 
     @property
     def forgotten(self) -> bool:
-        """Tell whether appended samples were played, so that it cannot begin anew."""
+        """Return whether appended samples were dropped, so that it cannot be rewound."""
         return self._appended_played
 
     @property
     def streamed(self) -> bool:
-        """Tell whether more was appended than what was loaded first."""
+        """Return whether samples were appended to those loaded first."""
         return self._appended_played or bool(self._appended)
 
     @property
     def lengths(self) -> tuple[int, int]:
-        """Return how many samples are played once and how many are repeated."""
+        """Return the number of samples that are played once, and of those that are repeated."""
         return len(self._once_v), len(self._period_v)
 
     def go_on_from(self, other: "Feedforward") -> None:
-        """Take the place of another of the same lengths at the sample that it has come to."""
+        """Continue at the present sample of another feedforward of the same lengths."""
         self._at = other._at
 
     def rewind(self) -> None:
-        """Begin anew with the first sample, as long as nothing is forgotten."""
+        """Go back to the first sample, unless samples were dropped."""
         self._at, self._held = 0, False
 
     def take(self, count: int) -> np.ndarray:
         """Return the next samples, shape (count,), in V.
 
-        A stream that ran dry goes on where it stopped: without a jump, and later than planned.
+        A stream that ran dry continues where it stopped, without a jump but later than planned.
         """
         taken_v = self._once_v[self._at:self._at + count]
         parts, missing = [taken_v], count - len(taken_v)
@@ -183,15 +183,15 @@ class Feedforward:
 
 
 class FadeOver:
-    """One source, and from then on another, with a smooth way between the two.
+    """One source, then another, with a smooth transition.
 
-    Both are taken from meanwhile. The way begins and ends without a step in voltage, slew or
-    acceleration, so that no mode of the stage is excited.
+    Both sources advance during the transition. It begins and ends without a step in voltage, slew
+    or acceleration, so that no mode of the stage is excited.
 
     Parameters
     ----------
     samples : int
-        Of the way.
+        Duration of the transition.
     """
 
     def __init__(self, old: Source, new: Source, samples: int):
@@ -201,7 +201,7 @@ class FadeOver:
 
     @property
     def exhausted(self) -> bool:
-        """Tell whether the new source held its last voltage."""
+        """Return whether the new source held its last voltage."""
         return self._new.exhausted
 
     def take(self, count: int) -> np.ndarray:

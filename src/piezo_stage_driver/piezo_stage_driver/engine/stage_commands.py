@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What clients may ask of the stage, and when each of it is refused."""
+"""The commands of clients to the stage, and the conditions under which they are refused."""
 
 import math
 import secrets
@@ -26,18 +26,18 @@ from piezo_stage_driver.safety.limits import FeedbackLimits, Limits, VoltageLimi
 if TYPE_CHECKING:
     from piezo_stage_driver.engine.stage_engine import StageEngine
 
-# Ten periods of a mode of 500 Hz: slow enough to excite none, and over before creep matters.
+# Ten periods of a mode of 500 Hz: too slow to excite it, and too short for creep to matter.
 FADE_S = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class Replacement:
-    """A feedforward, and the law that goes with it, to go over to within a run.
+    """A feedforward, and the law that goes with it, to switch to within a run.
 
     Attributes
     ----------
     law : CheckedLaw or None
-        None where nothing is fed back.
+        None without feedback.
     """
 
     feedforward: Feedforward
@@ -50,7 +50,7 @@ class StageCommands:
     Parameters
     ----------
     feedback_limits : FeedbackLimits, optional
-        What one answer may ask for.
+        Limits of a single answer.
     """
 
     def __init__(self, engine: "StageEngine", limits: Limits, ticks: Ticks, ramps: Ramps,
@@ -72,20 +72,20 @@ class StageCommands:
         Parameters
         ----------
         voltage_v : array_like, shape (n,) or (n * axes,)
-            Where the stage has several axes, a value of each, sample by sample.
+            Voltages (V); with several axes a value of each axis, sample by sample.
         sample_period_s : float
-            Whole multiple of the clock's period, at most 1 s.
+            Period of the values; a whole multiple of the clock's period, at most 1 s.
         hold_at_end : bool
-            Stay at the last voltage instead of returning to rest.
+            Whether to stay at the last voltage instead of returning to rest.
         client : str
-            Who asks; told to others who are refused meanwhile.
+            Name of the client; reported to others that are refused meanwhile.
         axes : sequence of str
-            Names of all axes where the stage has several, in its order.
+            Names of all axes in the order of the stage, if it has several.
 
         Returns
         -------
         first_sample, samples : int
-            Where the waveform lies on the sample clock.
+            Position of the waveform on the sample clock, and its length.
 
         Raises
         ------
@@ -112,21 +112,21 @@ class StageCommands:
 
     def load_feedforward(self, once_voltage_v: npt.ArrayLike, period_voltage_v: npt.ArrayLike,
                          append: bool = False, feedforward_id: int = 0) -> int:
-        """Take the feedforward that ``start_tracking`` plays.
+        """Load the feedforward that ``start_tracking`` plays.
 
         Parameters
         ----------
         once_voltage_v, period_voltage_v : ndarray, shape (n,), (m,)
             Played once, then repeated; at the rate of the sample clock.
         append : bool
-            Add ``once_voltage_v`` behind what is loaded, also while it plays.
+            Whether to append ``once_voltage_v`` to what is loaded, also while it plays.
         feedforward_id : int
-            Of what is to be appended to; 0 for whatever is loaded.
+            Number of the feedforward to append to; 0 for the loaded one.
 
         Returns
         -------
         int
-            Number of what is loaded now, which nothing else bears, by whomever it is loaded.
+            Unique number of the feedforward that is loaded now.
 
         Raises
         ------
@@ -150,12 +150,12 @@ class StageCommands:
         feedforward = Feedforward(once_voltage_v, np.array(period_voltage_v, dtype=float))
         limits.check(feedforward.sequence_v, self._ticks.sample_period_s)
         self._feedforward, self._law = feedforward, None
-        # Drawn, so that a stage that was started again gives none of its numbers a second time.
+        # Random, so that a restarted stage does not reuse its numbers.
         self._feedforward_id = secrets.randbits(63) + 1
         return self._feedforward_id
 
     def checked(self, law: FeedbackLaw) -> CheckedLaw:
-        """Check a feedback law for this stage; from any thread, as it takes longer than a tick.
+        """Check a feedback law for this stage; callable from any thread, as it exceeds a tick.
 
         Raises
         ------
@@ -166,14 +166,14 @@ class StageCommands:
                           float(self._engine.rest_voltage_v), self._feedback_limits)
 
     def load_feedback(self, law: CheckedLaw, feedforward_id: int = 0) -> None:
-        """Take the law that ``start_tracking`` evaluates beside the feedforward loaded before.
+        """Load the law that ``start_tracking`` evaluates together with the loaded feedforward.
 
-        While one acts the next tick begins with the new one.
+        If a law acts at present, the next tick begins with the new one.
 
         Parameters
         ----------
         feedforward_id : int
-            Of the feedforward that it goes with; 0 for whatever is loaded.
+            Number of the feedforward that it goes with; 0 for the loaded one.
 
         Raises
         ------
@@ -193,7 +193,7 @@ class StageCommands:
 
     def replacement(self, once_voltage_v: npt.ArrayLike, period_voltage_v: npt.ArrayLike,
                     law: FeedbackLaw | None) -> Replacement:
-        """Check what `replace_feedforward` takes; from any thread, as it takes longer than a tick.
+        """Check the input of `replace_feedforward`; callable from any thread, as it exceeds a tick.
 
         Raises
         ------
@@ -206,10 +206,10 @@ class StageCommands:
         return Replacement(feedforward, None if law is None else self.checked(law))
 
     def replace_feedforward(self, replacement: Replacement) -> int:
-        """Go over to another feedforward and its law, between two ticks of a run.
+        """Switch to another feedforward and its law between two ticks of a run.
 
-        The law acts from the next tick on, in the state that gives what the one before gave. The
-        voltage that is planned goes over within `FADE_S`.
+        The law acts from the next tick on, in a state that continues the output of the previous
+        law. The planned voltage is faded over within `FADE_S`.
 
         Returns
         -------
@@ -218,7 +218,7 @@ class StageCommands:
         Raises
         ------
         StageRefusal, FeedbackLawError
-            What acts then goes on.
+            If the replacement is refused; the present feedforward and law then continue.
         """
         self._require_not_stopped()
         engine, present = self._engine, self._feedforward
@@ -251,15 +251,15 @@ class StageCommands:
         Parameters
         ----------
         feedback : bool
-            Add the answers to the blocks.
+            Whether to add the answers to the blocks.
         ticks : int
-            How long; 0 until a stop.
+            Duration; 0 until a stop.
         client : str
-            As in `play`.
+            Name of the client, see `play`.
         onboard : bool
-            Add what the loaded law gives, in place of answers.
+            Whether to add the output of the loaded law, instead of answers.
         feedforward_id : int
-            Of the feedforward that is to be played; 0 for whatever is loaded.
+            Number of the feedforward to play; 0 for the loaded one.
 
         Returns
         -------
@@ -300,7 +300,7 @@ class StageCommands:
         Parameters
         ----------
         asked_s : float
-            When somebody asked for it, by the monotonic clock (s): a run that began later goes on.
+            Time of the request by the monotonic clock (s); a run that began later continues.
 
         Raises
         ------
@@ -313,17 +313,17 @@ class StageCommands:
         self._engine.return_to_rest()
 
     def reset(self, asked_s: float = math.inf) -> None:
-        """Take commands again after a stop.
+        """Accept commands again after a stop.
 
         Parameters
         ----------
         asked_s : float
-            See `StopLatch.reset`.
+            Time of the request by the monotonic clock (s), see `StopLatch.reset`.
 
         Raises
         ------
         StageRefusal
-            While the voltage still returns to rest, or where it was stopped later.
+            While the voltage still returns to rest, or if it was stopped after the request.
         """
         engine = self._engine
         if not engine.idle or engine.stop_cause and not engine.has_returned:
@@ -332,7 +332,7 @@ class StageCommands:
         self._guards.begin()
 
     def _by_sample(self, voltage_v: np.ndarray, axes: Sequence[str]) -> np.ndarray:
-        """Return voltages as samples of all axes, shape (n, axes); (n,) where there is one."""
+        """Return voltages as samples of all axes, shape (n, axes), or (n,) for a single axis."""
         own = self._engine.axes
         if tuple(axes) != own:
             raise StageRefusal(
@@ -346,14 +346,14 @@ class StageCommands:
         return voltage_v.reshape(-1, len(own))
 
     def _limits_of_one_axis(self, service: str) -> VoltageLimits:
-        """Return the limits; refuse what takes no stage of several axes yet."""
+        """Return the limits; refuse services that do not support several axes yet."""
         if not isinstance(self._limits, VoltageLimits):
             raise StageRefusal(f"{service} takes a stage of one axis, this one has "
                                f"{_axes_text(self._engine.axes)}: play a waveform of all of them")
         return self._limits
 
     def _require_room(self, samples: float, voltage_v: np.ndarray, hold_at_end: bool) -> None:
-        """Refuse what does not fit into the memory of a backend that plays whole waveforms."""
+        """Refuse a waveform that exceeds the memory of a backend with stored waveforms."""
         engine = self._engine
         longest = engine.longest_program_samples
         if longest is None:
@@ -373,7 +373,7 @@ class StageCommands:
             raise StageRefusal("the backend still plays the waveform before: wait for its end")
 
     def _require_loaded(self, feedforward_id: int) -> None:
-        """Refuse what goes with a feedforward that another one has taken the place of."""
+        """Refuse a request for a feedforward that has been replaced by another."""
         if feedforward_id not in (0, self._feedforward_id):
             raise StageRefusal("another feedforward was loaded since: let one client at a time use "
                                "the stage, and load yours again")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The stage, tick by tick: what it plays, what it adds, when it stops."""
+"""The engine of the stage: plays programs, adds feedback, and stops, tick by tick."""
 
 from collections import deque
 
@@ -28,47 +28,47 @@ from piezo_stage_driver.safety.limits import FeedbackLimits, Limits
 
 LONGEST_STRETCH_SAMPLES = 16000
 WAVEFORM_STRETCH_SAMPLES = 200
-"""Of a waveform at the full rate: a quarter of what the guard of a stuck sensor waits for."""
+"""Length for a waveform at the full rate: a quarter of the time that detects a stuck sensor."""
 
 
 class StageEngine:
     """Play programs of voltages on a backend, tick by tick, within the limits.
 
-    A program is a sequence of phases: approach and play, or track. Whatever ends it,
-    the voltage returns to rest by a ramp of bounded rate.
+    A program is a sequence of phases: approach and play, or track. However it ends, the voltage
+    returns to rest by a ramp of bounded rate.
 
     Parameters
     ----------
     ramp_rate_v_per_s : float
         Rate of every approach and return (V/s).
     max_missed_feedback : int
-        More answers missed in a row stop the stage.
+        Largest number of consecutive missed answers; more stop the stage.
     longest_stretch_samples : int
-        How far to run between two looks at the commands while a waveform plays.
+        Largest number of samples between two checks for commands while a waveform plays.
     sensor_guards : sequence, or dict of str to sequence
-        Examine every stretch of samples; see `GuardSet`.
+        Guards that examine every stretch of samples; see `GuardSet`.
     feedback_guard : FeedbackOscillation, optional
-        Examines every answer before it acts.
+        Guard that examines every answer before it acts.
     latch : StopLatch, optional
-        Of a stop that outlives the engine; any thread may set it, and the next tick heeds it.
+        Latch of a stop, which outlives the engine; any thread may set it, for the next tick.
     feedback_limits : FeedbackLimits, optional
-        What one answer may ask for.
+        Limits of a single answer.
     samples_per_block : int
-        Of one block while tracking, where nobody answers it: at least a tick. A stretch of a
+        Samples of a block during tracking without answers; at least one tick. A stretch of a
         waveform is no longer.
 
     Attributes
     ----------
     commands : StageCommands
-        What clients may ask for.
+        Commands of the clients.
     voltage_v : float
         Last voltage given to the backend (V).
     next_sample : int
-        Of the clock, about to be played.
+        Next sample of the clock to be played.
     client : str
-        For whom the present program is played; empty where none is.
+        Client of the present program; empty if there is none.
     longest_program_samples : int or None
-        Of what a backend plays that takes whole waveforms only; None for any other.
+        Longest program of a backend that plays stored waveforms; None for other backends.
     """
 
     def __init__(self, backend: StageBackend, limits: Limits,
@@ -88,15 +88,15 @@ class StageEngine:
         self._guards = GuardSet(sensor_guards, feedback_guard)
         self._latch = latch or StopLatch()
         self._ticks = Ticks(backend.sample_rate_hz, samples_per_tick)
-        # A ramp that the slew limit held back would end before it is at rest.
+        # A ramp slowed down by the slew limit would end before it is at rest.
         self._ramps = Ramps(np.minimum(ramp_rate_v_per_s, limits.slew_v_per_s), self._ticks)
         self.sample_period_s = self._ticks.sample_period_s
         self.axes: tuple[str, ...] = tuple(getattr(backend, "axes", ()))
         self.voltage_v = rest_voltage_v
         self.next_sample = 0
         self.client = ""
-        # Ticks written ahead: their voltages, the flags of their blocks, and what a feedback on
-        # board added.
+        # Ticks written ahead: their voltages, the flags of their blocks, and the voltage of a
+        # feedback on board.
         lead_ticks = getattr(backend, "lead_samples", 0) // samples_per_tick
         self._ahead = deque[tuple[np.ndarray, int, float | None]](
             [(held(rest_voltage_v, samples_per_tick), 0, None)] * lead_ticks)
@@ -113,35 +113,35 @@ class StageEngine:
 
     @property
     def tick(self) -> int:
-        """Return the tick about to be played."""
+        """Return the next tick to be played."""
         return self.next_sample // self._ticks.samples_per_tick
 
     @property
     def last_sample(self) -> int:
-        """Return the last sample of what has been played, when it will have been measured."""
+        """Return the sample number at which the last played sample is measured."""
         return self.next_sample + self.lead_ticks * self._ticks.samples_per_tick - 1
 
     @property
     def idle(self) -> bool:
-        """Tell whether nothing is being played."""
+        """Return whether nothing is being played."""
         return self._program.over
 
     @property
     def at_rest(self) -> bool:
-        """Tell whether the amplifier is at rest, what is written ahead included."""
-        # A copy, which is made at once: the loop's thread goes on while another one asks.
+        """Return whether the amplifier is at rest, including what is written ahead."""
+        # A copy, made at once, as the loop's thread continues while another one reads.
         ahead = tuple(self._ahead)
         return self.idle and self.has_returned and all(
             (voltage_v == self.rest_voltage_v).all() for voltage_v, _, _ in ahead)
 
     @property
     def has_returned(self) -> bool:
-        """Tell whether the last voltage is that of rest, on every axis."""
+        """Return whether the last voltage is that of rest, on every axis."""
         return bool(np.all(self.voltage_v == self.rest_voltage_v))
 
     @property
     def seconds_to_rest(self) -> float:
-        """Tell what a return to rest from here would take (s)."""
+        """Return the time that a return to rest would take now (s)."""
         samples = self._ramps.samples(self.voltage_v, self.rest_voltage_v)
         return (samples + (self.lead_ticks + 1) * self._ticks.samples_per_tick
                 ) * self.sample_period_s
@@ -153,42 +153,42 @@ class StageEngine:
 
     @property
     def fraction(self) -> float:
-        """Return the part of the present program that is done, 0 to 1."""
+        """Return the fraction of the present program that is done (0 to 1)."""
         return self._program.fraction
 
     @property
     def seconds_left(self) -> float:
-        """Return the stage time left of the present program (s); infinite until a stop."""
+        """Return the remaining time of the present program (s); infinite until a stop."""
         return self._program.samples_left * self.sample_period_s
 
     @property
     def stop_cause(self) -> str:
-        """Tell why the stage is stopped; empty where it takes commands."""
+        """Return why the stage is stopped; empty if it accepts commands."""
         return self._latch.cause
 
     @property
     def feedback(self) -> FeedbackHold | OnboardFeedback | None:
-        """Return what is added to the present program; None where nothing is."""
+        """Return the feedback of the present program; None if there is none."""
         return self._feedback
 
     @property
     def missed_feedback(self) -> int:
-        """Return the answers missed since tracking began."""
+        """Return the number of missed answers since tracking began."""
         return self._feedback.missed if self._feedback else 0
 
     @property
     def awaiting_answer(self) -> bool:
-        """Tell whether the next tick would miss its answer if it were played now."""
+        """Return whether the next tick would miss its answer if it were played now."""
         return (self.phase_name == "track" and self._feedback is not None
                 and not self.stop_cause and self._feedback.awaited(self.tick))
 
     @property
     def tracks_alone(self) -> bool:
-        """Tell whether the next tick tracks, and nobody has to answer before."""
+        """Return whether the next tick tracks and needs no answer."""
         return (self.phase_name == "track" and not self._latch.cause
                 and not isinstance(self._feedback, FeedbackHold))
 
-    # What is played next
+    # Programs and feedback
 
     def begin(self, program: Program, client: str = "",
               feedback: FeedbackHold | OnboardFeedback | None = None,
@@ -198,18 +198,18 @@ class StageEngine:
         Parameters
         ----------
         client : str
-            Who asks; told to others who are refused meanwhile.
+            Name of the client; reported to others that are refused meanwhile.
         feedback : FeedbackHold or OnboardFeedback, optional
-            That is added to the program.
+            Feedback that is added to the program.
         decimation : int
-            Samples of the clock in a published sample.
+            Samples of the clock per published sample.
         """
         self.client, self._program, self._feedback = client, program, feedback
         self._blocks.decimation = decimation
         self._guards.begin()
 
     def ramp(self, name: str, end_v: Volts, decimation: int) -> Phase:
-        """Return the phase that leads from the present voltage to another (V)."""
+        """Return a ramp from the present voltage to another (V)."""
         return self._ramps.phase(
             name, self.voltage_v, end_v, self._blocks.pending_samples, decimation)
 
@@ -219,19 +219,19 @@ class StageEngine:
         Raises
         ------
         FeedbackError
-            If it is not a finite number, or for a block to come; it then has no effect.
+            If it is not finite, or for a future block; it then has no effect.
         """
-        feedback = self._feedback  # which another thread may end meanwhile
+        feedback = self._feedback  # another thread may end it meanwhile
         if feedback is not None:
             feedback.answer(tick, voltage_v, self.tick)
 
     def fade_over(self, source: Source, samples: int) -> None:
-        """Lead the phase that is played over to another source, from the next tick on.
+        """Fade the present phase over to another source, from the next tick on.
 
         Parameters
         ----------
         samples : int
-            Of the way from one to the other.
+            Duration of the transition.
         """
         self._program.fade_over(source, samples)
 
@@ -252,7 +252,7 @@ class StageEngine:
     # Time
 
     def advance(self) -> Block | None:
-        """Play the next samples: one tick, or many of a waveform.
+        """Play the next samples: one tick, or several of a waveform.
 
         Returns
         -------
@@ -287,22 +287,22 @@ class StageEngine:
 
     @property
     def holds_block(self) -> bool:
-        """Tell whether samples wait for their block, but none are to come that belong to it."""
+        """Return whether the pending samples form a block to which no more will be added."""
         return self._blocks.decimation == 1 and self._blocks.pending_samples > 0 and (
             self.phase_name != "track" or bool(self.stop_cause))
 
     def _with_feedback(self, feedback: FeedbackHold | OnboardFeedback,
                        planned_v: np.ndarray) -> tuple[np.ndarray, int, str]:
-        """Add the feedback of the next tick; return its flag too, and why it must not act."""
+        """Add the feedback of the next tick; return its flag, and a reason if it must not act."""
         held = feedback.begin(self.tick)
         wanted_v = planned_v if feedback.each_sample else feedback.add(planned_v)
         cause = feedback.cause or self._guards.examine_feedback(feedback.voltage_v)
         return wanted_v, FLAG_FEEDBACK_HELD if held else 0, cause
 
     def _next_voltages(self) -> tuple[np.ndarray, int]:
-        """Take the next samples of the program, and their flags."""
+        """Return the next samples of the program, and their flags."""
         phase, decimation = self._program.phase(self.voltage_v), self._blocks.decimation
-        # What tracks is looked at every tick: answers, laws and streams come between two of them.
+        # Tracking advances tick by tick: answers, laws and streams arrive between two ticks.
         wanted = SAMPLES_PER_BLOCK * decimation
         if decimation == 1:
             wanted = (1 if phase.name in ("rest", "track")
@@ -312,7 +312,7 @@ class StageEngine:
         return planned_v, phase.flag | (FLAG_FEEDFORWARD_HELD if phase.source.exhausted else 0)
 
     def _exchange(self, wanted_v: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-        """Play voltages within the limits; return them, the displacement, and the limits' flags."""
+        """Play voltages within the limits; return them, the displacement and the limits' flags."""
         feedback = self._feedback
         if isinstance(feedback, OnboardFeedback) and feedback.each_sample:
             return self._exchange_each(wanted_v, feedback)
@@ -323,7 +323,7 @@ class StageEngine:
 
     def _exchange_each(self, planned_v: np.ndarray,
                        feedback: OnboardFeedback) -> tuple[np.ndarray, np.ndarray, int]:
-        """Play sample by sample, each with the feedback of the one before."""
+        """Play sample by sample, each with the feedback from the previous one."""
         voltage_v, displacement_um = np.empty((2, len(planned_v)))
         last_v, flags = self.voltage_v, 0
         for sample in range(len(planned_v)):
@@ -351,7 +351,7 @@ class StageEngine:
 
     def _collect(self, voltage_v: np.ndarray, displacement_um: np.ndarray, flags: int,
                  ends: bool, feedback_v: float | None) -> Block | None:
-        """Return the block that these samples fill, if they do."""
+        """Return the block that these samples complete, if any."""
         answered = isinstance(self._feedback, FeedbackHold) or self.phase_name != "track"
         self._blocks.samples_per_block = 1 if answered else self._samples_per_block
         filled = self._blocks.add(voltage_v, displacement_um, flags, ends, feedback_v)
@@ -368,14 +368,14 @@ class StageEngine:
             feedback_v=np.array(filled.feedback_v) if filled.feedback_v else None)
 
     def _go_on_after(self, ended: Phase | None) -> None:
-        """Return to rest behind the last phase, unless its voltage is to be held."""
+        """Return to rest after the last phase, unless its voltage is to be held."""
         if ended is not None and self.idle and ended.name != "return" \
                 and not self._program.hold_at_end:
             self.return_to_rest()
         self._end_if_over()
 
     def _watch(self, voltage_v: np.ndarray, displacement_um: np.ndarray) -> None:
-        """Stop if a guard says so, or answers stay away."""
+        """Stop if a guard objects, or too many answers are missing."""
         cause = self._guards.examine_samples(
             voltage_v, displacement_um, self._ticks.samples_per_tick)
         missed = self._feedback.missed_in_a_row if self._feedback else 0

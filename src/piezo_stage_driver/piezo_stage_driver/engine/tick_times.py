@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How late the ticks of a stage begin that keeps the pace of its backend's clock."""
+"""Delays of the ticks of a stage that is paced by its backend's clock."""
 
 import time
 from collections.abc import Callable
@@ -9,34 +9,34 @@ import numpy as np
 
 from piezo_stage_driver.engine.answer_latency import LatencyCounts
 
-# By which the backend's clock may go slower than the computer's.
+# Largest relative deviation of the backend's clock from the computer's.
 CLOCK_TOLERANCE = 5e-4
-# A backend that is further behind may set its clock anew; it then waits again, though it is late.
+# A backend that lags more may restart its clock, and then waits again although it is late.
 LARGEST_LAG_S = 0.05
 
 
 class TickTimes:
-    """A backend that counts how late it is asked for each exchange.
+    """A wrapper of a backend that measures the delay of each exchange.
 
-    An exchange ends when its samples have been measured; the next one is due then. The clock's
-    phase is that of the exchanges that returned soonest, so that a thread that was woken late
-    counts as late. A tick misses its deadline where it is asked for later than the hardware can
-    wait: by `lead_samples`, or by a tick where nothing is written ahead. A backend that sets its
-    clock anew after a long pause has the phase from there on.
+    An exchange ends when its samples have been measured; the next one is due then. The phase of the
+    clock is that of the earliest returns, so that a thread that was woken late counts as late. A
+    tick misses its deadline if it is requested later than the hardware can wait: by `lead_samples`,
+    or by a tick if nothing is written ahead. If a backend restarts its clock after a long pause,
+    the phase is determined anew.
 
     Parameters
     ----------
     backend : StageBackend
-        What is driven; its other attributes are passed on.
+        Backend that is driven; its other attributes are passed on.
     clock : callable
         Returns the time (s).
 
     Attributes
     ----------
     missed : int
-        Exchanges since `open` that missed their deadline.
+        Number of exchanges since `open` that missed their deadline.
     lateness : LatencyCounts
-        From the moment at which an exchange was due until it was asked for.
+        Delay from the time at which an exchange was due to the request.
     """
 
     _due_s: float | None
@@ -75,11 +75,11 @@ class TickTimes:
 
     @property
     def ticks(self) -> int:
-        """Return how many exchanges are counted."""
+        """Return the number of exchanges."""
         return sum(self.lateness.counts)
 
     def described(self) -> dict[str, object]:
-        """Return the counts under names, as in ``ticks_within_0.5_ms``."""
+        """Return the counts with names such as ``ticks_within_0.5_ms``."""
         return {"missed_deadlines": self.missed,
                 **self.lateness.described("ticks", "longest_wait_of_a_tick_ms")}
 

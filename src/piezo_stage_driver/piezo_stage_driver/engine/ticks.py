@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The sample clock, its ticks, and the lengths that fit them."""
+"""The sample clock, its ticks, and lengths that are multiples of them."""
 
 import math
 
@@ -16,12 +16,12 @@ class Ticks:
         self.samples_per_tick = samples_per_tick
 
     def samples_per_value(self, sample_period_s: float) -> int:
-        """Return for how many samples of the clock a value of a waveform is held.
+        """Return the number of clock samples for which a value of a waveform is held.
 
         Raises
         ------
         StageRefusal
-            If the period is too short, too long or no whole multiple of the clock's.
+            If the period is too short, too long, or no whole multiple of the clock's.
         """
         if not (math.isfinite(sample_period_s)
                 and self.sample_period_s <= sample_period_s * (1 + 1e-9)
@@ -42,6 +42,6 @@ class Ticks:
         return math.ceil(samples / unit) * unit
 
     def stretch(self, samples: float, longest_samples: int) -> int:
-        """Return how many samples to play at once: whole ticks, and one at least."""
+        """Return how many samples to play at once: whole ticks, at least one."""
         ticks = min(samples, longest_samples) // self.samples_per_tick
         return max(1, int(ticks)) * self.samples_per_tick

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where commands and stops go, whether the stage is configured or not."""
+"""Routing of commands and stops, whether or not the stage is configured."""
 
 from collections.abc import Callable
 
@@ -16,21 +16,21 @@ from piezo_stage_driver.safety.transitions import Event
 
 
 class CommandRouter:
-    """Pass commands and stops on to the supervisor; answer them where there is none yet.
+    """Pass commands and stops on to the supervisor; answer them if there is none yet.
 
     Parameters
     ----------
     lockstep : bool
-        Whether commands act between two callbacks: the supervisor need not wait for a tick.
+        Whether commands act between two callbacks, so that the supervisor need not wait for a tick.
     latch : StopLatch
-        Of stops, which outlive the supervisor.
+        Latch of the stops, which outlive the supervisor.
     tell_stop : callable
         Called once the stage has been stopped.
 
     Attributes
     ----------
     supervisor : StageSupervisor or None
-        Of the stage that is configured.
+        Supervisor of the configured stage.
     """
 
     def __init__(self, lockstep: bool, latch: StopLatch, tell_stop: Callable[[], None]) -> None:
@@ -39,7 +39,7 @@ class CommandRouter:
 
     @property
     def at_rest(self) -> bool:
-        """Whether the amplifier is known to be at rest; it is before anything was configured."""
+        """Whether the amplifier is known to be at rest; True before the stage is configured."""
         return self.supervisor is None or self.supervisor.at_rest
 
     @property
@@ -49,17 +49,17 @@ class CommandRouter:
 
     @property
     def seconds_to_rest(self) -> float:
-        """What a return to rest would take from here (s)."""
+        """Return the time that a return to rest would take now (s)."""
         supervisor = self.supervisor
         return supervisor.engine.seconds_to_rest if supervisor and supervisor.active else 0.0
 
     def checked(self, law: FeedbackLaw) -> CheckedLaw:
-        """Check a feedback law for the stage that is configured.
+        """Check a feedback law for the configured stage.
 
         Raises
         ------
         FeedbackLawError, StageRefusal
-            The law must not act, or there is no stage.
+            If the law must not act, or there is no stage.
         """
         if self.supervisor is None:
             raise StageRefusal(NOT_ACTIVE)
@@ -67,19 +67,19 @@ class CommandRouter:
 
     def replacement(self, once_voltage_v: npt.ArrayLike, period_voltage_v: npt.ArrayLike,
                     law: FeedbackLaw | None) -> Replacement:
-        """Check what is to take the place of a feedforward and its law within a run.
+        """Check the replacement of a feedforward and its law within a run.
 
         Raises
         ------
         LimitError, FeedbackLawError, StageRefusal
-            It must not act, or there is no stage.
+            If it must not act, or there is no stage.
         """
         if self.supervisor is None:
             raise StageRefusal(NOT_ACTIVE)
         return self.supervisor.engine.commands.replacement(once_voltage_v, period_voltage_v, law)
 
     def submit(self, command: Command) -> None:
-        """Have a command run between two ticks, or refused; it tells by itself which."""
+        """Let a command run between two ticks, or refuse it; the command reports the outcome."""
         if self.supervisor is not None:
             self.supervisor.submit(command)
             if self._lockstep:
@@ -90,7 +90,7 @@ class CommandRouter:
             command.finish(error=StageRefusal(NOT_ACTIVE))
 
     def stop(self, cause: str) -> None:
-        """Stop from whatever state, until somebody resets it."""
+        """Stop in any state, until the stop is reset."""
         if self.supervisor is not None:
             self.supervisor.stop(cause)
         self._latch.stop(cause)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The feedback law as it comes in a message."""
+"""Conversion of a message to the feedback law."""
 
 import math
 
@@ -23,7 +23,7 @@ def law_of(message: FeedbackLawMessage) -> FeedbackLaw:
     Raises
     ------
     FeedbackLawError, ValueError
-        The parts do not fit each other.
+        If the parts do not match.
     """
     inverse = None
     if message.inverse_gain_um_per_v:

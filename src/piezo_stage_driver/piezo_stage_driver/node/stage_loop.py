@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What advances a configured stage, and brings it to rest when it is left."""
+"""The loop that advances a configured stage, and brings it to rest in the end."""
 
 import threading
 import time
@@ -18,23 +18,23 @@ IDLE_WAIT_S = 0.05
 class StageLoop:
     """The ticks of one configured stage.
 
-    A paced stage ticks in a thread of its own while it is active. One in lockstep ticks in `step`,
-    and only while something plays; each tick that needs an answer waits for it.
+    A paced stage ticks in its own thread while it is active. A stage in lockstep ticks in `step`,
+    only while something plays; each tick that needs an answer waits for it.
 
     Parameters
     ----------
     backend : StageBackend
-        That the supervisor drives.
+        Backend that the supervisor drives.
     publish : callable
         Takes each `Block`.
     tell_stop, settle : callable
-        Called after the ticks, from the thread that ticks: to tell of a stop that there was
-        since, and to answer who waits for rest.
+        Called after the ticks, from the ticking thread: to report a stop that has occurred since,
+        and to answer the clients that wait for rest.
 
     Attributes
     ----------
     real_time : RealTime
-        What a paced stage has of the system while it is active.
+        Priority and memory of a paced stage while it is active.
     """
 
     def __init__(self, supervisor: StageSupervisor, backend: StageBackend,
@@ -52,21 +52,21 @@ class StageLoop:
 
     @property
     def engine(self) -> StageEngine:
-        """Of the present or last activation."""
+        """Engine of the present or last activation."""
         return self.supervisor.engine
 
     @property
     def active(self) -> bool:
-        """Whether the stage takes commands: it is active, and not being left."""
+        """Whether the stage accepts commands: it is active, and not being left."""
         return self.supervisor.active and not self._leaving
 
     def begin(self) -> None:
-        """Begin to tick, once the supervisor is active."""
+        """Start the ticks, once the supervisor is active."""
         self._failure = self._own_rest = None
         self._leaving = False
         if not self._settings.lockstep:
             self.real_time.begin()
-            # A daemon: a backend that never returns must not keep the process from its end.
+            # A daemon, as a backend that never returns must not prevent the process from ending.
             self._thread = threading.Thread(target=self._run, name="stage loop", daemon=True)
             self._thread.start()
 
@@ -76,7 +76,7 @@ class StageLoop:
         Raises
         ------
         Exception
-            Whatever ended the thread of a paced stage.
+            Any exception that ended the thread of a paced stage.
         """
         if self._failure is not None:
             raise self._failure
@@ -90,20 +90,20 @@ class StageLoop:
                 return min(IDLE_WAIT_S, self._answer_deadline_s - now_s)
         self._answer_deadline_s = None
         self._advance()
-        # Nobody has to be heard within a block that nobody has to answer.
+        # Commands need no attention within a block that nobody answers.
         while not self._published and self.supervisor.has_work and not self.engine.awaiting_answer:
             self._advance()
         return 0.0
 
     def watch(self) -> None:
-        """Look after the loop from another thread: what came since, whether the backend hangs."""
+        """Monitor the loop from another thread: new threads and commands, and a hanging backend."""
         self.supervisor.watch()
         self.real_time.raise_new_threads()
         if self.supervisor.hangs:
             self._begin_own_rest()
 
     def leave(self, cause: str) -> None:
-        """Return to rest, and stop the sample clock; return once that is done or given up."""
+        """Return to rest and stop the sample clock; return once that is done or given up."""
         supervisor = self.supervisor
         self._leaving = True
         supervisor.leave(cause)
@@ -126,7 +126,7 @@ class StageLoop:
             self.real_time.raise_loop()
             while self.supervisor.active:
                 self._advance()
-        except Exception as error:  # whatever it is: the main thread sees to it
+        except Exception as error:  # of any kind: the main thread handles it
             self._failure = error
 
     def _advance(self) -> None:
@@ -135,7 +135,7 @@ class StageLoop:
         self._tick()
         self._tell_stop()
         if self._settings.lockstep and supervisor.engine.idle and not was_idle:
-            # Time stands still from here on: the last block, at rest, tells that all is over.
+            # Time stops after this, so the last block must report that the stage is at rest.
             for _ in range(supervisor.engine.lead_ticks + 1 + supervisor.engine.holds_block):
                 self._tick()
         self._settle()
@@ -154,7 +154,7 @@ class StageLoop:
         self.supervisor.give_up(f"{cause} while its backend hung: cut the amplifier's supply")
 
     def _begin_own_rest(self) -> None:
-        """Ask a backend that hangs for its own way to rest, if it has one, and once."""
+        """Call a hanging backend's own return to rest, if it has one, once."""
         emergency_rest = getattr(self._backend, "emergency_rest", None)
         if self._own_rest is None and emergency_rest is not None:
             self._own_rest = threading.Thread(

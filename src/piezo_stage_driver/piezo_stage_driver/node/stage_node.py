@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The stage as a lifecycle node: one interface over every backend."""
+"""The stage as a lifecycle node: one interface for all backends."""
 
 import sys
 from collections.abc import Callable
@@ -42,7 +42,7 @@ FEEDBACK_WARNING_PERIOD_S = 1.0
 
 
 class StageNode(LifecycleNode):
-    """Publish what the stage measures, play what it is sent, within its limits.
+    """Publish the measurements of the stage and play the received voltages, within its limits.
 
     With ``timing`` *paced* the backend's clock drives the stage in a thread of its own.
     With *lockstep* stage time passes only while something plays, and each tick that
@@ -51,7 +51,7 @@ class StageNode(LifecycleNode):
     Parameters
     ----------
     create_backend : callable
-        Takes the node, returns a ``StageBackend``; called when the node is configured.
+        Takes the node and returns a ``StageBackend``; called when the node is configured.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class StageNode(LifecycleNode):
     # Lifecycle
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Make the backend, check the limits, and tell others of both."""
+        """Create the backend, check the limits, and publish the description."""
         try:
             backend = self._create_backend(self)
             if not self.settings.lockstep:
@@ -124,7 +124,7 @@ class StageNode(LifecycleNode):
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Let the backend go."""
+        """Release the backend."""
         self._outputs.withdraw_description()
         self._backend = self._loop = self._router.supervisor = None
         return TransitionCallbackReturn.SUCCESS
@@ -136,12 +136,12 @@ class StageNode(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def wind_down(self) -> bool:
-        """Return to rest; return whether the client of what was played knows."""
+        """Return to rest; return whether the client of the played program has its answer."""
         self._leave_active("the stage node was ended")
         return self._goals.answered
 
     def close(self) -> None:
-        """Let subscribers have the last samples before the process ends."""
+        """Wait until subscribers have received the last samples, before the process ends."""
         self._outputs.wait_for_delivery()
 
     def _leave_active(self, cause: str) -> None:
@@ -162,7 +162,7 @@ class StageNode(LifecycleNode):
         return wait_s
 
     def on_block(self, block: Block) -> None:
-        """Take part when a block is published; for stages that know more than they measure."""
+        """Called for each published block; for stages that know more than they measure."""
 
     def _publish(self, block: Block) -> None:
         engine = self._engine
@@ -172,7 +172,7 @@ class StageNode(LifecycleNode):
 
     @property
     def _engine(self) -> StageEngine:
-        """Of the stage that is configured."""
+        """Engine of the configured stage."""
         assert self._loop is not None
         return self._loop.engine
 
@@ -213,9 +213,9 @@ class StageNode(LifecycleNode):
 def run_stage(create_node: Callable[[], StageNode], args: list[str] | None = None) -> None:
     """Run a stage node; see ``run_node``.
 
-    No reader keeps the ticks of a paced stage waiting. In lockstep they wait for their readers
-    anyhow, and a thread that delivers would cost time in every tick. Of all nodes it is the last
-    that the kernel ends when memory runs out.
+    The ticks of a paced stage do not wait for subscribers. In lockstep they wait anyway, and a
+    delivering thread would cost time in every tick. The kernel ends this node last of all when
+    memory runs out.
     """
     if not arguments_set("timing", "lockstep", sys.argv if args is None else args):
         deliver_in_background()
@@ -223,13 +223,13 @@ def run_stage(create_node: Callable[[], StageNode], args: list[str] | None = Non
 
 
 def main(args: list[str] | None = None) -> None:
-    """Run the node ``stage`` over the backend that its parameters name."""
+    """Run the node ``stage`` with the backend that its parameters name."""
     run_stage(_create, args)
 
 
 def _create() -> StageNode:
     node = StageNode(_chosen_backend)
-    # A name that is unknown is refused now, not once somebody configures the stage.
+    # An unknown name is refused now rather than when the stage is configured.
     check_backend(_backend_name(node))
     return node
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the stage node publishes."""
+"""Topics that the stage node publishes."""
 
 import array
 import time
@@ -20,9 +20,9 @@ from piezo_stage_driver.engine.blocks import Block
 from piezo_stage_driver.node.stage_settings import StageSettings
 
 NANOSECONDS = 1_000_000_000
-# The middleware asks for acknowledgements every 3 s.
+# The middleware requests acknowledgements every 3 s.
 DELIVERY_TIMEOUT_S = 5.0
-# ROS itself gives a dead subscriber up after 20 s.
+# ROS gives up a dead subscriber after 20 s.
 LONGEST_HOLD_BACK_S = 30.0
 
 
@@ -34,7 +34,7 @@ class StageOutputs:
     epoch_ns : int
         ROS time of sample 0.
     axes : list of str
-        Names, where the stage has several.
+        Names of the axes, if there are several.
     """
 
     def __init__(self, node: Node, settings: StageSettings) -> None:
@@ -53,14 +53,14 @@ class StageOutputs:
         self._samples_since_joint_state = self._samples_since_clock = 0
 
     def describe(self, description: StageDescription) -> None:
-        """Tell what the stage is and allows, also to who asks later, until it is withdrawn."""
+        """Publish the description of the stage, also for later subscribers, until withdrawn."""
         self.axes = [axis.name for axis in description.axes]
         self._description = self._node.create_publisher(
             StageDescription, "stage/description", DESCRIPTION)
         self._description.publish(description)
 
     def withdraw_description(self) -> None:
-        """Tell nothing more of a stage that is not configured any more."""
+        """Withdraw the description of a stage that is no longer configured."""
         if self._description is not None:
             self._node.destroy_publisher(self._description)
             self._description = None
@@ -71,14 +71,14 @@ class StageOutputs:
         return Time(sec=nanoseconds // NANOSECONDS, nanosec=nanoseconds % NANOSECONDS)
 
     def publish_block(self, block: Block, next_sample: int, idle: bool) -> None:
-        """Publish a block, and what general tools want of it.
+        """Publish a block, together with the messages that general tools use.
 
         Parameters
         ----------
         next_sample : int
-            Of the clock, about to be played.
+            Next sample of the clock to be played.
         idle : bool
-            Whether nothing follows for now.
+            Whether nothing follows at present.
         """
         self.publish_samples(self._samples, SampleBlock(
             first_sample=block.first_sample, sample_period_s=block.sample_period_s,
@@ -98,7 +98,7 @@ class StageOutputs:
             self._publish_clock(self._clock, samples, next_sample, idle)
 
     def publish_samples(self, publisher: Publisher, message: SampleBlock) -> None:
-        """Publish; in lockstep wait for a subscriber that holds back, but not for ever."""
+        """Publish; in lockstep wait for a slow subscriber, for a limited time."""
         message.header.stamp = self.stamp(message.first_sample)
         message.header.frame_id = self._settings.joint_name
         patient = self._settings.lockstep and not self._losing_samples
@@ -138,18 +138,18 @@ class StageOutputs:
         clock.publish(Clock(clock=self.stamp(next_sample)))
 
     def publish_diagnostics(self, level: bytes, message: str, values: dict[str, object]) -> None:
-        """Publish how the stage is.
+        """Publish the status of the stage.
 
         Parameters
         ----------
         level : bytes
-            Of ``DiagnosticStatus``.
+            Level of ``DiagnosticStatus``.
         message : str
-            One line.
+            One line of text.
         """
         self._diagnostics.publish(diagnostic(
             self._node, "stage", level, message, values, self._settings.joint_name))
 
     def wait_for_delivery(self) -> None:
-        """Let subscribers have the last samples before the process ends."""
+        """Wait until subscribers have received the last samples, before the process ends."""
         self._samples.wait_for_all_acked(Duration(seconds=DELIVERY_TIMEOUT_S))

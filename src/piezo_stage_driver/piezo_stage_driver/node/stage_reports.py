@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Tell people and diagnostics how the stage is."""
+"""Reports of the stage's status to the log and to diagnostics."""
 
 from collections.abc import Callable
 
@@ -22,14 +22,14 @@ class StageReports:
     Parameters
     ----------
     loop : callable
-        Returns the `StageLoop` of the stage that is configured, or None.
+        Returns the `StageLoop` of the configured stage, or None.
 
     Attributes
     ----------
     latency : AnswerLatency
-        Of the answers since the stage was activated.
+        Latency of the answers since the stage was activated.
     tick_times : TickTimes or None
-        Of a stage at the pace of its backend's clock.
+        Timing of a stage that is paced by its backend's clock.
     """
 
     def __init__(self, node: Node, outputs: StageOutputs, latch: StopLatch,
@@ -40,7 +40,7 @@ class StageReports:
         self.tick_times: TickTimes | None = None
 
     def tell_stop(self) -> None:
-        """Say it where the stage has been stopped since; called from both threads."""
+        """Log a stop that has occurred since the last call; called from both threads."""
         cause, told = self._latch.cause, self._told_cause
         self._told_cause = cause
         if cause and cause != told:

@@ -26,16 +26,16 @@ from piezo_stage_driver.safety.transitions import Event
 
 
 class StageServices:
-    """Serve what clients ask of the stage; none of it keeps the executor waiting.
+    """Serve the requests of clients without blocking the executor.
 
     Parameters
     ----------
     node : rclpy.node.Node
-        That serves.
+        Node that offers the services.
     router : CommandRouter
-        Takes the commands and the stops.
+        Accepts the commands and the stops.
     emergency_stop_timeout_s : float
-        What a stop may take beyond the ramp to rest (s).
+        Time that a stop may take in addition to the ramp to rest (s).
     """
 
     def __init__(self, node: Node, router: CommandRouter,
@@ -44,7 +44,7 @@ class StageServices:
         self._stop_timeout_s = emergency_stop_timeout_s
         self._loads, self._laws, self._starts, self._replacements = (
             RequestMemory() for _ in range(4))
-        # Each with when it counts as failed, and how long that is after it was asked for (s).
+        # Each with its deadline, and the time from the request to it (s).
         self._stops: list[tuple[LateResponse, float, float]] = []
         self._lock = threading.Lock()
         for service_type, name, callback in (
@@ -54,13 +54,13 @@ class StageServices:
                 (StartTracking, "start_tracking", self._on_start_tracking),
                 (Trigger, "reset", self._on_reset)):
             create_late_service(node, service_type, name, callback)
-        # What leads to rest is better late than never.
+        # A late command that leads to rest is better than none.
         create_late_service(node, Trigger, "stop_tracking", self._on_stop_tracking, acts_late=True)
         create_late_service(
             node, Trigger, "emergency_stop", self._on_emergency_stop, acts_late=True)
 
     def settle(self) -> None:
-        """Answer the emergency stops that have ended, or have taken too long; from any thread."""
+        """Answer the emergency stops that have ended or taken too long; from any thread."""
         if not self._stops:
             return
         rest, possible = self._router.at_rest, self._router.can_come_to_rest
@@ -106,7 +106,7 @@ class StageServices:
         if self._laws.repeats(request.request_id, late):
             return
         try:
-            # Here, as the check takes longer than a tick may.
+            # Checked here, as this takes longer than a tick may.
             law = self._router.checked(law_of(request.law))
         except ValueError as error:
             self._refuse(late, "load_feedback", error)

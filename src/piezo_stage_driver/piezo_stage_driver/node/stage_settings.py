@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The parameters of the stage node, and what is made of them."""
+"""The parameters of the stage node, and the objects that are created from them."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -24,7 +24,7 @@ from piezo_stage_driver.safety.guards import (
 from piezo_stage_driver.safety.limits import AxesLimits, FeedbackLimits, VoltageLimits
 from piezo_stage_driver.safety.supervisor import StageSupervisor
 
-# Of the parameters: what `StageDescription` tells under the same names.
+# Parameters that `StageDescription` contains under the same names.
 DESCRIBED = (
     "timing", "sample_rate_hz", "samples_per_tick", "minimum_voltage_v", "maximum_voltage_v",
     "rest_voltage_v", "slew_limit_v_per_s", "ramp_rate_v_per_s", "max_feedback_v",
@@ -34,11 +34,11 @@ DESCRIBED = (
 NARROWEST = {
     "minimum_voltage_v": max, "maximum_voltage_v": min, "slew_limit_v_per_s": min,
     "ramp_rate_v_per_s": min, "minimum_displacement_um": max, "maximum_displacement_um": min}
-"""Which limit of several axes holds for all of them."""
+"""How a limit of all axes follows from the limits of the single axes."""
 
 
 class AxisSettings(NamedTuple):
-    """The parameters that each axis may have of its own, as in ``x.maximum_voltage_v``."""
+    """The parameters that may differ between axes, as in ``x.maximum_voltage_v``."""
 
     minimum_voltage_v: float
     maximum_voltage_v: float
@@ -53,20 +53,20 @@ class AxisSettings(NamedTuple):
 
     @property
     def limits(self) -> VoltageLimits:
-        """Return what voltage may reach the amplifier; LimitError where that is none."""
+        """Return the limits of the voltage; raise LimitError if no voltage is allowed."""
         return VoltageLimits(
             self.minimum_voltage_v, self.maximum_voltage_v, self.slew_limit_v_per_s)
 
     @property
     def guards(self) -> tuple[SensorGuard, ...]:
-        """Return guards of the sensor, which have examined nothing yet."""
+        """Return new guards of the sensor."""
         return (SensorRange(self.minimum_displacement_um, self.maximum_displacement_um),
                 SensorResponse(self.stuck_voltage_v, self.stuck_displacement_um),
                 SensorNoise(self.max_sensor_noise_um))
 
 
 class StageSettings:
-    """Declare the parameters of a node; an attribute holds each value under the same name."""
+    """Declare the parameters of a node, and keep each value in an attribute of the same name."""
 
     sample_rate_hz: float
     minimum_voltage_v: float
@@ -149,7 +149,7 @@ class StageSettings:
              choices=("paced", "lockstep"))
         take("lockstep_timeout_s", 10.0,
              "Wall time after which an answer counts as missed in lockstep (s).", 0.01, 600.0)
-        # In lockstep nobody looks at single milliseconds, and each message takes time of its own.
+        # In lockstep single milliseconds do not matter, and each message costs time.
         take("samples_per_block", 2000 if self.lockstep else 800,
              "Samples of one message of samples while nobody has to answer it; at least a tick.",
              1, 40000)
@@ -166,19 +166,19 @@ class StageSettings:
         return self.timing == "lockstep"
 
     def of_axes(self, axes: Sequence[str]) -> list[AxisSettings]:
-        """Return the settings of each axis, by default those of the stage; one without a name."""
+        """Return the settings of each axis, by default the stage's; a single axis has no name."""
         return [AxisSettings(*(
             declare(self._node, f"{axis}.{name}", getattr(self, name), *self._ranges[name])
             if axis else getattr(self, name) for name in AxisSettings._fields))
             for axis in axes or ("",)]
 
     def rest_v(self, axes: Sequence[str]) -> Volts:
-        """Return the voltage at rest, of each axis where there are several."""
+        """Return the voltage at rest, of each axis if there are several."""
         rests_v = np.array([own.rest_voltage_v for own in self.of_axes(axes)])
         return rests_v if axes else float(rests_v[0])
 
     def for_backend(self, file: str) -> BackendSettings:
-        """Return what a backend is told; ``file`` holds its own settings."""
+        """Return the settings for a backend; ``file`` holds its own settings."""
         return BackendSettings(
             file=file, sample_rate_hz=self.sample_rate_hz, samples_per_tick=self.samples_per_tick,
             minimum_voltage_v=self.minimum_voltage_v, maximum_voltage_v=self.maximum_voltage_v,
@@ -195,15 +195,15 @@ class StageSettings:
         LimitError
             If the limits contradict each other.
         """
-        # In lockstep time stands still after the last block, which tells that all is over.
-        # What plays stored waveforms begins with one only when all of it has been given.
+        # In lockstep time stops after the last block, which reports the end.
+        # A backend with stored waveforms begins to play one only when it is complete.
         lasting = self.lockstep or getattr(backend, "longest_program_samples", None) is not None
         closing_ticks = self._lead_ticks(backend) + 1 if lasting else 0
         return StageSupervisor(backend, self.create_engine, latch, self.max_foreign_feedback,
                                self.exchange_timeout_s, closing_ticks=closing_ticks)
 
     def description(self, backend: StageBackend) -> StageDescription:
-        """Return what other nodes are told of the stage over a backend."""
+        """Return the description of the stage for other nodes."""
         names = getattr(backend, "axes", ())
         settings = self.of_axes(names)
         described = {name: getattr(self, name) for name in DESCRIBED} | {
@@ -220,7 +220,7 @@ class StageSettings:
         return getattr(backend, "lead_samples", 0) // self.samples_per_tick
 
     def create_engine(self, backend: StageBackend, latch: StopLatch) -> StageEngine:
-        """Return an engine that drives the backend within the limits, under every guard.
+        """Return an engine that drives the backend within the limits and with all guards.
 
         Raises
         ------

@@ -41,11 +41,11 @@ class WaveformGoal:
 
     @property
     def cancelled(self) -> bool:
-        """Whether the client has asked for its end."""
+        """Whether the client has requested its end."""
         return self.handle.is_cancel_requested
 
     def begin(self, value: tuple[int, int], error: ValueError | None) -> None:
-        """Take the answer to the command."""
+        """Handle the answer to the command."""
         if error is not None:
             self.refused = True
             self._finish(f"waveform refused: {error}")
@@ -53,7 +53,7 @@ class WaveformGoal:
             self._result.first_sample, self._result.samples = value
 
     def attend(self, engine: StageEngine) -> None:
-        """Tell how far it is: now and then, and of each phase, however short it is."""
+        """Report the progress from time to time, and each new phase, however short."""
         (phase, told_s), now_s = self._told, time.monotonic()
         if phase == engine.phase_name and now_s - told_s < PROGRESS_PERIOD_S:
             return
@@ -63,19 +63,19 @@ class WaveformGoal:
             seconds_left=float(engine.seconds_left)))
 
     def end(self, cause: str, last_sample: int) -> None:
-        """Take the end; the cause is empty where the waveform was played to its end."""
+        """Handle the end; the cause is empty if the waveform was played to its end."""
         self._result.last_sample = last_sample
         self._finish(cause)
 
     def _finish(self, message: str) -> None:
-        # rclpy ends the process where a goal is answered twice.
+        # rclpy ends the process if a goal is answered twice.
         if self._answered.acquire(blocking=False):
             self._result.message, self._result.success = message, not message
             self._answer(self, self._result)
 
 
 class WaveformGoals:
-    """Serve the action: one goal at a time, the others are refused.
+    """Serve the action: one goal at a time; others are refused.
 
     Parameters
     ----------
@@ -94,11 +94,11 @@ class WaveformGoals:
 
     @property
     def answered(self) -> bool:
-        """Whether the client of every goal that ended knows."""
+        """Whether the clients of all goals that ended have their answers."""
         return self._open_answers.none
 
     def _examine(self, goal: PlayWaveform.Goal) -> GoalResponse:
-        """Take every goal, whose result tells why it is refused, unless nobody waits for it."""
+        """Accept every goal whose client waits, so that its result can explain a refusal."""
         reason = why_too_late(goal)
         if reason:
             self._node.get_logger().warning(f"waveform rejected: {reason}")
@@ -113,7 +113,7 @@ class WaveformGoals:
             on_done=goal.begin, goal=goal))
 
     def _answer(self, goal: WaveformGoal, result: PlayWaveform.Result) -> None:
-        """Execute a goal now that it is over: the executor polls, busily, a goal that waits."""
+        """Execute a goal when it is over, as the executor polls a goal that waits."""
         if goal.refused:
             self._node.get_logger().warning(result.message)
         executor = self._node.executor

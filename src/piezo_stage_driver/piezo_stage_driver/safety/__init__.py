@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What stands between every client and the amplifier: limits, guards, and the supervisor."""
+"""Protection of the amplifier from every client: limits, guards, and the supervisor."""

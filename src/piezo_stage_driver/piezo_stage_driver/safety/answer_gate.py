@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Whose feedback answers may act: those that bear the number of the present run."""
+"""Filter of feedback answers: only those with the number of the present run may act."""
 
 import secrets
 
@@ -8,24 +8,24 @@ FIRST_RUN_BITS = 32
 
 
 class AnswerGate:
-    """Tell the answers of the client that the stage tracks for from those of others.
+    """Distinguish answers of the client that the stage tracks for from those of others.
 
-    Runs are numbered from a random number on, so that an answer for a stage that was started
-    again is not taken for one of its new runs.
+    Numbering of the runs starts at random, so that an answer to a stage before a restart does not
+    match one of its new runs.
 
     Parameters
     ----------
     max_foreign : int
-        More foreign answers in a run stop the stage.
+        Largest number of foreign answers in a run; more stop the stage.
 
     Attributes
     ----------
     run : int
         Number of the present run.
     foreign : int
-        Answers of others in this run.
+        Number of answers of other clients in this run.
     stale : int
-        Answers of the runs before, which are let go without complaint.
+        Number of answers for earlier runs, which are ignored.
     """
 
     def __init__(self, max_foreign: int = 0):
@@ -36,7 +36,7 @@ class AnswerGate:
 
     @property
     def cause(self) -> str:
-        """Tell why the stage must stop; empty where it need not."""
+        """Return why the stage must stop; empty if it need not."""
         if self.foreign <= self._max_foreign:
             return ""
         return (f"{self.foreign} feedback answer(s) came from others than the client that the "
@@ -50,14 +50,14 @@ class AnswerGate:
         return self.run
 
     def admits(self, run: int, alone: bool) -> bool:
-        """Tell whether an answer may act.
+        """Return whether an answer may act.
 
         Parameters
         ----------
         run : int
-            That it bears; 0 where it bears none.
+            Run number of the answer; 0 if it has none.
         alone : bool
-            Whether one node alone publishes feedback.
+            Whether a single node publishes feedback.
         """
         if run == self.run:
             self._numbered = True

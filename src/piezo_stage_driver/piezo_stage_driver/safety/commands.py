@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Commands on their way to the loop that drives the stage: each acts once, or never."""
+"""Commands to the loop that drives the stage: each acts once, or never."""
 
 import math
 import threading
@@ -16,23 +16,23 @@ if TYPE_CHECKING:
 
 
 class Command:
-    """What a client asks for, until it has acted or been refused; one of both, and once.
+    """A request of a client, which either acts or is refused, once.
 
     Parameters
     ----------
     event : Event
-        That it is; one of `transitions.COMMANDS`.
+        Event of the command, one of `transitions.COMMANDS`.
     act : callable
-        Calls what it asks for, of the `StageCommands` that it is given.
+        Calls the requested method of the `StageCommands` that it is given.
     on_done : callable
-        ``on_done(value, error)``: what `act` returned, or the ValueError that refuses the command.
+        ``on_done(value, error)``: result of `act`, or the ValueError that refuses the command.
         Called once, in whichever thread decides.
     goal : Goal, optional
-        Of a waveform.
+        Goal of a waveform.
     run : int, optional
-        Number of the run that alone it may act in.
+        Number of the only run in which it may act.
     asked_s : float
-        When a reset was asked for, by the monotonic clock (s); see `StopLatch.reset`.
+        Time of the request of a reset by the monotonic clock (s); see `StopLatch.reset`.
     """
 
     def __init__(self, event: Event, act: Callable[["StageCommands"], Any], *,
@@ -45,15 +45,15 @@ class Command:
         self._claim = threading.Lock()
 
     def claim(self) -> bool:
-        """Tell whether the caller, and nobody before, may now run or refuse the command."""
+        """Return True for the first caller, which alone may then run or refuse the command."""
         return self._claim.acquire(blocking=False)
 
     def finish(self, value: Any = None, error: ValueError | None = None) -> None:
-        """Tell the client; for who has claimed the command."""
+        """Report the outcome to the client; only for the claimant of the command."""
         self._on_done(value, error)
 
     def reset(self, latch: StopLatch) -> None:
-        """Reset a latch of a stage that is not active; for who has claimed the command."""
+        """Reset a latch of a stage that is not active; only for the claimant of the command."""
         try:
             latch.reset(self.asked_s)
         except ValueError as error:
@@ -63,12 +63,12 @@ class Command:
 
 
 class CommandQueue:
-    """Commands in the order in which they came.
+    """Commands in the order of their arrival.
 
     Parameters
     ----------
     timeout_s : float
-        A command that has waited for longer is refused and never runs.
+        A command that has waited longer is refused and never runs (s).
     clock : callable
         Returns the time (s).
     """
@@ -78,12 +78,12 @@ class CommandQueue:
         self._commands: deque[Command] = deque()
 
     def put(self, command: Command) -> None:
-        """Let a command wait for the loop."""
+        """Add a command to the queue."""
         command.expires_s = self._clock() + self._timeout_s
         self._commands.append(command)
 
     def take(self) -> Command | None:
-        """Claim the next command that may still run; None where there is none."""
+        """Claim the next command that may still run; None if there is none."""
         self.expire()
         while self._commands:
             try:
@@ -95,7 +95,7 @@ class CommandQueue:
         return None
 
     def expire(self) -> None:
-        """Refuse what has waited too long."""
+        """Refuse the commands that have waited too long."""
         now_s = self._clock()
         for command in list(self._commands):
             if command.expires_s <= now_s and command.claim():
@@ -104,7 +104,7 @@ class CommandQueue:
                     "act any more; look at the stage's diagnostics, then ask again"))
 
     def drain(self, reason: str) -> None:
-        """Refuse everything that waits."""
+        """Refuse all commands in the queue."""
         while self._commands:
             try:
                 command = self._commands.popleft()

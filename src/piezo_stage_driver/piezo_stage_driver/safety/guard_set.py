@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Every guard of a stage, examined together."""
+"""All guards of a stage together."""
 
 from collections.abc import Mapping, Sequence
 
@@ -12,15 +12,15 @@ SensorGuards = Sequence[SensorGuard] | Mapping[str, Sequence[SensorGuard]]
 
 
 class GuardSet:
-    """Ask every guard, and tell the first cause of a stop.
+    """Examine with all guards, and report the first cause of a stop.
 
     Parameters
     ----------
     sensor_guards : sequence of SensorGuard, or dict of str to such sequences
-        Examine every stretch of samples; where the stage has several axes, those of each by its
-        name, in the order of the columns.
+        Guards that examine every stretch of samples; for several axes those of each axis by
+        its name, in the order of the columns.
     feedback_guard : FeedbackOscillation, optional
-        Examines every answer before it acts.
+        Guard that examines every answer before it acts.
     """
 
     def __init__(self, sensor_guards: SensorGuards = (),
@@ -30,7 +30,7 @@ class GuardSet:
         self._feedback_guard = feedback_guard
 
     def begin(self) -> None:
-        """Forget what was examined so far; called when a program begins."""
+        """Reset the guards; called when a program begins."""
         for guards in self._by_axis.values():
             for guard in guards:
                 guard.begin()
@@ -38,12 +38,12 @@ class GuardSet:
             self._feedback_guard.begin()
 
     def examine_feedback(self, voltage_v: float) -> str:
-        """Say what is wrong with the feedback (V) that is to act next; empty if nothing is."""
+        """Return what is wrong with the next feedback (V); empty if nothing is."""
         return self._feedback_guard.examine(voltage_v) if self._feedback_guard else ""
 
     def examine_samples(self, voltage_v: np.ndarray, displacement_um: np.ndarray,
                         samples_per_tick: int) -> str:
-        """Say what is wrong with samples of whole ticks; empty if nothing is.
+        """Return what is wrong with samples of whole ticks; empty if nothing is.
 
         Parameters
         ----------
@@ -53,7 +53,7 @@ class GuardSet:
         for (axis, guards), of_axis_v, of_axis_um in zip(
                 self._by_axis.items(), columns(voltage_v), columns(displacement_um), strict=True):
             stretch = Stretch.of(of_axis_v, of_axis_um, samples_per_tick)
-            # Each guard sees every stretch, whatever another one finds.
+            # Each guard must examine every stretch, also after another one has found a cause.
             causes += [f"{axis}: {cause}" if cause and axis else cause
                        for cause in [guard.examine(stretch) for guard in guards]]
         return next(filter(None, causes), "")

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What stops the stage by itself: each guard looks at what happens and says what is wrong.
+"""Guards that stop the stage: each examines what happens and reports a fault.
 
-A guard of the sensor examines every stretch of samples, the guard of the feedback every
-answer before it acts. Their answer is empty, or the cause of a stop.
+A guard of the sensor examines every stretch of samples; the guard of the feedback examines
+every answer before it acts. The result is empty, or the cause of a stop.
 """
 
 import math
@@ -16,14 +16,14 @@ import numpy as np
 from piezo_stage_driver.engine.program import StageRefusal
 from piezo_stage_driver.safety.sample_kernels import extremes, fourth_difference, tick_means
 
-# Of the sample clock. Single samples far off are glitches, not the loss of the sensor.
+# In samples of the clock. Single outliers are glitches, not the loss of the sensor.
 RANGE_PATIENCE_SAMPLES = 20
 NOISE_PATIENCE_SAMPLES = 400
 RESPONSE_PATIENCE_SAMPLES = 800
 
 
 class StopLatch:
-    """Keep why the stage is stopped, until somebody resets it; any thread may stop it.
+    """Store the cause of a stop until it is reset; any thread may stop the stage.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class StopLatch:
     Attributes
     ----------
     cause : str
-        Of the first stop; empty where there was none.
+        Cause of the first stop; empty if there was none.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -42,21 +42,22 @@ class StopLatch:
         self._lock = threading.Lock()
 
     def stop(self, cause: str) -> None:
-        """Keep the cause, unless one is kept already."""
+        """Store the cause, unless there is one already."""
         with self._lock:
             self.cause, self._stopped_s = self.cause or cause, self._clock()
 
     def reset(self, asked_s: float = math.inf) -> None:
-        """Forget the cause.
+        """Clear the cause.
 
         Parameters
         ----------
         asked_s : float
-            When somebody asked for it (s): who did so before the last stop did not mean that.
+            Time of the request (s); a request from before the last stop is refused.
 
         Raises
         ------
         StageRefusal
+            If the request is older than the last stop.
         """
         with self._lock:
             if self.cause and asked_s < self._stopped_s:
@@ -66,15 +67,15 @@ class StopLatch:
 
 
 class Stretch(NamedTuple):
-    """Hold what the stage played and measured since the guards looked last.
+    """Voltages and displacements since the last examination.
 
     Attributes
     ----------
     voltage_v : ndarray, shape (ticks,)
-        Mean over each tick.
+        Mean voltage over each tick.
     displacement_um : ndarray, shape (n,)
     lowest_um, highest_um : float
-        Of the displacement.
+        Extremes of the displacement.
     """
 
     voltage_v: np.ndarray
@@ -85,28 +86,28 @@ class Stretch(NamedTuple):
     @classmethod
     def of(cls, voltage_v: np.ndarray, displacement_um: np.ndarray,
            samples_per_tick: int) -> "Stretch":
-        """Make a stretch of samples, shape (n,), of whole ticks."""
+        """Return a stretch of samples, shape (n,), of whole ticks."""
         return cls(tick_means(voltage_v, samples_per_tick), displacement_um,
                    *extremes(displacement_um))
 
 
 class SensorGuard(Protocol):
-    """What examines every stretch of samples, and says what is wrong."""
+    """Interface of a guard that examines every stretch of samples."""
 
     def begin(self) -> None:
-        """Forget what was examined so far."""
+        """Reset the guard."""
 
     def examine(self, stretch: Stretch) -> str:
-        """Say what is wrong with a `Stretch`; empty if nothing is."""
+        """Return what is wrong with a `Stretch`; empty if nothing is."""
 
 
 class SensorRange:
-    """Object to a reading that is no number, or outside the range of the sensor.
+    """Detect a reading that is not a number, or outside the range of the sensor.
 
     Parameters
     ----------
     minimum_um, maximum_um : float
-        What the stage can reach, and a margin.
+        Range that the stage can reach, with a margin.
     """
 
     def __init__(self, minimum_um: float, maximum_um: float):
@@ -114,11 +115,11 @@ class SensorRange:
         self.begin()
 
     def begin(self) -> None:
-        """Forget what was examined so far."""
+        """Reset the guard."""
         self._outside_samples = 0
 
     def examine(self, stretch: Stretch) -> str:
-        """Say what is wrong with a `Stretch`; empty if nothing is."""
+        """Return what is wrong with a `Stretch`; empty if nothing is."""
         if not (math.isfinite(stretch.lowest_um) and math.isfinite(stretch.highest_um)):
             return "the sensor's reading is not a number"
         if self._minimum_um <= stretch.lowest_um and stretch.highest_um <= self._maximum_um:
@@ -134,16 +135,16 @@ class SensorRange:
 
 
 class SensorResponse:
-    """Object to a reading that does not move when the voltage does.
+    """Detect a reading that does not change when the voltage does.
 
-    It is compared from tick to tick: a stage need not follow what is faster.
+    Changes are compared from tick to tick, as a stage need not follow faster ones.
 
     Parameters
     ----------
     voltage_v : float
-        Change of the voltage that must move the stage; more than its backlash takes.
+        Change of the voltage that must move the stage; larger than its backlash.
     displacement_um : float
-        Change of the reading that counts as a response; more than its noise.
+        Change of the reading that counts as a response; larger than its noise.
     """
 
     def __init__(self, voltage_v: float = 20.0, displacement_um: float = 0.4):
@@ -151,13 +152,13 @@ class SensorResponse:
         self.begin()
 
     def begin(self) -> None:
-        """Forget what was examined so far."""
+        """Reset the guard."""
         self._waited_samples = 0
         self._lowest_v = self._lowest_um = math.inf
         self._highest_v = self._highest_um = -math.inf
 
     def examine(self, stretch: Stretch) -> str:
-        """Say what is wrong with a `Stretch`; empty if nothing is."""
+        """Return what is wrong with a `Stretch`; empty if nothing is."""
         lowest_v, highest_v = extremes(stretch.voltage_v)
         self._lowest_v = min(self._lowest_v, lowest_v)
         self._highest_v = max(self._highest_v, highest_v)
@@ -175,26 +176,26 @@ class SensorResponse:
 
 
 class SensorNoise:
-    """Object to a reading whose noise is far above normal.
+    """Detect a reading with far more noise than normal.
 
-    It is estimated from fourth differences, to which the stage's own motion is smooth.
+    The noise is estimated from fourth differences, in which the motion of the stage is negligible.
     """
 
     WEIGHTS = np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 
     def __init__(self, largest_rms_um: float):
         self._largest_rms_um = largest_rms_um
-        # Of normal noise, from the mean of the absolute fourth difference to its RMS.
+        # Ratio of the rms of normal noise to the mean of its absolute fourth difference.
         self._scale = math.sqrt(np.pi / 2.0) / float(np.linalg.norm(self.WEIGHTS))
         self.begin()
 
     def begin(self) -> None:
-        """Forget what was examined so far."""
+        """Reset the guard."""
         self._noisy_samples = 0
         self._tail_um = np.empty(0)
 
     def examine(self, stretch: Stretch) -> str:
-        """Say what is wrong with a `Stretch`; empty if nothing is."""
+        """Return what is wrong with a `Stretch`; empty if nothing is."""
         readings_um = stretch.displacement_um
         if len(readings_um) < 2 * len(self.WEIGHTS):
             readings_um = np.r_[self._tail_um, readings_um]
@@ -211,29 +212,29 @@ class SensorNoise:
 
 
 class FeedbackOscillation:
-    """Object to feedback that oscillates with a growing amplitude.
+    """Detect feedback that oscillates with a growing amplitude.
 
-    A loop that is not stable swings with a half period of a few ticks, each swing larger than
-    all before: by little, or several times as large twice in a row. What swings as slowly as most
-    references, keeps its size, or is large from its first swing on, is let pass; a reference of
-    many fast tones that only feedback follows may be taken for growth.
+    An unstable loop oscillates with a half period of a few ticks. Each swing is larger than all
+    before, either by a little, or several times as large twice in a row. Swings that are as slow as
+    most references, keep their size, or are large from the beginning are accepted. A reference of
+    many fast tones that only feedback follows may be mistaken for growth.
 
     Parameters
     ----------
     limit_v : float
-        Swing from peak to peak that is never let pass while it grows.
+        Peak-to-peak swing above which a growing oscillation stops the stage (V).
     """
 
     LONGEST_HALF_PERIOD_TICKS = 8
-    # From where a growth began to where it is stopped, and what is a new start in one swing.
+    # Growth that stops the stage, and ratio of two swings above which the growth begins anew.
     GROWTH, LEAP = 6.0, 20.0
-    # Swings that grew before the one that is stopped.
+    # Number of growing swings before the one that is stopped.
     GROWN_SWINGS = 2
-    # Of the largest swing: less than this in between is no growth from swing to swing.
+    # Part of the largest swing; a smaller one in between ends the growth.
     LULL = 0.5
-    # From swing to swing, twice in a row. A reference that begins gives once any, then 2.
+    # Ratio of two swings, twice in a row. A beginning reference has any ratio once, then 2.
     STEEP_GROWTH = 4.0
-    # Of a swing: what leads back by less is no turn but noise.
+    # Part of a swing; a smaller change back is noise, not a turn.
     TURN = 0.1
 
     _begun_v: float
@@ -245,7 +246,7 @@ class FeedbackOscillation:
         self.begin()
 
     def begin(self) -> None:
-        """Forget what was examined so far."""
+        """Reset the guard."""
         self._turn_v = self._extreme_v = self._last_swing_v = 0.0
         self._ticks = 0
         self._steep = False
@@ -253,7 +254,7 @@ class FeedbackOscillation:
         self._restart(0.0)
 
     def examine(self, voltage_v: float) -> str:
-        """Say what is wrong with the feedback that is to act next; empty if nothing is."""
+        """Return what is wrong with the next feedback; empty if nothing is."""
         self._ticks += 1
         change_v = voltage_v - self._extreme_v
         if change_v > 0.0 if self._rises else change_v < 0.0:
@@ -296,6 +297,6 @@ class FeedbackOscillation:
         self._rises = not self._rises
 
     def _restart(self, swing_v: float) -> None:
-        """Look for growth from here on."""
+        """Restart the search for growth."""
         self._begun_v = self._largest_v = swing_v
         self._grown_swings = 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What stops a feedback law whose declared model is not the stage's."""
+"""A guard that stops a feedback law whose declared model does not match the stage."""
 
 from collections import deque
 
@@ -8,16 +8,16 @@ import numpy as np
 from piezo_models.feedback_law.feedback_law import FeedbackLaw
 from piezo_models.feedback_law.law_check import OTHER_GAIN
 
-# Less travel of the voltage tells no gain, beside the sensor's noise.
+# With less travel of the voltage the gain cannot be distinguished from the sensor's noise.
 LEAST_TRAVEL_V = 5.0
-# Before anything is fed back; earlier the past of the hysteresis may not be known yet.
+# Ticks before the feedback begins; before them the memory of the hysteresis may be unknown.
 WATCHED_TICKS = 50
 
 
 class LawGuard:
     """Compare a stage with the model that a law declares, then watch the error of the law.
 
-    Before anything is fed back the stage moves by its feedforward, which tells its gain. A law
+    Before the feedback begins, the stage is moved by its feedforward, which reveals its gain. A law
     that was designed for another gain is stopped before it acts.
     """
 
@@ -31,7 +31,7 @@ class LawGuard:
         self._bound_um: float | None = None
 
     def of_next(self, law: FeedbackLaw) -> "LawGuard":
-        """Return the guard of a law that goes on in this one's place, and is watched as closely."""
+        """Return the guard of a law that replaces this one during a run, with the same state."""
         guard = LawGuard(law)
         guard._max_error_um = min(guard._max_error_um, self._max_error_um)
         guard._errors_um, guard._lowest, guard._highest = (
@@ -39,14 +39,14 @@ class LawGuard:
         return guard
 
     def watch(self, voltage_v: np.ndarray, displacement_um: np.ndarray, error_um: float) -> None:
-        """Take a tick before anything is fed back: its samples, shape (n,), and mean error."""
+        """Take the samples, shape (n,), and the mean error of a tick before the feedback begins."""
         means = np.array((voltage_v.mean(), displacement_um.mean()))
         self._lowest = np.minimum(self._lowest, means)
         self._highest = np.maximum(self._highest, means)
         self._errors_um.append(abs(error_um))
 
     def examine(self, error_um: float) -> str:
-        """Say what is wrong with the mean error of a tick that is fed back; empty if nothing is."""
+        """Return what is wrong with the mean error of a tick with feedback; empty if nothing is."""
         if self._bound_um is None:
             self._bound_um = max(self._errors_um) + self._max_error_um
             cause = self._compare_gain()

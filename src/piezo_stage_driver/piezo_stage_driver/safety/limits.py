@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What voltage may reach the amplifier."""
+"""Limits of the voltage that may reach the amplifier."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -28,26 +28,26 @@ class LimitError(ValueError):
 
 
 class Limits(Protocol):
-    """What the stage enforces under every client: `VoltageLimits`, or `AxesLimits`."""
+    """Limits that the stage enforces for every client: `VoltageLimits`, or `AxesLimits`."""
 
     @property
     def slew_v_per_s(self) -> Any:
-        """Return the slew limit, of each axis where there are several (V/s)."""
+        """Return the slew limit (V/s), of each axis if there are several."""
 
     def check_rest(self, rest_voltage_v: Any) -> None:
-        """Refuse a rest voltage outside the range, by a `LimitError`."""
+        """Raise `LimitError` if a rest voltage is outside the range."""
 
     def check(self, voltage_v: np.ndarray, sample_period_s: float, previous_v: Any = None) -> None:
-        """Refuse voltages that leave the range or jump, by a `LimitError`."""
+        """Raise `LimitError` if voltages leave the range or jump."""
 
     def apply(self, voltage_v: np.ndarray, previous_v: Any,
               sample_period_s: float) -> tuple[np.ndarray, int]:
-        """Return voltages held within the limits, and the flags where these took effect."""
+        """Return voltages held within the limits, and the flags of the limits that took effect."""
 
 
 @dataclass(frozen=True)
 class VoltageLimits:
-    """Range and slew rate that the stage enforces under every client.
+    """Range and slew rate that the stage enforces for every client.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class VoltageLimits:
                              "let minimum_voltage_v be below maximum_voltage_v")
 
     def check_rest(self, rest_voltage_v: float) -> None:
-        """Refuse a rest voltage outside the range.
+        """Raise if a rest voltage is outside the range.
 
         Raises
         ------
@@ -80,20 +80,20 @@ class VoltageLimits:
 
     def check(self, voltage_v: npt.ArrayLike, sample_period_s: float,
               previous_v: float | None = None) -> None:
-        """Refuse a voltage sequence that leaves the range or jumps.
+        """Raise if a voltage sequence leaves the range or jumps.
 
         Parameters
         ----------
         voltage_v : ndarray, shape (n,)
         sample_period_s : float
-            Period of the sample clock: a change takes place within one sample (s).
+            Period of the sample clock (s); a change takes place within one sample.
         previous_v : float, optional
             Voltage before the first sample.
 
         Raises
         ------
         LimitError
-            Names the first sample at fault.
+            The message names the first invalid sample.
         """
         voltage_v = np.asarray(voltage_v, dtype=float)
         if voltage_v.size == 0:
@@ -117,7 +117,7 @@ class VoltageLimits:
                 f"{largest_step_v:.4g} V that the slew limit allows: make the change slower")
 
     def check_start(self, voltage_v: float, present_v: float, largest_step_v: float) -> None:
-        """Refuse a first voltage that the stage would have to jump to.
+        """Raise if the stage would have to jump to a first voltage.
 
         Raises
         ------
@@ -131,7 +131,7 @@ class VoltageLimits:
 
     def apply(self, voltage_v: np.ndarray, previous_v: float,
               sample_period_s: float) -> tuple[np.ndarray, int]:
-        """Hold a voltage within the limits; what is not a number holds the voltage before it.
+        """Hold a voltage within the limits; NaN is replaced by the voltage before it.
 
         Parameters
         ----------
@@ -145,21 +145,17 @@ class VoltageLimits:
         -------
         limited_v : ndarray, shape (n,)
         flags : int
-            ``FLAG_RANGE_LIMITED`` and ``FLAG_SLEW_LIMITED`` where they took effect.
+            ``FLAG_RANGE_LIMITED`` and ``FLAG_SLEW_LIMITED`` if they took effect.
         """
         return hold_within(np.asarray(voltage_v, dtype=float), previous_v, self.minimum_v,
                            self.maximum_v, self.slew_v_per_s * sample_period_s * (1 + 1e-9))
 
 
 class AxesLimits:
-    """The limits of several axes: each is held within its own, and named where it leaves them.
+    """The limits of several axes; the message of an error names the axis.
 
-    The methods are those of `VoltageLimits`, for voltages of all axes in the order of the names,
-    shape (n, axes), or (axes,) where those take one voltage.
-
-    Parameters
-    ----------
-    by_axis : dict of str to VoltageLimits
+    The methods are those of `VoltageLimits`, for voltages of all axes in the order of the names:
+    shape (n, axes), or (axes,) instead of a single voltage.
     """
 
     def __init__(self, by_axis: Mapping[str, VoltageLimits]) -> None:
@@ -171,14 +167,14 @@ class AxesLimits:
         return np.array([limits.slew_v_per_s for limits in self._by_axis.values()])
 
     def check_rest(self, rest_voltage_v: np.ndarray) -> None:
-        """Refuse a rest voltage outside the range, by a `LimitError`."""
+        """Raise `LimitError` if a rest voltage is outside the range."""
         for (axis, limits), rest_v in zip(self._by_axis.items(), rest_voltage_v, strict=True):
             with _named(axis):
                 limits.check_rest(rest_v)
 
     def check(self, voltage_v: np.ndarray, sample_period_s: float,
               previous_v: np.ndarray | None = None) -> None:
-        """Refuse voltages that leave the range or jump, by a `LimitError`."""
+        """Raise `LimitError` if voltages leave the range or jump."""
         if voltage_v.shape[1:] != (len(self._by_axis),):
             raise LimitError(f"the voltages have the shape {voltage_v.shape}: give a column for "
                              f"{' and '.join(self._by_axis)}")
@@ -189,7 +185,7 @@ class AxesLimits:
 
     def apply(self, voltage_v: np.ndarray, previous_v: np.ndarray,
               sample_period_s: float) -> tuple[np.ndarray, int]:
-        """Hold voltages within the limits; the flags are those of any axis."""
+        """Hold voltages within the limits; return the combined flags of all axes."""
         limited_v, flags = zip(*(
             limits.apply(of_axis_v, last_v, sample_period_s) for limits, of_axis_v, last_v in zip(
                 self._by_axis.values(), columns(voltage_v), previous_v, strict=True)), strict=True)
@@ -198,7 +194,7 @@ class AxesLimits:
 
 @contextmanager
 def _named(axis: str) -> Iterator[None]:
-    """Put the name of an axis in front of what is refused."""
+    """Prefix the message of a `LimitError` with the name of an axis."""
     try:
         yield
     except LimitError as refused:
@@ -207,16 +203,16 @@ def _named(axis: str) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class FeedbackLimits:
-    """What one feedback answer may ask for, whoever sends it.
+    """Limits of a single feedback answer of any client.
 
     Attributes
     ----------
     maximum_v : float
-        An answer beyond it, of either sign, does not act (V).
+        An answer above this, of either sign, does not act (V).
     maximum_step_v : float
         Largest change of the feedback from one tick to the next (V).
     patience : int
-        More answers in a row that had to be limited stop the stage.
+        Largest number of consecutive limited answers; more stop the stage.
     """
 
     maximum_v: float = math.inf
@@ -224,7 +220,7 @@ class FeedbackLimits:
     patience: int = 3
 
     def apply(self, voltage_v: float, previous_v: float) -> tuple[float, bool]:
-        """Return what an answer may do, and whether that is less than it asks for.
+        """Return the feedback that an answer may cause, and whether it was limited.
 
         Parameters
         ----------

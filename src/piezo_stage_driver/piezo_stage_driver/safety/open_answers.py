@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How many clients still wait for an answer that is on its way."""
+"""Count of the answers that clients still wait for."""
 
 import threading
 
 
 class OpenAnswers:
-    """Count answers that have begun and not yet ended; any thread may do both."""
+    """Count answers that have begun and not yet ended; safe to use from any thread."""
 
     def __init__(self) -> None:
         self._open = 0
@@ -13,11 +13,11 @@ class OpenAnswers:
 
     @property
     def none(self) -> bool:
-        """Tell whether every answer that has begun was given."""
+        """Return whether every answer that has begun was given."""
         return self._open == 0
 
     def begin(self) -> None:
-        """Count an answer that is on its way."""
+        """Count an answer that has begun."""
         self._count(1)
 
     def end(self) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Requests that come twice act once: the second gets the answer of the first."""
+"""Detection of repeated requests: the second one gets the answer of the first."""
 
 from collections import OrderedDict
 from typing import Any, Protocol
@@ -9,27 +9,27 @@ WITHOUT_NUMBER = 0
 
 
 class Late(Protocol):
-    """A response that is still to be given."""
+    """A response that has not been given yet."""
 
     def share(self, other: Any) -> None:
         """Give the same response to another call of the same request."""
 
 
 class RequestMemory:
-    """Responses to the last requests that bore a number."""
+    """Responses to the last requests that had a number."""
 
     def __init__(self) -> None:
         self._late: OrderedDict[int, Late] = OrderedDict()
 
     def repeats(self, number: int, late: Late) -> bool:
-        """Tell whether a request has been met before; it then gets the answer of the first.
+        """Return whether a request is a repetition; it then gets the answer of the first.
 
         Parameters
         ----------
         number : int
-            That the client gave the request; 0 where it gave none.
+            Number that the client gave the request; 0 if it gave none.
         late : LateResponse
-            Of this call.
+            Response of this call.
         """
         if number == WITHOUT_NUMBER:
             return False

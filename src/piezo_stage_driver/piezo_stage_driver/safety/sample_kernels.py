@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is done with every sample of a tick, compiled, as calls of NumPy would take longer."""
+"""Compiled operations on every sample of a tick, for which NumPy would take longer."""
 
 import math
 
@@ -15,7 +15,7 @@ FLAG_SLEW_LIMITED = 2
 @njit(cache=True)
 def hold_within(wanted_v: FloatArray, previous_v: float, minimum_v: float, maximum_v: float,
                 step_v: float) -> tuple[FloatArray, int]:
-    """Hold voltages within a range and a slew; what is no number holds the number before it.
+    """Hold voltages within a range and a slew; NaN is replaced by the voltage before it.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def hold_within(wanted_v: FloatArray, previous_v: float, minimum_v: float, maxim
 
 @njit(cache=True)
 def extremes(values: FloatArray) -> tuple[float, float]:
-    """Return the lowest and the highest value, shape (n,); both NaN where one is no number."""
+    """Return the lowest and the highest of values, shape (n,); both NaN if one value is."""
     lowest = highest = values[0]
     for value in values:
         if math.isnan(value):
@@ -74,7 +74,7 @@ def tick_means(values: FloatArray, samples_per_tick: int) -> FloatArray:
 
 @njit(cache=True)
 def fourth_difference(values: FloatArray) -> float:
-    """Return the mean size of the fourth differences of values, shape (n,), at least five."""
+    """Return the mean magnitude of the fourth differences of at least five values, shape (n,)."""
     total = 0.0
     for i in range(values.size - 4):
         total += abs(values[i] - 4.0 * values[i + 1] + 6.0 * values[i + 2] - 4.0 * values[i + 3]
@@ -83,12 +83,12 @@ def fourth_difference(values: FloatArray) -> float:
 
 
 def columns(samples: FloatArray) -> list[FloatArray]:
-    """Return the samples of each axis, shape (n,), contiguous: as the kernels are compiled for."""
+    """Return contiguous samples of each axis, shape (n,), as the kernels require."""
     return [samples] if samples.ndim == 1 else list(np.ascontiguousarray(samples.T))
 
 
 def compile_kernels() -> None:
-    """Compile what is not compiled yet, so that no tick has to wait for it."""
+    """Compile all kernels, so that no tick has to wait for it."""
     values = np.zeros(5)
     hold_within(values, 0.0, 0.0, 0.0, 0.0)
     extremes(values)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""One opening of the backend: after a fault nothing reaches it but its end."""
+"""One session of the backend, from its opening to its end; after a fault it is only closed."""
 
 import contextlib
 import threading
@@ -11,7 +11,7 @@ from piezo_stage_driver.backends.backend import BackendFault, StageBackend
 
 
 class SessionOver(BackendFault):
-    """The backend was given up while it did not return."""
+    """The backend was given up while a call had not returned."""
 
 
 class BackendSession:
@@ -35,13 +35,13 @@ class BackendSession:
 
     @property
     def waited_s(self) -> float:
-        """Tell how long the present call of the backend has lasted; 0 between two calls (s)."""
+        """Return how long the present call of the backend has lasted (s); 0 between two calls."""
         began_s = self._began_s
         return 0.0 if began_s is None else self._clock() - began_s
 
     @property
     def busy(self) -> bool:
-        """Tell whether the backend has not returned yet."""
+        """Return whether a call of the backend has not returned yet."""
         return self._began_s is not None
 
     def open(self) -> None:
@@ -49,7 +49,7 @@ class BackendSession:
         self._backend.open()
 
     def watch_stop(self, stopped: Callable[[], bool]) -> None:
-        """Tell a backend that plays for long by what it sees a stop."""
+        """Pass a backend that plays whole waveforms a function that reports a stop."""
         watch = getattr(self._backend, "watch_stop", None)
         if watch is not None:
             watch(stopped)
@@ -60,7 +60,7 @@ class BackendSession:
         Raises
         ------
         BackendFault
-            Whatever the backend raises becomes one. The backend is closed then.
+            If the backend raises anything. It is closed then.
         SessionOver
             If the session was given up; the backend is closed as soon as it returns.
         """
@@ -74,7 +74,7 @@ class BackendSession:
             displacement_um = self._checked(self._backend.exchange(voltage_v), voltage_v.shape)
         except BackendFault as raised:
             fault = raised
-        except Exception as error:  # whatever it is, the backend must not be driven on
+        except Exception as error:  # of any kind: the backend must not be driven any further
             fault = BackendFault(f"the backend broke: {error!r}", at_rest=False)
             fault.__cause__ = error
         with self._lock:
@@ -89,7 +89,7 @@ class BackendSession:
         return displacement_um
 
     def give_up(self) -> None:
-        """Let nothing reach the backend any more, from any thread; it is closed once it returns."""
+        """Block all further calls of the backend from any thread; close it once it returns."""
         with self._lock:
             over, self._over = self._over, True
             busy = self.busy
@@ -104,7 +104,7 @@ class BackendSession:
             self._backend.close()
 
     def _close(self) -> None:
-        # A backend that has failed may fail to close as well: its fault has been told.
+        # A backend that has failed may fail to close as well; its fault has been reported.
         with contextlib.suppress(Exception):
             self._backend.close()
 

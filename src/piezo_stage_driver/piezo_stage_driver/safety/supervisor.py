@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the stage does, who may command it, and what each fault leads to."""
+"""The state of the stage, the commands that it accepts, and the effects of faults."""
 
 import threading
 import time
@@ -22,48 +22,48 @@ UNSAFE = "the amplifier may still be under voltage: cut its supply"
 
 
 class Goal(Protocol):
-    """Who waits for the end of a waveform; all is called from the thread that ticks."""
+    """A client that waits for the end of a waveform; called from the ticking thread."""
 
     def attend(self, engine: StageEngine) -> None:
-        """Look how far it is; called after a tick that leaves something of its program."""
+        """Report the progress; called after each tick that does not end the program."""
 
     @property
     def cancelled(self) -> bool:
-        """Tell whether it shall end early."""
+        """Return whether the goal is cancelled."""
 
     def end(self, cause: str, last_sample: int) -> None:
-        """Take the end, once; the cause is empty where all was played."""
+        """Handle the end, once; the cause is empty if everything was played."""
 
 
 class StageSupervisor:
-    """The stage, without ROS and without threads of its own.
+    """The stage, without ROS and without threads.
 
-    One thread calls `tick` again and again; what it asks of the backend follows from the table in
-    `transitions`. Commands, stops and answers may come from another thread at any moment: a
-    command waits for the next tick, a stop acts in the next tick whatever waits.
+    One thread calls `tick` repeatedly; its calls of the backend follow from the table in
+    `transitions`. Commands, stops and answers may come from another thread at any time: a command
+    waits for the next tick, a stop acts in the next tick in any case.
 
     Parameters
     ----------
     create_engine : callable
         Takes a backend and a StopLatch; returns a StageEngine.
     latch : StopLatch, optional
-        Of a stop that outlives the supervisor.
+        Latch of the stops, which outlives the supervisor.
     max_foreign_feedback : int
-        More answers of strangers stop the stage.
+        Largest number of answers of other clients; more stop the stage.
     exchange_timeout_s : float
-        A backend that has not returned for longer hangs (s).
+        Time after which a call of the backend counts as hanging (s).
     command_timeout_s : float
-        A command that the loop has not come to for longer never acts (s).
+        Time after which a waiting command never acts (s).
     closing_ticks : int
-        Ticks that a goal lasts beyond its way back: where time then stands still, they tell
-        everybody that all is over.
+        Ticks that a goal lasts beyond its return to rest. If time stops after it, they report the
+        end to all subscribers.
     clock : callable
         Returns the time (s).
 
     Attributes
     ----------
     engine : StageEngine
-        Of the present or last activation.
+        Engine of the present or last activation.
     """
 
     def __init__(self, backend: StageBackend,
@@ -85,50 +85,50 @@ class StageSupervisor:
         self._session = BackendSession(backend, clock)
         self.engine = create_engine(self._session, self._latch)
 
-    # What it is doing
+    # State
 
     @property
     def state(self) -> State:
-        """Tell what the stage is doing."""
+        """Return the state of the stage."""
         return self._state
 
     @property
     def cause(self) -> str:
-        """Tell why the stage is stopped; empty where it is not."""
+        """Return why the stage is stopped; empty if it is not."""
         return self._latch.cause
 
     @property
     def active(self) -> bool:
-        """Tell whether the backend is open, and ticks are to go on."""
+        """Return whether the backend is open and ticks must continue."""
         return self._state not in (State.INACTIVE, State.FAULTED)
 
     @property
     def has_work(self) -> bool:
-        """Tell whether something is to be played; stage time may stand still where not."""
+        """Return whether something is to be played; otherwise stage time may stop."""
         return self.active and (
             self._state in MOVING or bool(self._leaving) or not self.engine.idle
             or bool(self.cause) and self._state is not State.LATCHED)
 
     @property
     def hangs(self) -> bool:
-        """Tell whether the backend has not returned for too long."""
+        """Return whether a call of the backend has lasted too long."""
         return self._session.waited_s > self._exchange_timeout_s
 
     @property
     def at_rest(self) -> bool:
-        """Tell whether the amplifier is known to be at rest."""
+        """Return whether the amplifier is known to be at rest."""
         return self.engine.at_rest if self.active else self._rest_is_known
 
     @property
     def described(self) -> dict[str, object]:
-        """Return what diagnostics tell."""
+        """Return the entries for the diagnostics."""
         return {"state": str(self._state), "at_rest": self.at_rest, "hangs": self.hangs,
                 "foreign_feedback": self._gate.foreign, "stale_feedback": self._gate.stale}
 
     # Lifecycle
 
     def activate(self) -> None:
-        """Open the backend; a stop that is latched stays so.
+        """Open the backend; a latched stop persists.
 
         Raises
         ------
@@ -149,12 +149,12 @@ class StageSupervisor:
             self._follow()
 
     def leave(self, cause: str) -> None:
-        """Have the coming ticks return to rest and close the backend; nothing is taken any more.
+        """Let the next ticks return to rest and close the backend; refuse commands from now on.
 
         Parameters
         ----------
         cause : str
-            What the client of a waveform is told.
+            Cause that is reported to the client of a waveform.
         """
         with self._lock:
             if self.active:
@@ -164,12 +164,12 @@ class StageSupervisor:
         self._commands.drain(NOT_ACTIVE)
 
     def give_up(self, cause: str, at_rest: bool = False) -> None:
-        """Let nothing reach a backend that hangs any more, whenever it returns.
+        """Block all further calls of a hanging backend, whenever it returns.
 
         Parameters
         ----------
         at_rest : bool
-            Whether the backend's own way has brought the amplifier to rest.
+            Whether the backend's own return to rest has succeeded.
         """
         self._session.give_up()
         self._fail(Event.GIVE_UP, cause, at_rest)
@@ -177,7 +177,7 @@ class StageSupervisor:
     # Commands
 
     def submit(self, command: Command) -> None:
-        """Take a command for the next tick, or refuse it at once."""
+        """Queue a command for the next tick, or refuse it at once."""
         with self._lock:
             takes = self.active and not self._leaving
             if takes:
@@ -190,14 +190,14 @@ class StageSupervisor:
             command.finish(error=StageRefusal(NOT_ACTIVE))
 
     def attend(self) -> None:
-        """Run the commands that wait; called by `tick`, and by whoever ticks."""
+        """Run the commands that wait; called by `tick`, and by the ticking thread."""
         while (command := self._commands.take()) is not None:
             self._run(command)
 
     def stop(self, cause: str) -> None:
-        """Return to rest from the next tick on, and refuse everything until a reset.
+        """Return to rest from the next tick on, and refuse all commands until a reset.
 
-        Whatever was asked before and has not acted yet never acts.
+        Earlier commands that have not acted yet never act.
         """
         self._latch.stop(cause)
         self._commands.drain(f"the stage is stopped ({self.cause}): reset it first")
@@ -208,14 +208,14 @@ class StageSupervisor:
         Parameters
         ----------
         run : int
-            Number of the run that the answer is for; 0 where it bears none.
+            Number of the run that the answer is for; 0 if it has none.
         alone : callable
-            Returns whether one node alone publishes feedback.
+            Returns whether a single node publishes feedback.
 
         Raises
         ------
         FeedbackError
-            If the answer may not act; where there were too many of these the stage is stopped.
+            If the answer may not act; too many of these stop the stage.
         """
         if self._state is not State.TRACKING:
             return
@@ -228,9 +228,9 @@ class StageSupervisor:
                             "send the number that start_tracking returned")
 
     def watch(self) -> None:
-        """Refuse commands that have waited too long, stop a stage whose backend hangs.
+        """Refuse commands that have waited too long, and stop a stage whose backend hangs.
 
-        Called now and then from another thread than the one that ticks.
+        Called from time to time from another thread than the ticking one.
         """
         self._commands.expire()
         if self.hangs and self.active:
@@ -239,18 +239,18 @@ class StageSupervisor:
     # Time
 
     def tick(self, whole_block: bool = False) -> Block | None:
-        """Run what waits, play the next samples.
+        """Run the waiting commands, and play the next samples.
 
         Parameters
         ----------
         whole_block : bool
-            Play on until a block is full, as long as nobody has to answer; for who takes no
-            commands meanwhile.
+            Play on until a block is full, if no answer is needed; for callers without commands
+            meanwhile.
 
         Returns
         -------
         block : Block or None
-            None while a slow waveform has not filled a block, and after a fault.
+            None if the block is not full yet, and after a fault.
         """
         self.attend()
         if not self._prepare():
@@ -261,21 +261,21 @@ class StageSupervisor:
             while whole_block and block is None and self.engine.tracks_alone:
                 block = self.engine.advance()
         except SessionOver:
-            return None  # given up: who did that has told why
+            return None  # given up; the cause has been reported
         except BackendFault as fault:
             self._fail(Event.FAULT, str(fault), fault.at_rest)
             return None
         with self._lock:
             if not self.active:
                 return None
-            if self._goal and not self.engine.idle:  # its program is over in the closing ticks
+            if self._goal and not self.engine.idle:  # in the closing ticks its program is over
                 self._goal.attend(self.engine)
             self._idle_ticks = self._idle_ticks + 1 if was_idle else 0
             self._follow()
         return block
 
     def _prepare(self) -> bool:
-        """Begin the way to rest where that is asked for; return whether there is more to play."""
+        """Begin the return to rest if it was requested; return whether there is more to play."""
         with self._lock:
             if self.active:
                 if self.cause or self._leaving or self._goal and self._goal.cancelled:
@@ -289,7 +289,7 @@ class StageSupervisor:
             with self._lock:
                 if not self.active or self._leaving:
                     raise StageRefusal(NOT_ACTIVE)
-                self._follow()  # what the command before has left, with no tick between the two
+                self._follow()  # the effect of the previous command, without a tick in between
                 if command.run not in (None, self._gate.run):
                     raise StageRefusal(f"run {command.run} does not go on: send the number that "
                                        "start_tracking returned for the present one")
@@ -307,7 +307,7 @@ class StageSupervisor:
             command.finish(value)
 
     def _follow(self) -> None:
-        """Go from state to state as the engine did."""
+        """Update the state from that of the engine."""
         engine = self.engine
         if self._leaving:
             if self._state is not State.STOPPING:
@@ -341,7 +341,7 @@ class StageSupervisor:
         self._end_goal()
         try:
             self._session.close()
-        except Exception as error:  # the stage is at rest: there is nothing left but to tell
+        except Exception as error:  # the stage is at rest, so it only remains to report this
             self._latch.stop(f"the backend failed to close: {error!r}")
         self._go(Event.REST_LEAVING)
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The states of a stage, and what leads from one to another: the one table of both.
+"""The states of a stage and the transitions between them, in one table.
 
-The supervisor goes from state to state by this table only, and docs/stage_states.md is made of it.
+The supervisor uses only this table, and docs/stage_states.md is generated from it.
 """
 
 from enum import StrEnum
@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 
 class State(StrEnum):
-    """What a stage is doing."""
+    """States of a stage."""
 
     INACTIVE = "inactive"
     IDLE = "idle"
@@ -21,7 +21,7 @@ class State(StrEnum):
 
 
 class Event(StrEnum):
-    """What leads from one state to another."""
+    """Events that lead from one state to another."""
 
     ACTIVATE = "activate"
     PLAY = "play_waveform"
@@ -45,7 +45,7 @@ class Event(StrEnum):
 
 COMMANDS = (Event.PLAY, Event.LOAD, Event.APPEND, Event.LAW, Event.REPLACE, Event.TRACK,
             Event.END_TRACKING, Event.RESET)
-"""Events that a client asks for; it is refused where the table has no entry."""
+"""Events that a client requests; refused if the table has no entry."""
 
 STATES = {
     State.INACTIVE: ("The backend is closed.", "nobody"),
@@ -62,11 +62,11 @@ STATES = {
     State.FAULTED: ("The backend has failed or is given up. The node deactivates itself.",
                     "nobody"),
 }
-"""What each state means, and who may command in it. Everybody may call emergency_stop in any."""
+"""Meaning of each state, and the commands accepted in it. emergency_stop is always accepted."""
 
 
 class Transition(NamedTuple):
-    """Where an event leads, and what the backend is asked to do."""
+    """The state after an event, and the action of the backend."""
 
     to: State
     backend: str
@@ -132,4 +132,4 @@ FAULTS = (
      "faulted, close; where the amplifier stands is not known"),
     ("the stage is deactivated or ended while the backend hangs", "given up"),
 )
-"""What each fault leads to."""
+"""Effect of each fault."""

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Feedbacks of classical form for a stage with a light mode, each made from a few numbers.
+"""Feedbacks of classical form for a stage with a light mode, each with a few parameters.
 
-The numbers are ratios: frequencies to that of the light mode, gains to that of the stage, so that
-the same bounds hold for any stage. Tustin's rule brings the controllers to the sample clock.
+The parameters are ratios of frequencies to that of the light mode, and of gains to that of the
+stage, so the same bounds hold for any stage. Controllers are discretised by Tustin's rule.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,7 +17,7 @@ from piezo_controller.feedback.synthesis.generalised_plant import hysteresis_gai
 from piezo_models.cascade import StageModel
 
 LEAK = 1e-4
-"""Pole of a second integration, which leaves the controller one pole on the unit circle."""
+"""Pole of a second integration, so that the controller has a single pole on the unit circle."""
 
 
 @dataclass(frozen=True)
@@ -27,13 +27,13 @@ class Form:
     Attributes
     ----------
     names : tuple of str
-        Of its numbers.
+        Names of its parameters.
     bounds : tuple of (float, float)
-        Between which each is searched for; all positive.
+        Bounds of the search for each parameter; all positive.
     start : tuple of float
-        Where the search begins.
+        Initial parameters of the search.
     make : callable
-        Takes the model, its nominal gain divided out, and the numbers; returns the continuous
+        Takes the model, normalised to nominal gain 1, and the parameters; returns the continuous
         controller.
     """
 
@@ -52,7 +52,7 @@ class Form:
 
 
 def _section(numerator: Sequence[float], denominator: Sequence[float]) -> control.StateSpace:
-    """Make a proper section of first or second order."""
+    """Return a proper section of first or second order."""
     return control.ss(control.tf(list(numerator), list(denominator)))
 
 
@@ -87,8 +87,8 @@ def _notch_and_pi(model: StageModel, numbers: FloatArray) -> control.StateSpace:
 def _integral_resonant(model: StageModel, numbers: FloatArray) -> control.StateSpace:
     """Damp by integral feedback with a feed-through, and integrate around it.
 
-    The damping loop is ``-k / (s + p)``, the tracking loop ``-k_i / s`` in front of it (Fleming,
-    Aphale and Moheimani 2010), which together are ``k (k_i - s) / (s (s + p))``.
+    The damping loop is ``-k / (s + p)``. The tracking loop in series with it is ``-k_i / s``
+    (Fleming, Aphale and Moheimani 2010). Together they are ``k (k_i - s) / (s (s + p))``.
     """
     mode = _light_frequency(model)
     gain, integral, pole = numbers
@@ -98,12 +98,12 @@ def _integral_resonant(model: StageModel, numbers: FloatArray) -> control.StateS
 
 
 def _force_like(model: StageModel, numbers: FloatArray) -> control.StateSpace:
-    """Damp by the integral of a force that no sensor measures, and integrate around it.
+    """Damp by an estimate of the piezo's force, and integrate around it.
 
-    A piezo pushes in proportion to what the displacement y lacks of the free expansion ``g u``. The
-    damping loop is integral force feedback (Fleming 2010) of ``g u - y``, whose integrator leaks,
-    ``-d / (s + l)``, so that the tracking loop ``-k_i / s`` keeps its hold at rest. Together they
-    are ``((k_i - d) s + k_i l) / (s (s + l + d))``: of the form of integral resonant control.
+    The force is proportional to the free expansion ``g u`` less the displacement y. The damping
+    loop is integral force feedback (Fleming 2010) of ``g u - y``, with a leaky integrator
+    ``-d / (s + l)``, so that the tracking loop ``-k_i / s`` remains effective at rest. Together
+    they are ``((k_i - d) s + k_i l) / (s (s + l + d))``, as in integral resonant control.
     """
     damping, integral, leak = _light_frequency(model) * numbers
     return _section([integral - damping, integral * leak], [1.0, 0.0]) * _section(
@@ -120,9 +120,9 @@ def _positive_position(model: StageModel, numbers: FloatArray) -> control.StateS
 
 
 def _inverse_and_pi(model: StageModel, numbers: FloatArray) -> control.StateSpace:
-    """Invert the modes with dampings of their own, behind PI and an integration.
+    """Invert the modes with independent dampings, in series with PI and an integration.
 
-    A zero of its own stands for the inverse of the lag.
+    An independent zero replaces the inverse of the lag.
     """
     (crossover, corner, lead, light, light_damping, other_damping, roll_off,
      roll_damping) = numbers
@@ -172,4 +172,4 @@ FORMS = {
          (1.3, 10.0), (0.15, 1.0)),
         (0.88, 0.21, 0.75, 0.98, 0.07, 0.74, 3.3, 0.21), _inverse_and_pi),
 }
-"""All forms by the method's name in a report."""
+"""All forms, by the name of the method in a report."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a feedback at the sample clock's rate is to reach, and what bounds it."""
+"""Requirements and bounds of a feedback at the rate of the sample clock."""
 
 from dataclasses import dataclass
 
@@ -16,29 +16,29 @@ from piezo_models.cascade import StageModel
 
 @dataclass(frozen=True)
 class Demands:
-    """What a loop is to reach, and what bounds it.
+    """Requirements and bounds of a loop.
 
     Attributes
     ----------
     bandwidth_ratio : float
-        Of the closed loop at -3 dB to the frequency of the first mode.
+        Bandwidth of the closed loop at -3 dB over the frequency of the first mode.
     sensor_noise_um : float
-        White at the sample clock's rate, root mean square.
+        Root mean square of the sensor's noise, which is white at the rate of the sample clock.
     added_noise_um : float
-        Largest displacement that it may cause.
+        Largest displacement that the noise may cause (um, rms).
     noise_voltage_v : float
-        Largest voltage that it may cause: six of them stay below the 4 V from which on the stage
-        takes a growing swing for an oscillation.
+        Largest voltage that the noise may cause (V, rms). Six times this is below the 4 V above
+        which the stage takes a growing amplitude for an oscillation.
     worst_peak_sensitivity : float
-        Largest peak over all stages: the robustness at which designs are compared.
+        Largest peak over all stages; designs are compared at this robustness.
     slow_sensitivity : float
-        Largest sensitivity below half the lowest disturbance, over all stages: at most 1, so that
-        no slow error grows.
+        Largest sensitivity below half the lowest disturbance, over all stages; at most 1, so that
+        no slow error is amplified.
     disturbance_tolerance : float
-        Relative error of the frequencies of the disturbances, over which they are attenuated: 1 %,
-        within which the mains' frequency lies.
+        Relative error of the frequencies of the disturbances, over which they are attenuated; the
+        mains' frequency stays within 1 %.
     of_every_stage : bool
-        Whether every stage that the errors allow is to reach it, or the model itself.
+        Whether all stages within the model's errors must meet the requirements, or only the model.
     """
 
     bandwidth_ratio: float = 1.2
@@ -55,12 +55,12 @@ class Demands:
 
     def loops(self, model: StageModel, clock_period_s: float,
               delay_ticks: int = 0, coarse: int = COARSE) -> PerturbedLoops:
-        """Return the stages of a model that are to meet the demands; see `PerturbedLoops`."""
+        """Return the stages of a model that must meet the requirements; see `PerturbedLoops`."""
         return PerturbedLoops(model, self.errors, clock_period_s, self.disturbance_hz,
                               self.disturbance_tolerance, delay_ticks, coarse)
 
     def margin_db(self, figures: LoopFigures, first_mode_hz: float) -> float:
-        """Return by how much the least margin exceeds what is asked; negative if it does not."""
+        """Return by how much the least margin exceeds the requirement; negative if it does not."""
         bandwidth_hz, attenuation_db = (
             (figures.worst_bandwidth_hz, figures.worst_attenuation_db) if self.of_every_stage
             else (figures.bandwidth_hz, figures.attenuation_db))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Design of a feedback at the sample clock's rate, with a bandwidth beyond the first mode.
+"""Design of a feedback at the rate of the sample clock, with a bandwidth above the first mode.
 
-Of the controllers of a fixed order with resonances at the disturbances, it is the one of the
-largest margin to the demands that is robust against all stages; see `tuned_over_stages`.
+It is the robust controller of fixed order, with resonances at the disturbances, that has the
+largest margin to the requirements over all stages; see `tuned_over_stages`.
 """
 
 import warnings
@@ -25,7 +25,7 @@ from piezo_models.cascade import StageModel
 
 METHOD = "fixed_order_resonant"
 FORMER_METHOD = "fixed_order"
-"""Without resonances; it left more of every reference, and small disturbances tripped it."""
+"""Earlier method without resonances, which had larger errors and tripped on small disturbances."""
 
 
 def design_at_sample_rate(model: StageModel, demands: Demands | None = None,
@@ -37,30 +37,30 @@ def design_at_sample_rate(model: StageModel, demands: Demands | None = None,
     Parameters
     ----------
     model : piezo_models.cascade.StageModel
-        With a mode, and no antiresonance.
+        Model with a mode, and without antiresonances.
     method : str
-        `METHOD`. `FORMER_METHOD` leads to the same with a warning.
+        `METHOD`. `FORMER_METHOD` gives the same design with a warning.
     model_sha256 : str
         Hash of the model's file, kept with the controller.
     effort : float
-        Multiplies the number of controllers that are tried.
+        Factor on the number of controllers that are tried.
     seed : int
-        Of the search.
+        Seed of the search.
     delay_ticks : int
-        Samples of computing time: 0 where the stage evaluates the feedback by itself, so that a
-        sample is answered by the next one; 1 where it is answered by the one after that.
+        Computing time in samples: 0 if the stage evaluates the feedback by itself, so that a
+        sample is answered by the next one; 1 if it is answered one sample later.
 
     Returns
     -------
     FeedbackController
-        Of period `clock_period_s`; see `measured_design` for its report.
+        Its period is `clock_period_s`; see `measured_design` for its report.
 
     Raises
     ------
     UnstableLoop
-        No controller was found that is stable with every stage.
+        If no controller was found that is stable with every stage.
     ValueError
-        `method` is unknown, or the model has no mode or has antiresonances.
+        If `method` is unknown, or the model has no mode or has antiresonances.
     """
     if method == FORMER_METHOD:
         warnings.warn(f"{FORMER_METHOD} is no more: {METHOD} is designed", DeprecationWarning,
@@ -78,7 +78,7 @@ def design_at_sample_rate(model: StageModel, demands: Demands | None = None,
 
 
 def check_modes(model: StageModel) -> None:
-    """Refuse a model without a mode or with antiresonances; raise ValueError."""
+    """Raise ValueError if a model has no mode or has antiresonances."""
     if not model.dynamics.damping_ratios or model.dynamics.antiresonance_damping_ratios:
         raise ValueError("the model has no mode, or has antiresonances: a feedback at the sample "
                          "rate is designed for modes without them")
@@ -87,25 +87,26 @@ def check_modes(model: StageModel) -> None:
 def measured_design(controller: control.StateSpace, model: StageModel, demands: Demands,
                     loops: PerturbedLoops, method: str, own: Mapping[str, Any],
                     model_sha256: str = "", delay_ticks: int = 0) -> FeedbackController:
-    """Return a controller at the sample clock's rate with what it reaches of the demands.
+    """Return a controller at the rate of the sample clock, with its performance in its report.
 
     Parameters
     ----------
     loops : PerturbedLoops
-        Of these.
+        Stages that it is evaluated with.
     own : dict
-        What the report holds of this method alone.
+        Entries of the report that are specific to the method.
 
     Returns
     -------
     FeedbackController
-        Beside what `feedback_from_control` reports, its report holds ``demands``, ``figures``
-        (`LoopFigures`), ``margin_db``, ``added_noise_um``, ``noise_voltage_v`` and `own`.
+        In addition to what `feedback_from_control` reports, its report holds ``demands``,
+        ``figures`` (`LoopFigures`), ``margin_db``, ``added_noise_um``, ``noise_voltage_v``
+        and `own`.
 
     Raises
     ------
     UnstableLoop
-        It is not stable with every stage.
+        If it is not stable with every stage.
     """
     figures = loops.measure(controller)
     if figures.unstable:

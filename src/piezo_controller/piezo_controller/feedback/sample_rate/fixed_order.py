@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A feedback of fixed order: an integration, zeros and poles, and their derivatives."""
+"""A controller of fixed order with an integration, zeros and poles, and its derivatives."""
 
 from dataclasses import dataclass
 
@@ -9,26 +9,26 @@ import numpy as np
 from piezo_common.arrays import ComplexArray, FloatArray
 
 FASTEST, SLOWEST = 16.0, 1e-3
-"""Poles and zeros, as ratios to the unit of frequency."""
+"""Bounds of poles and zeros, as ratios to the unit of frequency."""
 
 ZERO_DAMPING, POLE_DAMPING = (-3.0, 6.0), (0.004, 5.0)
-"""Zeros may lie on either side; poles are stable."""
+"""Bounds of the damping ratios: zeros may lie on either side, poles are stable."""
 
 
 @dataclass(frozen=True)
 class FixedOrder:
-    """Controllers of given numbers of zeros and poles.
+    """Controllers with given numbers of zeros and poles.
 
-    Their numbers are the logarithm of the integral gain, those of the real zeros and poles, and of
-    each pair its frequency's logarithm and its damping ratio: as it is for zeros, its logarithm for
-    poles. Each factor is 1 at rest.
+    The parameters are the logarithm of the integral gain, the logarithms of the real zeros and
+    poles, and for each pair the logarithm of its frequency and its damping ratio (for poles the
+    logarithm of that). Each factor is 1 at zero frequency.
 
     Attributes
     ----------
     real_zeros, real_poles, zero_pairs, pole_pairs : int
-        The poles beside the integration.
+        Number of each; the pole of the integration is not counted.
     unit_rad_per_s : float
-        Of the frequencies.
+        Unit of the frequencies.
     """
 
     real_zeros: int
@@ -39,7 +39,7 @@ class FixedOrder:
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Return between which numbers to search."""
+        """Return the lower and upper bounds of the parameters."""
         frequency = [(np.log(SLOWEST), np.log(FASTEST))]
         low, high = np.array(
             [(-12.0, 6.0), *(self.real_zeros + self.real_poles) * frequency,
@@ -49,19 +49,19 @@ class FixedOrder:
 
     def response(self, numbers: FloatArray,
                  points: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return the response and its relative derivatives by the numbers.
+        """Return the response and its relative derivatives with respect to the parameters.
 
         Parameters
         ----------
         numbers : ndarray, shape (n,)
         points : ndarray of complex, shape (F,)
-            Of the Laplace variable (rad/s).
+            Values of the Laplace variable (rad/s).
 
         Returns
         -------
         response : ndarray, shape (F,)
         derivatives : ndarray, shape (n, F)
-            Of its logarithm.
+            Derivatives of the response's logarithm.
         """
         s = points / self.unit_rad_per_s
         gain, zeros, poles, zero_pairs, pole_pairs = self._parts(numbers)
@@ -86,18 +86,18 @@ class FixedOrder:
         gain, zeros, poles, zero_pairs, pole_pairs = self._parts(numbers)
         numerators = [*map(_pair, zero_pairs), *([1 / zero, 1.0] for zero in zeros)]
         denominators = [*map(_pair, pole_pairs), *([1 / pole, 1.0] for pole in poles), [1.0, 0.0]]
-        # The zeros come no earlier than their poles, so that no section has more of them.
+        # Zeros do not come before their poles, so that every section is proper.
         numerators += [[1.0]] * (len(denominators) - len(numerators))
         system = control.ss([], [], [], [[np.exp(gain)]])
         for numerator, denominator in zip(numerators, denominators, strict=True):
             system = system * control.ss(control.tf(numerator, denominator))
-        # In units of the frequency, so that no element is many orders larger than another.
+        # In units of the frequency, so that the elements are of similar magnitude.
         sampled = system.sample(period_s * self.unit_rad_per_s, method="bilinear")
         return control.ss(sampled.A, sampled.B, sampled.C, sampled.D, period_s)
 
     def _parts(self, numbers: FloatArray) -> tuple[
             float, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return gain's logarithm, real zeros, real poles, pairs of zeros, pairs of poles."""
+        """Return the gain's logarithm, real zeros, real poles, zero pairs and pole pairs."""
         first, *ends = np.cumsum([1, self.real_zeros, self.real_poles, 2 * self.zero_pairs])
         gain, zeros, poles, zero_pairs, pole_pairs = np.split(
             np.asarray(numbers, dtype=float), [first, *ends])

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The H-infinity problem at the sample clock's rate: an uncertain gain and an uncertain light mode.
+"""The H-infinity problem at the sample rate, with uncertain gain and uncertain light mode.
 
 A disturbance enters before the plant and noise behind it (the four blocks ``S G``, ``S``, ``T``,
-``K S``), so that the controller damps the light mode and does not cancel it.
+``K S``), so that the controller damps the light mode instead of cancelling it.
 """
 
 from dataclasses import dataclass
@@ -18,34 +18,35 @@ UNCERTAINTIES = 2
 """Scalar uncertainties, which are the first inputs and outputs: the gain, the light mode."""
 
 LEAK_HZ = 0.5
-"""Poles of the performance weight, in place of integrations, for which no finite norm exists."""
+"""Poles of the performance weight (Hz); with integrations there would be no finite norm."""
 
 STEEPNESS = 20.0
-"""Distance of the pole of the control weight from its zero, as a ratio."""
+"""Ratio of the pole of the control weight to its zero."""
 
 
 @dataclass(frozen=True)
 class SampleRateWeights:
-    """Weights of the design, and what is taken for uncertain.
+    """Weights of the design, and its uncertainties.
 
     Attributes
     ----------
     crossover_hz : float
-        Below it the error of a disturbance is weighted by ``crossover / f``.
+        Frequency below which the error of a disturbance is weighted by ``crossover / f``.
     corner_hz : float
-        Below it by the square of that.
+        Frequency below which the weight rises with the square of that.
     peak : float
-        What the weight allows the sensitivity at high frequencies.
+        Sensitivity that the weight allows at high frequencies.
     control_gain : float
-        Allowed voltage, over that which the disturbance has at the input of the stage.
+        Allowed voltage, relative to the disturbance's voltage at the input of the stage.
     roll_off_hz : float
-        Above it less is allowed.
+        Frequency above which less is allowed.
     noise : float
-        Size of the noise beside the disturbance.
+        Magnitude of the noise relative to the disturbance.
     gain_uncertainty : float
         The gain of the hysteresis lies within ``1 +- gain_uncertainty`` of its nominal value.
     mode_uncertainty : float
-        The square of the light mode's frequency lies within ``1 +- mode_uncertainty`` of its own.
+        The square of the light mode's frequency lies within ``1 +- mode_uncertainty`` of its
+        nominal value.
     """
 
     crossover_hz: float
@@ -60,17 +61,17 @@ class SampleRateWeights:
 
 def light_mode_problem(model: StageModel, weights: SampleRateWeights,
                        clock_period_s: float, delay_ticks: int = 1) -> control.StateSpace:
-    """Pose the design problem for a plant of gain 1.
+    """Return the generalised plant of the design, for a plant of gain 1.
 
-    Creep is left out: it is slower than all that the feedback is designed for, and its poles beside
-    1 would cost the Riccati equations their digits.
+    Creep is omitted: it is slower than all that the feedback is designed for, and its poles close
+    to 1 would cost the Riccati equations their accuracy.
 
     Parameters
     ----------
     model : piezo_models.cascade.StageModel
-        With a light mode that has no antiresonance.
+        Model with a light mode that has no antiresonance.
     delay_ticks : int
-        See `design_plant`.
+        Ticks of computing time, see `design_plant`.
 
     Returns
     -------
@@ -109,10 +110,10 @@ def light_mode_problem(model: StageModel, weights: SampleRateWeights,
 
 def _with_uncertain_mode(model: StageModel, uncertainty: float,
                          dt: float) -> control.StateSpace:
-    """Return the sampled dynamics; a second input and output take the light mode's uncertainty.
+    """Return the sampled dynamics with a second input and output for the light mode's uncertainty.
 
     With ``mode_out = delta mode_in`` the square of its frequency is multiplied by
-    ``1 + uncertainty * delta``; its gain at rest follows, which counts as uncertain gain.
+    ``1 + uncertainty * delta``. Its static gain changes with it, and counts as uncertain gain.
     """
     dynamics, light = model.dynamics, light_mode(model)
     others = [index for index in range(len(dynamics.damping_ratios)) if index != light]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Lower the largest of many smooth functions within bounds: sequential linear programming."""
+"""Minimise the largest of many smooth functions under bounds by sequential linear programming."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,29 +10,29 @@ from scipy.optimize import linprog
 from piezo_common.arrays import FloatArray
 
 BOUND_COST = 5.0
-"""What one beyond a bound costs; more than the multipliers of such problems, so it is exact."""
+"""Cost per unit beyond a bound; above the multipliers of such problems, so the penalty is exact."""
 
 FIRST_STEP, LARGEST_STEP, LEAST_STEP = 0.1, 0.5, 1e-4
 LEAST_GAIN = 1e-4
 
 FIRST_USED = 0.5
-"""Values that are so far below the largest are left out of a linear program at first."""
+"""Distance from the largest value beyond which a function is at first omitted from the program."""
 
 EXCEEDED = 1e-6
 
 
 @dataclass(frozen=True)
 class Linearised:
-    """Functions and their derivatives at some numbers.
+    """Functions and their derivatives at a vector of parameters.
 
     Attributes
     ----------
     values, slopes : ndarray, shape (m,), (m, n)
-        Of which the largest is to be lowered.
+        Functions of which the largest is to be minimised.
     bounds, bound_slopes : ndarray, shape (k,), (k, n)
-        Which may not exceed 0.
+        Functions that may not exceed 0.
     allowed : bool
-        Whether the numbers may be taken at all.
+        Whether the parameters are admissible at all.
     """
 
     values: FloatArray
@@ -43,24 +43,24 @@ class Linearised:
 
     @property
     def cost(self) -> float:
-        """Return the largest value, and what the bounds that are exceeded cost."""
+        """Return the largest value, plus the penalty for the exceeded bounds."""
         return float(self.values.max() + BOUND_COST * max(0.0, self.bounds.max()))
 
 
 def lower_largest(linearise: Callable[[FloatArray], Linearised], numbers: FloatArray,
                   low: FloatArray, high: FloatArray, steps: int) -> tuple[FloatArray, Linearised]:
-    """Lower the largest value from step to step.
+    """Lower the largest value step by step.
 
-    Each step is the solution of a linear program within a box, whose size follows how well the
-    linear functions foresaw the last one (a trust region).
+    Each step is the solution of a linear program within a box, whose size depends on how well the
+    linear functions predicted the last step (a trust region).
 
     Parameters
     ----------
     numbers : ndarray, shape (n,)
-        Where to begin; allowed.
+        Initial parameters; admissible.
     low, high : ndarray, shape (n,)
     steps : int
-        At most.
+        Largest number of steps.
 
     Returns
     -------
@@ -90,15 +90,15 @@ def lower_largest(linearise: Callable[[FloatArray], Linearised], numbers: FloatA
 
 
 def _step(there: Linearised, low: FloatArray, high: FloatArray) -> tuple[FloatArray, float]:
-    """Return the best step within a box, and the cost that is foreseen for it.
+    """Return the best step within a box, and the predicted cost after it.
 
-    Few of the functions matter to a step, so the program begins with the largest, and takes up
+    Few of the functions matter for a step, so the program begins with the largest ones, and adds
     those that its solution exceeds until there are none.
     """
     count = len(there.values)
     slopes = np.vstack([there.slopes, there.bound_slopes])
     limits = np.r_[there.values, there.bounds]
-    # Beside the step: the largest value, and by how much the bounds are exceeded.
+    # Columns in addition to the step: the largest value, and the excess over the bounds.
     columns = np.zeros((len(limits), 2))
     columns[:count, 0] = columns[count:, 1] = -1.0
     used = np.r_[there.values > there.values.max() - FIRST_USED, np.ones(len(there.bounds), bool)]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Feedbacks that people ask for by one word, at one margin, and what each is worth.
+"""Well-known feedbacks by name, designed for the same margin and compared.
 
-Each answers every sample and is searched for the largest attenuation at a frequency and at twice
-that. Its gain is then set so that the peak of the sensitivity over all stages that the model's
-errors allow is the same for all.
+Each answers every sample and is tuned for the largest attenuation at a frequency and at twice
+that frequency. Its gain is then set so that the peak of the sensitivity over all stages within
+the model's errors is the same for all feedbacks.
 """
 
 from collections.abc import Mapping
@@ -25,24 +25,24 @@ from piezo_controller.feedback.sample_rate.searched_designs import design_by
 from piezo_models.cascade import StageModel
 
 ERRORS = ModelErrors(0.05, 0.05)
-"""Errors of all parameters are those that `check_robustness` draws."""
+"""Errors of all parameters, the same as `check_robustness` draws."""
 
 NO_BANDWIDTH = 1e-3
-"""Bandwidth over the first mode's frequency that every loop has: attenuation alone is sought."""
+"""Bandwidth over the first mode's frequency that every loop exceeds: only attenuation counts."""
 
 REPEATED = 1e-3
-"""Relative error of the frequency, ten times that of the quartz of a clock."""
+"""Relative error of the repeated frequency, ten times that of a quartz clock."""
 
 FACTORS = np.geomspace(0.25, 4.0, 65)
-"""Factors of the gain that are tried: the search ends within a factor of two of the margin."""
+"""Factors of the gain that are tried; the search ends within a factor of two of the margin."""
 
 HALVINGS = 12
 
 STYLES = (*CURVES, {"color": GREY, "linewidth": 1.0})
-"""As many as there are feedbacks."""
+"""Line styles, one for each feedback."""
 
 ROUNDED = 1e-3
-"""Of the peak, by which it may be larger."""
+"""Tolerance of the peak sensitivity, relative to it."""
 
 
 def feedback_at_margin(name: str, model: StageModel, frequency_hz: float,
@@ -53,31 +53,31 @@ def feedback_at_margin(name: str, model: StageModel, frequency_hz: float,
     Parameters
     ----------
     name : str
-        Of `piezo_controller.feedback.design_choices.FEEDBACKS`.
+        One of `piezo_controller.feedback.design_choices.FEEDBACKS`.
     model : StageModel
-        With a mode, and no antiresonance.
+        Model with a mode, and without antiresonances.
     frequency_hz : float
-        At which, and at twice which, it attenuates most; repetitive feedback attenuates its
-        multiples.
+        Frequency at which, together with its double, the attenuation is largest; repetitive
+        feedback attenuates its multiples.
     peak_sensitivity : float
-        Of the worst stage.
+        Peak of the sensitivity of the worst stage.
     model_sha256 : str
         Hash of the model's file, kept with the controller.
     effort : float
-        Multiplies the number of laws that are tried.
+        Factor on the number of laws that are tried.
 
     Returns
     -------
     FeedbackController
-        See `measured_design`; its report holds the ``numbers`` of the law, too.
+        See `measured_design`; its report also holds the ``numbers`` of the law.
 
     Raises
     ------
     UnstableLoop
-        No gain has this margin.
+        If no gain gives this margin.
     ValueError
-        The model has no mode, or has antiresonances; or a repetitive feedback is asked for above
-        the first mode.
+        If the model has no mode, or has antiresonances; or a repetitive feedback is requested
+        above the first mode.
     """
     check_modes(model)
     demands = Demands(NO_BANDWIDTH, (frequency_hz, 2.0 * frequency_hz), (0.0, 0.0),
@@ -93,7 +93,7 @@ def feedback_at_margin(name: str, model: StageModel, frequency_hz: float,
 
 def _at_margin(name: str, system: control.StateSpace, loops: PerturbedLoops,
                peak_sensitivity: float) -> control.StateSpace:
-    """Return a feedback with the largest gain whose peak of all stages is no larger."""
+    """Return a feedback with the largest gain that keeps within the peak for all stages."""
     def keeps(factor: float) -> bool:
         figures = loops.measure(factor * system)
         return figures.worst_peak_sensitivity <= (1.0 + ROUNDED) * peak_sensitivity
@@ -110,7 +110,7 @@ def _at_margin(name: str, system: control.StateSpace, loops: PerturbedLoops,
 
 
 def comparison_table(controllers: Mapping[str, FeedbackController]) -> SummaryTable:
-    """Return what feedbacks of `feedback_at_margin` are worth, one in a row."""
+    """Return a table that compares feedbacks of `feedback_at_margin`, one per row."""
     demands = next(iter(controllers.values())).report["demands"]
     first_hz, second_hz = demands["disturbance_hz"]
     rows: list[tuple[str | float | None, ...]] = []
@@ -153,7 +153,7 @@ def comparison_figure(model: StageModel, controllers: Mapping[str, FeedbackContr
 
 def comparison_page(model: StageModel, controllers: Mapping[str, FeedbackController],
                     origin: list[str]) -> str:
-    """Return the page of feedbacks of `feedback_at_margin` as HTML."""
+    """Return the HTML page that compares feedbacks of `feedback_at_margin`."""
     table = comparison_table(controllers)
     best = max(controllers, key=lambda name: controllers[name].report["margin_db"])
     cells = [[cell if isinstance(cell, str) else f"{cell:.4g}" for cell in row]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""One feedback in the loop with many stages: the model's, and those that its errors allow."""
+"""One feedback in the loop with many stages: the model, and those within its errors."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,20 +20,20 @@ from piezo_models.cascade import StageModel
 
 LOWEST_HZ = 1.0
 HIGHEST = 0.4995
-"""Highest frequency over the rate: below the half, which Tustin's rule takes for infinity."""
+"""Highest frequency over the rate; less than half, which Tustin's rule maps to infinity."""
 
 COARSE, FINE, NEAR = 120, 240, 24
-"""Frequencies over the whole band, about the modes, where the loops differ, and near a disturbance,
-where a controller may have a resonance."""
+"""Numbers of frequencies over the whole band, about the modes, where the loops differ, and near a
+disturbance, where a controller may have a resonance."""
 
 OVER_PEAK, MOST_FINE = 3.0, 2000
-"""Frequencies over half the width of a light mode's peak, and how many there are at most."""
+"""Frequencies per half width of a light mode's peak, and their largest number."""
 
 AROUND = 3.0
-"""Ratio of the highest to the light mode's frequency, and of that to the lowest."""
+"""Ratio of the highest frequency to the light mode's, and of that to the lowest."""
 
 SLOW = 0.5
-"""Of the frequency of the lowest disturbance: where no error is to grow."""
+"""Part of the lowest disturbance's frequency below which no error may be amplified."""
 
 ABOUT = np.linspace(-1.0, 1.0, 5)
 
@@ -45,9 +45,9 @@ class ModelErrors:
     Attributes
     ----------
     parameter : float
-        Of every parameter of creep, lag and modes.
+        Error of every parameter of creep, lag and modes.
     light_mode : float
-        Of the frequency of the mode of least damping, in place of that.
+        Error of the frequency of the mode of least damping, which replaces `parameter` for it.
     """
 
     parameter: float = 0.05
@@ -56,26 +56,26 @@ class ModelErrors:
 
 @dataclass(frozen=True)
 class LoopFigures:
-    """What a feedback reaches; `worst` is over all stages, the rest is of the model itself.
+    """Performance of a feedback; `worst` is over all stages, the rest is for the model itself.
 
     Attributes
     ----------
     unstable : int
-        Stages with which the loop is not stable.
+        Number of stages with which the loop is unstable.
     largest_pole : float
         Largest magnitude of a pole of any loop; below 1 if all are stable.
     bandwidth_hz, worst_bandwidth_hz : float
-        Where the closed loop from reference to displacement first falls to -3 dB.
+        Frequency at which the closed loop from reference to displacement first falls to -3 dB.
     attenuation_db, worst_attenuation_db : tuple of float
-        Of a disturbance of the displacement, at the frequencies that were asked for.
+        Attenuation of a disturbance of the displacement, at the requested frequencies.
     peak_sensitivity, worst_peak_sensitivity : float
-        The latter infinite if a loop is unstable.
+        Peak of the sensitivity; the worst is infinite if a loop is unstable.
     worst_slow_sensitivity : float
-        The largest below half the lowest disturbance.
+        Largest sensitivity below half the lowest disturbance.
     noise_gain : float
-        Displacement that white noise of the sensor causes, root mean square over that of the noise.
+        Displacement that white noise of the sensor causes, rms over that of the noise.
     noise_gain_v_per_um : float
-        Voltage that it causes.
+        Voltage that it causes, rms over that of the noise.
     """
 
     unstable: int
@@ -92,36 +92,36 @@ class LoopFigures:
 
 
 class PerturbedLoops:
-    """Stages that a model stands for, ready to be closed with feedbacks.
+    """Stages that are within the errors of a model, to be closed with feedbacks.
 
-    The light mode takes five frequencies over its error, at its least damping, and the gain of the
+    The light mode has five frequencies within its error, at its least damping, and the gain of the
     hysteresis both its ends. For each of these ten, lag and other modes are all slow or all fast,
-    and the other modes more or less damped: the corners at which the phase errs most.
+    and the other modes more or less damped: the corners with the largest phase errors.
 
     Parameters
     ----------
     model : piezo_models.cascade.StageModel
-        With at least one mode.
+        Model with at least one mode.
     disturbance_hz : sequence of float
-        At which the attenuation is asked for.
+        Frequencies at which the attenuation is determined.
     disturbance_tolerance : float
         Relative error of these frequencies; the least attenuation within it counts.
     delay_ticks : int
-        See `design_plant`: 0 where the stage evaluates the feedback by itself.
+        Ticks of computing time; 0 if the stage evaluates the feedback by itself.
     coarse : int
-        Frequencies over the whole band.
+        Number of frequencies over the whole band.
 
     Attributes
     ----------
     plants : list of control.StateSpace
-        That of the model itself is the first.
+        Sampled plants; the first is that of the model itself.
     frequency_hz : ndarray, shape (F,)
     responses : ndarray of complex, shape (P, F)
-        Of the plants (um/V).
+        Responses of the plants (um/V).
     slow : ndarray of bool, shape (F,)
         Which frequencies lie below half the lowest disturbance.
     disturbances : list of ndarray
-        Numbers of the frequencies about each disturbance.
+        Indices of the frequencies about each disturbance.
     """
 
     def __init__(self, model: StageModel, errors: ModelErrors, clock_period_s: float = 25e-6,
@@ -165,7 +165,7 @@ class PerturbedLoops:
 
 
 def light_mode(model: StageModel) -> int:
-    """Return the number of the mode of least damping."""
+    """Return the index of the mode of least damping."""
     return int(np.argmin(model.dynamics.damping_ratios))
 
 
@@ -206,7 +206,7 @@ def _response(system: control.StateSpace, points: ComplexArray) -> ComplexArray:
 
 def _noise_gains(plant: control.StateSpace,
                  controller: control.StateSpace) -> tuple[float, float]:
-    """Return the roots of the mean squares of displacement and voltage under unit white noise."""
+    """Return the rms of displacement and voltage under white noise of unit variance."""
     a = closed_loop_matrix(plant, controller)
     b = np.concatenate([-plant.B @ controller.D, -controller.B])
     covariance = solve_discrete_lyapunov(a, b @ b.T)

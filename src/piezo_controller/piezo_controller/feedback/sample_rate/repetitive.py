@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Repetitive feedback: a resonance at a frequency and its multiples, beside PI.
+"""Repetitive feedback: resonances at a frequency and its multiples, in parallel with PI.
 
-A delay line of one period, the usual internal model of what repeats, needs a period of a whole
-number of samples, and as many states. Resonances at the multiples that the loop can attenuate hold
-for any period. Each has the phase at which it turns the loop away from -1: against that of the
-stage behind the sensitivity of the PI.
+A delay line of one period, the usual internal model of a periodic signal, needs a period of a
+whole number of samples, and as many states. Resonances at the multiples that the loop can
+attenuate work for any period. The phase of each is chosen to turn the loop away from -1, given the
+phase of the stage with the sensitivity of the PI.
 """
 
 import control
@@ -19,15 +19,15 @@ from piezo_controller.feedback.synthesis.generalised_plant import (
 from piezo_models.cascade import StageModel
 
 MOST_MULTIPLES = 8
-"""Of the frequency: each costs two states in every sample."""
+"""Largest number of multiples; each costs two states."""
 
 DAMPING_RATIO = 1e-4
-"""Of a resonance, so that what it holds decays: at its frequency it attenuates by some 50 dB."""
+"""Damping ratio of a resonance, so that its state decays: it attenuates by some 50 dB."""
 
 NAMES = ("gain", "integral", "width")
 BOUNDS = (*FORMS["pi"].bounds, (1e-3, 0.5))
 START = (*FORMS["pi"].start, 0.03)
-"""PI, and the half width of a resonance over the frequency."""
+"""Parameters of PI, and the half width of a resonance relative to its frequency."""
 
 
 class Repetitive:
@@ -36,10 +36,10 @@ class Repetitive:
     Parameters
     ----------
     frequency_hz : float
-        Of what repeats. Multiples above the first mode are left out, where a model's errors turn
-        the phase.
+        Fundamental frequency. Multiples above the first mode are omitted, as there the model's
+        errors change the phase too much.
     delay_ticks : int
-        See `design_plant`.
+        Ticks of computing time, see `design_plant`.
     """
 
     def __init__(self, model: StageModel, frequency_hz: float, clock_period_s: float,
@@ -69,7 +69,7 @@ class Repetitive:
         sums = 2.0 * radii * np.cos(self._angles)
         blocks = [np.array([[of_sum, -radius**2], [1.0, 0.0]])
                   for of_sum, radius in zip(sums, radii, strict=True)]
-        # Of g (cos(lead) z^2 - r cos(lead - angle) z) / (z^2 - 2 r cos(angle) z + r^2).
+        # Realisation of g (cos(lead) z^2 - r cos(lead - angle) z) / (z^2 - 2 r cos(angle) z + r^2).
         direct = gains * np.cos(leads)
         outputs = np.column_stack([
             direct * sums - gains * radii * np.cos(leads - self._angles), -direct * radii**2])

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Other methods than that of `design_at_sample_rate`, searched by trial for the largest margin.
+"""Alternatives to the method of `design_at_sample_rate`, tuned by direct search.
 
-The H-infinity synthesis over its weights and constant scalings (D and K at once, as `dk_iteration`
-has it), the classical forms of `classical_forms` and repetitive feedback: all have few numbers.
+These are H-infinity synthesis over its weights and constant scalings (D and K at once, as in
+`dk_iteration`), the forms of `classical_forms`, and repetitive feedback: all have few parameters.
 """
 
 import warnings
@@ -45,16 +45,16 @@ H_INFINITY, REPETITIVE = "h_infinity", "repetitive"
 METHODS = (METHOD, H_INFINITY, *FORMS, REPETITIVE)
 
 COARSE = 0.03
-"""Relative width to which a norm is bisected; the search needs no more."""
+"""Relative width to which a norm is bisected; the search needs no more accuracy."""
 
 SLACK = 0.05
 VIOLATION = 10.0
-"""What a decibel beyond a limit costs, in decibels of margin: more than it can be worth."""
+"""Cost of a decibel beyond a limit, in decibels of margin; larger than any gain from it."""
 
 NO_CONTROLLER = 1e3
 
 STEPS = (0.05, 0.15, 0.4)
-"""Sizes of the steps nearby, as parts of a number."""
+"""Sizes of the steps of the local search, relative to a parameter."""
 
 
 def design_by(method: str, model: StageModel, demands: Demands, clock_period_s: float = 25e-6,
@@ -69,7 +69,7 @@ def design_by(method: str, model: StageModel, demands: Demands, clock_period_s: 
     Returns
     -------
     FeedbackController
-        See `measured_design`; its report holds ``numbers`` of the family, too, and for
+        See `measured_design`; its report also holds the ``numbers`` of the family, and for
         ``h_infinity`` ``gamma`` and ``mu``.
 
     Raises
@@ -97,11 +97,12 @@ def design_by(method: str, model: StageModel, demands: Demands, clock_period_s: 
 
 def _search_by_trial(family: "_Family", loops: PerturbedLoops, demands: Demands,
                      first_mode_hz: float, effort: float, seed: int) -> FloatArray:
-    """Return the numbers of the largest margin that was found."""
+    """Return the parameters with the largest margin that was found."""
     def cost(logarithms: FloatArray) -> float:
         try:
             with warnings.catch_warnings():
-                # Noise of a loop that is hardly stable is not known well; the search leaves it.
+                # The noise of a loop close to instability is inaccurate; the search moves away from
+                # it.
                 warnings.simplefilter("ignore", LinAlgWarning)
                 figures = loops.measure(family.controller(np.exp(logarithms)))
         except NoController:
@@ -123,11 +124,11 @@ class _ClassicalFamily:
         self.start, self.bounds = self._form.start, self._form.bounds
 
     def controller(self, numbers: FloatArray) -> control.StateSpace:
-        """Return the controller of some numbers."""
+        """Return the controller for given parameters."""
         return self._form.controller(self._model, numbers, self._clock_period_s)
 
     def report(self, numbers: FloatArray) -> dict[str, Any]:
-        """Return the part of the report that only this family has."""
+        """Return the entries of the report that are specific to this family."""
         return {"numbers": dict(zip(self._form.names, map(float, numbers), strict=True))}
 
 
@@ -142,11 +143,11 @@ class _RepetitiveFamily:
         self._made = repetitive.Repetitive(model, frequency_hz, clock_period_s, delay_ticks)
 
     def controller(self, numbers: FloatArray) -> control.StateSpace:
-        """Return the controller of some numbers."""
+        """Return the controller for given parameters."""
         return self._made.controller(numbers)
 
     def report(self, numbers: FloatArray) -> dict[str, Any]:
-        """Return the part of the report that only this family has."""
+        """Return the entries of the report that are specific to this family."""
         return {"numbers": dict(zip(repetitive.NAMES, map(float, numbers), strict=True)),
                 "repeats_hz": float(self._made.frequencies_hz[0])}
 
@@ -183,11 +184,11 @@ class _HInfinityFamily:
         return weights, problem, controller, gamma
 
     def controller(self, numbers: FloatArray) -> control.StateSpace:
-        """Return the controller of some numbers."""
+        """Return the controller for given parameters."""
         return self._synthesised(numbers)[2] * (1 / self._gain_um_per_v)
 
     def report(self, numbers: FloatArray) -> dict[str, Any]:
-        """Return the part of the report that only this family has."""
+        """Return the entries of the report that are specific to this family."""
         weights, problem, controller, gamma = self._synthesised(numbers)
         points: ComplexArray = np.exp(
             2j * np.pi * tick_frequencies(self._clock_period_s, 200) * self._clock_period_s)
@@ -203,7 +204,7 @@ _Family = _ClassicalFamily | _RepetitiveFamily | _HInfinityFamily
 
 def _search(cost: Callable[[FloatArray], float], family: _Family, effort: float,
             seed: int) -> FloatArray:
-    """Return the logarithms of the best numbers: from anywhere, then nearby, then by a simplex."""
+    """Return the logarithms of the best parameters: global search, local search, simplex."""
     rng = np.random.default_rng(seed)
     low, high = np.log(family.bounds).T
     best = np.log(family.start)

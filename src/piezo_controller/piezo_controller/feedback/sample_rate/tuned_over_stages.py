@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Controllers of fixed order, tuned over all stages at once: the multi-model minimax problem.
 
-The loops of all stages and their derivatives are known at every frequency in closed form, so that
-`minimax` finds in a second what a search by trial does not find in minutes. It begins anew from
-changed numbers, as the problem has many local minima.
+The loops of all stages and their derivatives have a closed form at every frequency, so that
+`minimax` finds in a second what a direct search does not find in minutes. It is restarted from
+changed parameters, as the problem has many local minima.
 """
 
 from dataclasses import dataclass
@@ -22,29 +22,29 @@ from piezo_controller.feedback.synthesis.generalised_plant import hysteresis_gai
 from piezo_models.cascade import StageModel
 
 NEAR_DB = 4.0
-"""So far below the allowed peak a frequency does not count; no single step gets so far."""
+"""Distance below the allowed peak from which on a frequency is omitted; no step spans it."""
 
 OUT_OF_REACH_DB = 8.0
-"""So far below the largest value a demand does not count."""
+"""Distance below the largest value from which on a requirement is omitted."""
 
 NOISE_SHARE = 0.995
-"""Part of the allowed noise that the tuning uses: its sum is less exact than `LoopFigures` is."""
+"""Part of the allowed noise that the tuning uses, as its sum is less exact than `LoopFigures`."""
 
 STEPS, FEW_STEPS = 150, 40
 STARTS = 30
 SIZES, SHARES = (0.02, 0.06, 0.15), (0.2, 0.5, 1.0)
-"""By how much numbers are changed for a new start, and how many of them."""
+"""Sizes of the changes at a restart, and the parts of the parameters that are changed."""
 
 PROMISING = 0.3
 
 UNSEEN_DB = 0.1
-"""By how much a peak may be higher than at the frequencies of the tuning."""
+"""Allowed excess of a peak between the frequencies of the tuning."""
 
 DECIBELS = 20 / np.log(10)
 
 
 class LoopProblem:
-    """Demands and bounds of all loops, in dB, with their derivatives by a controller's numbers."""
+    """Requirements and bounds of all loops (dB), with derivatives by controller parameters."""
 
     def __init__(self, loops: PerturbedLoops, demands: Demands, structure: FixedOrder,
                  first_mode_hz: float, gain_um_per_v: float) -> None:
@@ -53,7 +53,7 @@ class LoopProblem:
         period_s = loops.plants[0].dt
         self._points = 2 / period_s * (loops.points - 1) / (loops.points + 1)
         hz = loops.frequency_hz
-        # Part of white noise that each frequency stands for.
+        # Part of the white noise that belongs to each frequency.
         edges = np.concatenate([[0.0], (hz[1:] + hz[:-1]) / 2, hz[-1:]])
         self._parts = np.diff(edges) / hz[-1]
         self._bandwidth_hz = demands.bandwidth_ratio * first_mode_hz
@@ -61,7 +61,7 @@ class LoopProblem:
         self._reached = len(loops.plants) if demands.of_every_stage else 1
 
     def linearise(self, numbers: FloatArray) -> Linearised:
-        """Return demands, as the negative of their margins, and bounds, at some numbers."""
+        """Return the negative margins to the requirements, and the bounds, for given parameters."""
         controller, slopes = self._structure.response(numbers, self._points)
         controller = controller / self._gain_um_per_v
         loop = self._loops.responses * controller
@@ -85,7 +85,7 @@ class LoopProblem:
 
     def _lacking_bandwidth(self, loop: ComplexArray, sensitivity: ComplexArray,
                            slopes: ComplexArray) -> tuple[FloatArray, FloatArray]:
-        """Return what one loop lacks at the frequencies of its band, and at the end of that."""
+        """Return by how much (dB) a loop misses the bandwidth, at its frequencies and its end."""
         lacking_db = DECIBELS * np.log(BAND_EDGE / np.abs(loop * sensitivity))
         end = int((lacking_db > 0.0).argmax())
         reached = end > 0 and self._beyond_db[end - 1] > 0.0
@@ -124,10 +124,10 @@ class LoopProblem:
 
 
 def _stable(loop: ComplexArray) -> bool:
-    """Tell whether no loop encircles -1, by the angle of 1 + L (Nyquist).
+    """Return whether no loop encircles -1, by the angle of 1 + L (Nyquist).
 
-    The controller has one pole on the unit circle and none beyond: from -90 degrees at low
-    frequency the angle of a stable loop comes back to 0.
+    The controller has one pole on the unit circle and none outside: the angle of a stable loop
+    starts at -90 degrees at low frequency and returns to 0.
     """
     difference = 1 + loop
     first = np.angle(difference[:, 0])
@@ -142,12 +142,7 @@ class TunedFamily:
     Parameters
     ----------
     start : ndarray
-        Where the tuning begins; with less gain where that is not stable.
-
-    Attributes
-    ----------
-    structure, start
-        As given.
+        Initial parameters of the tuning; the gain is lowered if they are unstable.
     """
 
     def __init__(self, model: StageModel, structure: FixedOrder, start: FloatArray,
@@ -157,17 +152,17 @@ class TunedFamily:
         self._gain_um_per_v = float(np.mean(hysteresis_gain_range(model)))
 
     def controller(self, numbers: FloatArray) -> control.StateSpace:
-        """Return the controller of some numbers."""
+        """Return the controller for given parameters."""
         return (self.structure.controller(numbers, self._clock_period_s)
                 * (1 / self._gain_um_per_v))
 
     def report(self, numbers: FloatArray) -> dict[str, object]:
-        """Return the part of the report that only this family has."""
+        """Return the entries of the report that are specific to this family."""
         return {"numbers": list(map(float, numbers))}
 
     def search(self, loops: PerturbedLoops, demands: Demands, effort: float,
                seed: int) -> FloatArray:
-        """Return the numbers of the largest margin that was found."""
+        """Return the parameters with the largest margin that was found."""
         frequencies = self._model.dynamics.mode_frequencies_rad_per_s
         problem = LoopProblem(loops, demands, self.structure, min(frequencies) / (2 * np.pi),
                               self._gain_um_per_v)
@@ -178,7 +173,7 @@ class TunedFamily:
             start[0] -= np.log(2.0)
 
         def judged(numbers: FloatArray, found: Linearised) -> float:
-            """Return the cost; infinite where poles or peaks between the frequencies are worse."""
+            """Return the cost; infinite if poles or peaks between the frequencies are worse."""
             figures = loops.measure(self.controller(numbers))
             return np.inf if demands.violation_db(figures) > max(
                 0.0, found.bounds.max()) + UNSEEN_DB else found.cost
@@ -201,7 +196,7 @@ class TunedFamily:
 
 @dataclass(frozen=True)
 class Start:
-    """Where the tuning begins: frequencies as ratios to that of the light mode.
+    """Initial parameters of the tuning; frequencies are ratios to that of the light mode.
 
     Attributes
     ----------
@@ -223,10 +218,10 @@ START = Start(
     ((11.875, -0.32766), (0.47517, 0.33603), (6.4168, -0.51723), (0.793, 0.048452)),
     ((1.2363, 0.43622), (0.67753, 0.35464), (0.69302, 0.015754), (1.581, 0.14394),
      (0.6709, 0.37591)))
-"""What such a tuning found for the stage of the thesis with its light mode off by 20 %."""
+"""Result of such a tuning for the stage of the thesis with its light mode off by 20 %."""
 
 RESONANCES = (((1.1605, 0.098294), (1.0003, 0.0066513)), ((0.97958, 0.13056), (1.0009, 0.0062915)))
-"""Zeros and poles of the resonances at the disturbances, as ratios to the frequency of each."""
+"""Zeros and poles of the resonances at the disturbances, relative to their frequency."""
 
 
 def tuned_family(model: StageModel, demands: Demands, clock_period_s: float) -> TunedFamily:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Fewer states for the same loop: balanced truncation of a controller."""
+"""Order reduction of a controller by balanced truncation."""
 
 import warnings
 from collections.abc import Callable
@@ -13,21 +13,21 @@ from piezo_controller.feedback.synthesis.h_infinity import is_stable
 
 def reduce_order(controller: control.StateSpace,
                  acceptable: Callable[[control.StateSpace], bool]) -> control.StateSpace:
-    """Find the controller of lowest order that is still acceptable.
+    """Return the controller of lowest order that is still acceptable.
 
-    The order is lowered step by step until one is not.
+    The order is lowered step by step until a controller is not acceptable.
 
     Parameters
     ----------
     controller : control.StateSpace
         Discrete and stable.
     acceptable : callable
-        Takes a controller and tells whether it will do.
+        Takes a controller; returns whether it is acceptable.
 
     Returns
     -------
     control.StateSpace
-        `controller` itself if no lower order will do.
+        `controller` itself if no lower order is acceptable.
     """
     best = controller
     for order in range(controller.nstates - 1, 0, -1):
@@ -40,7 +40,7 @@ def reduce_order(controller: control.StateSpace,
 
 def _truncate(system: control.StateSpace, order: int) -> control.StateSpace:
     with warnings.catch_warnings():
-        # An order above that of a minimal realisation is lowered to it, which is welcome.
+        # An order above that of a minimal realisation is lowered to it, which is intended.
         warnings.simplefilter("ignore", SlycotResultWarning)
         _, a, b, c, _ = ab09ad("D", "B", "N", system.nstates, 1, 1, system.A, system.B, system.C,
                                nr=order)

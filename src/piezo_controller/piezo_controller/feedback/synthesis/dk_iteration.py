@@ -28,7 +28,7 @@ IMPORTANCE = 4
 
 
 Scaling: TypeAlias = "float | control.StateSpace"
-"""What scales one scalar uncertainty."""
+"""Scaling of one scalar uncertainty."""
 
 
 @dataclass(frozen=True)
@@ -38,12 +38,12 @@ class RobustSynthesis:
     Attributes
     ----------
     gamma : float
-        Norm of the closed loop with the scalings that the controller was found with.
+        Norm of the closed loop with the scalings that the controller was designed for.
     scalings : sequence of float or control.StateSpace
-        D for each scalar uncertainty.
+        Scaling D of each scalar uncertainty.
     history : list of float
-        Peak of the structured singular value after each synthesis: the first without scalings,
-        the last that of the controller.
+        Peak of the structured singular value after each synthesis. The first is without
+        scalings, the last is that of the controller.
     """
 
     controller: control.StateSpace
@@ -56,9 +56,9 @@ def iterate(plant: control.StateSpace, scalars: int, dynamic: bool = False,
             slack: float = 0.0) -> RobustSynthesis:
     """Alternate between synthesis (K) and scaling (D), and keep the best controller.
 
-    The iteration creeps: an optimal K levels what the next D could lower. Constant scalings are
-    therefore searched for with the synthesis inside, from where the iteration has come to. Dynamic
-    ones are iterated from there.
+    The iteration converges slowly, as an optimal K levels the peaks that the next D could lower.
+    Constant scalings are therefore refined by a direct search around the synthesis, from the result
+    of the iteration. Dynamic ones are iterated from there.
 
     Parameters
     ----------
@@ -70,12 +70,12 @@ def iterate(plant: control.StateSpace, scalars: int, dynamic: bool = False,
     dynamic : bool
         Whether the scalings depend on frequency; they add to the controller's order.
     slack : float
-        Given up at the end, see `synthesise`.
+        Slack of the final synthesis, see `synthesise`.
 
     Raises
     ------
     NoController
-        There is none even without scalings.
+        If there is none even without scalings.
     """
     iteration = _Iteration(plant, scalars)
     iteration.synthesise(np.ones(scalars))
@@ -89,7 +89,7 @@ def iterate(plant: control.StateSpace, scalars: int, dynamic: bool = False,
 
 
 class _Iteration:
-    """Where an iteration stands, and the best that it has met."""
+    """State of an iteration, and the best result so far."""
 
     def __init__(self, plant: control.StateSpace, scalars: int) -> None:
         self._plant = plant
@@ -133,19 +133,19 @@ class _Iteration:
                 for profile in self._profiles.T]
 
     def best(self, slack: float) -> RobustSynthesis:
-        """Synthesise with the best scalings, relaxed by the slack."""
+        """Synthesise with the best scalings and the given slack."""
         controller, gamma = synthesise(scale(self._plant, self._best[1]), slack)
         self._take(self._best[1], controller)
         return RobustSynthesis(controller, gamma, tuple(self._best[1]), self._history)
 
 
 def tick_frequencies(tick_s: float, count: int = FREQUENCIES) -> FloatArray:
-    """Space frequencies evenly on a logarithmic axis up to half the rate, behind zero (Hz)."""
+    """Return zero and logarithmically spaced frequencies (Hz) up to half the rate."""
     return np.r_[0.0, np.geomspace(LOWEST_HZ, 0.5 / tick_s, count)]
 
 
 def constant_scaling(responses: ComplexArray, scalars: int) -> FloatArray:
-    """Find positive numbers d for the lowest peak of the largest singular value of D M D^-1.
+    """Return positive numbers d with the lowest peak of the largest singular value of D M D^-1.
 
     Parameters
     ----------
@@ -179,13 +179,13 @@ def fit_scaling(frequency_hz: FloatArray, magnitude: FloatArray, importance: Flo
     Returns
     -------
     control.StateSpace
-        With real zeros and poles.
+        Fitted system, with real zeros and poles.
     """
     points = np.exp(2j * np.pi * frequency_hz * tick_s)
     target = np.log(magnitude)
 
     def roots(parameters: FloatArray) -> tuple[FloatArray, ...]:
-        # From corner frequencies, whatever they are, to the inside of the unit circle.
+        # Corner frequencies of any value are mapped to the inside of the unit circle.
         return tuple(np.exp(-np.exp(each)) for each in np.split(parameters[:-1], 2))
 
     def residual(parameters: FloatArray) -> FloatArray:
@@ -210,7 +210,7 @@ def scale(plant: control.StateSpace,
     Parameters
     ----------
     scalings : sequence of float or control.StateSpace
-        One for each scalar uncertainty; a system with a stable inverse.
+        Scaling of each scalar uncertainty; a system must have a stable inverse.
     """
     systems = [scaling if isinstance(scaling, control.StateSpace)
                else control.ss([], [], [], [[scaling]], plant.dt) for scaling in scalings]

@@ -15,26 +15,26 @@ UNCERTAINTIES = 2
 
 def design_plant(model: StageModel, tick_s: float, clock_period_s: float,
                  at_once: bool = False, delay_ticks: int = 1) -> tuple[control.StateSpace, float]:
-    """Make the linear plant that the feedback is designed on.
+    """Return the linear plant that the feedback is designed for.
 
     Parameters
     ----------
     tick_s, clock_period_s : float
-        Periods of the feedback and of the sample clock (s); the one a multiple of the other.
+        Periods of the feedback and of the sample clock (s); the former is a multiple of the latter.
     at_once : bool
-        Sampled when the tick begins and answered in no time, as the thesis has it; not with the
-        averaging and the tick of computing time of the stage.
+        Whether to sample at the beginning of the tick and answer at once, as in the thesis,
+        instead of the averaging and the tick of computing time of the stage.
     delay_ticks : int
-        Of computing time: 1 where a node answers the stage, 0 where the stage evaluates the
+        Ticks of computing time: 1 if a node answers the stage, 0 if the stage evaluates the
         feedback by itself.
 
     Returns
     -------
     plant : control.StateSpace
         From the hysteresis' output decided in a tick to the displacement known in it (um per um),
-        with the hold, and behind what delays the sensor.
+        including the hold and the delay of the sensor.
     hysteresis_gain_um_per_v : float
-        Nominal gain k_h: the middle of `hysteresis_gain_range`.
+        Nominal gain k_h, the middle of `hysteresis_gain_range`.
     """
     samples_per_tick = round(tick_s / clock_period_s)
     if samples_per_tick < 1 or abs(samples_per_tick * clock_period_s / tick_s - 1) > 1e-9:
@@ -46,7 +46,7 @@ def design_plant(model: StageModel, tick_s: float, clock_period_s: float,
 
 
 def clock_plant(model: StageModel, period_s: float) -> control.StateSpace:
-    """Return the stage behind its hysteresis, with what delays the sensor, sampled (um per um)."""
+    """Return the sampled linear part of the stage, with the sensor's delay (um per um)."""
     linear = model.linear()
     for effect in (*model.effects_at("displacement"), *model.effects_at("sensor")):
         linear = (effect.lag() or 1.0) * linear
@@ -54,7 +54,7 @@ def clock_plant(model: StageModel, period_s: float) -> control.StateSpace:
 
 
 def hysteresis_gain_range(model: StageModel) -> tuple[float, float]:
-    """Return the secant gains (3.16) of the hysteresis at mid-travel, from least to most (um/V)."""
+    """Return the lowest and highest secant gain (3.16) of the hysteresis at mid-travel (um/V)."""
     hysteresis = model.hysteresis
     middle_v = (hysteresis.voltage_min_v + hysteresis.voltage_max_v) / 2
     return hysteresis.gain_um_per_v([middle_v])
@@ -62,16 +62,16 @@ def hysteresis_gain_range(model: StageModel) -> tuple[float, float]:
 
 def generalised_plant(plant: control.StateSpace, hysteresis_gain_um_per_v: float,
                       weights: DesignWeights) -> control.StateSpace:
-    """Pose the design problem of thesis figs. 5.2 and 5.5.
+    """Return the generalised plant of thesis figs. 5.2 and 5.5.
 
-    Two complex numbers of at most 1 are unknown: the hysteresis' gain varies by ``w_u`` times the
-    first about its nominal value, and the feedforward leaves ``w_delta`` times the second of the
-    reference (5.12). What remains is the performance.
+    There are two complex uncertainties of at most 1: the hysteresis' gain differs from its nominal
+    value by ``w_u`` times the first, and the feedforward has an error of ``w_delta`` times the
+    second, relative to the reference (5.12). The performance is the third block.
 
     Parameters
     ----------
     plant, hysteresis_gain_um_per_v
-        From `design_plant`.
+        Results of `design_plant`.
 
     Returns
     -------
@@ -113,23 +113,23 @@ def generalised_plant(plant: control.StateSpace, hysteresis_gain_um_per_v: float
 
 def lift(system: control.StateSpace, samples_per_tick: int,
          delay_ticks: int = 1) -> control.StateSpace:
-    """Lift a fast discrete system to the tick, with its averaging and its computing time.
+    """Lift a fast discrete system to the tick, with averaging and computing time.
 
-    The voltage that the controller decides in tick k acts over tick k + `delay_ticks`, held for
-    all its samples; what it knows in tick k is the mean of the samples of tick k - 1.
+    The voltage that the controller decides in tick k is held over tick k + `delay_ticks`. Its input
+    in tick k is the mean of the samples of tick k - 1.
 
     Parameters
     ----------
     system : control.StateSpace
         Strictly proper, one input, one output, at the sample clock's period.
     delay_ticks : int
-        1 where somebody answers by a message, 0 where the stage evaluates the feedback by itself.
+        1 if a node answers by a message, 0 if the stage evaluates the feedback by itself.
 
     Returns
     -------
     control.StateSpace
         From the voltage decided in a tick to the mean known in that tick, at the tick's period.
-        States: those of `system` at the start of the tick, the mean known, the voltages acting.
+        States: those of `system` at the start of the tick, the known mean, the acting voltages.
     """
     a, b, c = lift_matrices(system.A, system.B, system.C, samples_per_tick, delay_ticks)
     return control.ss(a, b, c, 0.0, system.dt * samples_per_tick)

@@ -10,15 +10,15 @@ STEP_BACK = 0.01
 
 
 class NoController(ValueError):
-    """No stabilising controller keeps the closed loop below the largest norm tried."""
+    """There is no stabilising controller with a closed-loop norm below the largest norm tried."""
 
 
 def synthesise(plant: control.StateSpace, slack: float = 0.0, largest_norm: float = 100.0,
                tolerance: float = 1e-4) -> tuple[control.StateSpace, float]:
     """Find the H-infinity (sub)optimal controller of a generalised plant by bisection.
 
-    Only controllers that are stable themselves are taken: one that is not could not wait for a
-    run to begin, nor be held where the voltage is limited.
+    Only stable controllers are accepted: an unstable one could not be at rest before a run, nor
+    when the voltage is limited.
 
     Parameters
     ----------
@@ -26,9 +26,9 @@ def synthesise(plant: control.StateSpace, slack: float = 0.0, largest_norm: floa
         Discrete; its last input is the control, its last output the measurement.
     slack : float
         Part of the smallest norm that is given up. The optimal controller levels the closed loop
-        over all frequencies, with lightly damped poles if it takes them; a little slack does not.
+        over all frequencies, if necessary with lightly damped poles; a little slack avoids that.
     largest_norm : float
-        Where the bisection begins.
+        Upper end of the bisection.
     tolerance : float
         Relative width at which the bisection ends.
 
@@ -37,12 +37,12 @@ def synthesise(plant: control.StateSpace, slack: float = 0.0, largest_norm: floa
     controller : control.StateSpace
         From measurement to control.
     norm : float
-        Bound that the closed loop keeps (gamma).
+        Upper bound of the norm of the closed loop (gamma).
 
     Raises
     ------
     NoController
-        Even `largest_norm` is out of reach.
+        If no controller reaches even `largest_norm`.
     """
     upper, lower = largest_norm, 0.0
     best = _admissible(plant, upper)
@@ -50,7 +50,7 @@ def synthesise(plant: control.StateSpace, slack: float = 0.0, largest_norm: floa
         raise NoController(f"no stabilising controller keeps the closed loop below "
                            f"{largest_norm:g}: relax the weights")
     while upper - lower > tolerance * upper:
-        # A geometric mean finds the order of magnitude first.
+        # The geometric mean first finds the order of magnitude.
         middle = np.sqrt(upper * max(lower, 1e-3 * upper))
         candidate = _admissible(plant, middle)
         if candidate is None:
@@ -60,7 +60,7 @@ def synthesise(plant: control.StateSpace, slack: float = 0.0, largest_norm: floa
     if slack:
         upper *= 1 + slack
         best = _admissible(plant, upper) or best
-    # The formulas lose digits close to the optimum; a little away from it they do not.
+    # The formulas lose digits close to the optimum, so the bound is relaxed until it holds.
     while control.linfnorm(close(plant, best))[0] > (1 + tolerance) * upper:
         upper *= 1 + STEP_BACK
         best = _admissible(plant, upper) or best
@@ -73,7 +73,7 @@ def close(plant: control.StateSpace, controller: control.StateSpace) -> control.
     Parameters
     ----------
     plant, controller : control.StateSpace
-        As for and from `synthesise`.
+        Arguments and result of `synthesise`.
 
     Returns
     -------
@@ -84,12 +84,12 @@ def close(plant: control.StateSpace, controller: control.StateSpace) -> control.
 
 
 def is_stable(system: control.StateSpace) -> bool:
-    """Tell whether all poles of a discrete system lie inside the unit circle."""
+    """Return whether all poles of a discrete system lie inside the unit circle."""
     return bool(np.abs(system.poles()).max(initial=0.0) < 1.0)
 
 
 def _admissible(plant: control.StateSpace, norm: float) -> control.StateSpace | None:
-    """Return the controller for one bound, or None where there is none."""
+    """Return the controller for one bound; None if there is none."""
     outputs, inputs = plant.D.shape
     try:
         _, *matrices = sb10dd(plant.nstates, inputs, outputs, 1, 1, norm,

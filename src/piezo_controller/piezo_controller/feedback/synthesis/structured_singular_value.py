@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Structured singular value: how large a perturbation of known structure a loop endures."""
+"""Structured singular value: the size of structured perturbations that a loop tolerates."""
 
 import control
 import numpy as np
@@ -12,10 +12,10 @@ COMPLEX = 2
 
 def structured_singular_values(responses: ComplexArray,
                                scalars: int) -> tuple[FloatArray, FloatArray]:
-    """Return the upper bound of the structured singular value, frequency by frequency.
+    """Return the upper bound of the structured singular value at each frequency.
 
-    The structure is `scalars` complex numbers of their own, then one full complex block, the
-    performance, from all further inputs to all further outputs; zeros make it square.
+    The structure is `scalars` independent complex numbers, followed by one full complex block, the
+    performance, from all other inputs to all other outputs; it is padded with zeros to be square.
 
     Parameters
     ----------

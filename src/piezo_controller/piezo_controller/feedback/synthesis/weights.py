@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Weights of the feedback design: what is asked of the loop, at which frequency."""
+"""Weights of the feedback design: the requirements on the loop over frequency."""
 
 import math
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ class WeightsError(ValueError):
 
 @dataclass(frozen=True)
 class Weight:
-    """``gain * prod(z - zero) / prod(z - pole)`` at the tick's rate."""
+    """The weight ``gain * prod(z - zero) / prod(z - pole)`` at the tick rate."""
 
     gain: float
     zeros: tuple[float, ...] = ()
@@ -41,19 +41,19 @@ class Weight:
         return control.ss(*zpk2ss(self.zeros, self.poles, self.gain), sample_period_s)
 
     def stretched(self, factor: float) -> "Weight":
-        """Multiply the frequencies of the weight, as Tustin's rule counts them, by `factor`."""
+        """Multiply the frequencies of the weight by `factor`, under Tustin's rule."""
         if factor == 1:
             return self
 
         def moved(z: Root) -> Root:
-            # -1 is infinite frequency, and stays where it is.
+            # -1 corresponds to infinite frequency, and does not move.
             return ((z + 1) + factor * (z - 1)) / ((z + 1) - factor * (z - 1))
 
-        # Zeros at infinity, of which there are as many as zeros are missing, come to lie here.
+        # Zeros at infinity, as many as there are fewer zeros than poles, move to this point.
         missing = (1 + factor) / (1 - factor)
         zeros = (*map(moved, self.zeros), *(missing,) * (len(self.poles) - len(self.zeros)))
         poles = tuple(map(moved, self.poles))
-        # The value is kept at a point where no real root lies.
+        # The magnitude is preserved at a point without real roots.
         gain = self.gain * abs(_product(1j, self.zeros, self.poles)
                                / _product(moved(1j), zeros, poles))
         return Weight(gain, zeros, poles)
@@ -66,9 +66,9 @@ class DesignWeights:
     Attributes
     ----------
     sample_period_s : float
-        The tick (s).
+        Period of the tick (s).
     performance, control, reference, noise, disturbance : Weight
-        ``w1``, ``w2``, ``w_r``, ``w_n``, ``w_d``; the thesis' are (5.15) and (5.16).
+        ``w1``, ``w2``, ``w_r``, ``w_n``, ``w_d``; those of the thesis are (5.15) and (5.16).
     feedforward_error : float
         ``w_delta`` of (5.12).
     hysteresis_uncertainty : float
@@ -85,17 +85,17 @@ class DesignWeights:
     hysteresis_uncertainty: float
 
     def at_tick(self, sample_period_s: float) -> "DesignWeights":
-        """Return the same demands at another tick."""
+        """Return weights with the same requirements at another tick."""
         names = ("performance", "control", "reference", "noise", "disturbance")
         stretched = self._stretched(names, sample_period_s / self.sample_period_s)
         return replace(stretched, sample_period_s=sample_period_s)
 
     def for_disturbances(self, bandwidth_hz: float) -> "DesignWeights":
-        """Reject disturbances of another bandwidth as well: ``w1`` and ``w_d`` are moved."""
+        """Return weights for another bandwidth of the disturbances; ``w1`` and ``w_d`` move."""
         return self._stretched(("performance", "disturbance"), bandwidth_hz / DISTURBANCE_HZ)
 
     def _stretched(self, names: Sequence[str], factor: float) -> "DesignWeights":
-        """Multiply the frequencies of some weights by a factor."""
+        """Return weights, some of them with frequencies multiplied by a factor."""
         return replace(self, **{name: getattr(self, name).stretched(factor) for name in names})
 
     def as_dict(self) -> dict[str, Any]:
@@ -111,12 +111,12 @@ def load_weights(path: str | Path = DEFAULT_WEIGHTS) -> DesignWeights:
     Parameters
     ----------
     path : path-like
-        YAML, or the name of weights that come with the package: ``default`` or ``thesis``.
+        YAML file, or the name of built-in weights: ``default`` or ``thesis``.
 
     Raises
     ------
     WeightsError
-        Names the file, the entry and what it should be.
+        If the file is not valid; the message names the file, the entry and what it should be.
     """
     built_in = BUILT_IN.get(str(path))
     try:

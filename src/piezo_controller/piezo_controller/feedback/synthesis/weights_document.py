@@ -9,7 +9,7 @@ from piezo_common.schema import Document, Number, Numbers, Part, entry, violatio
 
 
 class WeightEntry(Part):
-    """A weight, ``gain * prod(z - zero) / prod(z - pole)`` at the tick's rate."""
+    """The weight ``gain * prod(z - zero) / prod(z - pole)`` at the tick rate."""
 
     gain: Number = entry("Gain.", above=0.0)
     zeros: Numbers = entry("Zeros in the plane of z, no more than poles.")
@@ -27,7 +27,7 @@ class WeightEntry(Part):
 
 
 class WeightsDocument(Document):
-    """The weights file: what is asked of the feedback loop, at which frequency."""
+    """The weights file: the requirements on the feedback loop over frequency."""
 
     TITLE: ClassVar[str] = "weights file"
     SYNTAX: ClassVar[str] = "yaml"

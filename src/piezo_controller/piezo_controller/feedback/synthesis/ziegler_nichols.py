@@ -11,13 +11,13 @@ from piezo_models.cascade import StageModel
 from piezo_models.linear.dynamics import continue_linear, zoh
 
 RELAY_SWING = 0.9
-"""Part of the model's range. A small swing meets less of the gain than the hysteresis has, and
-promises an ultimate gain at which a large one oscillates."""
+"""Swing of the relay as a part of the model's range. With a small one the hysteresis has less
+gain, and the ultimate gain comes out so high that large amplitudes oscillate."""
 RELAY_CYCLES = 30
 LONGEST_CYCLE_TICKS = 4000
 FREQUENCIES = 20000
 DERIVATIVE_LAG_PERIODS = 2.5
-"""The derivative's lag of (2.31), 0.005 s at an ultimate period of 0.002 s."""
+"""Lag of the derivative in ultimate periods; (2.31) has 0.005 s at a period of 0.002 s."""
 
 
 class NoOscillation(ValueError):
@@ -26,12 +26,12 @@ class NoOscillation(ValueError):
 
 @dataclass(frozen=True)
 class UltimatePoint:
-    """Where a proportional feedback oscillates.
+    """Gain and period at which a proportional feedback oscillates.
 
     Attributes
     ----------
     gain : float
-        V per um.
+        Ultimate gain (V/um).
     """
 
     gain: float
@@ -40,24 +40,25 @@ class UltimatePoint:
 
 def ultimate_point_by_relay(model: StageModel, samples_per_tick: int, clock_period_s: float,
                             swing: float = RELAY_SWING) -> UltimatePoint:
-    """Let a relay oscillate with the model of a stage, as in thesis 2.4.2.
+    """Determine the ultimate point by a relay in a loop with the model, as in thesis 2.4.2.
 
-    The relay switches about the middle of the travel, once a tick, on the mean that is known then.
+    The relay switches about the middle of the travel, once per tick, by the mean known at that
+    time.
 
     Parameters
     ----------
     swing : float
-        Of the relay, as part of the model's range.
+        Peak-to-peak swing of the relay, as a part of the model's range.
 
     Returns
     -------
     UltimatePoint
-        By the describing function of the relay.
+        Computed by the describing function of the relay.
 
     Raises
     ------
     NoOscillation
-        The relay does not settle to a cycle.
+        If the relay does not settle to a cycle.
     """
     hysteresis = model.hysteresis
     middle_v = (hysteresis.voltage_min_v + hysteresis.voltage_max_v) / 2
@@ -72,7 +73,7 @@ def ultimate_point_by_relay(model: StageModel, samples_per_tick: int, clock_peri
         held_v = np.full(samples_per_tick, voltages_v[-1])
         displacement_um, state = continue_linear(
             system, hysteresis.simulate(held_v, past), state)
-        # What was measured in this tick is answered two ticks later.
+        # A measurement in this tick is answered two ticks later.
         above = means_um[-1] > middle_um
         means_um.append(float(displacement_um.mean()))
         voltages_v.append(middle_v - amplitude_v if above else middle_v + amplitude_v)
@@ -92,22 +93,22 @@ def ultimate_point_by_relay(model: StageModel, samples_per_tick: int, clock_peri
 
 def ultimate_point_by_response(plant: control.StateSpace,
                                largest_gain_um_per_v: float) -> UltimatePoint:
-    """Take the ultimate point from the linear dynamics, the gain corrected for the hysteresis.
+    """Determine the ultimate point from the linear dynamics, corrected for the hysteresis' gain.
 
-    (3.18), (3.19): the period is that at which the phase crosses -180 degrees; the gain
-    margin there is divided by the largest gain of the hysteresis.
+    By (3.18) and (3.19) the period is that at which the phase crosses -180 degrees, and the gain
+    is the gain margin there, divided by the largest gain of the hysteresis.
 
     Parameters
     ----------
     plant : control.StateSpace
-        Discrete, from the hysteresis' output to the displacement known.
+        Discrete, from the hysteresis' output to the known displacement.
     largest_gain_um_per_v : float
         Delta_max of (3.16).
 
     Raises
     ------
     NoOscillation
-        The phase never crosses.
+        If the phase never crosses -180 degrees.
     """
     frequency_hz = np.geomspace(1e-3, 1.0, FREQUENCIES) * 0.5 / plant.dt
     response = plant(np.exp(2j * np.pi * frequency_hz * plant.dt), squeeze=True)
@@ -122,7 +123,7 @@ def ultimate_point_by_response(plant: control.StateSpace,
 
 
 def pid(ultimate: UltimatePoint, tick_s: float) -> control.StateSpace:
-    """Make a PID by the rule of Ziegler and Nichols, discrete by Tustin's rule.
+    """Return a PID by the rule of Ziegler and Nichols, discretised by Tustin's rule.
 
     It is 0.6 Ku (1 + 2 / (Tu s) + Tu s / 8), (2.31), with a lag on the derivative.
 
@@ -140,7 +141,7 @@ def pid(ultimate: UltimatePoint, tick_s: float) -> control.StateSpace:
 
 
 def proportional_integral(ultimate: UltimatePoint, tick_s: float) -> control.StateSpace:
-    """Make a PI, discrete by Tustin's rule: 0.6 Ku (1 + 2 / (Tu s)), (3.20).
+    """Return a PI, 0.6 Ku (1 + 2 / (Tu s)), (3.20), discretised by Tustin's rule.
 
     Returns
     -------

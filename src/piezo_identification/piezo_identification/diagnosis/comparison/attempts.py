@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Each known effect tried as one more beside those found, and what came of it."""
+"""Trial of each known effect in addition to those found."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -27,17 +27,16 @@ class Attempt:
 
     Attributes
     ----------
-    name : str
     fit : Fit or None
-        None where the data hints at none, or cannot show it.
+        None if the data give no initial guess, or cannot show the effect.
     significance : float
-        Of its gain on held-out data, in standard deviations.
+        Significance of the gain on held-out data, in standard deviations.
     reduction_percent : float
-        Of the RMS error on held-out data.
+        Reduction of the RMS error on held-out data.
     size : float
-        RMS of its contribution in tolerances.
+        RMS of the contribution, in tolerances.
     undecided : Undecided or None
-        Why the data could not show it; None if it could.
+        Why the data could not show the effect; None if they could.
     """
 
     name: str
@@ -50,7 +49,7 @@ class Attempt:
 
 def try_each(regression: Regression, kinds: Sequence[type[Effect]], current: Fit,
              report: Callable[[str, float], None]) -> list[Attempt]:
-    """Try each kind of effect as one more beside those of a fit.
+    """Try each kind of effect in addition to those of a fit.
 
     Parameters
     ----------
@@ -60,7 +59,7 @@ def try_each(regression: Regression, kinds: Sequence[type[Effect]], current: Fit
     Returns
     -------
     list of Attempt
-        In the order of the kinds.
+        Attempts in the order of the kinds.
     """
     evidence = recording_evidence(regression, current.effects)
     return side_by_side(

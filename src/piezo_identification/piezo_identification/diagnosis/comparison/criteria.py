@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""When a set of effects is better than another, when two cannot be told apart, when it is enough.
+"""Criteria for whether sets of effects are better than, different from, or good enough as others.
 
-No Akaike or Bayesian information criterion is used: both take samples as independent. Here fits
-are compared on held-out data, with a penalty for every fitted number.
+The Akaike and Bayesian information criteria are not used, because both assume independent samples.
+Instead, fits are compared on held-out data, with a penalty for every fitted parameter.
 """
 
 from collections.abc import Sequence
@@ -26,28 +26,29 @@ class Criteria:
     Attributes
     ----------
     noise : float
-        Size of what is left beyond the noise, in tolerances, below which it passes for noise.
+        Size of the residual beyond the noise, in tolerances, below which it counts as noise.
     overwhelming : float
-        Part below which the mean square on held-out data convinces by itself: where one event, such
-        as a jump, holds all of the evidence, there is no significance by numbers.
+        Ratio of the mean squares on held-out data below which the gain is convincing by itself. If
+        one event, such as a jump, provides all evidence, statistical significance does not apply.
     significant : float
-        Standard deviations that a gain must have; a dozen candidates try in every round.
+        Significance required of a gain, in standard deviations; each round has a dozen candidates.
     noticeable : float
-        Size of a contribution, in tolerances, below which no effect is named.
+        Smallest contribution of an effect that is named, in tolerances.
     beside : float
-        The same as a part of all that the model did not explain: an effect is not known any better.
+        The same relative to the error of the model without effects, because effects are not known
+        more accurately.
     visible : float
-        Part of a contribution that other parameters of the model must leave for it to be seen.
+        Smallest part of a contribution that other parameters of the model cannot imitate.
     told_apart : float
-        Standard deviations by which one set must be better than another to be told from it.
+        Standard deviations by which a set must be better to be distinguished from another.
     penalty : float
-        Tolerances squared by which a fitted number must lower the sum on held-out data.
+        Squared tolerances by which a fitted parameter must reduce the sum on held-out data.
     clearly_fewer : int
-        Fitted numbers by which a set must be smaller to come before one that is slightly better.
+        Number of parameters by which a set must be smaller to precede a slightly better one.
     alternatives : int
-        Sets of one size that go on to the next round.
+        Number of sets of equal size that enter the next round.
     worst_alternative : float
-        How many times as much as the best of them they may leave.
+        Largest residual of these sets, relative to that of the best one.
     """
 
     noise: float = 0.8
@@ -67,7 +68,7 @@ CRITERIA = Criteria()
 
 
 def is_noise(regression: Regression, fit: Fit) -> bool:
-    """Return whether a fit leaves so little that the diagnosis takes it for noise."""
+    """Return whether the residual of a fit is small enough to be regarded as noise."""
     return lack_of_fit(regression, fit) <= CRITERIA.noise**2
 
 
@@ -77,9 +78,9 @@ def is_convincing(regression: Regression, start: Fit, before: Fit, after: Fit) -
     Parameters
     ----------
     start : Fit
-        Without any effect.
+        Fit without any effect.
     before, after : Fit
-        The smaller and the larger set.
+        Fits with the smaller and the larger set.
     """
     least = max(CRITERIA.noticeable, CRITERIA.beside * np.sqrt(mean_square(regression, start)))
     square_before, square_after = (mean_square(regression, fit) for fit in (before, after))
@@ -93,10 +94,10 @@ def is_convincing(regression: Regression, start: Fit, before: Fit, after: Fit) -
 
 def is_indistinguishable(regression: Regression, best: Fit, other: Fit,
                          told_apart: float = CRITERIA.told_apart) -> bool:
-    """Return whether the data cannot tell a set of effects from the best one.
+    """Return whether the data cannot distinguish a set of effects from the best one.
 
-    What the best set leaves beyond the noise is how far its prediction can be trusted: sets that
-    differ by less cannot be told apart.
+    The residual of the best set beyond the noise shows the accuracy of its prediction: sets that
+    differ by less cannot be distinguished.
 
     Parameters
     ----------
@@ -108,17 +109,17 @@ def is_indistinguishable(regression: Regression, best: Fit, other: Fit,
 
 
 def score(regression: Regression, fit: Fit | None) -> float:
-    """Return the sum of squares on held-out data with a penalty for every fitted number."""
+    """Return the sum of squares on held-out data plus a penalty for every fitted parameter."""
     if fit is None:
         return np.inf
     square = mean_square(regression, fit)
-    # Where a lack of fit is left, a number must lower the sum in proportion.
+    # If a lack of fit remains, a parameter must reduce the sum in proportion.
     return (np.count_nonzero(regression.validation) * square
             + CRITERIA.penalty * fit.parameter_count * max(1.0, square))
 
 
 def alternatives(regression: Regression, fits: Sequence[Fit]) -> list[Fit]:
-    """Return the first of some fits, and of the next those that leave not much more."""
+    """Return the first few fits, without those with a much larger residual than the first."""
     return [
         fit for fit in fits[:CRITERIA.alternatives]
         if _left(regression, fit) < CRITERIA.worst_alternative * _left(regression, fits[0])
@@ -126,9 +127,9 @@ def alternatives(regression: Regression, fits: Sequence[Fit]) -> list[Fit]:
 
 
 def simplest_first(regression: Regression, fits: list[Fit]) -> list[Fit]:
-    """Put the set first that is like the best one with clearly fewer numbers, if there is one.
+    """Put a set with clearly fewer parameters first if it is equivalent to the best one.
 
-    What more numbers gain must be as sure as what an effect gains.
+    The gain from more parameters must be as significant as the gain from an effect.
     """
     if not fits:
         return fits
@@ -143,5 +144,5 @@ def simplest_first(regression: Regression, fits: list[Fit]) -> list[Fit]:
 
 
 def _left(regression: Regression, fit: Fit) -> float:
-    """Return the RMS of what is left beyond the noise on held-out data, in tolerances."""
+    """Return the RMS residual beyond the noise on held-out data, in tolerances."""
     return np.sqrt(max(CRITERIA.noticeable**2, lack_of_fit(regression, fit)))

@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class Reason(StrEnum):
-    """What kind of reason it is; decisions read it, and people the sentence beside it."""
+    """Kind of reason, for use by programs; users read the sentence."""
 
     NOT_EXCITED = "not excited"
     IMPOSSIBLE = "impossible"
@@ -21,9 +21,8 @@ class Undecided:
 
     Attributes
     ----------
-    reason : Reason
     sentence : str
-        Without its end.
+        Sentence without its end.
     """
 
     reason: Reason

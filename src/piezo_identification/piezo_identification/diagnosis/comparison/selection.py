@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Selection of effects: one is added after another while the gain on held-out data is sure."""
+"""Selection of effects: one is added at a time as long as the gain on held-out data is certain."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -38,14 +38,14 @@ from piezo_models.effects.outliers import Outliers
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """How long the selection goes on.
+    """Limits of the selection.
 
     Attributes
     ----------
     most_effects : int
-        Of a set: with more, some explain what others left wrong.
+        Largest size of a set: in larger ones, some effects compensate for errors of others.
     stuck : float
-        Part of the lack of fit that a round may leave before the search is given up.
+        Ratio of the lack of fit after and before a round above which the search ends.
     """
 
     most_effects: int = 3
@@ -57,28 +57,28 @@ SETTINGS = SearchSettings()
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """What the comparison of sets of effects ended with.
+    """Result of the comparison of sets of effects.
 
     Attributes
     ----------
     regression : Regression
-        With the noise and the outliers that show beside the effects found.
+        Regression with the noise and outliers estimated with the effects found.
     start, end : Fit
-        Without any effect, and with those found.
+        Fits without any effect, and with those found.
     rounds : list of list of Attempt
-        Those of each round, the best first.
+        Attempts of each round, the best first.
     indistinguishable : dict of str to str
-        Candidates that the data cannot tell from one that was chosen, and that one.
+        Candidates that the data cannot distinguish from a chosen one, and that one.
     not_shown : dict of str to Undecided
         Effects that the data cannot show, and why.
     alternatives : tuple of Fit
-        Other sets of the last round that leave not much more than the best, and those with an
-        effect in place of one of the best that the data cannot tell from it.
+        Other sets of the last round with nearly as small a residual as the best, and sets in which
+        an effect of the best is replaced by one that the data cannot distinguish from it.
     parts : tuple of Fit
         The best set without some of its effects.
     interrupted : bool
-        The comparison was ended by Ctrl-C, or as its time was over: more effects may be missing,
-        and those found may not be needed beside each other.
+        True if the comparison was ended by Ctrl-C or the time limit: more effects may be missing,
+        and some of those found may not be needed.
     """
 
     regression: Regression
@@ -96,16 +96,16 @@ def select_effects(regression: Regression, progress: Progress | None = None,
                    share: float = SEARCH) -> Selection:
     """Compare sets of the known effects on held-out data, and select the best.
 
-    Every round adds one more effect to each of the few best sets of the round before, in every way,
-    and fits the best of the larger sets as a whole. The larger set must be convincingly better
-    than the best smaller one.
+    Every round adds each candidate to each of the few best sets of the round before, and fits the
+    best of the larger sets as a whole. The larger set must be convincingly better than the best
+    smaller one.
 
     Parameters
     ----------
     progress : callable, optional
         Called with (what is done, fraction).
     share : float
-        Of the time that the work may take, after which the best until then is returned.
+        Share of the time limit after which the best result so far is returned.
     """
     kinds = [kind for kind in known_effects().values() if kind is not Outliers]
     excluded = excluded_by_distortion(regression.dataset.simulated, kinds)
@@ -135,18 +135,18 @@ def select_effects(regression: Regression, progress: Progress | None = None,
                 regression, best)
             weighed = reweighted(regression, larger[0].effects)
             larger = [weighed.fit(fit.effects, fit.covariance) for fit in larger]
-            # Together, so that they fit to each other whenever the comparison is interrupted.
+            # Assigned together, so that they are consistent whenever the comparison is interrupted.
             regression, start, best = weighed, fit_without_effects(weighed), larger[0]
             others = larger[1:]
             indistinguishable = like_the_best(regression, larger)
             if stuck or mean_square(regression, best) < 1.0 + CRITERIA.noticeable**2:
                 break
             sets = alternatives(regression, larger)
-        # Larger sets than the best did not convince.
+        # Larger sets than the best were not convincing.
         others = [fit for fit in alternatives(regression, [best, *others])[1:]
                   if len(fit.effects) <= len(best.effects)]
         if best.effects:
-            # With these weights: only at its optimum is one set likelier than another.
+            # With these weights: likelihoods are comparable only at the optimum of each set.
             best, *others = _once_more(regression, [best, *others])
         parts = _parts(regression, best)
         alike = in_place_of_the_found(regression, kinds, best)
@@ -154,7 +154,7 @@ def select_effects(regression: Regression, progress: Progress | None = None,
         others = _without_repeats([*others, *(fit for _, fit in alike.values())])
         not_shown |= explained_by_parameters(regression, kinds, best)
     if search.was_cut:
-        # What was found until then is worth more than nothing.
+        # An incomplete result is better than none.
         return Selection(
             regression, start, best, rounds, indistinguishable, not_shown, interrupted=True)
     return Selection(
@@ -162,7 +162,7 @@ def select_effects(regression: Regression, progress: Progress | None = None,
 
 
 def left_rms_um(selection: Selection) -> float:
-    """Return the RMS of what a selection leaves on the validation set, noise and all."""
+    """Return the RMS residual of a selection on the validation set, including noise."""
     return selection.regression.left_um(selection.end)
 
 
@@ -193,7 +193,7 @@ def _fitted_as_a_whole(regression: Regression, attempts: Sequence[Attempt]) -> l
 
 
 def _once_more(regression: Regression, fits: Sequence[Fit]) -> list[Fit]:
-    """Fit sets of effects further, each as a whole."""
+    """Continue the fits of sets of effects, each as a whole."""
     return side_by_side(
         lambda fit: fit_effects(regression, fit.effects) if fit.effects else fit, fits)
 
@@ -205,7 +205,7 @@ def _without_repeats(fits: Sequence[Fit]) -> list[Fit]:
 
 
 def _parts(regression: Regression, best: Fit) -> tuple[Fit, ...]:
-    """Fit every smaller set of the effects of a fit, but none."""
+    """Fit every non-empty proper subset of the effects of a fit."""
     smaller = [effects for size in range(len(best.effects) - 1, 0, -1)
                for effects in combinations(best.effects, size)]
     return tuple(side_by_side(lambda effects: fit_effects(regression, effects), smaller))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Effects that the data cannot tell from those found, or from other parameters of the model."""
+"""Effects that the data cannot distinguish from those found, or from changed model parameters."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,13 +20,13 @@ from piezo_models.effects import Effect
 
 @dataclass(frozen=True)
 class UndecidedSettings:
-    """When another cause does as well as a change of the model's parameters.
+    """When another cause is equivalent to a change of the model's parameters.
 
     Attributes
     ----------
     as_good : float
-        What it may leave, over the lack of fit that is left with the parameters free. No cause is
-        looked for where fixed parameters leave no more.
+        Largest lack of fit of the cause, relative to that with free parameters. If the lack of fit
+        with fixed parameters is no larger, no cause is sought.
     """
 
     as_good: float = 2.0
@@ -36,17 +36,17 @@ SETTINGS = UndecidedSettings()
 
 
 def like_the_best(regression: Regression, fits: Sequence[Fit]) -> dict[str, str]:
-    """Return effects of other sets that are like the best set, and what they stand for.
+    """Return effects of other sets that are equivalent to the best set, and what they replace.
 
     Parameters
     ----------
     fits : sequence of Fit
-        The best first.
+        Fits, the best first.
 
     Returns
     -------
     dict of str to str
-        Name of the effect that is in place of another, and that other one.
+        Name of each such effect, and the effect of the best set that it replaces.
     """
     best = fits[0]
     found: dict[str, str] = {}
@@ -61,12 +61,12 @@ def like_the_best(regression: Regression, fits: Sequence[Fit]) -> dict[str, str]
 
 def in_place_of_the_found(regression: Regression, kinds: Sequence[type[Effect]],
                           best: Fit) -> dict[str, tuple[str, Fit]]:
-    """Try the effects that are said to be indistinguishable from those found in their place.
+    """Try to replace the effects found by effects declared as indistinguishable from them.
 
     Returns
     -------
     dict of str to (str, Fit)
-        Those that do as well, the effect which each stands for, and the set with it instead.
+        Name of each equivalent effect, the effect that it replaces, and the fit with it.
     """
     tried = [
         (number, kind) for number, effect in enumerate(best.effects) for kind in kinds
@@ -87,7 +87,7 @@ def in_place_of_the_found(regression: Regression, kinds: Sequence[type[Effect]],
 
 def explained_by_parameters(regression: Regression, kinds: Sequence[type[Effect]],
                             best: Fit) -> dict[str, Undecided]:
-    """Return the effects that explain by themselves what the model's parameters explain, and why.
+    """Return the effects that alone explain what the model's parameters explain, and why.
 
     Returns
     -------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Errors before and after on the same held-out samples, and the effects that they refuse."""
+"""Errors before and after on the same held-out samples, and effects refused by them."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,7 +28,7 @@ class HeldOutErrors:
     before, after : dict of str to float
         `rms_um` and `e_y_percent`.
     where : dict
-        `source`, and `samples` that were counted.
+        `source`, and number of `samples`.
     """
 
     before: dict[str, float]
@@ -37,14 +37,14 @@ class HeldOutErrors:
 
 
 class Validation:
-    """Samples that were not fitted: of another recording, or stretches of those diagnosed.
+    """Samples that were not fitted, of another recording or of stretches of those diagnosed.
 
     Parameters
     ----------
     holdout : Recording or None
-        With the sign of the model, and its outliers marked.
+        Recording with the sign of the model and with marked outliers.
     reference : Validation, optional
-        That knows the model as given, where the regression is beside another.
+        Validation with the model as given, if the regression uses another model.
     """
 
     def __init__(self, regression: Regression, holdout: Recording | None = None,
@@ -52,18 +52,18 @@ class Validation:
         self.regression, self.holdout, self.reference = regression, holdout, reference
 
     def beside(self, regression: Regression) -> "Validation":
-        """Return the validation of fits beside another model, against the model as given."""
+        """Return the validation for fits with another model, compared with the model as given."""
         return Validation(regression, self.holdout, self)
 
     @property
     def source(self) -> str:
-        """Tell where the samples are from."""
+        """Source of the samples."""
         if self.holdout is None:
             return "stretches of the recordings that were not fitted"
         return str(self.holdout.path)
 
     def errors(self, fit: Fit | None) -> HeldOutErrors:
-        """Return the errors of the model as given, and extended by a fit, on the same samples.
+        """Return the errors of the model as given and of a fit, on the same samples.
 
         Parameters
         ----------
@@ -77,17 +77,17 @@ class Validation:
             {"source": self.source, "samples": int(np.count_nonzero(good))})
 
     def accepted(self, fit: Fit) -> tuple[Fit, dict[str, Undecided]]:
-        """Remove the effects that no stage can have, or that make the error larger.
+        """Remove the effects that are physically impossible, or that increase the error.
 
         Returns
         -------
         fit : Fit
-            With the effects that remain.
+            Fit with the remaining effects.
         refused : dict of str to Undecided
             Names of the effects that were removed, and why.
         """
         fit, refused = self._possible(fit)
-        # Among the stretches of the recordings, each effect was chosen by just this.
+        # On stretches of the same recordings, this was the criterion for selecting each effect.
         while self.holdout is not None and len(fit.effects) > 1:
             others = [self._without(fit, number) for number in range(len(fit.effects))]
             errors_um = [self._rms_um(other, fit) for other in others]
@@ -113,13 +113,13 @@ class Validation:
         return self._rms_um(fit)[0]
 
     def remainders(self, fit: Fit) -> list[Remainder]:
-        """Return what a fit leaves of each recording that is diagnosed, and of the one held out.
+        """Return the residual of a fit for each diagnosed recording and for the held-out one.
 
         Parameters
         ----------
         fit : Fit
-            Without any effect the parameters may stay as given, where this leaves less of the
-            recording that is held out.
+            If it has no effect, the given model is used for the held-out recording if that reduces
+            the error.
         """
         regression, dataset = self.regression, self.regression.dataset
         left_um = fit.residual * regression.tolerance_um
@@ -142,14 +142,14 @@ class Validation:
         return found
 
     def left_out(self) -> list[str]:
-        """Return sentences on the samples of the other recording that were left out as outliers."""
+        """Return sentences on the samples of the held-out recording excluded as outliers."""
         if self.holdout is None:
             return []
         text = outlier_text(self.source, self._given.outlier, self._given.time_s)
         return [text] if text else []
 
     def _possible(self, fit: Fit) -> tuple[Fit, dict[str, Undecided]]:
-        """Remove the effects that no stage can have, and say why."""
+        """Remove the effects that are physically impossible, and return why."""
         refused: dict[str, Undecided] = {}
         while impossible := impossible_effects(fit, self.regression.dataset.extent):
             number = next(number for number, effect in enumerate(fit.effects)
@@ -166,19 +166,19 @@ class Validation:
             f"{1e3 * with_um:.3g} nm RMS")
 
     def _without(self, fit: Fit, number: int) -> Fit:
-        """Remove one of the effects, and fit the rest anew."""
+        """Remove one of the effects, and refit the others."""
         others = fit.without(number)
         return fit_effects(self.regression, others) if others else self.regression.fit(())
 
     def _rms_um(self, *fits: Fit | None) -> tuple[float, ...]:
-        """Return the RMS errors of some fits on the samples that are good beside all of them."""
+        """Return the RMS errors of some fits on the samples that are good for all of them."""
         samples = [self._of(fit) for fit in fits]
         good = np.all([each.good for each in samples], axis=0)
         return tuple(each.errors(good)["rms_um"] for each in samples)
 
     @cached_property
     def _given(self) -> "_Samples":
-        """Return the samples of the model as given."""
+        """Samples of the model as given."""
         if self.reference is not None:
             return self.reference._given
         regression = self.regression
@@ -187,7 +187,7 @@ class Validation:
         return self._at_rows(regression.as_given().residual)
 
     def _of(self, fit: Fit | None) -> "_Samples":
-        """Return samples of the model extended by a fit, or as given without one."""
+        """Return samples of the model with a fit; those of the model as given if it is None."""
         if fit is None:
             return self._given
         if self.holdout is not None:
@@ -195,7 +195,7 @@ class Validation:
         return self._at_rows(fit.residual)
 
     def _at_rows(self, left: FloatArray) -> "_Samples":
-        """Return samples of what is left, over the tolerance, at the rows of the data set."""
+        """Return samples for a residual, in tolerances, at the rows of the data set."""
         dataset = self.regression.dataset
         measured_um = dataset.at_rows([part.measured_um for part in dataset.simulated])
         time_s = dataset.at_rows([part.time_s for part in dataset.simulated])
@@ -205,9 +205,9 @@ class Validation:
 
 @dataclass(frozen=True, eq=False)
 class _Samples:
-    """Measured displacement, what is left of it, which of it counts, and which is an outlier.
+    """Measured displacement, residual, which samples count, and which are outliers.
 
-    What comes before a model has settled is no outlier, though it does not count.
+    Samples before the model has settled do not count, but are no outliers.
     """
 
     time_s: FloatArray
@@ -229,7 +229,7 @@ def _predicted(model: StageModel, recording: Recording) -> _Samples:
     measured_um = np.zeros(recording.time_s.size)
     left_um = measured_um.copy()
     good, outlier = np.zeros((2, measured_um.size), dtype=bool)
-    # A model that settles later counts from then on.
+    # Samples count from where the model has settled.
     at = np.searchsorted(recording.sample_index, prediction.sample_index)
     measured_um[at] = prediction.measured_um
     left_um[at] = prediction.measured_um - prediction.simulated_um

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How much of what is left any learner could predict, whatever its cause.
+"""The part of the residual that any learner could predict, whatever its cause.
 
-A learner that knows nothing of stages is trained on what the named effects leave. What it predicts
-of the held-out stretches has a cause that repeats; what it does not predict is taken for random.
+A learner without knowledge of stages is trained on the residual of the named effects. The part of
+the held-out stretches that it predicts has a repeatable cause; the rest is regarded as random.
 """
 
 from collections.abc import Iterator, Sequence
@@ -31,24 +31,25 @@ from piezo_identification.fitting.regression import Fit, Regression
 
 @dataclass(frozen=True)
 class CeilingSettings:
-    """What the learner is given, and how it learns.
+    """Inputs and settings of the learner.
 
     Attributes
     ----------
     most_rows : int
-        Samples that it is trained and tried on.
+        Largest number of samples for training and testing.
     near_lags : int
-        Samples of the past that are all given; further back their distances double.
+        Number of past samples that are all used; further back, distances double.
     furthest_share : float
-        Part of a recording that the furthest of them lies back.
+        Largest lag, relative to the length of the recording.
     low_passes : int
-        Low-passed signals, with time constants from some samples to a quarter of the recording.
+        Number of low-pass filters, with time constants from a few samples to a quarter of the
+        recording.
     play_widths : tuple of float
-        Widths of play operators over the range of the voltage: the memory of a hysteresis.
+        Widths of play operators, relative to the voltage range: the memory of a hysteresis.
     folds : int
-        Into which the stretches are put to choose the penalty of the ridge regression.
+        Number of folds of the stretches for choosing the penalty of the ridge regression.
     trees, leaves, samples_per_leaf : int
-        Of the boosted trees.
+        Settings of the boosted trees.
     """
 
     most_rows: int = 6_000
@@ -67,22 +68,22 @@ SETTINGS = CeilingSettings()
 
 @dataclass(frozen=True)
 class Ceiling:
-    """What is left on held-out stretches, and how much of it can be predicted.
+    """Residual on held-out stretches, and the part of it that can be predicted.
 
     The squares of `predictable_um` and `random_um` add up to that of `left_um`.
 
     Attributes
     ----------
     left_um : float
-        RMS of what the model leaves with its effects.
+        RMS residual of the model with its effects.
     predictable_um : float
         RMS of the part that a learner predicts from voltage, displacement and their past.
     from_voltage_um : float
         The same from the voltage and its past alone.
     random_um : float
-        RMS of what it cannot predict.
+        RMS of the part that it cannot predict.
     noise_um : float
-        RMS of the sensor's noise in these samples.
+        RMS of the sensor noise in these samples.
     """
 
     left_um: float
@@ -92,7 +93,7 @@ class Ceiling:
     noise_um: float
 
     def sentence(self) -> str:
-        """Tell which part of what is left repeats, and which is random."""
+        """Describe the repeatable and the random part of the residual."""
         left, told, voltage, other = (
             f"{1e3 * value:.3g} nm" for value in (self.left_um, self.predictable_um,
                                                   self.from_voltage_um, self.random_um))
@@ -105,10 +106,10 @@ class Ceiling:
 
 
 def ceiling(regression: Regression, fit: Fit) -> Ceiling:
-    """Return how much of what a fit leaves can be predicted by a learner that knows no effects.
+    """Return how much of the residual of a fit a learner without knowledge of effects predicts.
 
-    Ridge regression and gradient-boosted trees behind it learn from the stretches that fits may
-    use, and predict those held out. A prediction that does not beat chance counts as none.
+    Ridge regression, followed by gradient-boosted trees, is trained on the stretches that fits may
+    use, and predicts the held-out ones. A prediction that is not significant counts as none.
     """
     held_out = regression.validation
     noise_um = regression.dataset.of_each(regression.noise.noise_um)[held_out]
@@ -119,12 +120,12 @@ def ceiling(regression: Regression, fit: Fit) -> Ceiling:
     whole = square_um2(fit.residual)
 
     def predicted_um2(features: FloatArray) -> float:
-        # The trees' threads would wait for each other in a loop that keeps all cores busy. Their
-        # limit holds for the thread that sets it.
+        # With many threads, the trees would wait for each other while all cores are busy. This
+        # limit applies to the thread that sets it.
         with threadpool_limits(1, user_api="openmp"):
             return max(0.0, whole - square_um2(_unpredicted(regression, fit, features)))
 
-    # That of the linear algebra holds for the process: two threads would not set it back in turn.
+    # The limit for linear algebra applies to the process, so it is not set by each thread.
     with threadpool_limits(1, user_api="blas"):
         from_voltage, from_all = side_by_side(predicted_um2, _features(regression, fit))
     predictable = max(from_voltage, from_all)
@@ -133,7 +134,7 @@ def ceiling(regression: Regression, fit: Fit) -> Ceiling:
 
 
 def _features(regression: Regression, fit: Fit) -> tuple[FloatArray, FloatArray]:
-    """Return what the learner sees at each row: of the voltage alone, and of all, (r, n)."""
+    """Return the inputs of the learner at each row: from the voltage, and from all, (r, n)."""
     dataset = regression.dataset
     lags = _lags(min(part.time_s.size for part in dataset.simulated))
     of_voltage, of_past = [], []
@@ -149,7 +150,7 @@ def _features(regression: Regression, fit: Fit) -> tuple[FloatArray, FloatArray]
 
 def _of_voltage(voltage_v: FloatArray, simulated_um: FloatArray,
                 rows: NDArray[np.intp], lags: Sequence[int]) -> Iterator[FloatArray]:
-    """Yield signals that follow from the voltage: the model's displacement is one of them."""
+    """Yield signals derived from the voltage, including the displacement of the model."""
     yield voltage_v[rows]
     yield simulated_um[rows]
     slowest = simulated_um.size / 4.0
@@ -177,7 +178,7 @@ def _play(voltage_v: FloatArray, half_width_v: float) -> FloatArray:
 
 
 def _lags(samples: int) -> list[int]:
-    """Return how many samples each given one lies back: all of the nearest, then fewer."""
+    """Return the lags in samples: all of the nearest, then fewer."""
     lags = list(range(1, SETTINGS.near_lags + 1))
     while 2 * lags[-1] <= SETTINGS.furthest_share * samples:
         lags.append(2 * lags[-1])
@@ -185,12 +186,12 @@ def _lags(samples: int) -> list[int]:
 
 
 def _before(signal: FloatArray, rows: NDArray[np.intp], lag: int) -> FloatArray:
-    """Return a signal some samples before the rows; its first value stands for what was before."""
+    """Return a signal some samples before the rows, extended by its first value."""
     return signal[np.maximum(rows - lag, 0)]
 
 
 def _unpredicted(regression: Regression, fit: Fit, features: FloatArray) -> FloatArray:
-    """Return what a learner leaves of what a fit leaves, in tolerances, (r,)."""
+    """Return the residual of a fit without the part a learner predicts, in tolerances, (r,)."""
     rows = np.flatnonzero(regression.estimation)
     rows = rows[:: max(1, rows.size // SETTINGS.most_rows)]
     given = features[rows], fit.residual[rows], regression.dataset.stretch[rows]
@@ -203,7 +204,7 @@ def _unpredicted(regression: Regression, fit: Fit, features: FloatArray) -> Floa
 
 
 def _how_many(features: FloatArray, left: FloatArray, stretch: NDArray[np.intp]) -> int:
-    """Return how many of the learners predict best what they were not trained on."""
+    """Return the number of learners that predicts other data best."""
     half = stretch // SPLIT.held_out % 2 == 0
     squares = np.zeros(len(LEARNERS) + 1)
     for seen in (half, ~half):
@@ -216,7 +217,7 @@ def _how_many(features: FloatArray, left: FloatArray, stretch: NDArray[np.intp])
 
 def _trained(features: FloatArray, left: FloatArray,
              stretch: NDArray[np.intp]) -> list[RegressorMixin]:
-    """Return the learners, each trained on what those before it leave."""
+    """Return the learners, each trained on the residual of those before it."""
     learners: list[RegressorMixin] = []
     for learner in LEARNERS:
         target = left - _sum_of(learners, features)
@@ -225,9 +226,9 @@ def _trained(features: FloatArray, left: FloatArray,
 
 
 def _linear(features: FloatArray, stretch: NDArray[np.intp]) -> RegressorMixin:
-    # Neighbouring samples are alike: the penalty is chosen on stretches that were not fitted.
+    # Neighbouring samples are correlated: the penalty is chosen on stretches that were not fitted.
     folds = list(GroupKFold(SETTINGS.folds).split(features, groups=stretch))
-    # What was never seen is taken for the nearest that was: a line would leave all bounds.
+    # Inputs outside the training range are clipped, because a line would extrapolate without bound.
     return make_pipeline(MinMaxScaler(clip=True),
                          RidgeCV(alphas=np.logspace(-5.0, 4.0, 10), cv=folds))
 
@@ -240,7 +241,7 @@ def _trees(features: FloatArray, stretch: NDArray[np.intp]) -> RegressorMixin:
 
 
 LEARNERS = (_linear, _trees)
-"""Make a learner for samples of some stretches; the second learns what the first leaves."""
+"""Functions that make a learner; the second is trained on the residual of the first."""
 
 
 def _sum_of(learners: Sequence[RegressorMixin], features: FloatArray) -> FloatArray:

@@ -1,18 +1,19 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How far effects that were fitted beside a model with errors may be off.
+"""Uncertainty of effects that were fitted with an inexact model.
 
-The model of a hysteresis is not exact, and what it leaves is alike in every cycle. A loop that is
-too narrow at some span looks like part of a delay or of a play, and a fit takes that part: it shows
-in no residual, nor in how the residual scatters. What is left beside it does show. So errors of
-the density are drawn, and an estimate that is linear about the optimum,
+The model of a hysteresis is not exact, and its errors repeat in every cycle. For example, a loop
+that is too narrow at some span resembles a part of a delay or a play, which a fit then includes.
+This bias is not visible in the residual or its scatter, but the remaining errors of the density
+are. Random errors of the density are therefore drawn, and an estimate that is linear about the
+optimum,
 
     change of the effects = (G' G)^-1 G' e,
 
-tells what each of them does to the effects, with G the derivatives that the regressors leave. How
-large the errors e are follows from how much more of what the fit leaves has their shapes than it
-would by chance. An error is common to all cells of one span, since an identification averages over
-loops of one span, and its cells are too wide for what a density does near its diagonal wherever
-that is.
+gives the change of the effects due to each of them, with G the derivatives after projecting out the
+regressors. The size of the errors e follows from the residual power in their shapes, compared with
+what is expected by chance. An error is common to all cells of one span, because an identification
+averages over loops of one span, and its cells are too wide for a density that changes near its
+diagonal everywhere.
 """
 
 from collections.abc import Iterator
@@ -29,30 +30,30 @@ from piezo_models.effects import Effect, fitted_values, with_fitted_values
 from piezo_models.hysteresis.preisach import PreisachModel
 
 DRAWS = 32
-"""So many errors of the model are drawn: their spread is then known to an eighth."""
+"""Number of drawn errors of the model: their spread is then known to about an eighth."""
 SEED = 0
 SMALL = 0.01
-"""The density changes by this part, to which the response is linear; it has no other meaning."""
+"""Relative change of the density, to which the response is linear; the value is arbitrary."""
 BLOCK = 10
-"""Rows in whose mean white noise is less by the root of it, and errors of the model are not."""
+"""Block length in rows: averaging reduces white noise, but not errors of the model."""
 STEP = float(np.finfo(float).eps ** (1.0 / 3.0))
-"""Central differences take this part of a number as their step."""
+"""Relative step of central differences."""
 
 
 def with_model_errors(regression: Regression, fit: Fit) -> Fit:
-    """Return a fit whose covariance tells of errors of the model as well.
+    """Return a fit whose covariance includes errors of the model.
 
     Parameters
     ----------
     regression : Regression
-        In which it was fitted.
+        Regression in which it was fitted.
     fit : Fit
-        With the covariance by the scatter of the residual, or without any.
+        Fit with the covariance from the scatter of the residual, or without any.
 
     Returns
     -------
     Fit
-        Without a covariance where there was none.
+        Without a covariance if there was none.
     """
     if fit.covariance is None or not fit.covariance.size:
         return fit
@@ -67,27 +68,27 @@ def with_model_errors(regression: Regression, fit: Fit) -> Fit:
     rows = np.count_nonzero(regression.estimation)
 
     def beside(columns: FloatArray) -> FloatArray:
-        """Return what effects leave of columns, too."""
+        """Return columns with the part along the effects removed."""
         return (columns - scaled @ (inverse @ (scaled.T @ columns)))[:rows]
 
     noise, size = noise_and_errors(
         beside(regression.remainder(fit.difference)), beside(errors))
     changes = inverse @ (scaled.T @ errors) / scales[:, None]
     white = noise * np.diag(inverse) / scales**2
-    # The scatter of the residual tells nothing of the prior of the parameters, and white noise
-    # nothing of errors that neighbours share.
+    # The scatter of the residual does not include the prior of the parameters, and white noise
+    # does not include errors shared by neighbours.
     missing = np.diag(np.maximum(0.0, white - np.diag(fit.covariance)))
     return replace(
         fit, covariance=fit.covariance + missing + size * (changes @ changes.T) / DRAWS)
 
 
 def derivatives(regression: Regression, fit: Fit) -> FloatArray:
-    """Return the derivatives of the difference by the fitted values, as the regressors leave them.
+    """Return the derivatives of the difference by the fitted values, without the regressors.
 
     Returns
     -------
     (n + p, m) array
-        Rows as those of `Regression.remainder`.
+        Rows as in `Regression.remainder`.
     """
     columns = []
     for number, effect in enumerate(fit.effects):
@@ -102,7 +103,7 @@ def derivatives(regression: Regression, fit: Fit) -> FloatArray:
 
 
 def _moved(fit: Fit, number: int, index: int, value: float) -> list[Effect]:
-    """Return the effects of a fit with another value of one of their numbers."""
+    """Return the effects of a fit with one parameter changed."""
     effects = list(fit.effects)
     values, _, _ = fitted_values(effects[number])
     values[index] = value
@@ -111,7 +112,7 @@ def _moved(fit: Fit, number: int, index: int, value: float) -> list[Effect]:
 
 
 def drawn_errors_um(dataset: Dataset) -> Iterator[FloatArray]:
-    """Yield what drawn errors of the density add to the rows, each (r,)."""
+    """Yield the changes of the rows due to drawn errors of the density, each (r,)."""
     linear, hysteresis = dataset.model.linear(), dataset.model.hysteresis
     given_um = [part.hysteresis_output_um(hysteresis) for part in dataset.simulated]
     for erring in _erring(hysteresis):
@@ -122,7 +123,7 @@ def drawn_errors_um(dataset: Dataset) -> Iterator[FloatArray]:
 
 
 def _erring(hysteresis: PreisachModel) -> Iterator[PreisachModel]:
-    """Yield the hysteresis with drawn factors of the density, one for all cells of a span."""
+    """Yield the hysteresis with random factors of the density, one for all cells of a span."""
     random = np.random.default_rng(SEED)
     density = hysteresis.density_um_per_v2
     rising, falling = np.indices(density.shape)
@@ -132,26 +133,26 @@ def _erring(hysteresis: PreisachModel) -> Iterator[PreisachModel]:
 
 
 def noise_and_errors(left: FloatArray, errors: FloatArray) -> tuple[float, float]:
-    """Return the variance of white noise, and how large drawn errors are, by what a fit leaves.
+    """Return the variance of white noise, and the size of drawn errors, from a residual.
 
-    Half of the drawn errors span the shapes that errors of the density have in these rows. What is
-    left has more power in these shapes than elsewhere by as much as such errors are there, and the
-    other half of them tells how much more they would have. Means over neighbours are compared, in
-    which white noise is less. Where the difference is within its scatter, the errors may still be
-    there: the size is the mean of those that are possible, which are normal about the estimate and
-    not negative.
+    Half of the drawn errors span the shapes of errors of the density in these rows. The residual
+    has more power in these shapes than elsewhere in proportion to the size of such errors. The
+    other half shows how much more power errors of unit size would have. Block means are compared,
+    in which white noise is smaller. Even if the difference is within its scatter, errors may be
+    present: the size is the mean of a normal distribution about the estimate, truncated at zero.
 
     Parameters
     ----------
     left : (n,) array
+        Residual of the fit.
     errors : (n, d) array
-        What the drawn errors leave.
+        Drawn errors after projecting out effects and regressors.
 
     Returns
     -------
     noise : float
     size : float
-        Of the squares of the drawn errors.
+        Factor of the squares of the drawn errors.
     """
     means = block_means(np.column_stack([left, errors]))
     half, total = min(errors.shape[1], len(means)) // 2, float(np.mean(left**2))
@@ -177,7 +178,7 @@ def block_means(columns: FloatArray) -> FloatArray:
 
 
 def powers(columns: FloatArray, shapes: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the mean square of columns, (n, m), in each of some shapes, and in all others.
+    """Return the mean square of columns, (n, m), per shape, and per other direction.
 
     Parameters
     ----------
@@ -188,7 +189,7 @@ def powers(columns: FloatArray, shapes: FloatArray) -> tuple[FloatArray, FloatAr
     Returns
     -------
     within, beyond : (m,) array
-        The same for white noise.
+        Equal for white noise.
     """
     count, number = shapes.shape
     within = np.sum((shapes.T @ columns) ** 2, axis=0)

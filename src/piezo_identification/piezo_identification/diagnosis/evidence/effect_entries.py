@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Entries of the verdict for the effects found: parameters, uncertainty, what each explains."""
+"""Entries of the verdict for the effects found: parameters, uncertainty, error reduction."""
 
 from collections.abc import Sequence
 from dataclasses import fields
@@ -24,11 +24,11 @@ def effect_entries(regression: Regression, fit: Fit) -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        `name`, `parameters`, `error_reduction_percent` and, where they are known,
-        `standard_deviations` of the parameters that were fitted. Beside a stronger effect, one that
-        contributes less than the noise is a stand-in.
+        `name`, `parameters`, `error_reduction_percent` and, if known, `standard_deviations` of the
+        fitted parameters. An effect that contributes less than the noise is a stand-in if another
+        contributes more.
     """
-    # Without an effect and everything else as it is, the error would be larger by what it adds.
+    # Removing an effect, with all else unchanged, would increase the error by its contribution.
     added = [contribution_rms(regression, regression.fit(fit.without(number)), fit)
              for number in range(len(fit.effects))]
     left = np.sqrt(mean_square(regression, fit))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Outliers of all recordings that are diagnosed: an effect of the sensor, and samples left out."""
+"""Outliers of all diagnosed recordings, as an effect of the sensor and as excluded samples."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from piezo_models.effects.converter_steps import SensorSteps
 from piezo_models.effects.outliers import FEWEST, THRESHOLD, Outliers
 
 NEXT_STEP = 1.6
-"""Steps of the sensor by which a reading that is rounded the other way may be off at most."""
+"""Largest error of a reading that is rounded to the neighbouring step, in steps of the sensor."""
 
 
 @dataclass(frozen=True)
@@ -26,9 +26,9 @@ class FoundOutliers:
     Parameters
     ----------
     share : float
-        Of the samples.
+        Fraction of the samples.
     size_um : float
-        RMS by which they are off.
+        RMS error of these samples.
     """
 
     count: int
@@ -36,12 +36,12 @@ class FoundOutliers:
     size_um: float
 
     def effect(self, regression: Regression) -> Outliers:
-        """Return the effect by which they enter the extended model."""
+        """Return the effect that represents them in the extended model."""
         threshold_um = THRESHOLD * float(np.median(regression.noise.noise_um))
         return Outliers(self.share, self.size_um, threshold_um)
 
     def entry(self, regression: Regression, fit: Fit) -> dict[str, Any]:
-        """Return their entry of the verdict, beside the effects of a fit."""
+        """Return their entry of the verdict, in addition to the effects of a fit."""
         left = regression.left_um(fit)
         with_them = np.hypot(left, np.sqrt(self.share) * self.size_um)
         return {
@@ -53,12 +53,12 @@ class FoundOutliers:
 
 def found_outliers(regression: Regression,
                    effects: Sequence[Effect] = ()) -> FoundOutliers | None:
-    """Return the outliers, if there are more than chance makes and they are worth a name.
+    """Return the outliers if they are more than expected by chance and large enough to be named.
 
     Parameters
     ----------
     effects : sequence of piezo_models.effects.effect.Effect
-        That are named. Beside steps of the sensor, a reading of the next step is no outlier.
+        Named effects. If the sensor has steps, a reading of a neighbouring step is no outlier.
     """
     least_um = max((NEXT_STEP * effect.step_um for effect in effects
                     if isinstance(effect, SensorSteps)), default=0.0)
@@ -66,7 +66,7 @@ def found_outliers(regression: Regression,
     for index, part in enumerate(regression.dataset.simulated):
         settled = slice(part.begin, None)
         outlier = regression.noise.outliers[index][settled]
-        # What stands out of the residual alone has not been put among its neighbours.
+        # Samples that stand out of the residual only have no interpolated neighbours.
         left_um = residual_um(regression.dataset, index, noise=regression.noise)
         beside_um = np.where(part.outlier, part.off_um, left_um)[settled]
         off_um.append(beside_um[outlier & (np.abs(beside_um) >= least_um)])
@@ -82,7 +82,7 @@ def found_outliers(regression: Regression,
 
 
 def left_out(regression: Regression) -> list[str]:
-    """Return what people are told of samples that were left out, a sentence for each recording."""
+    """Return a sentence on the excluded samples of each recording that has any."""
     texts = [outlier_text(part.path, outlier, part.time_s) for part, outlier in
              zip(regression.dataset.simulated, regression.noise.outliers, strict=True)]
     return [text for text in texts if text]

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The least noise of a sensor that any recording at hand shows.
+"""The smallest noise of a sensor that any available recording shows.
 
-A recording without a rest or a repeat cannot tell what a model lacks from noise. Another recording
-of the same sensor can. A row of a slow recording may be the mean of many samples, so the noise that
-it shows may be less than that of faster rows, by the root of the ratio of the sample periods.
+A recording without a rest or a repeat cannot distinguish errors of the model from noise. Another
+recording of the same sensor can. A row of a slow recording may be the mean of many samples, so that
+its noise may be smaller than that of faster rows, by the square root of the ratio of the sample
+periods.
 
-A recording that does not show the noise bounds it from above, as it has no less noise than that.
+A recording that does not show the noise provides an upper bound.
 """
 
 from collections.abc import Sequence
@@ -28,28 +29,27 @@ from piezo_models.identified_model import IdentifiedModel
 from piezo_recorder.reading.recording import Recording
 
 MOST_SAMPLES = 200_000
-"""The noise of longer recordings is that of their beginning."""
+"""The noise of longer recordings is estimated from their first samples."""
 
 OF_MEANS = "repeats"
-"""Where repeats told the noise of a component, it is that of their mean, and their number is not in
-the model file."""
+"""If the noise of a component comes from repeats, it is that of their mean, and their number is not
+in the model file."""
 OF_RESTS = "rests"
-"""Where rests told it, it is shown; else it is what the component left in its quietest band."""
+"""If it comes from rests, it is known; otherwise it is the residual in the quietest band."""
 
 
 @dataclass(frozen=True)
 class NoiseSource:
-    """Noise as one recording shows it.
+    """Noise as shown by one recording.
 
     Attributes
     ----------
-    rms_um : float
     period_s : float
         Sample period of its rows.
     name : str
-        Of what shows it.
+        Name of the source.
     is_shown : bool
-        Else the noise may be any less.
+        False if the value is only an upper bound.
     """
 
     rms_um: float
@@ -58,7 +58,7 @@ class NoiseSource:
     is_shown: bool = True
 
     def at(self, period_s: float) -> "NoiseSource":
-        """Return the most noise that rows of another sample period may have."""
+        """Return the upper bound of the noise for rows of another sample period."""
         faster = max(1.0, self.period_s / period_s)
         return replace(self, rms_um=self.rms_um * float(np.sqrt(faster)), period_s=period_s,
                        is_shown=self.is_shown and bool(np.isclose(faster, 1.0)))
@@ -66,34 +66,33 @@ class NoiseSource:
 
 @dataclass(frozen=True)
 class KnownNoise:
-    """What is known of a sensor's noise, and which components of the model leave more.
+    """Known noise of a sensor, and components of the model with larger residuals.
 
     Attributes
     ----------
-    sources : tuple of NoiseSource
     inadequate : tuple of str
-        Components that the identification called inadequate.
+        Components that the identification found inadequate.
     """
 
     sources: tuple[NoiseSource, ...] = ()
     inadequate: tuple[str, ...] = ()
 
     def least(self, period_s: float) -> NoiseSource:
-        """Return the least noise known for rows of a sample period; there is a source."""
+        """Return the smallest known noise for rows of a sample period; there must be a source."""
         return min((source.at(period_s) for source in self.sources),
                    key=lambda source: source.rms_um)
 
     def is_shown(self, period_s: float) -> bool:
-        """Tell whether the noise of rows of a sample period is known, and not only bounded."""
+        """Return whether the noise for a sample period is known, not only bounded."""
         return any(source.at(period_s).is_shown for source in self.sources)
 
     def beside(self, sources: Sequence[NoiseSource]) -> "KnownNoise":
-        """Return the same with more sources."""
+        """Return the noise with more sources."""
         return replace(self, sources=(*self.sources, *sources))
 
 
 def noise_of_model(identified: IdentifiedModel) -> KnownNoise:
-    """Return the noise that a model file tells of its recordings."""
+    """Return the noise that a model file states for its recordings."""
     adequacy, periods_s = identified.adequacy, identified.sample_periods_s
     return KnownNoise(
         tuple(NoiseSource(part["noise_rms_um"], periods_s[name], f"the model file for {name}",
@@ -105,7 +104,7 @@ def noise_of_model(identified: IdentifiedModel) -> KnownNoise:
 
 
 def noise_of_residuals(regression: Regression) -> list[NoiseSource]:
-    """Return the noise that each recording of a regression shows beside the model."""
+    """Return the noise that each recording of a regression shows with the model."""
     return [NoiseSource(noise_um, part.sample_period_s, f"{recording.path} beside the model",
                         shows_noise(part.measured_um[part.begin :], part.voltage_v[part.begin :]))
             for recording, part, noise_um in zip(
@@ -114,7 +113,7 @@ def noise_of_residuals(regression: Regression) -> list[NoiseSource]:
 
 
 def noise_sources(recordings: Sequence[Recording]) -> list[NoiseSource]:
-    """Return the noise that each of some recordings shows without any model."""
+    """Return the noise that each recording shows without any model."""
     found = []
     for recording in recordings:
         part = played(recording)
@@ -128,9 +127,9 @@ def noise_sources(recordings: Sequence[Recording]) -> list[NoiseSource]:
 
 
 def _noise_um(displacement_um: FloatArray, voltage_v: FloatArray) -> float:
-    """Return the noise between repeats or at rest, or else in the quietest band.
+    """Return the noise between repeats or at rest, otherwise in the quietest band.
 
-    A sensor that counts steps may stand still at rest: it is no better than its steps are fine.
+    A digital sensor may not change at rest; its noise is then at least that of its steps.
     """
     period = repeated_period(voltage_v)
     found = [noise_from_rest_um(displacement_um, voltage_v),

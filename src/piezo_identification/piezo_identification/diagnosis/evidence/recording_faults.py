@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is wrong with a recording itself, found before any effect of the stage is asked for.
+"""Faults of a recording itself, found before any effect of the stage is sought.
 
-A sensor that counts down, and rows that put the displacement beside the voltage of another instant,
-are the logger's. They are taken out and told by name; no effect then has to make up for them.
+A sensor with the opposite direction, and displacements in the row of another instant, are errors of
+the logger. They are corrected and reported, so that no effect has to compensate for them.
 """
 
 from collections.abc import Iterator
@@ -31,21 +31,20 @@ class FaultSettings:
     Attributes
     ----------
     most_rows : int
-        By which they are looked for.
+        Largest shift that is sought.
     whole : float
-        Part of a row by which the displacement may be off a whole row: a logger shifts by whole
-        ones, and a stage by any time.
+        Largest deviation from a shift by whole rows: a logger shifts by whole rows, a stage by any
+        time.
     error_ratio : float
-        Part of the error on the last third that aligned rows may leave: another cause that
-        resembles a shift leaves more.
+        Largest ratio of the errors on the last third, with and without alignment: causes that only
+        resemble a shift reduce the error less.
     fitted_share : float
         First part of the samples, from which the shift is estimated.
     as_much_alike : float
-        Factor within which the difference of two shifts tells nothing: of these the smallest is
-        taken.
+        Factor within which two shifts are equivalent; the smallest is used.
     slow_row : float
-        Group delays of the dynamics that a row must last for a displacement that comes late to be
-        the logger's: in a fast recording the stage may have a delay.
+        Shortest row, in group delays of the dynamics, for which a late displacement is attributed
+        to the logger: in a fast recording the stage may have a delay.
     """
 
     most_rows: int = 200
@@ -61,16 +60,16 @@ SETTINGS = FaultSettings()
 
 @dataclass(frozen=True)
 class RecordingFault:
-    """What is wrong with a recording, and what was done about it.
+    """A fault of a recording, and how it was corrected.
 
     Attributes
     ----------
     name : str
         `wrong_sign` or `misaligned_rows`.
     recording : str
-        Its path.
+        Path of the recording.
     sentence : str
-        What was found.
+        Description of the fault.
     remedy : str
         What to do before the next recording.
     numbers : dict of str to float
@@ -84,7 +83,7 @@ class RecordingFault:
     numbers: dict[str, float] = field(default_factory=dict)
 
     def document(self) -> dict[str, object]:
-        """Return what `verdict.json` tells of it."""
+        """Return its entry in `verdict.json`."""
         return {"name": self.name, "recording": self.recording, "sentence": self.sentence,
                 "remedy": self.remedy, **self.numbers}
 
@@ -97,7 +96,7 @@ def without_faults(model: StageModel,
     -------
     recording : Recording
     faults : list of RecordingFault
-        That were taken out.
+        Faults that were corrected.
 
     Raises
     ------
@@ -108,7 +107,7 @@ def without_faults(model: StageModel,
     run = ModelRun(model, signed)
     is_reversed = run.is_reversed
     if is_reversed:
-        # What is fitted beside the model would be that of the other sign.
+        # The state fitted with the model would be that of the other sign.
         signed = reversed_displacement(signed)
         run = ModelRun(model, signed)
     rows, is_against = _late_rows(run)
@@ -121,7 +120,7 @@ def without_faults(model: StageModel,
 
 
 def wrong_sign(path: object) -> RecordingFault:
-    """Return the fault of a recording whose displacement runs against the model's."""
+    """Return the fault of a recording with the opposite sign of the model's displacement."""
     return RecordingFault(
         WRONG_SIGN, str(path), sign_text(path),
         "if the sensor counts down, change the sign where it is recorded; if the sign of the "
@@ -130,7 +129,7 @@ def wrong_sign(path: object) -> RecordingFault:
 
 def _aligned(run: ModelRun, recording: Recording, rows: int,
              is_reversed: bool) -> tuple[Recording, RecordingFault | None]:
-    """Return the recording with aligned rows, where that explains it, and else as it is."""
+    """Return the recording with aligned rows if that reduces the error, otherwise unchanged."""
     period_s = run.part.sample_period_s
     is_slow = period_s > SETTINGS.slow_row * low_frequency_delay_s(run.model.dynamics)
     if rows == 0 or rows > 0 and not is_slow:
@@ -154,9 +153,9 @@ def _aligned(run: ModelRun, recording: Recording, rows: int,
 
 
 def _late_rows(run: ModelRun) -> tuple[int, bool]:
-    """Return by how many whole rows the displacement is late, and whether it is reversed then.
+    """Return by how many whole rows the displacement is late, and whether its sign is reversed.
 
-    The rows are 0 where it is late by no whole number of them.
+    The number of rows is 0 if the delay is not a whole number of rows.
     """
     used = slice(0, round(SETTINGS.fitted_share * run.settled.size))
     measured_um, simulated_um = (signal[used] for signal in (run.measured_um, run.simulated_um(())))
@@ -176,7 +175,7 @@ def _late_rows(run: ModelRun) -> tuple[int, bool]:
 
 
 def _coarse_shift(measured_um: FloatArray, simulated_um: FloatArray) -> int:
-    """Return the shift at which the two are most alike; 0 unless they are clearly more alike."""
+    """Return the shift with the largest correlation; 0 unless it is clearly larger."""
     centred = [signal - signal.mean() for signal in (measured_um, simulated_um)]
     most = min(SETTINGS.most_rows, measured_um.size // 4)
     size = next_fast_len(measured_um.size + most, real=True)
@@ -188,7 +187,7 @@ def _coarse_shift(measured_um: FloatArray, simulated_um: FloatArray) -> int:
     of_both = [energy[begin + overlap] - energy[begin]
                for energy, begin in zip(energies, (late, early), strict=True)]
     unlike = 1.0 - np.abs(products[shifts]) / np.sqrt(np.maximum(of_both[0] * of_both[1], 1e-300))
-    # A periodic waveform is as much alike a period later.
+    # A periodic waveform correlates equally well one period later.
     close = np.flatnonzero(unlike <= SETTINGS.as_much_alike * unlike.min())
     best = close[np.argmin(np.abs(shifts[close]))]
     is_clear = unlike[best] < SETTINGS.error_ratio**2 * unlike[most]
@@ -197,7 +196,7 @@ def _coarse_shift(measured_um: FloatArray, simulated_um: FloatArray) -> int:
 
 def _overlap(measured_um: FloatArray, simulated_um: FloatArray,
              rows: int) -> tuple[FloatArray, FloatArray]:
-    """Return the measured signal so many rows later, and the simulated one beside it."""
+    """Return the overlap of the measured signal, shifted by so many rows, and the simulated one."""
     size = measured_um.size - abs(rows)
     late, early = max(rows, 0), max(-rows, 0)
     return measured_um[late : late + size], simulated_um[early : early + size]
@@ -209,7 +208,7 @@ def _product(measured_um: FloatArray, simulated_um: FloatArray, rows: int) -> fl
 
 
 def _read_later(recording: Recording, rows: int) -> Recording:
-    """Return the recording with the displacement that stands so many rows later."""
+    """Return the recording with the displacement from so many rows later."""
     index = np.arange(recording.displacement_um.size)
     known = (index + rows >= 0) & (index + rows < index.size)
     source = (index + rows)[known]
@@ -220,14 +219,14 @@ def _read_later(recording: Recording, rows: int) -> Recording:
 
 
 def _of_sensor(recording: Recording, source: NDArray[np.intp]) -> Iterator[tuple[str, FloatArray]]:
-    """Yield the columns that tell of the displacement, and move with it."""
+    """Yield the columns related to the displacement, which are shifted with it."""
     for name, values in recording.columns.items():
         if name.endswith("_um"):
             yield name, values[source]
 
 
 def _error_at_end_um(run: ModelRun) -> float:
-    """Return the RMS error of the last samples, which no shift was estimated from."""
+    """Return the RMS error of the last samples, which were not used to estimate the shift."""
     end = np.arange(run.settled.size) >= SETTINGS.fitted_share * run.settled.size
     run.good = run.good & end
     return run.error_um(())

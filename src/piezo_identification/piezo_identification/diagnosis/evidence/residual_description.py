@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Sentences on what effects leave: where, when, how large and at which frequencies."""
+"""Sentences on the residual: where, when, how large, and at which frequencies."""
 
 import numpy as np
 
@@ -12,14 +12,14 @@ from piezo_identification.fitting.noise_estimate import residual_um
 from piezo_identification.fitting.regression import Fit, Regression
 
 WORTH_TELLING = 0.05
-"""Part of the residual's power that has to go with a quantity for the quantity to be named."""
+"""Smallest share of the residual power related to a quantity for which the quantity is named."""
 
 MOST_OF_IT = 0.1, 0.9
-"""Parts of the power below and above the band that is named."""
+"""Quantiles of the power that limit the named band."""
 
 
 def describe_residual(regression: Regression, fit: Fit) -> str:
-    """Describe what the effects of a fit leave, in one sentence for each recording."""
+    """Describe the residual of a fit, in one sentence for each recording."""
     return " ".join(_sentence(regression, fit, index)
                     for index in range(len(regression.dataset.simulated)))
 

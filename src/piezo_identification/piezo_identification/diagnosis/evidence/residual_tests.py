@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Tests of a residual: whether it is noise, and if not, what it goes with."""
+"""Tests of a residual: whether it is noise, and on which quantities it depends."""
 
 from dataclasses import dataclass
 
@@ -14,22 +14,22 @@ from piezo_identification.conditioning.waveforms import turning_points
 
 @dataclass(frozen=True)
 class ResidualTestSettings:
-    """Numbers of the tests of a residual.
+    """Settings of the tests of a residual.
 
     Attributes
     ----------
     band_99 : float
         Standard deviations within which 99 % of a normal distribution lie.
     most_lags : int
-        Samples by which a residual is shifted at most: what is slower shows in the dependences.
+        Largest shift of a residual in samples; slower errors show in the dependences.
     bins : int
-        Of equally many samples, in which the mean of a residual is taken.
+        Number of bins, with equally many samples, for the mean of a residual.
     segments : int
-        Of a recording, whose spectra are averaged.
+        Number of segments of a recording whose spectra are averaged.
     shortest_segment : int
-        Samples of a segment at least.
+        Smallest number of samples of a segment.
     whitening_order : int
-        Earlier samples from which an input is predicted to make it white.
+        Number of earlier samples used to predict an input to make it white.
     """
 
     band_99: float = 2.576
@@ -45,13 +45,12 @@ SETTINGS = ResidualTestSettings()
 
 @dataclass(frozen=True)
 class CorrelationTest:
-    """Correlation over lags, and the band in which 99 % of it lie if there is none.
+    """Correlation over lags, and the band that contains 99 % of it if there is none.
 
     Attributes
     ----------
     lags : (n,) array of int
     correlation : (n,) array
-    band : float
     """
 
     lags: np.ndarray
@@ -60,12 +59,12 @@ class CorrelationTest:
 
     @property
     def share_outside(self) -> float:
-        """Share of the lags that lie outside the band; about 0.01 where there is no correlation."""
+        """Share of the lags outside the band; about 0.01 if there is no correlation."""
         return float(np.mean(np.abs(self.correlation) > self.band))
 
     @property
     def passed(self) -> bool:
-        """Tell whether as few lags lie outside as chance has it, and none of them far."""
+        """Return whether the number of lags outside is due to chance, and none is far outside."""
         lags = self.lags.size
         if np.abs(self.correlation).max() > 2.0 * self.band:
             return False
@@ -74,7 +73,7 @@ class CorrelationTest:
 
 
 def whiteness(residual_um: FloatArray, most_lags: int = SETTINGS.most_lags) -> CorrelationTest:
-    """Correlate the residual with itself, some samples later.
+    """Return the autocorrelation of the residual.
 
     Parameters
     ----------
@@ -90,8 +89,8 @@ def input_correlation(residual_um: FloatArray, input: FloatArray,
                       most_lags: int = SETTINGS.most_lags) -> CorrelationTest:
     """Correlate the residual with earlier values of an input.
 
-    Both are made white by the same differences first, so that a smooth input does not correlate
-    with everything.
+    Both are filtered first so that the input becomes white, because a smooth input correlates with
+    everything.
 
     Parameters
     ----------
@@ -138,7 +137,7 @@ def spectrum(signal_um: FloatArray, sample_period_s: float) -> tuple[FloatArray,
 
 
 def _segment(samples: int) -> int:
-    """Return the samples of each of the segments whose spectra are averaged."""
+    """Return the number of samples of each segment for averaging spectra."""
     # A length with large prime factors takes several times as long.
     longest = prev_fast_len(max(1, samples // SETTINGS.segments), real=True)
     return int(min(samples, max(SETTINGS.shortest_segment, longest)))
@@ -146,16 +145,16 @@ def _segment(samples: int) -> int:
 
 @dataclass(frozen=True)
 class ErrorResponse:
-    """The part of the model's displacement that the model gets wrong, over frequency.
+    """The error of the model's displacement as a function of frequency.
 
     Attributes
     ----------
     frequency_hz : (n,) array
     gain : (n,) array of complex
-        From the model's displacement to the residual; 0.1 where the stage moves by 10 % more.
+        Gain from the model's displacement to the residual; 0.1 if the stage moves by 10 % more.
     coherence : (n,) array
     limit : float
-        Coherence that 99 % of independent signals stay below.
+        Coherence that 99 % of independent signals do not reach.
     """
 
     frequency_hz: np.ndarray
@@ -166,12 +165,12 @@ class ErrorResponse:
 
 def error_response(residual_um: FloatArray, displacement_um: FloatArray,
                    sample_period_s: float) -> ErrorResponse:
-    """Estimate how the residual follows the model's displacement at each frequency.
+    """Estimate how the residual depends on the model's displacement at each frequency.
 
     Parameters
     ----------
     residual_um, displacement_um : (N,) array
-        Measured minus simulated, and simulated.
+        Measured minus simulated displacement, and simulated displacement.
     """
     segment = _segment(displacement_um.size)
     options = {"fs": 1.0 / sample_period_s, "nperseg": segment, "detrend": "linear"}
@@ -189,16 +188,17 @@ def error_response(residual_um: FloatArray, displacement_um: FloatArray,
 
 @dataclass(frozen=True)
 class Dependence:
-    """Mean of the residual where a quantity is within each of some bins.
+    """Mean of the residual in bins of a quantity.
 
     Attributes
     ----------
     quantity : str
-        With its unit.
+        Name of the quantity with its unit.
     centre, mean_um, band_um : (n,) arrays
-        Of each bin; 99 % of the means lie within the band if nothing depends on the quantity.
+        Centre, mean and band of each bin; 99 % of the means lie within the band if the residual
+        does not depend on the quantity.
     share : float
-        Of the residual's variance that the means explain, beyond what chance does.
+        Share of the residual's variance that the means explain, beyond chance.
     """
 
     quantity: str
@@ -216,7 +216,7 @@ def dependence(residual_um: FloatArray, values: FloatArray, quantity: str,
     ----------
     residual_um, values : (N,) array
     bins : int
-        Of equally many samples each.
+        Number of bins with equally many samples.
     """
     edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, bins + 1)))
     index = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, max(0, edges.size - 2))
@@ -226,7 +226,7 @@ def dependence(residual_um: FloatArray, values: FloatArray, quantity: str,
     mean, rest = means[used], residual_um - means[index]
     centre = np.bincount(index, values)[used] / count[used]
     count = count[used]
-    # Neighbouring samples are alike: a bin holds fewer independent ones than samples.
+    # Neighbouring samples are correlated: a bin has fewer independent ones than samples.
     correlated = _correlated_samples(rest)
     variance, chance = float(np.var(residual_um)), float(np.var(rest))
     band = SETTINGS.band_99 * np.sqrt(chance * np.minimum(1.0, correlated / count))
@@ -238,7 +238,7 @@ def dependence(residual_um: FloatArray, values: FloatArray, quantity: str,
 
 def dependences(residual_um: FloatArray, displacement_um: FloatArray, voltage_v: FloatArray,
                 time_s: FloatArray) -> list[Dependence]:
-    """Estimate how the residual depends on each quantity that an effect may go with.
+    """Estimate how the residual depends on each quantity that may be related to an effect.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ def dependences(residual_um: FloatArray, displacement_um: FloatArray, voltage_v:
     Returns
     -------
     list of Dependence
-        On displacement, speed, amplitude, direction, history and time.
+        Dependences on displacement, speed, amplitude, direction, history and time.
     """
     speed = np.gradient(displacement_um, time_s)
     amplitude, history = _branches(voltage_v)
@@ -266,7 +266,7 @@ def dependences(residual_um: FloatArray, displacement_um: FloatArray, voltage_v:
 
 
 def _branches(voltage_v: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the span of the branch of each sample, and the voltage at which it began."""
+    """Return the span of the branch of each sample, and its initial voltage."""
     points = turning_points(voltage_v, 1e-3 * np.ptp(voltage_v))
     span, start_v = np.zeros(voltage_v.size), np.full(voltage_v.size, voltage_v[0])
     for start, end in zip(points[:-1], points[1:], strict=True):
@@ -276,7 +276,7 @@ def _branches(voltage_v: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _correlated_samples(residual_um: FloatArray) -> float:
-    """Return the number of neighbours for which one independent sample stands."""
+    """Return the number of neighbouring samples per independent sample."""
     residual = residual_um - residual_um.mean()
     energy = residual @ residual
     if energy == 0.0:

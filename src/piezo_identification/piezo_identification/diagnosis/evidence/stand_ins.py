@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Effects that fit but cannot be believed: what the model lacks behaves like them."""
+"""Effects that fit but are not credible: what the model lacks behaves like them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -10,33 +10,34 @@ import numpy as np
 from piezo_models.effects import Effect, Extent, known_effects
 
 AT_BOUND = 0.01
-"""Part of a bound by which a fitted number that ended at it may differ from it."""
+"""Relative distance from a bound within which a fitted parameter counts as at the bound."""
 
 LEAST_PROBABILITY = 1e-3
-"""Below it, an effect is a guess, and the interval of its parameters says nothing."""
+"""Probability below which an effect is a guess, and the uncertainty of its parameters is
+invalid."""
 
 STAND_IN = "stand_in"
 
 
 def with_stand_ins(entries: Sequence[dict[str, Any]], extent: Extent,
                    probabilities: Mapping[str, float]) -> list[dict[str, Any]]:
-    """Mark the entries of effects that cannot be believed; these lose their standard deviations.
+    """Mark the entries of effects that are not credible, and remove their standard deviations.
 
     Parameters
     ----------
     entries : sequence of dict
-        Of the verdict.
+        Entries of the verdict.
     extent : Extent
-        Of the recordings that were fitted.
+        Ranges of the fitted recordings.
     probabilities : dict of str to float
-        Of sets of effects, their names joined by +; empty where they are not known.
+        Probabilities of sets of effects, with names joined by +; empty if unknown.
     """
     return [as_stand_in(entry) if _is_stand_in(entry, extent, probabilities) else entry
             for entry in entries]
 
 
 def as_stand_in(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Mark the entry of an effect, and leave out its standard deviations."""
+    """Mark the entry of an effect, without its standard deviations."""
     return {name: value for name, value in entry.items()
             if name != "standard_deviations"} | {STAND_IN: True}
 
@@ -53,7 +54,7 @@ def _is_stand_in(entry: Mapping[str, Any], extent: Extent,
 
 
 def _is_at_a_bound(kind: type[Effect], parameters: Mapping[str, Any], extent: Extent) -> bool:
-    """Return whether a parameter ended where the recordings, not nature, bound it."""
+    """Return whether a parameter ended at a bound set by the recordings rather than by physics."""
     declared = {field.name: field.metadata for field in fields(kind)}
     for name, bounds in kind.bounds(extent).items():
         nature = declared[name]
@@ -68,5 +69,5 @@ def _is_at_a_bound(kind: type[Effect], parameters: Mapping[str, Any], extent: Ex
 
 
 def name_of(entry: Mapping[str, Any]) -> str:
-    """Return the name of an effect as a sentence says it."""
+    """Return the name of an effect for use in a sentence."""
     return f"what behaves like {entry['name']}" if entry.get(STAND_IN) else str(entry["name"])

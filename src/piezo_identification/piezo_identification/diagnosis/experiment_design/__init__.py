@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""From alternative explanations to the recording that tells them apart."""
+"""Design of the recording that distinguishes between alternative explanations."""

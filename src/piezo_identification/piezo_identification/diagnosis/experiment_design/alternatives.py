@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Alternative explanations of recordings, each with its parameters and how far these are known."""
+"""Alternative explanations of recordings, with their parameters and uncertainties."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,14 +24,15 @@ from piezo_models.effects.outliers import Outliers
 from piezo_recorder.reading.recording import Recording
 
 LEAST_PROBABLE = 0.01
-"""Sets of effects that a verdict gives less are no alternatives, and none is left with less."""
+"""Smallest probability of a set of effects, in the verdict and after the fit, to be an
+alternative."""
 TURNS = 8
-"""In which a fit goes on at most, each of two steps: after the one turn by which a diagnosis
-begins, alternatives that are right lose where their model has to move farther."""
+"""Largest number of continued fits of two steps each. With the single one of a diagnosis, a correct
+alternative would lose if its model has to change more."""
 IDLE = 1e-3
-"""Part of the tolerance of a row that an effect has to change somewhere, to be one."""
+"""Smallest change due to an effect, relative to the tolerance of a row, that makes a difference."""
 STEP = 1e-4
-"""Change of a fitted number from which its sensitivity is taken, over the number."""
+"""Relative change of a fitted parameter for its sensitivity."""
 
 Effects = tuple[Effect, ...]
 
@@ -45,13 +46,13 @@ class Alternative:
     name : str
         Names of the effects joined by +, or "none".
     effects : tuple of Effect
-        Without those that the model had.
-    fit : JointFit
+        Effects without those that the model already had.
     probability : float
-        By the recordings so far; those too improbable to be listed have what is missing to one.
+        Probability from the recordings so far; the sum over all listed alternatives is less than
+        one by the probability of unlisted ones.
     information : (p, p) array
-        Root of the information on the model's parameters, in prior widths, and then on the fitted
-        numbers of the effects: a change x of them costs ``|information x|^2`` in standard
+        Square root of the information on the model's parameters, in prior widths, followed by the
+        fitted parameters of the effects: a change x costs ``|information x|^2`` in standard
         deviations.
     """
 
@@ -64,18 +65,18 @@ class Alternative:
 
 @dataclass(frozen=True, eq=False)
 class Alternatives:
-    """The alternatives, and what errors are to be expected in the next recording.
+    """The alternatives, and the errors to expect in the next recording.
 
     Attributes
     ----------
     alternatives : tuple of Alternative
-        The most probable first.
+        Alternatives, the most probable first.
     problem : JointProblem
-        On the recordings so far and those of the identification.
+        Problem with the recordings so far and those of the identification.
     alike : float
-        How many neighbouring errors count as one.
+        Number of neighbouring errors that count as one.
     misfit : float
-        What the best one leaves beyond the noise, RMS over that of the motion.
+        RMS residual of the best one beyond the noise, relative to that of the motion.
     """
 
     alternatives: tuple[Alternative, ...]
@@ -85,7 +86,7 @@ class Alternatives:
 
     @property
     def probabilities(self) -> dict[str, float]:
-        """Return the probability of each alternative by its name."""
+        """Return the probability of each alternative by name."""
         return {alternative.name: alternative.probability for alternative in self.alternatives}
 
 
@@ -100,7 +101,7 @@ def effects_of(verdict: Mapping[str, Any]) -> tuple[Effect, ...]:
     Raises
     ------
     ValueError
-        If an effect is not known here, or its parameters are not those that it has.
+        If an effect is unknown, or its parameters do not match.
     """
     kinds, found = known_effects(), []
     for entry in verdict.get("effects", []):
@@ -120,23 +121,23 @@ def effects_of(verdict: Mapping[str, Any]) -> tuple[Effect, ...]:
 def find_alternatives(regression: Regression, verdict: Mapping[str, Any],
                       old: Sequence[Recording] = (), others: Iterable[Effects] = (),
                       stated_um: float = 0.0) -> Alternatives:
-    """Fit the explanations that a verdict leaves, and say how probable each is.
+    """Fit the explanations that a verdict leaves open, with their probabilities.
 
-    Each is estimated together with the model's parameters, which a prior leaves as free as the
-    recordings of the identification do: errors of a model that was held fixed resemble effects.
+    Each is estimated together with the model's parameters, with a prior as wide as the recordings
+    of the identification allow: errors of a fixed model would resemble effects.
 
     Parameters
     ----------
     regression : Regression
-        On the recordings that were diagnosed, weighed beside the effects found.
+        Regression on the diagnosed recordings, weighted with the effects found.
     verdict : dict
         Content of `verdict.json`.
     old : sequence of Recording
-        Those of the identification, conditioned as for a diagnosis.
+        Recordings of the identification, conditioned as for a diagnosis.
     others : iterable of tuples of Effect
         Sets that were alternatives before.
     stated_um : float
-        RMS of what the model is known to be wrong by.
+        RMS of the known error of the model.
     """
     dataset, found = regression.dataset, effects_of(verdict)
     sets: dict[str, Effects] = {_name(found): found}
@@ -152,12 +153,12 @@ def find_alternatives(regression: Regression, verdict: Mapping[str, Any],
 
 def _fit(problem: JointProblem, sets: Mapping[str, Effects], was_there: bool,
          ) -> dict[str, JointFit]:
-    """Fit sets of effects beside the model, and leave out those that no stage can have.
+    """Fit sets of effects together with the model, and omit the physically impossible ones.
 
-    The first is fitted before the others, which then end where they can no longer lead. One that
-    has all of its effects and more begins from it; one that ends behind the best is fitted from the
-    model of that once more, because another optimum may be closer to there. Where no set is
-    possible, the model alone is left.
+    The first is fitted before the others, whose fits end when they can no longer become the best.
+    A superset of it starts from its result. A set that ends behind the best is fitted again from
+    the model of the best, because another optimum may be closer. If no set is possible, only the
+    model without effects remains.
     """
     found, *others = sets.values()
     first = _gone_on(problem, _fitted(problem, found, was_there))
@@ -189,14 +190,14 @@ def _fit(problem: JointProblem, sets: Mapping[str, Effects], was_there: bool,
 
 
 def without_idle(fits: Mapping[str, JointFit], own: int) -> dict[str, JointFit]:
-    """Leave out sets of which an effect changes nothing: the set without it is the same.
+    """Omit sets in which an effect changes nothing, and which are equal to the set without it.
 
     Parameters
     ----------
     fits : dict of str to JointFit
-        By the names of their effects.
+        Fits by the names of their effects.
     own : int
-        Effects of the model itself, with which those of every fit begin.
+        Number of effects of the model itself, which come first in every fit.
     """
     def is_another(fit: JointFit) -> bool:
         whole = fit.regression.difference(fit.effects)
@@ -211,7 +212,7 @@ def without_idle(fits: Mapping[str, JointFit], own: int) -> dict[str, JointFit]:
 
 
 def _gone_on(problem: JointProblem, fit: JointFit, best: JointFit | None = None) -> JointFit:
-    """Fit on until nothing is to be gained, or the best is too far ahead."""
+    """Continue a fit until there is nothing to gain, or until the best is too far ahead."""
     for _ in range(1, TURNS):
         if fit.has_converged or best is not None and not may_lead(fit, best):
             break
@@ -221,7 +222,7 @@ def _gone_on(problem: JointProblem, fit: JointFit, best: JointFit | None = None)
 
 def _weighed(problem: JointProblem, fitted: Mapping[str, JointFit],
              stated_um: float) -> Alternatives:
-    """Give the fits their probabilities."""
+    """Calculate the probabilities of the fits."""
     own = len(problem.own)
     roots = {name: _information(fit) for name, fit in fitted.items()}
     evidence = {name: evidence_of(name, fit) for name, fit in fitted.items()}
@@ -238,7 +239,7 @@ def _weighed(problem: JointProblem, fitted: Mapping[str, JointFit],
 
 
 def _errors(problem: JointProblem, left: Sequence[HeldOut]) -> tuple[float, float]:
-    """Return how many errors are alike in new recordings, and what is left beyond the noise."""
+    """Return the number of correlated errors in new recordings, and the residual beyond noise."""
     alike, misfit = 1.0, 0.0
     for part, of_recording, noise_um in zip(
             problem.dataset.simulated[: problem.new_count], left, problem.noise.noise_um,
@@ -252,7 +253,7 @@ def _errors(problem: JointProblem, left: Sequence[HeldOut]) -> tuple[float, floa
 
 def _fitted(problem: JointProblem, effects: Effects, was_there: bool,
             begun: JointFit | None = None) -> JointFit:
-    """Fit effects as come since the identification, or as there all along."""
+    """Fit effects as new since the identification, or as present from the start."""
     later = [effect.name for effect in effects if not (
         was_there and (effect.of_the_stage or effect.recurs))]
     own = problem.own if begun is None else begun.effects[: len(problem.own)]
@@ -265,19 +266,19 @@ def _name(effects: Sequence[Effect]) -> str:
 
 def _undecided(regression: Regression, found: Effects,
                verdict: Mapping[str, Any]) -> list[Effects]:
-    """Guess the effects that are not decidable: in place of one that was found, or as one more."""
+    """Guess undecidable effects, as a replacement of one that was found, or in addition."""
     kinds, sets = known_effects(), []
     reasons, not_told_from = (
         verdict.get(key, {}) for key in ("not_decidable_reasons", "not_told_from"))
     for name in verdict.get("not_decidable", []):
         places = [number for number, effect in enumerate(found)
                   if effect.name == not_told_from.get(name)]
-        # Other effects are excluded, or the recordings say nothing of them.
+        # Other effects are excluded, or the recordings do not show them.
         if name not in kinds or not (
                 places or reasons.get(name) == Reason.SAME_AS_OTHER_PARAMETERS):
             continue
         others = (*found[: places[0]], *found[places[0] + 1 :]) if places else found
-        # As one more it does what other parameters of the model do: they then stay as they are.
+        # An additional effect imitates a change of model parameters, which are therefore fixed.
         used = regression if places else with_fixed_parameters(regression, found)
         fit = fit_one_more(used, kinds[name], others, recording_evidence(used, others))
         if fit is not None:
@@ -287,7 +288,7 @@ def _undecided(regression: Regression, found: Effects,
 
 def _probable(regression: Regression, found: Effects,
               verdict: Mapping[str, Any]) -> list[Effects]:
-    """Guess the sets of effects to which the verdict gives a probability worth a test."""
+    """Guess the sets of effects with a sufficient probability in the verdict."""
     kinds, sets = known_effects(), []
     for name, probability in (verdict.get("probabilities") or {}).items():
         names = [] if name == NONE else name.split("+")
@@ -306,12 +307,12 @@ def _probable(regression: Regression, found: Effects,
 
 def sensitivities(simulate: Callable[..., FloatArray],
                   effects: tuple[Effect, ...]) -> FloatArray:
-    """Return the change of a simulation with each fitted number of some effects.
+    """Return the change of a simulation with each fitted parameter of some effects.
 
     Parameters
     ----------
     simulate : callable
-        Given effects: an array of shape (N,).
+        Returns an array of shape (N,) for given effects.
 
     Returns
     -------
@@ -332,7 +333,7 @@ def sensitivities(simulate: Callable[..., FloatArray],
 
 
 def _information(fit: JointFit) -> FloatArray:
-    """Root of what the recordings and the prior tell of model's parameters and effects."""
+    """Square root of the information on model parameters and effects, with the prior."""
     regression = fit.regression
     of_effects = -sensitivities(regression.difference, fit.effects)
     columns = np.hstack([regression.weighted, of_effects])[regression.estimation]

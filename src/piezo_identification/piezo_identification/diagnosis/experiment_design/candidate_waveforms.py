@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The families of waveforms among which an experiment is looked for.
+"""The families of waveforms from which an experiment is chosen.
 
-Each family has two numbers: a level, the part of the voltage range that it takes, and a rate. What
-is slow lasts for the whole time allowed and is held for milliseconds; what is fast lasts for a
-second or two at the sample clock.
+Each family has two parameters: a level, the fraction of the voltage range that it uses, and a rate.
+Slow waveforms last for the whole time allowed, with samples held for milliseconds; fast ones last
+for a second or two at the sample clock.
 """
 
 from collections.abc import Callable
@@ -17,15 +17,15 @@ from piezo_identification.experiments.distortion_multisine import random_phase_m
 from piezo_identification.experiments.stage_limits import StageLimits
 
 SLOW_SAMPLES = 30_000
-"""A slow waveform has about so many samples: what a diagnosis fits of one recording."""
+"""Approximate number of samples of a slow waveform: what a diagnosis fits of one recording."""
 ROUNDED = 41
-"""Samples over which an edge of a slow waveform is rounded."""
+"""Number of samples over which an edge of a slow waveform is smoothed."""
 FAST_S = 2.0
 FASTEST_OF_CLOCK = 0.1
-"""Highest frequency over the sample rate: above, a held voltage is stairs."""
+"""Highest frequency relative to the sample rate: above it, a held voltage is too coarse."""
 MOST_OF_RANGE = 0.95
 SEED = 0
-"""Levels and phases are drawn from it."""
+"""Seed for random levels and phases."""
 
 
 @dataclass(frozen=True)
@@ -34,16 +34,15 @@ class Family:
 
     Attributes
     ----------
-    name : str
     levels : tuple of float
-        Parts of the voltage range that are tried.
+        Fractions of the voltage range that are tried.
     rates : tuple of float
-        In Hz: of triangles their frequency, of steps their number a second, of multisines and
-        sweeps the highest frequency.
+        Rates in Hz: the frequency of triangles, the number of steps per second, the highest
+        frequency of multisines and sweeps.
     fast : bool
-        Played at the sample clock.
+        Whether it is played at the sample clock.
     shape : callable
-        Given time in s, shape (N,), and the rate: the wave about zero, within -1 and 1.
+        Returns the wave between -1 and 1 for time in s, shape (N,), and rate.
     """
 
     name: str
@@ -54,14 +53,14 @@ class Family:
 
 
 def _triangles(time_s: FloatArray, rate_hz: float) -> FloatArray:
-    """Triangles whose amplitude rises to the middle of the time and falls again."""
+    """Triangles whose amplitude rises until the middle of the time and falls again."""
     triangle = 4.0 * np.abs((rate_hz * time_s + 0.25) % 1.0 - 0.5) - 1.0
     position = time_s / time_s[-1]
     return triangle * (0.1 + 0.9 * (1.0 - np.abs(2.0 * position - 1.0)))
 
 
 def _steps(time_s: FloatArray, rate_hz: float) -> FloatArray:
-    """Levels at random, each held for a time of its own."""
+    """Random levels, each held for a random time."""
     random = np.random.default_rng(SEED)
     count = max(2, round(rate_hz * time_s[-1]))
     holds = random.uniform(0.3, 1.7, count)
@@ -70,14 +69,14 @@ def _steps(time_s: FloatArray, rate_hz: float) -> FloatArray:
 
 
 def _rest_and_creep(time_s: FloatArray, rate_hz: float) -> FloatArray:
-    """Rest, a step up and a rest, a step down and a rest: drift goes on, creep begins anew."""
+    """Rest, a step up and a rest, a step down and a rest: drift continues, creep restarts."""
     rate_hz = max(rate_hz, 1.0 / float(time_s[-1]))
     return np.where((rate_hz * time_s + 0.75) % 1.0 < 0.5, 1.0, -1.0) * np.where(
         rate_hz * time_s < 0.25, 0.0, 1.0)
 
 
 def _sweep(time_s: FloatArray, highest_hz: float) -> FloatArray:
-    """Rise in frequency over two and a half decades."""
+    """Sine with a frequency that rises over two and a half decades."""
     ratio, duration_s = np.log(300.0), time_s[-1]
     first_hz = highest_hz / 300.0
     return np.sin(2.0 * np.pi * first_hz * duration_s / ratio
@@ -85,7 +84,7 @@ def _sweep(time_s: FloatArray, highest_hz: float) -> FloatArray:
 
 
 def _multisine(time_s: FloatArray, highest_hz: float) -> FloatArray:
-    """All tones up to the highest, two periods of them."""
+    """Two periods of a multisine with all lines up to the highest frequency."""
     samples = time_s.size // 2
     period_s = samples * float(time_s[1] - time_s[0])
     lines = np.arange(1, max(2, round(highest_hz * period_s)) + 1)
@@ -106,7 +105,7 @@ FAMILIES = (
 
 
 def _rounded(wave: FloatArray) -> FloatArray:
-    """Round the edges off: between two slow samples a model's fast error would decide."""
+    """Smooth the edges, so that fast errors of a model between slow samples do not matter."""
     window = np.hanning(ROUNDED + 2)[1:-1]
     padded = np.concatenate([np.full(ROUNDED // 2, wave[0]), wave,
                              np.full(ROUNDED - 1 - ROUNDED // 2, wave[-1])])
@@ -119,11 +118,10 @@ class Point:
 
     Attributes
     ----------
-    family : Family
     level : float
-        Part of the voltage range.
+        Fraction of the voltage range.
     rate_hz : float
-        Lowered where the sample clock asks for it.
+        Reduced if the sample clock requires it.
     """
 
     family: Family
@@ -145,12 +143,12 @@ def grid() -> list[Point]:
 
 
 def waveform(limits: StageLimits, longest_s: float, point: Point) -> Experiment:
-    """Make a waveform as large as its level asks and the slew limit allows.
+    """Make a waveform as large as its level and the slew limit allow.
 
     Parameters
     ----------
     longest_s : float
-        That it may last.
+        Longest duration.
     """
     family = point.family
     clock_s = 1.0 / limits.sample_rate_hz

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Play what tells the alternatives apart, and diagnose again, until one is left."""
+"""Play what distinguishes the alternatives, and diagnose again, until one remains."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording
 
 DIAGNOSED, COMPARED, DESIGNED = 0.6, 0.7, 0.8
-"""Parts of the work of a step that are done after its diagnosis, its comparison, its design."""
+"""Fractions of the work of a step done after its diagnosis, its comparison, and its design."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,11 +34,11 @@ class DecisionStep:
     Attributes
     ----------
     diagnosis : Diagnosis
-        On all recordings up to then, with the probabilities of the alternatives.
+        Diagnosis of all recordings so far, with the probabilities of the alternatives.
     alternatives : Alternatives
-        That it leaves.
+        Remaining alternatives.
     proposal : Proposal or None
-        What was played next; None where the decision was made or the budget spent.
+        What was played next; None if a decision was made or the budget is spent.
     """
 
     diagnosis: Diagnosis
@@ -47,12 +47,12 @@ class DecisionStep:
 
     @property
     def probabilities(self) -> dict[str, float]:
-        """Return the probability of each alternative by its name."""
+        """Return the probability of each alternative by name."""
         return self.alternatives.probabilities
 
     @property
     def is_decided(self) -> bool:
-        """Tell whether one alternative is sure enough, or no other is left."""
+        """Return whether one alternative is sufficiently probable, or the only one."""
         return _is_decided(self.alternatives)
 
 
@@ -65,28 +65,28 @@ def decide(model: StageModel, recordings: Sequence[Recording], play: Play, budge
            identified_from: IdentificationRecordings | None = None,
            stated_um: float | None = None, noise: KnownNoise | None = None,
            begin_budget: Callable[[], Budget] = Budget) -> list[DecisionStep]:
-    """Diagnose, play what tells the alternatives apart, and diagnose again.
+    """Diagnose, play what distinguishes the alternatives, and diagnose again.
 
     Parameters
     ----------
     recordings : sequence of Recording
-        So far.
+        Recordings so far.
     play : callable
-        Takes a proposal and what to call with (what is done, fraction); plays the experiment on
-        the stage and returns the recording.
+        Takes a proposal and a progress function called with (what is done, fraction); plays the
+        experiment on the stage and returns the recording.
     budget : int
-        Recordings that may be made.
+        Largest number of recordings.
     longest_s : float
-        That each may last.
+        Longest duration of each.
     holdout, progress, identified_from, stated_um, noise
-        Of `diagnose`.
+        As in `diagnose`.
     begin_budget : callable
-        Returns the time that a diagnosis may take, which begins then.
+        Returns the time limit of a diagnosis, counted from the call.
 
     Returns
     -------
     list of DecisionStep
-        The last one has the decision, if there is one.
+        The last one contains the decision, if there is one.
     """
     known = list(recordings)
     old = old_recordings(model, identified_from or IdentificationRecordings())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The verdict that follows from alternatives estimated on all recordings together."""
+"""The verdict based on alternatives estimated from all recordings together."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -36,14 +36,14 @@ from piezo_recorder.reading.recording import Recording
 
 def decided_verdict(model: StageModel, recordings: Sequence[Recording], holdout: Recording | None,
                     diagnosis: Diagnosis, alternatives: Alternatives) -> Diagnosis:
-    """Return a diagnosis that names the most probable alternative, with all probabilities.
+    """Return a diagnosis with the most probable alternative and all probabilities.
 
     Parameters
     ----------
     model : StageModel
-        That was diagnosed.
+        Model that was diagnosed.
     diagnosis : Diagnosis
-        Of these recordings.
+        Diagnosis of these recordings.
     """
     best = alternatives.alternatives[0]
     names = tuple(sorted(effect.name for effect in best.effects))
@@ -71,7 +71,7 @@ def decided_verdict(model: StageModel, recordings: Sequence[Recording], holdout:
         return replace(diagnosis, probabilities=chances)
     outliers = found_outliers(selection.regression, selection.end.effects)
     if unnamed >= PROBABILITIES.believed:
-        # They are of a fit that is not named here.
+        # The probabilities belong to a fit that is not named here.
         chances = probabilities_of_named(competition, selection.regression, selection.end, ())
     held = hold_to_noise(chances, selection, validation, selection.end, diagnosis.noise,
                          diagnosis.stated_um, finds_nothing=not names and outliers is None)
@@ -89,7 +89,7 @@ def decided_verdict(model: StageModel, recordings: Sequence[Recording], holdout:
 
 
 def _came(alternatives: Alternatives) -> Came:
-    """Return when the effects of the most probable alternative came."""
+    """Return when the effects of the most probable alternative appeared."""
     problem = alternatives.problem
     if problem.new_count == len(problem.dataset.recordings):
         return Came.NOT_ASKED

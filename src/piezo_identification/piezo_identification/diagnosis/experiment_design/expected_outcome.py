@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How surely a waveform would tell alternative explanations apart, before it is played.
+"""How well a waveform would distinguish alternative explanations, before it is played.
 
-Two alternatives predict a waveform. The parameters of the wrong one are fitted to what the other
-predicts, as far as the recordings so far let them move. What remains, over the errors to be
-expected, is their distance (Box and Hill, Discrimination among mechanistic models, Technometrics
-9, 1967).
+Two alternatives predict the response to a waveform. The parameters of the wrong one are fitted to
+the prediction of the other, as far as the recordings so far allow. The remaining difference,
+relative to the expected errors, is their distance (Box and Hill, Discrimination among mechanistic
+models, Technometrics 9, 1967).
 """
 
 from dataclasses import dataclass
@@ -27,24 +27,24 @@ from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 
 SURE = 0.95
-"""A alternative with this probability is decided for."""
+"""Probability with which an alternative is decided for."""
 RAMP_S = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class ExpectedOutcome:
-    """What a waveform is expected to show.
+    """Expected result of a waveform.
 
     Attributes
     ----------
     rms_um : (n, n) array
-        RMS difference of the predictions of i and j, the parameters of j fitted to i.
+        RMS difference of the predictions of i and j, with the parameters of j fitted to i.
     distance : (n, n) array
-        The same in standard deviations of the errors, where i is true.
+        The same in standard deviations of the errors, if i is true.
     deciding : (n,) array
         Probability that alternative i has 95 % after the recording, if it is true.
     probability : float
-        That the recording decides, whichever is true.
+        Probability that the recording decides, whichever is true.
     """
 
     rms_um: FloatArray
@@ -54,7 +54,7 @@ class ExpectedOutcome:
 
     @property
     def rank(self) -> tuple[float, float, float]:
-        """Return what the best waveform has the most of: it decides, and by how much."""
+        """Return the criterion for the best waveform: probability first, then the distance."""
         apart = ~np.eye(len(self.distance), dtype=bool)
         return (round(self.probability, 2), float(self.distance[apart].min()),
                 float(self.rms_um[apart].min()))
@@ -91,16 +91,16 @@ def expected_outcome(alternatives: Alternatives, experiment: Experiment,
                     (predicted - predictions[other]) / error_um, np.zeros(len(root))])
                 left = difference - basis @ (basis.T @ difference)
                 rms_um[true, other] = error_um * np.sqrt(np.mean(left[: rows.size] ** 2))
-                # Alternatives are compared on the part of the data that is held out.
+                # Alternatives are compared on the held-out part of the data.
                 distance[true, other] = np.linalg.norm(left) / np.sqrt(SPLIT.held_out)
     chances = np.array([alternative.probability for alternative in alternatives.alternatives])
     deciding = _deciding(distance, chances)
-    # Chances sum to one but for rounding.
+    # Chances sum to one except for rounding.
     return ExpectedOutcome(rms_um, distance, deciding, min(float(deciding @ chances), 1.0))
 
 
 def _deciding(distance: FloatArray, chances: FloatArray) -> FloatArray:
-    """Return for each alternative how probably it is decided for if it is true, (n,).
+    """Return the probability of deciding for each alternative if it is true, (n,).
 
     With Gaussian errors the logarithm of the ratio of two probabilities grows by half of the
     squared distance, with the distance as its standard deviation.
@@ -119,7 +119,7 @@ def _deciding(distance: FloatArray, chances: FloatArray) -> FloatArray:
 
 
 def _noise_um(alternatives: Alternatives, sample_period_s: float) -> float:
-    """Return the noise of a sample to be expected: not less than the recordings so far had."""
+    """Return the expected noise of a sample, not less than that of the recordings so far."""
     problem = alternatives.problem
     return max(
         noise_um * max(1.0, float(np.sqrt(part.sample_period_s / sample_period_s)))
@@ -128,7 +128,7 @@ def _noise_um(alternatives: Alternatives, sample_period_s: float) -> float:
 
 
 def _unplayed(experiment: Experiment, limits: StageLimits) -> Recording:
-    """Return the recording of an experiment from rest, with nothing measured yet."""
+    """Return the recording of an experiment from rest, before anything is measured."""
     period_s = experiment.sample_period_s
     waveform_v = np.tile(experiment.voltage_v, experiment.repeats)
     samples = max(1, round(RAMP_S / period_s))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Design the recording that tells the alternative explanations of a diagnosis apart."""
+"""Design of the recording that distinguishes the alternative explanations of a diagnosis."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -39,21 +39,18 @@ from piezo_recorder.reading.recording import Recording
 
 LONGEST_S = 30.0
 FACTORS = (1.6, 1.25)
-"""By which level and rate of the best waveform of the grid are varied, one after the other."""
+"""Factors by which level and rate of the best waveform of the grid are varied, in turn."""
 
 WAVEFORM, OUTCOME = "next_experiment.csv", "next_experiment.json"
-"""Names of the files of a proposal."""
+"""File names of a proposal."""
 
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """The waveform to play next, and what to expect of it.
+    """The waveform to play next, and its expected outcome.
 
     Attributes
     ----------
-    experiment : Experiment
-    alternatives : Alternatives
-    outcome : ExpectedOutcome
     point : Point
         Family, level and rate of the waveform.
     """
@@ -85,7 +82,7 @@ class Proposal:
         }
 
     def sentence(self) -> str:
-        """Tell what the recording is expected to decide."""
+        """Describe what the recording is expected to decide."""
         names = " from ".join(each.name for each in self.alternatives.alternatives[:2])
         apart_um = self.outcome.rms_um[0, 1]
         return (f"{self.experiment.description}, for {self.experiment.duration_s:.3g} s, tells "
@@ -97,20 +94,20 @@ def alternatives_of_files(model: StageModel, recordings: Sequence[Recording],
                           verdict: Mapping[str, Any],
                           identified_from: IdentificationRecordings | None = None,
                           stated_um: float = 0.0) -> Alternatives:
-    """Fit the explanations that a verdict leaves to the recordings that it came from.
+    """Fit the explanations that a verdict leaves open to the diagnosed recordings.
 
     Parameters
     ----------
     model : StageModel
-        That was diagnosed.
+        Model that was diagnosed.
     recordings : sequence of Recording
-        That were diagnosed.
+        Recordings that were diagnosed.
     verdict : dict
         Content of `verdict.json`.
     identified_from : IdentificationRecordings, optional
-        What is at hand of the recordings that the model was identified from; by default nothing.
+        Available recordings from which the model was identified; by default none.
     stated_um : float
-        RMS of what the model is known to be wrong by.
+        RMS of the known error of the model.
     """
     given = condition(model, recordings, None)
     first = first_regression(simulate_recordings(model, given.recordings))
@@ -121,28 +118,28 @@ def alternatives_of_files(model: StageModel, recordings: Sequence[Recording],
 
 def propose(alternatives: Alternatives, limits: StageLimits, longest_s: float = LONGEST_S,
             progress: Progress | None = None) -> Proposal | None:
-    """Find the waveform that tells alternatives apart most surely.
+    """Find the waveform that distinguishes alternatives most reliably.
 
-    All families are tried on a grid of level and rate, and the best is improved around there.
+    All families are tried on a grid of level and rate, and the best is refined.
 
     Parameters
     ----------
     limits : StageLimits
-        Within which the waveform must stay; the model's voltage range is kept to as well.
+        Limits of the waveform; the voltage range of the model applies as well.
     longest_s : float
-        That the waveform may last.
+        Longest duration of the waveform.
     progress : callable, optional
         Called with (what is done, fraction).
 
     Returns
     -------
     Proposal or None
-        None where one alternative is left.
+        None if only one alternative remains.
 
     Raises
     ------
     ValueError
-        If the stage may not go anywhere within the model's voltage range.
+        If the limits and the model's voltage range do not overlap.
     """
     if len(alternatives.alternatives) < 2:
         return None
@@ -167,12 +164,12 @@ def propose(alternatives: Alternatives, limits: StageLimits, longest_s: float = 
 
 
 def save_proposal(proposal: Proposal, directory: Path) -> tuple[Path, Path]:
-    """Write the waveform, and what to expect of it.
+    """Write the waveform and its expected outcome.
 
     Parameters
     ----------
     directory : Path
-        Made if it is missing.
+        Created if it does not exist.
 
     Returns
     -------
@@ -196,7 +193,7 @@ def _rank(proposal: Proposal) -> tuple[float, ...]:
 
 
 def _within_model(limits: StageLimits, model: StageModel) -> StageLimits:
-    """Return the limits without the voltages for which the model has no hysteresis."""
+    """Return the limits reduced to the voltage range of the model."""
     lowest_v = max(limits.voltage_min_v, model.hysteresis.voltage_min_v)
     highest_v = min(limits.voltage_max_v, model.hysteresis.voltage_max_v)
     if lowest_v >= highest_v:

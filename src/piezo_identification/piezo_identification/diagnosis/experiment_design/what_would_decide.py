@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The next experiment of a diagnosis that leaves several explanations, as `propose` designs it."""
+"""The next experiment after a diagnosis that leaves several explanations; see `propose`."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -23,11 +23,11 @@ from piezo_identification.experiments.stage_limits import USUAL_LIMITS, StageLim
 from piezo_identification.fitting.dataset import Dataset
 
 COMPARED = 0.3
-"""Part of the work that the estimate of the alternatives is."""
+"""Part of the work for estimating the alternatives."""
 
 
 def several_remain(verdict: Mapping[str, Any]) -> bool:
-    """Tell whether a verdict leaves several known explanations between which a recording decides.
+    """Return whether a verdict leaves several known explanations that a recording may decide.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def several_remain(verdict: Mapping[str, Any]) -> bool:
     Returns
     -------
     bool
-        False also where something else is the most probable: no known effect predicts it.
+        Also False if something else is most probable, because no known effect predicts it.
     """
     shares = dict(verdict.get("probabilities") or {})
     if shares.pop(SOMETHING_ELSE, 0.0) >= PROBABILITIES.believed:
@@ -55,14 +55,14 @@ def what_would_decide(diagnosis: Diagnosis, identified_from: IdentificationRecor
     Parameters
     ----------
     identified_from : IdentificationRecordings
-        With which it was made.
+        Recordings that were used in the diagnosis.
     progress : callable
         Called with (what is done, fraction).
 
     Returns
     -------
     Proposal or None
-        None where several do not remain, or their estimate leaves one.
+        None if fewer than two alternatives remain.
     """
     verdict = diagnosis.document()
     if diagnosis.selection.interrupted or not several_remain(verdict):
@@ -77,7 +77,7 @@ def what_would_decide(diagnosis: Diagnosis, identified_from: IdentificationRecor
 
 
 def recorded_limits(dataset: Dataset) -> StageLimits:
-    """Return what a stage allows as far as its model and recordings tell.
+    """Return the limits of a stage as known from its model and recordings.
 
     Returns
     -------

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Models that compete on the recordings of their identification and on new ones together."""
+"""Comparison of models on the recordings of their identification and on new ones together."""

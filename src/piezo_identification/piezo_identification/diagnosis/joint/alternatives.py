@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Whole models that compete: with each effect in the stage all along, or come since.
+"""Whole models that are compared, with each effect present from the start or only later.
 
-An alternative is a model with its parameters and its effects estimated on the recordings of the
+An alternative is a model whose parameters and effects are estimated from the recordings of the
 identification and the new ones together.
 """
 
@@ -33,7 +33,7 @@ from piezo_models.effects import Effect, fitted_values, known_effects, with_fitt
 
 
 class Came(StrEnum):
-    """When an effect came, as far as the recordings of the identification show."""
+    """When an effect appeared, as far as the recordings of the identification show."""
 
     BEFORE = "before the identification"
     AFTER = "after the identification"
@@ -48,20 +48,21 @@ class AlternativeSettings:
     Attributes
     ----------
     fitted : int
-        Effects that are fitted all along, the most promising guesses first.
+        Number of effects that are fitted as present from the start, the most promising ones.
     starts : int
-        Guesses of each from which fits begin, where the best of them leave more than noise.
+        Number of initial guesses of each that are fitted if the best of them leave more than noise.
     second : float
-        Multiple of the noise's power that the best alternative must leave for a second effect to be
-        tried beside it.
+        Residual power of the best alternative, relative to the noise, above which a second effect
+        is tried in addition.
     most_effects : int
-        Of an alternative that were there all along.
+        Largest number of effects present from the start.
     many_samples : int
-        Of all recordings, beyond which one effect alone is fitted all along beside those that
-        explain the new recordings: every fit costs as much as the recordings are long.
+        Total number of samples above which only one effect, besides those that explain the new
+        recordings, is fitted as present from the start, because the cost of a fit is proportional
+        to the length of the recordings.
     told_apart : float
-        Logarithm of the ratio of the probabilities of two times at which an effect may have come,
-        from which one of them is told: 95 to 5.
+        Logarithm of the probability ratio, 95 to 5, above which the time when an effect appeared is
+        considered known.
     """
 
     fitted: int = 4
@@ -77,17 +78,16 @@ SETTINGS = AlternativeSettings()
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """A model that competes.
+    """A model in the comparison.
 
     Attributes
     ----------
     names : tuple of str
-        Of the effects that the given model lacks, sorted; none of them for the model alone.
+        Sorted names of the effects that the given model lacks; empty for the model alone.
     since : bool
-        The effects came after the identification.
-    fit : JointFit
+        True if the effects appeared after the identification.
     evidence : Evidence
-        What its probability depends on.
+        Quantities on which its probability depends.
     """
 
     names: tuple[str, ...]
@@ -97,12 +97,12 @@ class Alternative:
 
     @property
     def mean_square_um2(self) -> tuple[float, ...]:
-        """Return the mean square that is left of each recording, noise and all."""
+        """Return the mean square residual of each recording, including noise."""
         return self.evidence.mean_square_um2
 
 
 def evidence_of(label: str, fit: JointFit) -> Evidence:
-    """Return what the probability of a fit depends on."""
+    """Return the quantities on which the probability of a fit depends."""
     held_out = tuple(held_out_of(fit))
     widths = expected_widths(fit.effects, fit.regression.dataset.extent)
     return Evidence(label, held_out, penalty_of(
@@ -110,7 +110,7 @@ def evidence_of(label: str, fit: JointFit) -> Evidence:
 
 
 def settled(problem: JointProblem, progress: Progress) -> JointFit:
-    """Fit the model without more effects until no step is worthwhile."""
+    """Fit the model without additional effects until no step is worthwhile."""
     progress("all recordings together: no effect", 0.0)
     fit = problem.fit(problem.own)
     for turn in range(1, FITS.turns):
@@ -129,18 +129,18 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
     Parameters
     ----------
     none : JointFit
-        Without more effects; see `settled`.
+        Fit without additional effects; see `settled`.
     since : sequence of sequences of Effect
         Sets that may explain the new recordings alone, the best first.
     expected : ExpectedErrors
-        Of the recordings of the problem.
+        Expected errors of the recordings of the problem.
     progress : callable
         Called with (what is done, fraction).
 
     Returns
     -------
     list of Alternative
-        The model without more effects first.
+        The model without additional effects comes first.
     """
     alternatives = [_alternative((), none)]
     named = {tuple(sorted(effect.name for effect in effects)): effects for effects in since}
@@ -149,7 +149,7 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
             fit = problem.fit((*none.effects, *effects), names, none)
             alternatives.append(_alternative(names, fit, True))
     if any(_leaves_noise(problem, each, len(each.mean_square_um2)) for each in alternatives):
-        # Nothing is left anywhere that another effect could explain.
+        # No error remains that another effect could explain.
         return _possible(problem, alternatives)
     best, asked = alternatives[0], {name for names in named for name in names}
     samples = sum(part.measured_um.size for part in problem.dataset.simulated)
@@ -173,12 +173,12 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
 
 def converged(problem: JointProblem, alternatives: Sequence[Alternative],
               expected: ExpectedErrors) -> list[Alternative]:
-    """Fit on every alternative that may still become the most probable.
+    """Continue the fit of every alternative that may still become the most probable.
 
     Returns
     -------
     list of Alternative
-        Possible ones, in the same order.
+        Physically possible alternatives, in the same order.
     """
     alternatives = list(alternatives)
     for _ in range(FITS.turns):
@@ -201,9 +201,9 @@ def converged(problem: JointProblem, alternatives: Sequence[Alternative],
 
 def asked_when(problem: JointProblem, alternatives: Sequence[Alternative],
                expected: ExpectedErrors) -> list[Alternative]:
-    """Add the alternative that is believed as it would be all along, where it came since.
+    """Add the most probable alternative with its effects present from the start, if they are not.
 
-    Only beside each other do the two tell when the effects came.
+    Only the comparison of both shows when the effects appeared.
     """
     best = most_probable(alternatives, expected)
     is_known = any(each.names == best.names and not each.since for each in alternatives)
@@ -216,7 +216,7 @@ def asked_when(problem: JointProblem, alternatives: Sequence[Alternative],
 
 def beside_free_model(problem: JointProblem, sets: Sequence[Sequence[Effect]],
                       expected: ExpectedErrors) -> list[Alternative]:
-    """Fit each of some sets of effects together with all parameters of the model."""
+    """Fit each set of effects together with all parameters of the model."""
     def fitted(effects: Sequence[Effect]) -> Alternative:
         return _alternative([effect.name for effect in effects],
                             problem.fit((*problem.own, *effects)))
@@ -226,7 +226,7 @@ def beside_free_model(problem: JointProblem, sets: Sequence[Sequence[Effect]],
 
 def _each_beside(problem: JointProblem, best: Alternative, guesses: Sequence[Sequence[Effect]],
                  progress: Progress) -> list[Alternative]:
-    """Fit one more effect beside those of an alternative, from the best guess of each."""
+    """Fit one more effect in addition to those of an alternative, from the best guess of each."""
     def fitted(of_kind: Sequence[Effect]) -> Alternative:
         return _alternative((*best.names, of_kind[0].name), problem.fit(
             (*best.fit.effects, of_kind[0]), begun=best.fit))
@@ -237,7 +237,7 @@ def _each_beside(problem: JointProblem, best: Alternative, guesses: Sequence[Seq
 
 def _from_afar(problem: JointProblem, best: Alternative, guesses: Sequence[Sequence[Effect]],
                fitted: Sequence[Alternative]) -> list[Alternative]:
-    """Return the better of fits of each effect: as it is, and from where the model makes way."""
+    """Return the better fit of each effect: the given one, or one beside a held guess."""
     def better(entry: tuple[Sequence[Effect], Alternative]) -> Alternative:
         of_kind, nearby = entry
         fit = from_afar(problem, best.fit, of_kind, nearby.fit)
@@ -247,13 +247,13 @@ def _from_afar(problem: JointProblem, best: Alternative, guesses: Sequence[Seque
 
 
 def _turn_of(progress: Progress, turn: int) -> Progress:
-    """Return the progress of the fits of one turn, behind what settles the model."""
+    """Return the progress function of one turn, after the fit of the model alone."""
     return part_of(
         progress, (turn + 0.2) / SETTINGS.most_effects, (turn + 1) / SETTINGS.most_effects)
 
 
 def _logarithms(alternatives: Sequence[Alternative], expected: ExpectedErrors) -> FloatArray:
-    """Return the logarithm of the evidence of each alternative, among these."""
+    """Return the log-evidence of each alternative, relative to the others."""
     return logarithms_of_evidence([each.evidence for each in alternatives], expected)
 
 
@@ -264,13 +264,13 @@ def most_probable(alternatives: Sequence[Alternative], expected: ExpectedErrors)
 
 def times_of_coming(alternatives: Sequence[Alternative],
                     expected: ExpectedErrors) -> dict[tuple[str, ...], Came]:
-    """Return for each set of effects when it came, as far as the recordings show.
+    """Return when each set of effects appeared, as far as the recordings show.
 
     Returns
     -------
     dict of tuple of str to Came
-        Of each set that was tried in one of the two ways; a set of which any effect depends on when
-        a recording begins can only have come later.
+        For each set that was tried in at least one way. A set with an effect that depends on when
+        a recording begins can only have appeared later.
     """
     logarithms = _logarithms(alternatives, expected)
     best: dict[tuple[str, ...], dict[bool, float]] = {}
@@ -286,14 +286,14 @@ def times_of_coming(alternatives: Sequence[Alternative],
 
 
 def _leaves_noise(problem: JointProblem, alternative: Alternative, count: int) -> bool:
-    """Return whether no other effect is worth looking for in the first recordings."""
+    """Return whether the residual of the first recordings is too small for another effect."""
     noise = np.array(problem.noise.noise_um) ** 2 + accuracies_um(problem.dataset) ** 2
     left = np.array(alternative.mean_square_um2) < SETTINGS.second * noise
     return bool(np.all(left[:count]))
 
 
 def _possible(problem: JointProblem, alternatives: Sequence[Alternative]) -> list[Alternative]:
-    """Return the alternatives without those that no stage can be; the first is always one."""
+    """Return the physically possible alternatives; the first is always kept."""
     extent = problem.dataset.extent
     return [alternatives[0], *(
         alternative for alternative in alternatives[1:]
@@ -307,13 +307,13 @@ def _alternative(names: Sequence[str], fit: JointFit, since: bool = False) -> Al
 
 def _promising(problem: JointProblem, regression: Regression, own: Sequence[Effect],
                asked: set[str]) -> list[list[Effect]]:
-    """Return guesses of each effect, the most promising beside the model first.
+    """Return guesses of each effect, the most promising effects first.
 
-    Behind the best guess of an effect are a few others, spread over all. Effects that were named
+    After the best guess of an effect come a few others, spread over all. Effects that were named
     for the new recordings come before all others.
     """
     evidence = recording_evidence(regression, own)
-    # Those diagnosed, and that of the identification which the model fits least.
+    # The diagnosed recordings, and the one of the identification with the worst fit.
     old = range(problem.new_count, len(evidence))
     worst = max(old, key=lambda index: np.std(evidence[index].residual_um)
                 / evidence[index].noise_um)
@@ -344,7 +344,7 @@ def _promising(problem: JointProblem, regression: Regression, own: Sequence[Effe
 
 def _cost(problem: JointProblem, regression: Regression, own: Sequence[Effect],
           guess: Effect) -> float:
-    """Return the sum of squares that a guess leaves beside the model's own effects."""
+    """Return the sum of squares with a guess in addition to the model's own effects."""
     left = regression.remainder(regression.difference((*own, guess), (guess,)))
     if guess.recurs:
         dataset = regression.dataset

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the models that compete come to: probabilities, and the alternative that is believed."""
+"""Result of the comparison of models: probabilities, and the most probable alternative."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -47,30 +47,31 @@ from piezo_models.effects.outliers import Outliers
 from piezo_recorder.reading.recording import Recording
 
 LIKELY = 0.05
-"""Part of the largest probability from which another set cannot be told from the best."""
+"""Probability relative to the largest above which a set is indistinguishable from the best."""
 
 
 MOST_OTHERS = 3
-"""Sets that leave little more of the new recordings than the best, and compete with it."""
+"""Number of sets with nearly as small a residual of the new recordings that are compared as
+well."""
 
 
 @dataclass(frozen=True, eq=False)
 class Competition:
-    """Probabilities of the models that competed, and the one that is believed.
+    """Probabilities of the compared models, and the most probable one.
 
     Attributes
     ----------
     probabilities : dict of str to float
-        Of each set of effects that matters, of `none` and of `something_else`; they sum to one.
+        Probability of each relevant set of effects, of `none` and of `something_else`; they sum to
+        one.
     best : Alternative or None
-        The model that is believed; None where only the new recordings were asked, beside the model
-        as it was given.
+        The most probable model; None if only the new recordings were used, with the given model.
     times : dict of tuple of str to Came
-        When each set of effects that competed came.
+        When each compared set of effects appeared.
     stated_um : float
-        RMS of what the model that is believed is known to be wrong by.
+        RMS of the known error of the most probable model.
     is_plain : bool
-        It is the plainest model with effects, and not the given one.
+        True if it is the simplest model with effects, not the given one.
     """
 
     probabilities: dict[str, float]
@@ -80,13 +81,13 @@ class Competition:
     is_plain: bool = False
 
     def came(self, names: Iterable[str]) -> Came:
-        """Report when a set of effects came."""
+        """Return when a set of effects appeared."""
         if not self.times:
             return Came.NOT_ASKED
         return self.times.get(tuple(sorted(names)), Came.NOT_DECIDABLE)
 
     def indistinguishable(self) -> dict[str, str]:
-        """Return likely effects of others, and the one of the best that each replaces."""
+        """Return probable effects of other sets, and the best set's effect that each replaces."""
         if self.best is None:
             return {}
         found: dict[str, str] = {}
@@ -102,20 +103,20 @@ class Competition:
 def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Recording],
                    selection: Selection, stated_um: float | None,
                    progress: Callable[[str, float], None]) -> Competition:
-    """Let models compete on all recordings, or the sets of effects on the new ones alone.
+    """Compare models on all recordings, or sets of effects on the new ones alone.
 
-    The recordings of the identification are not asked where the model leaves nothing but noise.
+    The recordings of the identification are not used if the model leaves only noise.
 
     Parameters
     ----------
     new, old : sequence of Recording
-        To be diagnosed, and of the identification; with the sign of the model, and their outliers
-        marked.
+        Recordings to diagnose, and those of the identification, with the sign of the model and
+        with marked outliers.
     selection : Selection
-        Of effects that explain the new recordings alone.
+        Effects that explain the new recordings alone.
     stated_um : float or None
-        RMS of what the model is known to be wrong by; None where only the recordings of the
-        identification tell.
+        RMS of the known error of the model; None if it is estimated from the recordings of the
+        identification.
     progress : callable
         Called with (what is done, fraction).
     """
@@ -125,7 +126,7 @@ def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Re
     problem = JointProblem(
         model, new, old, simulated=selection.regression.dataset.simulated)
     none = settled(problem, progress)
-    # So wrong is it known to be, but for what an alternative explains of the recordings of the
+    # This is the known error, except for what an alternative explains in the recordings of the
     # identification.
     left_um = left_of_old_um(problem, none)
     expected = _expected(problem, left_um if stated_um is None else min(stated_um, left_um))
@@ -139,7 +140,7 @@ def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Re
 
 
 def left_of_old_um(problem: JointProblem, fit: JointFit) -> float:
-    """Return the most that a fit leaves of a recording of the identification beyond the noise."""
+    """Return the largest residual beyond noise of the recordings of the identification."""
     left = np.array([held_out.mean_square_um2 for held_out in held_out_of(fit)])
     beyond = np.maximum(0.0, left - np.square(problem.noise.noise_um))
     return float(np.sqrt(np.max(beyond[problem.new_count :])))
@@ -158,20 +159,20 @@ def _probabilities(problem: JointProblem, alternatives: Sequence[Alternative],
 
 def with_free_model(competition: Competition, model: StageModel, new: Sequence[Recording],
                     selection: Selection) -> Competition:
-    """Fit the model anew beside the effects selected, where it explains nothing as it was given.
+    """Refit the model together with the selected effects if it explains nothing as given.
 
-    Without the recordings of the identification an effect is fitted beside the model as it was
-    given, and small changes of it. A model that was identified while the effect was there is wrong
-    by more. Some of the effects alone may then be enough.
+    Without the recordings of the identification, effects are fitted with the given model and small
+    changes of it. The error of a model that was identified while the effect was present is larger.
+    Some of the effects may then be sufficient.
 
     Parameters
     ----------
     competition : Competition
-        Of the sets of effects.
+        Comparison of the sets of effects.
     new : sequence of Recording
-        To be diagnosed.
+        Recordings to diagnose.
     selection : Selection
-        Of effects that explain a part of them.
+        Effects that explain a part of them.
     """
     effects = selection.end.effects
     explains = competition.probabilities[SOMETHING_ELSE] < PROBABILITIES.believed
@@ -189,19 +190,19 @@ def with_free_model(competition: Competition, model: StageModel, new: Sequence[R
 def with_plain_model(competition: Competition, model: StageModel, new: Sequence[Recording],
                      old: Sequence[Recording], selection: Selection,
                      progress: Callable[[str, float], None]) -> Competition:
-    """Let effects beside the plainest model compete, where that leaves little more than the given.
+    """Compare effects with the simplest model, if its error is not much larger.
 
     The given model is then too large for what it explains: hysteresis, creep and further modes may
-    stand for what an effect does to the mechanics.
+    imitate the effect of nonlinear mechanics.
 
     Parameters
     ----------
     competition : Competition
-        Of what the given model may lack.
+        Comparison for the given model.
     new, old : sequence of Recording
-        To be diagnosed, and of the identification.
+        Recordings to diagnose, and those of the identification.
     selection : Selection
-        Of effects beside the given model.
+        Effects found with the given model.
     progress : callable
         Called with (what is done, fraction).
     """
@@ -237,7 +238,7 @@ def _evidence_of_alternative(alternative: Alternative) -> float:
 
 
 def _evidence_of_model(dataset: Dataset, evidence: Evidence, effect_numbers: int) -> float:
-    """Return the evidence of a model with its effects, its own numbers counted as well."""
+    """Return the log-evidence of a model with its effects, including its own parameters."""
     squares_um2 = np.array(evidence.mean_square_um2) + accuracies_um(dataset) ** 2
     return log_evidence(squares_um2, free_count(dataset.model) + effect_numbers)
 
@@ -245,7 +246,7 @@ def _evidence_of_model(dataset: Dataset, evidence: Evidence, effect_numbers: int
 def _sets(selection: Selection) -> list[tuple[Effect, ...]]:
     """Return the sets of effects that explain the new recordings alone, the best first.
 
-    The best without the others would be as probable as its fit is good, whatever else is as good.
+    Without the other sets, the probability of the best would not show that others fit as well.
     """
     smaller = [fit for fit in selection.parts
                if len(fit.effects) == len(selection.end.effects) - 1]
@@ -256,12 +257,12 @@ def _sets(selection: Selection) -> list[tuple[Effect, ...]]:
 def led_by_the_most_probable(selection: Selection, competition: Competition) -> Selection:
     """Return a selection that begins with the most probable of its sets.
 
-    Nothing changes where the effects that are believed were there all along.
+    Nothing changes if the most probable effects were present from the start.
 
     Parameters
     ----------
     selection : Selection
-        Of effects that explain the new recordings alone.
+        Effects that explain the new recordings alone.
     """
     if competition.best is not None and not competition.best.since:
         return selection
@@ -282,27 +283,27 @@ def led_by_the_most_probable(selection: Selection, competition: Competition) -> 
 
 def probabilities_of_named(competition: Competition, regression: Regression, fit: Fit,
                            refused: Iterable[str]) -> dict[str, float]:
-    """Return the probabilities where a fit to the new recordings alone is named.
+    """Return the probabilities if a fit to the new recordings alone is named.
 
-    Something else is as probable as beside that fit. The sets of effects share the rest as they did
-    when they competed, without those that the held-out data refuse; where another one than that of
-    the fit leads them, the competition was not about this fit, and its set alone takes the rest.
+    The probability of something else is that for this fit. The sets of effects share the rest as in
+    the comparison, without those that the held-out data refuse. If the most probable set is not
+    that of the fit, the comparison does not apply, and the set of the fit gets the whole rest.
 
     Parameters
     ----------
     competition : Competition
-        Of whole models.
+        Comparison of whole models.
     regression : Regression
-        Of the new recordings.
+        Regression of the new recordings.
     fit : Fit
-        That is named.
+        Fit that is named.
     refused : iterable of str
         Effects that the held-out data refuse.
 
     Returns
     -------
     dict of str to float
-        The largest first; they sum to one.
+        In descending order; they sum to one.
     """
     label, without = _label(fit), set(refused)
     other = _of_fits(regression, [fit], competition.stated_um)[SOMETHING_ELSE]
@@ -316,7 +317,7 @@ def probabilities_of_named(competition: Competition, regression: Regression, fit
 
 
 def _label(fit: Fit) -> str:
-    """Return the names of the effects of a fit, joined by +, or none."""
+    """Return the names of the effects of a fit, joined by +, or `none`."""
     return "+".join(sorted(effect.name for effect in fit.effects)) or NONE
 
 
@@ -339,7 +340,7 @@ def _of_fits(regression: Regression, fits: Sequence[Fit], stated_um: float) -> d
 
 
 def _evidence_of(regression: Regression, fit: Fit) -> Evidence:
-    """Return what the probability of a fit to the new recordings alone depends on."""
+    """Return the quantities on which the probability of a fit to the new recordings depends."""
     held_out = _held_out(regression, fit)
     widths = expected_widths(
         [effect for effect in fit.effects if type(effect) is not Outliers],
@@ -348,7 +349,7 @@ def _evidence_of(regression: Regression, fit: Fit) -> Evidence:
 
 
 def _held_out(regression: Regression, fit: Fit) -> tuple[HeldOut, ...]:
-    """Return what a fit leaves of the held-out rows of each recording."""
+    """Return the residual of a fit on the held-out rows of each recording."""
     left_um, stretch = fit.residual * regression.tolerance_um, regression.dataset.stretch
     return tuple(HeldOut(left_um[rows], stretch[rows]) for rows in (
         mask & regression.validation for mask in regression.dataset.masks()))
@@ -356,19 +357,19 @@ def _held_out(regression: Regression, fit: Fit) -> tuple[HeldOut, ...]:
 
 def beside_alternative(selection: Selection, competition: Competition,
                        alternative: Alternative) -> Selection:
-    """Return a selection of the effects of an alternative that were there all along.
+    """Return a selection of the effects of an alternative that were present from the start.
 
     Parameters
     ----------
     selection : Selection
-        Of effects beside the model as it was given.
+        Effects found with the given model.
     alternative : Alternative
-        Its best.
+        Best alternative of the comparison.
 
     Returns
     -------
     Selection
-        Beside the alternative's model.
+        Relative to the alternative's model.
     """
     effects, count = alternative.fit.effects, len(alternative.names)
     own, added = effects[: len(effects) - count], effects[len(effects) - count :]
@@ -391,7 +392,7 @@ def beside_alternative(selection: Selection, competition: Competition,
 
 
 def _with_model(dataset: Dataset, model: StageModel, has_other_parameters: bool) -> Dataset:
-    """Simulate another model on the same rows; it may have other parameters to differentiate by."""
+    """Simulate another model on the same rows; its parameters may have other sensitivities."""
     simulated = tuple(part.with_model(model) for part in dataset.simulated)
     if has_other_parameters:
         return dataset_of(simulated, dataset.recordings)

@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is left of recordings where a model lacks nothing: noise, and errors of the model.
+"""Expected residual of recordings if a model lacks nothing: noise, and errors of the model.
 
-Errors of a model are alike for long: no more than k_r of them are independent in recording r. They
-are at least as large as a good model's, l_r, and as what this model is known to be wrong by, w_r.
-They are larger by a factor f, whose logarithm is half of a normal distribution, and over which the
+Errors of a model have a long correlation: at most k_r of them are independent in recording r. They
+are at least as large as those of a good model, l_r, and as the known error of this model, w_r. They
+are larger by a factor f, the logarithm of which has a half-normal distribution, and over which the
+evidence is averaged. For a mean square m_r with noise of variance s_r^2 the evidence is
 evidence is averaged. Of a mean square m_r beside noise of variance s_r^2 it is
 
     ln p = ln E_f exp(- sum_r k_r / 2 (ln v_r + (m_r - s_r^2) / v_r))
     v_r = f^2 (l_r^2 + w_r^2) + s_r^2 (k_r / n_r + d)
 
-with n_r the samples that err independently, and d the relative error of the noise's own variance.
-Where the model is perfect and the noise is known, this is the likelihood of white noise.
+with n_r the number of independent samples, and d the relative error of the variance of the noise.
+For a perfect model and known noise, this is the likelihood of white noise.
 """
 
 from collections.abc import Sequence
@@ -27,22 +28,22 @@ from piezo_identification.fitting.regression import accuracies_um
 
 @dataclass(frozen=True)
 class ErrorSettings:
-    """How large the errors of a model are.
+    """Size of the errors of a model.
 
     Attributes
     ----------
     carried_spread : float
-        Root mean square of the logarithm of how many times as much a model is wrong by in another
-        recording as in the worst of those that it was fitted to, where nothing is lacking. Set on
-        40 recordings of five drawn stages: docs/diagnosis.md.
+        RMS of the logarithm of the error of a complete model in another recording, relative to the
+        worst of those that it was fitted to. Set on 40 recordings of five drawn stages:
+        docs/diagnosis.md.
     independent : float
-        Errors of a model that are independent in one recording. Set on the same: the best of the
-        known effects explains a third or half of them.
+        Number of independent errors of a model in one recording. Set on the same data: the best of
+        the known effects explains a third or half of them.
     noise_known : float
-        Relative error of the variance of the noise. Set on the same.
+        Relative error of the variance of the noise. Set on the same data.
     most_wrong : float
-        Part of the RMS motion that a model may be known to be wrong by at most: where it is wrong
-        by more, it lacks something, and that it is known is no explanation.
+        Largest known error of a model that is accepted, relative to the RMS motion: a larger error
+        shows that the model lacks something.
     """
 
     carried_spread: float = 0.6
@@ -54,7 +55,7 @@ class ErrorSettings:
 SETTINGS = ErrorSettings()
 
 DEVIATIONS = np.linspace(0.0, 4.0, 41)
-"""Values of the logarithm of the factor, over its width, at which the evidence is summed."""
+"""Values of the logarithm of the factor, relative to its width, at which the evidence is summed."""
 SIZES = np.exp(2.0 * SETTINGS.carried_spread * DEVIATIONS)[:, None]
 """Squares of the factor."""
 WEIGHTS = -0.5 * DEVIATIONS**2 - logsumexp(-0.5 * DEVIATIONS**2)
@@ -63,16 +64,16 @@ WEIGHTS = -0.5 * DEVIATIONS**2 - logsumexp(-0.5 * DEVIATIONS**2)
 
 @dataclass(frozen=True, eq=False)
 class ExpectedErrors:
-    """What is left of each recording where a model lacks nothing, RMS.
+    """Expected RMS residual of each recording if a model lacks nothing.
 
     Attributes
     ----------
     noise_um : (R,) array
-        Of the sensor.
+        Noise of the sensor.
     model_um : (R,) array
-        Of the model.
+        Error of the model.
     accuracy_um : (R,) array
-        Of a good model.
+        Accuracy of a good model.
     """
 
     noise_um: FloatArray
@@ -80,19 +81,19 @@ class ExpectedErrors:
     accuracy_um: FloatArray
 
     def of_first(self, count: int) -> "ExpectedErrors":
-        """Return the same of the first recordings alone."""
+        """Return the expected errors of the first recordings only."""
         return ExpectedErrors(
             self.noise_um[:count], self.model_um[:count], self.accuracy_um[:count])
 
     def logarithms(self, left_um2: FloatArray, samples: FloatArray) -> FloatArray:
-        """Return the logarithm of the evidence of what is left.
+        """Return the log-evidence of a residual.
 
         Parameters
         ----------
         left_um2 : (..., R) array
             Mean squares.
         samples : (R,) array
-            That err independently.
+            Number of independent samples.
 
         Returns
         -------
@@ -106,7 +107,7 @@ class ExpectedErrors:
         return np.asarray(logsumexp(WEIGHTS - against, axis=-1))
 
     def logarithm_of_chance(self, left_um2: FloatArray, samples: FloatArray) -> float:
-        """Return the logarithm of the probability that as much is left.
+        """Return the logarithm of the probability of so large a residual.
 
         Parameters
         ----------
@@ -122,13 +123,13 @@ class ExpectedErrors:
 
 def expected_errors(dataset: Dataset, noise_um: Sequence[float],
                     stated_um: float) -> ExpectedErrors:
-    """Return what is left of the recordings of a data set where the model lacks nothing.
+    """Return the expected errors of the recordings of a data set if the model lacks nothing.
 
     Parameters
     ----------
     noise_um : (R,) sequence of float
     stated_um : float
-        RMS of what the model is known to be wrong by.
+        RMS of the known error of the model.
     """
     motion_um = np.array([np.std(part.measured_um[part.begin :]) for part in dataset.simulated])
     return errors_of_model(np.array(noise_um), accuracies_um(dataset), motion_um, stated_um)
@@ -136,12 +137,12 @@ def expected_errors(dataset: Dataset, noise_um: Sequence[float],
 
 def errors_of_model(noise_um: FloatArray, accuracy_um: FloatArray, motion_um: FloatArray,
                     stated_um: float | FloatArray) -> ExpectedErrors:
-    """Return what is left of recordings of some motion; see `expected_errors`.
+    """Return the expected errors of recordings of some motion; see `expected_errors`.
 
     Parameters
     ----------
     motion_um : (R,) array
-        RMS.
+        RMS of the motion.
     stated_um : float or (R,) array
     """
     wrong_um = np.minimum(stated_um, SETTINGS.most_wrong * motion_um)

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Fits of effects that the model has made up for: the model makes way first.
+"""Fits of effects for which the model's parameters have compensated.
 
-The model's parameters have made up for most of an effect that was there all along: beside them it
-looks smaller than it is, and a fit from there ends with too little of it.
+The model's parameters compensate for most of an effect that was present at the identification. The
+effect then looks smaller than it is, and a fit from there underestimates it. These fits therefore
+change the model first.
 """
 
 from collections.abc import Sequence
@@ -14,15 +15,15 @@ from piezo_models.effects import Effect
 
 @dataclass(frozen=True)
 class FarSettings:
-    """How long fits go on.
+    """Limits of continued fits.
 
     Attributes
     ----------
     turns : int
-        In which fits go on at most, each of several steps.
+        Largest number of continued fits, each of several steps.
     hopeful : float
-        A fit goes on while it is behind the best by less than so many times the evidence that its
-        last step gained.
+        A fit is continued if its deficit of evidence is less than this multiple of the gain of its
+        last step.
     """
 
     turns: int = 5
@@ -34,16 +35,16 @@ SETTINGS = FarSettings()
 
 def from_afar(problem: JointProblem, beside: JointFit, guesses: Sequence[Effect],
               nearby: JointFit) -> JointFit:
-    """Return the best of fits of an effect: as it is, and from where the model makes way.
+    """Return the best fit of an effect: the given one, or one that starts from a changed model.
 
     Parameters
     ----------
     beside : JointFit
-        Of the model and what it has beside the effect.
+        Fit of the model without the effect.
     guesses : sequence of piezo_models.effects.effect.Effect
-        Of the effect; the fit as it is began from the first.
+        Initial guesses of the effect; the given fit started from the first.
     nearby : JointFit
-        As it is.
+        Given fit of the effect.
     """
     held = _held(problem, beside, guesses[1:])
     if held is not None and may_lead(held, nearby):
@@ -63,19 +64,19 @@ def _better(*fits: JointFit) -> JointFit:
 
 
 def may_lead(fit: JointFit, best: JointFit) -> bool:
-    """Tell whether a fit that goes on may yet have less evidence against it than the best."""
+    """Return whether a fit may still become better than the best when it is continued."""
     return fit.against - SETTINGS.hopeful * fit.gain < best.against
 
 
 def _held(problem: JointProblem, beside: JointFit, guesses: Sequence[Effect]) -> JointFit | None:
-    """Fit the model by one step beside each guess, which stays as it is, and return the best."""
+    """Fit the model by one step with each guess held fixed, and return the best."""
     fits = [problem.fit(beside.effects, begun=beside, held=(guess,)) for guess in guesses]
     return _better(*fits) if fits else None
 
 
 def _taken_out(problem: JointProblem, beside: JointFit,
                guesses: Sequence[Effect]) -> JointFit | None:
-    """Take the best guess out of the hysteresis that has it, and fit both from there."""
+    """Remove the best guess from the hysteresis that contains it, and fit both from there."""
     model, found = problem.dataset.model, []
     for guess in guesses:
         ahead = guess.hysteresis_ahead(model.hysteresis)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The recordings that a model was identified from: found by path, known by their hash."""
+"""The recordings from which a model was identified, found by path and verified by hash."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -22,25 +22,25 @@ AnyPath = str | PathLike[str]
 ReadFile = Callable[[AnyPath], list[Recording]]
 
 MOST_OLD_SAMPLES = 50_000
-"""Samples of each recording of the identification that are asked: each costs as much as a new one,
-and an effect that bends a model shows in the first of them."""
+"""Number of samples used of each recording of the identification: each costs as much as a new one,
+and an effect that biases a model already shows in the first of them."""
 
 NOT_NAMED = "the model file names none"
-"""Why no recording is at hand, where a model was not identified from files."""
+"""Why no recording is available for a model that was not identified from files."""
 
 
 @dataclass(frozen=True)
 class IdentificationRecordings:
-    """What is at hand of the recordings that a model was identified from.
+    """Available recordings from which a model was identified.
 
     Attributes
     ----------
     recordings : tuple of Recording
-        Without gaps, and with the rows aligned as they were for the identification.
+        Recordings without gaps, with rows aligned as in the identification.
     missing : tuple of str
-        Why others are not at hand, one sentence without its end for each.
+        Why others are not available, one sentence without its end for each.
     hashes : frozenset of str
-        SHA-256 of all that were fitted: the validation was not.
+        SHA-256 of all that were fitted; the validation recording was not.
     """
 
     recordings: tuple[Recording, ...] = ()
@@ -49,7 +49,7 @@ class IdentificationRecordings:
 
     @property
     def not_asked(self) -> str:
-        """Tell what cannot be asked without the missing recordings; empty if none is missing."""
+        """Sentence on what cannot be determined without missing recordings; empty if none is."""
         if not self.missing:
             return ""
         among = "of some of" if self.recordings else "of"
@@ -58,7 +58,7 @@ class IdentificationRecordings:
                 "give them with --identified-from FILE...)")
 
     def document(self) -> dict[str, object]:
-        """Return what `verdict.json` tells of them."""
+        """Return their entry in `verdict.json`."""
         return {"recordings": [str(recording.path) for recording in self.recordings],
                 "not_asked": self.not_asked}
 
@@ -67,25 +67,25 @@ def find_identification_recordings(
     identified: IdentifiedModel, model_path: AnyPath, read_file: ReadFile,
     moved: Sequence[AnyPath | Recording] = (), others: Sequence[AnyPath | Recording] = (),
 ) -> IdentificationRecordings:
-    """Find the recordings that a model was identified from, and read those that are unchanged.
+    """Find the recordings from which a model was identified, and read those that are unchanged.
 
-    A relative path counts from the working directory, or else from the folder of the model.
+    Relative paths are relative to the working directory, or else to the folder of the model.
 
     Parameters
     ----------
     model_path : path-like
-        Of its file.
+        Path of the model file.
     read_file : callable
         Returns the recordings of a file.
     moved : sequence of path-like or Recording
-        Recordings of the identification, wherever they are now.
+        Recordings of the identification at their present paths.
     others : sequence of path-like or Recording
-        What is diagnosed, or held out: it is left out here.
+        Recordings that are diagnosed or held out, which are excluded.
 
     Raises
     ------
     ValueError
-        If a file that was named by hand is none of the identification, or cannot be read.
+        If a file in `moved` does not belong to the identification, or cannot be read.
     """
     hashes = {entry["sha256"]: entry["path"] for entry in identified.recordings}
     given = {digest_of(each) or f"no file {number}": each for number, each in enumerate(moved)}
@@ -119,7 +119,7 @@ def find_identification_recordings(
 
 
 def digest_of(source: AnyPath | Recording) -> str:
-    """Return the SHA-256 of a recording; empty where it came from no file."""
+    """Return the SHA-256 of a recording; empty if it came from no file."""
     if isinstance(source, Recording):
         if source.sha256 or not Path(source.path).exists():
             return source.sha256
@@ -128,21 +128,21 @@ def digest_of(source: AnyPath | Recording) -> str:
 
 
 def fitted_hashes(identified: IdentifiedModel) -> frozenset[str]:
-    """Return the SHA-256 of the recordings that a model was fitted to, without its validation."""
+    """Return the SHA-256 of the recordings to which a model was fitted, without its validation."""
     names = _names(identified)
     return frozenset(entry["sha256"] for entry in identified.recordings
                      if names.get(entry["sha256"]) != "validation")
 
 
 def old_recordings(model: StageModel, known: IdentificationRecordings) -> list[Recording]:
-    """Return the recordings of the identification that can be asked, conditioned like the new ones.
+    """Return the usable recordings of the identification, conditioned like the new ones.
 
-    Of long ones the beginning is asked: whatever it is, a simulation begins there.
+    Only the beginning of long ones is used, because a simulation has to start there.
 
     Returns
     -------
     list of Recording
-        Those that are too short to be compared are left out.
+        Recordings that are too short are omitted.
     """
     usable = []
     for recording in known.recordings:
@@ -157,7 +157,7 @@ def old_recordings(model: StageModel, known: IdentificationRecordings) -> list[R
 
 
 def _names(identified: IdentifiedModel) -> Mapping[str, str]:
-    """Return the experiment of each recording by its hash, where every file is one experiment."""
+    """Return the experiment of each recording by its hash, if every file is one experiment."""
     names = [*identified.sample_periods_s, "validation"]
     digests = [entry["sha256"] for entry in identified.recordings]
     return dict(zip(digests, names, strict=False)) if len(digests) in (
@@ -165,7 +165,7 @@ def _names(identified: IdentifiedModel) -> Mapping[str, str]:
 
 
 def _unchanged(named: str, digest: str, model_path: Path) -> tuple[Path, str]:
-    """Return where a recording is, and why it is not the one that the model came from, if so."""
+    """Return the path of a recording, and why it is not the original one, if so."""
     path = Path(named)
     if not path.exists() and not path.is_absolute():
         path = model_path.parent / path
@@ -175,7 +175,7 @@ def _unchanged(named: str, digest: str, model_path: Path) -> tuple[Path, str]:
 
 
 def _read(source: AnyPath | Recording, read_file: ReadFile) -> tuple[list[Recording], str]:
-    """Return what is at hand of a source, and why there is nothing, if so."""
+    """Return the recordings of a source, and why there are none, if so."""
     if isinstance(source, Recording):
         return [source], ""
     if is_frequency_response(Path(source)):

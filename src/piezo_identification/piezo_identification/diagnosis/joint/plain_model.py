@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The plainest model of some recordings, a line and one mode, and the effects that it needs.
+"""The simplest model of some recordings, a line and one mode, and the effects that it needs.
 
-A model that was identified while its mechanics were nonlinear has made up for that by hysteresis,
-creep and further modes, each of which holds only where it was fitted. Where a line and the loudest
-mode leave little more, effects beside these are a simpler explanation of the same recordings.
+A model that was identified with nonlinear mechanics has compensated for them by hysteresis, creep
+and further modes, each of which is valid only where it was fitted. If a line and the loudest mode
+fit nearly as well, effects in addition to these are a simpler explanation of the same recordings.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,15 +28,15 @@ from piezo_recorder.reading.recording import Recording
 
 @dataclass(frozen=True)
 class PlainSettings:
-    """When a plain model is worth a comparison of effects.
+    """When a simple model is worth a comparison of effects.
 
     Attributes
     ----------
     most_left : float
-        What it may leave at most, over what the given model leaves: hysteresis, creep and further
-        modes then explain less than the half of the misfit.
+        Largest residual relative to that of the given model: hysteresis, creep and further modes
+        then explain less than half of the misfit.
     steps : int
-        Of its fit.
+        Largest number of steps of its fit.
     """
 
     most_left: float = 2.0
@@ -47,7 +47,7 @@ SETTINGS = PlainSettings()
 
 
 def is_plain(model: StageModel) -> bool:
-    """Tell whether a model is no more than a line and a mode already."""
+    """Return whether a model already is just a line and a mode."""
     return not (model.hysteresis.density_um_per_v2.any() or model.creep.poles_rad_per_s
                 or model.dynamics.time_constant_s > 0.0 or model.effects_at("modes")
                 or len(model.dynamics.mode_frequencies_rad_per_s) > 1)
@@ -55,19 +55,19 @@ def is_plain(model: StageModel) -> bool:
 
 def plain_model(model: StageModel, recordings: Sequence[Recording],
                 left_um: float) -> StageModel | None:
-    """Fit a line and the loudest mode of a model, behind a held voltage and behind a smooth one.
+    """Fit a line and the loudest mode of a model, with a held voltage and with a smooth one.
 
     Parameters
     ----------
     recordings : sequence of Recording
-        With the sign of the model, and their outliers marked.
+        Recordings with the sign of the model and with marked outliers.
     left_um : float
-        RMS of what the model leaves of them.
+        RMS residual of the model.
 
     Returns
     -------
     StageModel or None
-        The better one; None where the model has no mode, or both leave far more than it does.
+        The better one; None if the model has no mode, or both fit far worse than it does.
     """
     if model.dynamics.is_static and not model.effects_at("modes"):
         return None
@@ -85,16 +85,16 @@ def beside_plain_model(plain: StageModel, new: Sequence[Recording], old: Sequenc
                        expected: Callable[[JointProblem], ExpectedErrors],
                        report: Callable[[str, float], None],
                        ) -> tuple[JointProblem, list[Alternative]]:
-    """Select the effects that recordings show beside a plain model, and fit it anew beside them.
+    """Select the effects that recordings show with a simple model, and refit all together.
 
     Parameters
     ----------
     plain : StageModel
         See `plain_model`.
     new, old : sequence of Recording
-        To be diagnosed, and of the identification.
+        Recordings to diagnose, and those of the identification.
     expected : callable
-        Returns what is left of the recordings of a problem where the model lacks nothing.
+        Returns the expected errors of the recordings of a problem.
     report : callable
         Called with (what is done, fraction).
 
@@ -102,7 +102,7 @@ def beside_plain_model(plain: StageModel, new: Sequence[Recording], old: Sequenc
     -------
     problem : JointProblem
     alternatives : list of Alternative
-        The model with all effects selected, and with some of them.
+        The model with all selected effects, and with some of them.
     """
     dataset = simulate_recordings(plain, [*new, *old])
     selection = select_effects(first_regression(dataset), report)
@@ -112,7 +112,7 @@ def beside_plain_model(plain: StageModel, new: Sequence[Recording], old: Sequenc
 
 
 def _fitted(problem: WholeModel, model: StageModel, delay_s: float | None) -> WholeFit:
-    """Fit a model whose delay is not below zero: its rows are read as those of the given one."""
+    """Fit a model whose delay must not be negative, because rows are read as in the given one."""
     fit = problem.fit(model, delay_s, SETTINGS.steps)
     return fit if (fit.delay_s or 0.0) >= 0.0 else problem.fit(fit.model, None, SETTINGS.steps)
 
@@ -128,5 +128,5 @@ def _line(model: StageModel, recordings: Sequence[Recording]) -> PreisachModel:
 
 
 def _left_um(fit: WholeFit) -> float:
-    """Return the RMS of what is left of the rows that were fitted."""
+    """Return the RMS residual of the fitted rows."""
     return float(np.sqrt(np.mean(np.concatenate([left for left, _ in fit.left_um]) ** 2)))

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Probabilities of what a model lacks, from what each alternative leaves on held-out data.
+"""Probabilities of what a model lacks, from the errors of each alternative on held-out data.
 
-The evidence of an alternative is that of the noise and of what the model may be wrong by
-(`expected_errors`), with what its fitted numbers cost (`model_weights.occam_penalty`). Every
-further cause has the same prior odds, on the list or not. So an effect that explains what a model
-may be wrong by anyway is not named, alone or beside another.
+The evidence of an alternative includes the noise and the possible errors of the model
+(`expected_errors`), and the cost of its fitted parameters (`model_weights.occam_penalty`). Every
+additional cause has the same prior odds, whether it is on the list or not. An effect that explains
+no more than the possible errors of the model is therefore not named, alone or with another.
 
-How far errors of a model speak for an alternative also shows in how much the ratio of likelihoods
-depends on which stretches are held out: the probabilities are means over a Bayesian bootstrap of
-the stretches (pseudo-BMA+: Yao, Vehtari, Simpson and Gelman, Using stacking to average Bayesian
-predictive distributions, Bayesian Analysis 13, 2018). What is not on the list, `something_else`,
-leaves what passes for noise in the new recordings.
+The reliability of the evidence also depends on which stretches are held out. The probabilities are
+therefore means over a Bayesian bootstrap of the stretches (pseudo-BMA+: Yao, Vehtari, Simpson and
+Gelman, Using stacking to average Bayesian predictive distributions, Bayesian Analysis 13, 2018). A
+cause that is not on the list, `something_else`, would reduce the residual of the new recordings to
+noise.
 """
 
 from collections.abc import Sequence
@@ -29,17 +29,17 @@ NONE, SOMETHING_ELSE = "none", "something_else"
 
 @dataclass(frozen=True)
 class ProbabilitySettings:
-    """The model of probability.
+    """Settings of the probability model.
 
     Attributes
     ----------
     one_cause : float
         Prior odds of one more cause, whether it is on the list or not: there are twenty kinds.
     believed : float
-        Probability of something else from which a recording is unexplained.
+        Probability of something else above which a recording is unexplained.
     most_effective : float
-        Samples of a recording that count as independent at most: the noise of a stage is no more
-        stationary than that.
+        Largest number of independent samples per recording: the noise of a stage is not stationary
+        for longer.
     """
 
     one_cause: float = 0.05
@@ -50,24 +50,24 @@ class ProbabilitySettings:
 SETTINGS = ProbabilitySettings()
 
 DRAWS = 4000
-"""So many draws of the bootstrap determine a probability near 0.95 to 0.003."""
+"""Number of draws of the bootstrap, which determine a probability near 0.95 to 0.003."""
 SEED = 0
 MOST_GAIN = 500.0
-"""A logarithm of odds that leaves nothing to doubt, and whose exponential is finite."""
+"""Logarithm of odds that are practically certain, with a finite exponential."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What is known of one alternative.
+    """Evidence for one alternative.
 
     Attributes
     ----------
     label : str
-        Names of its effects with + between them, or `none`.
+        Names of its effects joined by +, or `none`.
     held_out : (R,) tuple of HeldOut
-        What is left on held-out stretches of each recording.
+        Residuals on held-out stretches of each recording.
     penalty : float
-        What the fitted numbers of the effects cost; see `model_weights.occam_penalty`.
+        Cost of the fitted parameters of the effects; see `model_weights.occam_penalty`.
     """
 
     label: str
@@ -76,28 +76,28 @@ class Evidence:
 
     @property
     def mean_square_um2(self) -> tuple[float, ...]:
-        """Return the mean square that is left of each recording."""
+        """Return the mean square residual of each recording."""
         return tuple(part.mean_square_um2 for part in self.held_out)
 
     @property
     def cost(self) -> float:
-        """Return what its numbers and the prior odds of its effects take from the evidence."""
+        """Return the cost of its parameters plus that of the prior odds of its effects."""
         causes = 0 if self.label == NONE else self.label.count("+") + 1
         return self.penalty - causes * float(np.log(SETTINGS.one_cause))
 
 
 def penalty_of(held_out: Sequence[HeldOut], covariance: FloatArray | None, widths: FloatArray,
                recurrence_count: int = 0) -> float:
-    """Return what fitted numbers cost, with so many errors as the evidence counts.
+    """Return the cost of fitted parameters for the number of errors that the evidence counts.
 
     Parameters
     ----------
     held_out : (R,) sequence of HeldOut
     covariance, widths
-        Of `model_weights.occam_penalty`.
+        As in `model_weights.occam_penalty`.
     recurrence_count : int
-        Further numbers, which each recording of the identification has of its own; the recordings
-        determine them, and each costs the most.
+        Number of additional parameters specific to recordings of the identification. The
+        recordings determine them, and each has the largest cost.
     """
     counted = sum(min(part.independent, ERRORS.independent) for part in held_out)
     rows = float(sum(part.left_um.size for part in held_out))
@@ -107,14 +107,14 @@ def penalty_of(held_out: Sequence[HeldOut], covariance: FloatArray | None, width
 
 def logarithms_of_evidence(alternatives: Sequence[Evidence],
                            expected: ExpectedErrors) -> FloatArray:
-    """Return the logarithm of the evidence of each alternative, (n,)."""
+    """Return the log-evidence of each alternative, (n,)."""
     left = np.array([alternative.mean_square_um2 for alternative in alternatives])
     return (expected.logarithms(left, _samples(alternatives))
             - [alternative.cost for alternative in alternatives])
 
 
 def listed_probabilities(alternatives: Sequence[Evidence], expected: ExpectedErrors) -> FloatArray:
-    """Return the probability of each alternative, as if there were no others, (n,)."""
+    """Return the probability of each alternative, assuming there are no others, (n,)."""
     random = np.random.default_rng(SEED)
     left = np.empty((DRAWS, len(alternatives), expected.noise_um.size))
     for number in range(expected.noise_um.size):
@@ -132,7 +132,7 @@ def listed_probabilities(alternatives: Sequence[Evidence], expected: ExpectedErr
 
 
 def _samples(alternatives: Sequence[Evidence]) -> FloatArray:
-    """Return how many held-out samples of each recording count, beside the best, (R,)."""
+    """Return the number of held-out samples of each recording that count, (R,)."""
     independent = [[part.independent for part in each.held_out] for each in alternatives]
     return np.minimum(np.max(independent, axis=0), SETTINGS.most_effective)
 
@@ -146,12 +146,12 @@ def probabilities(alternatives: Sequence[Evidence], expected: ExpectedErrors,
     alternatives : sequence of Evidence
         Alternatives of the same label share their probability.
     new_count : int
-        So many recordings, the first ones, are diagnosed.
+        Number of recordings, counted from the first, that are diagnosed.
 
     Returns
     -------
     dict of str to float
-        The largest first; they sum to one.
+        In descending order; they sum to one.
     """
     listed = listed_probabilities(alternatives, expected)
     best = int(np.argmax(listed))
@@ -168,16 +168,16 @@ def probabilities(alternatives: Sequence[Evidence], expected: ExpectedErrors,
 
 def odds_of_something_else(left_um2: FloatArray, samples: FloatArray,
                            expected: ExpectedErrors) -> float:
-    """Return the odds of something that would leave no more than passes for noise.
+    """Return the odds of an unlisted cause that would reduce the residual to noise.
 
-    They are those to an alternative.
+    The odds are relative to an alternative.
 
     Parameters
     ----------
     left_um2 : (R,) array
-        Mean squares that the alternative leaves.
+        Mean square residuals of the alternative.
     samples : (R,) array
-        Independent samples of each recording.
+        Number of independent samples of each recording.
     """
     return SETTINGS.one_cause * float(
         np.exp(min(-expected.logarithm_of_chance(left_um2, samples), MOST_GAIN)))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What remains of each recording, held to the least noise that is known of its sensor.
+"""Comparison of the residual of each recording with the smallest known noise of its sensor.
 
-Where no recording shows the noise, what remains may be noise or not. A part of it that follows from
-the voltage is none: that part is held to the accuracy of a good model.
+If no recording shows the noise, the residual may or may not be noise. A part of it that follows
+from the voltage is not: that part is compared with the accuracy of a good model.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,16 +29,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class HeldToNoise:
-    """Probabilities after what remains was held to the noise.
+    """Probabilities after the residual was compared with the noise.
 
     Attributes
     ----------
     probabilities : dict of str to float
-        The largest first.
+        In descending order.
     sentence : str
-        How many times the noise remains, and what shows the noise.
+        Sentence on the residual relative to the noise, and on the source of the noise.
     predicted : Ceiling or None
-        What a learner predicts of the remainder; None where it was not asked.
+        Predictable part of the residual; None if not computed.
     """
 
     probabilities: dict[str, float]
@@ -48,21 +48,21 @@ class HeldToNoise:
 
 def held_to_noise(shares: Mapping[str, float], remainders: Sequence[Remainder], known: KnownNoise,
                   stated_um: float, finds_nothing: bool) -> HeldToNoise:
-    """Return how probable something else is, where remainders are held to the least known noise.
+    """Return the probability of something else, from residuals relative to the known noise.
 
     Parameters
     ----------
     shares : dict of str to float
-        Probabilities by the noise that each recording shows itself.
+        Probabilities based on the noise that each recording shows itself.
     remainders : sequence of Remainder
-        Of the recordings that are diagnosed, and of the one that is held out.
+        Residuals of the diagnosed recordings and of the held-out one.
     known : KnownNoise
-        With one source at least.
+        Known noise with at least one source.
     stated_um : float
-        RMS of what the model is known to be wrong by.
+        RMS of the known error of the model.
     finds_nothing : bool
-        No effect is named. Components that the identification called inadequate then excuse no more
-        than the noise: what remains beyond it must pass the identification's own tolerance.
+        True if no effect is named. If the identification found components inadequate, the error of
+        the model is then limited to the noise, and the tolerance of the identification applies.
     """
     contradicts = finds_nothing and bool(known.inadequate)
     tolerance = ADEQUACY.tolerance if contradicts else FIT.model_tolerance
@@ -88,20 +88,20 @@ def held_to_noise(shares: Mapping[str, float], remainders: Sequence[Remainder], 
 
 def held_to_prediction(held: HeldToNoise, predicted: "Ceiling", remainders: Sequence[Remainder],
                        stated_um: float) -> HeldToNoise:
-    """Return how probable something else is, where nothing shows the noise of the sensor.
+    """Return the probability of something else if the noise of the sensor is unknown.
 
     Parameters
     ----------
     held : HeldToNoise
-        To the least bound of the noise.
+        Result of the comparison with the smallest bound of the noise.
     predicted : Ceiling
-        What a learner predicts of what remains.
+        Predictable part of the residual.
     remainders : sequence of Remainder
-        Of the recordings that are diagnosed.
+        Residuals of the diagnosed recordings.
     stated_um : float
-        RMS of what the model is known to be wrong by.
+        RMS of the known error of the model.
     """
-    # Less than a learner may take from noise by chance, or than matters beside it.
+    # Less than a learner may predict from noise by chance, or than is relevant.
     least_um = CRITERIA.noticeable * predicted.left_um
     largest = max(remainders, key=lambda each: each.travel_um)
     samples = min(sum(each.held_out.independent for each in remainders), SETTINGS.most_effective)
@@ -121,7 +121,7 @@ def held_to_prediction(held: HeldToNoise, predicted: "Ceiling", remainders: Sequ
 
 
 def _with_other_odds(shares: Mapping[str, float], odds: float) -> dict[str, float]:
-    """Return probabilities with something else at least as probable as its odds to the best."""
+    """Return probabilities with that of something else increased to match its odds to the best."""
     before = shares.get(SOMETHING_ELSE, 0.0)
     listed = {name: share for name, share in shares.items() if name != SOMETHING_ELSE}
     whole = sum(listed.values())

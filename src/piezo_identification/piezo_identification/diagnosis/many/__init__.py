@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Many recordings, diagnosed one by one from a table, and the page that sums them up."""
+"""Diagnosis of many recordings listed in a table, and the page that summarises them."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Diagnose the rows of a table, write and print what they come to: the work of `diagnose_many`."""
+"""Diagnose the rows of a table, and write and print the results, for `diagnose_many`."""
 
 import argparse
 import csv
@@ -52,7 +52,7 @@ def diagnose_table(options: argparse.Namespace) -> None:
 
 def _print_next(options: argparse.Namespace, rows: Sequence[DiagnosisRow],
                 results: Sequence[dict[str, Any]]) -> None:
-    """Print what to type next: for the model that lacks most, or a feedback where none does."""
+    """Print the next command: for the model with the largest error, or a feedback if none lacks."""
     lacking = [(result["verdict"]["before"]["rms_um"], number)
                for number, result in enumerate(results)
                if "verdict" in result and result["verdict"]["verdict"] != "none"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The recordings of a fleet beside each other: which stage ages, and since when."""
+"""Comparison of the recordings of a fleet: which stage ages, and since when."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ NM_PER_UM = 1e3
 
 @dataclass(frozen=True)
 class StageHistory:
-    """What the diagnoses of one stage came to, the oldest recording first."""
+    """Diagnoses of one stage, the oldest recording first."""
 
     stage: str
     recorded: tuple[datetime, ...]
@@ -31,7 +31,7 @@ class StageHistory:
 
     @property
     def since(self) -> datetime | None:
-        """Since when each recording has shown something that the model lacks; None if none."""
+        """Time since when each recording shows that the model lacks something, or None."""
         lacking = [verdict["verdict"] != "none" for verdict in self.verdicts]
         fine = [number for number, lacks in enumerate(lacking) if not lacks]
         begin = fine[-1] + 1 if fine else 0
@@ -53,14 +53,14 @@ class StageHistory:
 
 def histories(rows: Sequence[DiagnosisRow],
               results: Sequence[dict[str, Any]]) -> list[StageHistory]:
-    """Return the history of each stage that rows name, those that lack most for longest first.
+    """Return the history of each stage, those with the longest lack first.
 
     Parameters
     ----------
     rows : sequence of DiagnosisRow
-        Those without a stage or a time of recording are left out.
+        Rows without a stage or a time of recording are omitted.
     results : sequence of dict
-        Of `diagnose_row`, in the same order.
+        Results of `diagnose_row`, in the same order.
     """
     of_stages: dict[str, list[tuple[datetime, dict[str, Any]]]] = defaultdict(list)
     for row, result in zip(rows, results, strict=True):
@@ -75,7 +75,7 @@ def histories(rows: Sequence[DiagnosisRow],
 
 
 def fleet_section(found: Sequence[StageHistory]) -> Section:
-    """Return the section of a page with the stages beside each other."""
+    """Return the section of a page that compares the stages."""
     lacking = sum(each.since is not None for each in found)
     return Section("Stages", [
         f"{lacking} of {len(found)} stages show something that their model lacks. Since: the first "

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The page that sums up many diagnoses."""
+"""The page that summarises many diagnoses."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -20,9 +20,9 @@ def many_page(rows: Sequence[DiagnosisRow], results: Sequence[dict[str, Any]],
     Parameters
     ----------
     results : sequence of dict
-        Of `diagnose_row`, in the order of the rows.
+        Results of `diagnose_row`, in the order of the rows.
     origin : sequence of str
-        Where they came from.
+        Sentences on the origin of the data.
     """
     verdicts = [result for result in results if "verdict" in result]
     counts = Counter(result["verdict"]["verdict"] for result in verdicts)

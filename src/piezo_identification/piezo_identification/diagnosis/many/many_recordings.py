@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Many diagnoses from a table, spread over processes or machines by Dask, and resumable.
+"""Many diagnoses from a table, distributed over processes or machines by Dask, and resumable.
 
-Each row of the table is diagnosed into a folder of its own. A row whose model and recordings are
-those of the results in its folder, by their SHA-256, is not diagnosed again.
+Each row of the table is diagnosed into its own folder. A row is not diagnosed again if the results
+in its folder come from the same model and recordings, compared by SHA-256.
 """
 
 import csv
@@ -17,6 +17,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from piezo_common.extras import how_to_install
 from piezo_recorder.reading.reader import sha256_of
 
 if TYPE_CHECKING:
@@ -26,35 +27,32 @@ REQUIRED = ("model", "data")
 OPTIONAL = ("holdout", "identified_from", "name", "stage", "recorded")
 COLUMNS = (*REQUIRED, *OPTIONAL)
 BETWEEN = ";"
-"""Stands between the files of one cell."""
+"""Separator of the files in a cell."""
 CONTENT = "content.json"
-"""In the folder of a row: from what its results came."""
+"""File in the folder of a row that identifies the data of its results."""
 CONNECT_S = 10
 LONELY_S = 120.0
-"""How long a scheduler may be without any worker: one that died is started again within a quarter
-of that, and a row may kill four in a row."""
+"""Time in s that a scheduler may have no worker: a worker that died is restarted within a quarter
+of it, and a row may kill four in succession."""
 KILLED = "killed"
 ASKED_S = 0.5
-"""How often it is asked whether there are workers."""
+"""Interval in s of the checks for workers."""
 
 
 @dataclass(frozen=True)
 class DiagnosisRow:
-    """A row of the table: what is diagnosed together, and where the results go.
+    """A row of the table: what is diagnosed together, and the folder for the results.
 
     Attributes
     ----------
     name : str
-        Of its folder.
-    model : Path
-    data, identified_from : tuple of Path
-    holdout : Path or None
+        Name of its folder.
     directory : Path
-        For the results.
+        Folder for the results.
     stage : str
-        Of a fleet; empty where the table does not say.
+        Stage of a fleet; empty if the table does not contain it.
     recorded : datetime or None
-        When the data were recorded.
+        Time at which the data were recorded.
     """
 
     name: str
@@ -67,7 +65,7 @@ class DiagnosisRow:
     recorded: datetime | None = None
 
     def content(self) -> str:
-        """Return the SHA-256 of all that the results depend on."""
+        """Return the SHA-256 of all files on which the results depend."""
         digest = hashlib.sha256(self.model.read_bytes())
         for kind, files in (("data", self.data), ("from", self.identified_from),
                             ("holdout", (self.holdout,) if self.holdout else ())):
@@ -77,21 +75,21 @@ class DiagnosisRow:
 
 
 def read_table(table: Path, output: Path) -> list[DiagnosisRow]:
-    """Read the table of what is to be diagnosed.
+    """Read the table of recordings to diagnose.
 
     Parameters
     ----------
     table : Path
-        CSV with the columns model and data, and if need be `OPTIONAL` ones. Several files in a
-        cell have a semicolon between them; relative paths count from the table's folder.
+        CSV with the columns model and data, and optionally those of `OPTIONAL`. Several files in a
+        cell are separated by semicolons; relative paths are relative to the table's folder.
     output : Path
-        In which each row gets a folder.
+        Folder that contains the folder of each row.
 
     Raises
     ------
     ValueError
-        If a column is missing or not known, a cell is empty, two rows have the same name, or a
-        time of recording is none of ISO 8601.
+        If a column is missing or unknown, a cell is empty, two rows have the same name, or a time
+        of recording is not in ISO 8601 format.
     """
     try:
         with table.open(newline="", encoding="utf-8-sig") as stream:
@@ -133,7 +131,7 @@ def _row(table: Path, number: int, entry: dict[str, str | None], output: Path) -
         raise ValueError(f"row {number} of {table} has the name {name}: give the name of a folder")
     said = (entry.get("recorded") or "").strip()
     try:
-        # Without a zone it is of this machine's.
+        # A time without a zone is local.
         recorded = datetime.fromisoformat(said).astimezone() if said else None
     except ValueError:
         raise ValueError(f"row {number} of {table} was recorded '{said}': give a day or a time as "
@@ -144,15 +142,15 @@ def _row(table: Path, number: int, entry: dict[str, str | None], output: Path) -
 
 
 def diagnose_row(row: DiagnosisRow) -> dict[str, Any]:
-    """Diagnose a row unless its results are there already; bad input is told, not raised.
+    """Diagnose a row unless its results exist; input errors are returned, not raised.
 
     Returns
     -------
     dict
-        `name`, and `verdict`, the content of verdict.json, or `error`; and in `is_new` whether it
-        was diagnosed now.
+        `name`, and either `verdict`, the content of verdict.json, or `error`; `is_new` is True if
+        it was diagnosed now.
     """
-    # In a worker its libraries are imported once, and here not at all where all is done.
+    # A worker imports the libraries once; they are not needed here if all rows are done.
     from piezo_identification.diagnosis.report.results import diagnose_files
 
     verdict, kept = row.directory / "verdict.json", row.directory / CONTENT
@@ -184,21 +182,21 @@ def diagnose_rows(client: "Client", rows: Sequence[DiagnosisRow],
     Parameters
     ----------
     client : distributed.Client
-        Its workers see the same files at the same paths.
+        Client whose workers have the same files at the same paths.
     progress : callable
-        Called with how many are done.
+        Called with the number of finished rows.
 
     Returns
     -------
     list of dict
-        Of `diagnose_row`, in the order of the rows. The row of a worker that died goes to another
-        one. A row that no worker can do is an error of it: it kills workers again and again, the
-        scheduler is gone, or it has no worker for `LONELY_S`.
+        Results of `diagnose_row`, in the order of the rows. The row of a worker that died is given
+        to another one. It becomes an error if it kills workers repeatedly, if the scheduler is
+        gone, or if there is no worker for `LONELY_S`.
     """
     results = _diagnose_together(client, rows, progress)
     killed = [number for number, result in enumerate(results) if result.pop(KILLED, False)]
     if len(killed) > 1:
-        # Dask blames all that a worker had; alone, only the row that kills it is blamed.
+        # Dask blames all rows of a worker; run alone, only the row that kills it is blamed.
         for number in killed:
             result, = _diagnose_together(client, [rows[number]], lambda done: None)
             result.pop(KILLED, False)
@@ -208,7 +206,7 @@ def diagnose_rows(client: "Client", rows: Sequence[DiagnosisRow],
 
 def _diagnose_together(client: "Client", rows: Sequence[DiagnosisRow],
                        progress: Callable[[int], None]) -> list[dict[str, Any]]:
-    """Diagnose rows; those after which workers died have `KILLED`."""
+    """Diagnose rows; the results of those whose workers died have `KILLED`."""
     waiting = {number: client.submit(diagnose_row, row, pure=False)
                for number, row in enumerate(rows)}
     results: dict[int, dict[str, Any]] = {}
@@ -218,7 +216,7 @@ def _diagnose_together(client: "Client", rows: Sequence[DiagnosisRow],
             alone_since = time.monotonic()
         _wait_for_one(list(waiting.values()))
         for number, future in list(waiting.items()):
-            # What a worker that died had done already is lost, and done again: so it is fetched.
+            # Results are fetched at once, because those of a worker that dies later are lost.
             if future.status == "finished":
                 with suppress(TimeoutError, CancelledError):
                     results[number] = future.result(ASKED_S)
@@ -236,10 +234,10 @@ def _diagnose_together(client: "Client", rows: Sequence[DiagnosisRow],
 
 
 def _wait_for_one(waiting: "Sequence[Future[Any]]") -> None:
-    """Wait until one more row is done, or it is time to ask for workers."""
+    """Wait until another row is done, or until the next check for workers."""
     from distributed import wait
 
-    # One that the scheduler lost is seen by its status.
+    # A row that the scheduler lost shows in its status.
     with suppress(TimeoutError, CancelledError):
         wait(waiting, timeout=ASKED_S, return_when="FIRST_COMPLETED")
 
@@ -271,19 +269,19 @@ def cluster_client(scheduler: str | None) -> "Client":
     Parameters
     ----------
     scheduler : str or None
-        Address, as tcp://host:8786.
+        Address, such as tcp://host:8786.
 
     Raises
     ------
     ValueError
-        If Dask is not installed, or no scheduler answers.
+        If Dask is not installed, or the scheduler does not respond.
     """
     try:
         from distributed import Client, LocalCluster
     except ImportError:
         raise ValueError(
-            "distributed is not installed: `pip install dask distributed`, or the extra "
-            "`pip install '.[cluster]'` of the suite") from None
+            "distributed is not installed: "
+            f"{how_to_install('dask distributed', 'cluster')}") from None
     try:
         if scheduler:
             return Client(scheduler, timeout=CONNECT_S)

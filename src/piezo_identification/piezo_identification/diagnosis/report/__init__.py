@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The report of a diagnosis: its sentences, tables and pictures."""
+"""The report of a diagnosis: its sentences, tables and figures."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A decision that reads files, and keeps what it proposed and played beside the verdict."""
+"""A decision that reads files, and saves its proposals and recordings next to the verdict."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -31,7 +31,7 @@ from piezo_recorder.reading.recording import Recording
 
 AnyPath = str | PathLike[str]
 PlayToFile = Callable[[Experiment, Path, Progress], AnyPath]
-"""Takes an experiment, the directory for its recording and the progress; returns the recording."""
+"""Takes an experiment, the directory for its recording, and the progress; returns the recording."""
 
 
 def decide_files(model: AnyPath, recordings: Sequence[AnyPath], holdout: AnyPath | None,
@@ -39,22 +39,22 @@ def decide_files(model: AnyPath, recordings: Sequence[AnyPath], holdout: AnyPath
                  progress: Progress, longest_s: float = LONGEST_S,
                  begin_budget: Callable[[], Budget] = Budget,
                  ) -> tuple[DiagnosisResults, list[DecisionStep]]:
-    """Decide by experiments, and write verdict, extended model, report and what was played.
+    """Decide by experiments, and write verdict, extended model, report and recordings.
 
     The files of each proposal and its recording are in `experiment_1` and so on.
 
     Parameters
     ----------
     model, recordings, holdout, directory, progress
-        Of `diagnose_files`.
+        As in `diagnose_files`.
     play : callable
         Plays and records an experiment.
     budget : int
-        Recordings that may be made.
+        Largest number of recordings.
     longest_s : float
-        That each may last.
+        Longest duration of each.
     begin_budget : callable
-        Returns the time that a diagnosis may take, which begins then.
+        Returns the time limit of a diagnosis, counted from the call.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def decide_files(model: AnyPath, recordings: Sequence[AnyPath], holdout: AnyPath
 
 
 def decision_sentence(steps: Sequence[DecisionStep]) -> str:
-    """Tell what experiments have decided, and how surely."""
+    """Report what the experiments have decided, and with which probability."""
     last, played = steps[-1], len(steps) - 1
     after = f"after {played} experiment{'s' * (played != 1)}"
     told = [f"{name} has probability {share:.3f}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Pictures of a diagnosis: before and after on the same axes."""
+"""Figures of a diagnosis, with the results before and after on the same axes."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -36,10 +36,10 @@ if TYPE_CHECKING:
 MODEL = {"color": BLACK, "linewidth": 0.8}
 CLOSE_SAMPLES = 800
 LOWEST_SHOWN = 0.1
-"""Spectra show no less than this part of the noise."""
+"""Lower limit of spectra, relative to the noise."""
 
 MOST_PERCENT = 1000.0
-"""Errors beyond it say no more than that nothing is right there."""
+"""Upper limit of the plotted errors."""
 
 
 def residuals_of(diagnosis: "Diagnosis", index: int = 0) -> Figure:
@@ -54,13 +54,14 @@ def residuals_of(diagnosis: "Diagnosis", index: int = 0) -> Figure:
 
 def draw_residuals(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray,
                    noise_um: float) -> Figure:
-    """Draw the residuals over time: of the whole, and close where most was gained.
+    """Draw the residuals over time: the whole, and a detail where most was gained.
 
     Parameters
     ----------
     before_um, after_um : (N,) array
+        Residuals.
     noise_um : float
-        Standard deviation of the sensor's noise.
+        Standard deviation of the sensor noise.
     """
     figure = new_figure(5.5, WIDE_IN)
     whole = slice(part.begin, None)
@@ -81,7 +82,7 @@ def draw_residuals(part: SimulatedRecording, before_um: FloatArray, after_um: Fl
 
 
 def _closest_look(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray) -> slice:
-    """Return the slice of samples in which the scatter of the residual fell most."""
+    """Return the slice of samples in which the variance of the residual decreased most."""
     samples = min(CLOSE_SAMPLES, before_um.size - part.begin)
     windows = (before_um.size - part.begin) // samples
     scatters = [
@@ -94,14 +95,14 @@ def _closest_look(part: SimulatedRecording, before_um: FloatArray, after_um: Flo
 
 def draw_spectra(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray,
                  noise_um: float) -> Figure:
-    """Draw spectra of both residuals, of the model's displacement, and of white noise; PNG bytes.
+    """Draw spectra of both residuals, of the model's displacement, and of white noise.
 
     Parameters
     ----------
     before_um, after_um : ndarray, shape (N,)
         Residuals.
     noise_um : float
-        RMS of the sensor's noise.
+        RMS of the sensor noise.
     """
     figure = new_figure(4.5, WIDE_IN)
     axes = figure.subplots()
@@ -122,7 +123,7 @@ def draw_spectra(part: SimulatedRecording, before_um: FloatArray, after_um: Floa
 
 
 def draw_tests(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray) -> Figure:
-    """Draw whiteness and correlation with the input, with the band of 99 %."""
+    """Draw whiteness and correlation with the input, with the 99 % band."""
     figure = new_figure(5.0, WIDE_IN)
     above, below = figure.subplots(2)
     for residual_um, style in ((before_um, BEFORE), (after_um, AFTER)):
@@ -141,14 +142,14 @@ def draw_tests(part: SimulatedRecording, before_um: FloatArray, after_um: FloatA
 
 def draw_over_voltage(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray,
                       noise_um: float) -> Figure:
-    """Draw the residuals over the voltage, so that they make loops where a loop is wrong.
+    """Draw the residuals over the voltage, where errors of a loop form loops.
 
     Parameters
     ----------
     before_um, after_um : ndarray, shape (N,)
         Residuals.
     noise_um : float
-        Standard deviation of the sensor's noise.
+        Standard deviation of the sensor noise.
     """
     figure = new_figure(4.5, WIDE_IN)
     axes = figure.subplots()
@@ -165,16 +166,17 @@ def draw_over_voltage(part: SimulatedRecording, before_um: FloatArray, after_um:
 
 def draw_error_response(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray,
                         noise_um: float) -> Figure:
-    """Draw the residual over the displacement, at frequencies where they go together.
+    """Draw the ratio of residual and displacement at frequencies where they are coherent.
 
-    Only where the displacement stands out of the noise: elsewhere any residual is many times it.
+    Frequencies at which the displacement is below the noise are omitted, because the ratio is large
+    there for any residual.
 
     Parameters
     ----------
     before_um, after_um : ndarray, shape (N,)
         Residuals.
     noise_um : float
-        Standard deviation of the sensor's noise.
+        Standard deviation of the sensor noise.
     """
     figure = new_figure(4.5, WIDE_IN)
     axes = figure.subplots()
@@ -196,7 +198,7 @@ def draw_error_response(part: SimulatedRecording, before_um: FloatArray, after_u
 
 def draw_dependences(part: SimulatedRecording, before_um: FloatArray,
                      after_um: FloatArray) -> Figure:
-    """Draw the mean residual over each quantity that an effect may go with."""
+    """Draw the mean residual over each quantity that may be related to an effect."""
     figure = new_figure(6.0, WIDE_IN)
     for residual_um, style in ((before_um, BEFORE), (after_um, AFTER)):
         found = dependences(

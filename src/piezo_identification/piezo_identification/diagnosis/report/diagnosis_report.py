@@ -31,16 +31,16 @@ from piezo_models.cascade import StageModel
 from piezo_models.effects import known_effects
 
 SOMETHING_ELSE = "something_else"
-"""Name of the probability that none of the known effects is what the model lacks."""
+"""Name of the probability that no known effect is what the model lacks."""
 
 SHOWN_PROBABILITY = 1e-3
 
 UNLIKELY = 0.5
-"""Probability of deciding below which a recording is more likely to decide nothing."""
+"""Probability of deciding below which a recording will more likely decide nothing."""
 
 
 def verdict_sentence(diagnosis: Diagnosis) -> str:
-    """Return the verdict in one sentence, with its probability where that is known."""
+    """Return the verdict in one sentence, with its probability if it is known."""
     probability = "" if diagnosis.not_tried else _probability(diagnosis)
     return f"{_sentence(diagnosis)}{probability}"
 
@@ -54,7 +54,7 @@ def _sentence(diagnosis: Diagnosis) -> str:
         return f"The model lacks nothing that the data shows: {before:.3g} nm RMS are left{anew}."
     if diagnosis.verdict == "explained":
         if [entry["name"] for entry in diagnosis.effects] == ["outliers"]:
-            # They are left out before and after; what changes is the model's own parameters.
+            # Outliers are excluded before and after; the model's own parameters differ.
             return (f"The sensor has outliers: without them {before:.3g} nm RMS are left on "
                     f"held-out data, and {after:.3g} nm with the model tuned to the other samples.")
         return (f"The model lacks {names}: with it the error on held-out data falls from "
@@ -66,7 +66,7 @@ def _sentence(diagnosis: Diagnosis) -> str:
 
 
 def _probability(diagnosis: Diagnosis) -> str:
-    """Return the sentence on the verdict's own probability; empty where it is not known."""
+    """Return the sentence on the probability of the verdict; empty if it is not known."""
     known = _probabilities(diagnosis)
     names = {entry["name"] for entry in diagnosis.effects}
     own = {"none": {"none"}, "unexplained": {SOMETHING_ELSE}}.get(diagnosis.verdict, names)
@@ -75,12 +75,12 @@ def _probability(diagnosis: Diagnosis) -> str:
 
 
 def _probabilities(diagnosis: Diagnosis) -> dict[str, float]:
-    """Return the probability of each set of effects; empty where they were not asked."""
+    """Return the probability of each set of effects; empty if not computed."""
     return dict(getattr(diagnosis, "probabilities", None) or {})
 
 
 def _percent(probability: float) -> str:
-    """Return a probability in percent, never as 0 or 100 that it is not."""
+    """Return a probability in percent, but never rounded to 0 or 100."""
     percent = 100.0 * probability
     if percent > 99.9:
         return "more than 99.9"
@@ -93,7 +93,7 @@ def render_report(diagnosis: Diagnosis, origin: Sequence[tuple[str, str]] = ()) 
     Parameters
     ----------
     origin : sequence of (str, str)
-        What the page is to tell of when, and from which files: name and text.
+        Time and files to list on the page, as pairs of name and text.
     """
     noise, dataset = diagnosis.selection.regression.noise, diagnosis.selection.regression.dataset
     sections = [_found(diagnosis), *_alternatives(diagnosis)]
@@ -170,7 +170,7 @@ def _alternative(name: str) -> str:
 
 
 def _left(diagnosis: Diagnosis) -> Iterator[Section]:
-    """Yield what is left, and which part of it any learner would predict."""
+    """Yield the section on the residual, and the part of it that any learner would predict."""
     told, rows = [diagnosis.left] if diagnosis.left else [], []
     if diagnosis.ceiling is not None:
         ceiling = {name: 1e3 * value for name, value in diagnosis.ceiling.items()}
@@ -218,7 +218,7 @@ def _recording(diagnosis: Diagnosis, part: SimulatedRecording, before_um: FloatA
 
 def _on_whiteness(diagnosis: Diagnosis, part: SimulatedRecording, after_um: FloatArray,
                   noise_um: float) -> list[str]:
-    """Say what a residual that is not white means beside a verdict of success; empty without."""
+    """Explain a residual that is not white in spite of a successful verdict."""
     test = whiteness(after_um[part.begin :])
     told = ["Of white noise about 1 % of the lags lie outside the band of 99 %."]
     if diagnosis.verdict == "unexplained" or test.passed:
@@ -265,7 +265,7 @@ def _tried(selection: Selection) -> Iterator[Section]:
 
 
 def _outcome(attempt: Attempt, best: Attempt, selection: Selection) -> str:
-    """Tell in words what became of a candidate."""
+    """Return the outcome of a candidate in words."""
     added = {effect.name for effect in selection.end.effects}
     if attempt.fit is None:
         among = "added already" if attempt.name in added else "nothing hints at it"
@@ -296,7 +296,7 @@ def _undecided(diagnosis: Diagnosis) -> Section:
 
 
 def _would_decide(diagnosis: Diagnosis) -> Iterator[Section]:
-    """Yield the recording that would decide between the alternatives, with what each predicts."""
+    """Yield the recording that would decide between the alternatives, and their predictions."""
     designed = diagnosis.next_experiment
     if designed is None:
         return
@@ -320,7 +320,7 @@ def _would_decide(diagnosis: Diagnosis) -> Iterator[Section]:
 
 
 def _other_parameters(before: StageModel, after: StageModel) -> Section:
-    """Tabulate the model's own parameters; what they gain alone is no effect's."""
+    """Tabulate the changes of the model's own parameters."""
     rows: list[tuple[str, ...]] = [("parameter", "before", "after", "change (%)")]
     for old, new in ((before.dynamics, after.dynamics), (before.creep, after.creep)):
         for field in fields(old):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a multisine with lines left out shows of a stage and its models, as a part of the report."""
+"""The section of the report on distortion, from a multisine with omitted lines."""
 
 from piezo_common.arrays import FloatArray
 from piezo_common.report_page import Picture, Section
@@ -13,12 +13,12 @@ from piezo_identification.simulation.simulated_recording import SimulatedRecordi
 
 def distortion_sections(part: SimulatedRecording, before_um: FloatArray,
                         after_um: FloatArray) -> list[Section]:
-    """Return the section on noise and distortion of a recording; none of another voltage.
+    """Return the section on noise and distortion of a recording; empty for other voltages.
 
     Parameters
     ----------
     before_um, after_um : ndarray, shape (N,)
-        Residual of the model as given and as extended.
+        Residuals of the given model and of the extended one.
     """
     before, after = (error_distortion(part, residual) for residual in (before_um, after_um))
     if before is None or after is None:

@@ -34,7 +34,7 @@ from piezo_recorder.reading.reader import only_recording, read_recordings, sha25
 from piezo_recorder.reading.recording import Recording
 
 READ_FRACTION, DESIGN_FRACTION, REPORT_FRACTION = 0.05, 0.7, 0.9
-"""Parts of the work that are done before the diagnosis, the next experiment and the report."""
+"""Fractions of the work done before the diagnosis, the next experiment and the report."""
 
 
 AnyPath = str | PathLike[str]
@@ -42,23 +42,20 @@ AnyPath = str | PathLike[str]
 
 @dataclass(frozen=True)
 class GivenFiles:
-    """What is diagnosed, as read from files.
+    """Data to diagnose, as read from files.
 
     Attributes
     ----------
-    identified : IdentifiedModel
     model : path-like
-        Its file.
+        Path of the model file.
     recordings : list of Recording
-        With their rows aligned as the model's.
+        Recordings with rows aligned as in the identification.
     paths : tuple of path-like
-        Their files.
-    holdout : Recording or None
-    identified_from : IdentificationRecordings
+        Paths of the recordings.
     rows : tuple of str
         Sentences on how rows were aligned.
     directory : Path
-        For the results.
+        Folder for the results.
     """
 
     identified: IdentifiedModel
@@ -71,7 +68,7 @@ class GivenFiles:
     directory: Path
 
     def with_recordings(self, paths: Sequence[AnyPath]) -> "GivenFiles":
-        """Return the same with more recordings, which are read from their files."""
+        """Return the data with more recordings, which are read from their files."""
         more, rows = all_as_identified(
             self.identified, [recording for path in paths for recording in read_recordings(path)])
         return replace(self, recordings=[*self.recordings, *more], paths=(*self.paths, *paths),
@@ -80,19 +77,17 @@ class GivenFiles:
 
 @dataclass(frozen=True)
 class DiagnosisResults:
-    """A diagnosis and the files that tell of it.
+    """A diagnosis and the files that contain it.
 
     Attributes
     ----------
-    diagnosis : piezo_identification.diagnosis.diagnose.Diagnosis
-    verdict, extended_model, report : Path
     outside : tuple of str
-        Sentences on how rows were aligned, and on what of the recordings leaves what the model was
-        identified on.
+        Sentences on how rows were aligned, and on recordings outside the range of the
+        identification.
     identified_from : IdentificationRecordings
-        What was at hand of the recordings that the model was identified from.
+        Available recordings from which the model was identified.
     next_experiment : Proposal or None
-        What would decide between the explanations that remain.
+        Experiment that would decide between the remaining explanations.
     """
 
     diagnosis: Diagnosis
@@ -116,16 +111,16 @@ def diagnose_files(
     holdout : path-like or None
         Recording on which the errors are measured.
     directory : path-like
-        Made if it is missing.
+        Created if it does not exist.
     progress : callable
-        Called with (what is done, fraction); what it raises ends the work.
+        Called with (what is done, fraction); an exception that it raises ends the work.
     read_file : callable
         Returns the recordings of a file.
     identified_from : sequence of path-like
-        The recordings that the model was identified from, where they are not at the paths that
-        the model file names.
+        Recordings from which the model was identified, if they are not at the paths in the model
+        file.
     budget : Budget, optional
-        Time that the work may take, see `diagnose`.
+        Time limit, see `diagnose`.
 
     Raises
     ------
@@ -141,7 +136,7 @@ def diagnose_files(
                          stated_um=stated_error_um(given.identified),
                          noise=noise_of_model(given.identified), budget=budget)
     proposal = None
-    # The verdict is worth having without the experiment that would decide more.
+    # The verdict is useful even without the experiment that would decide more.
     with spending(budget), while_time_lasts("the experiment that would decide more"):
         check_cancelled()
         proposal = what_would_decide(diagnosis, given.identified_from,
@@ -158,12 +153,12 @@ def read_given(
     read_file: Callable[[AnyPath], list[Recording]] = read_recordings,
     identified_from: Sequence[AnyPath] = (),
 ) -> GivenFiles:
-    """Read what is to be diagnosed, and make the directory of the results.
+    """Read the data to diagnose, and create the directory of the results.
 
     Parameters
     ----------
     model, recordings, holdout, directory, read_file, identified_from
-        Of `diagnose_files`.
+        As in `diagnose_files`.
 
     Raises
     ------
@@ -182,7 +177,7 @@ def read_given(
         [*recordings, *([holdout] if holdout else [])])
     directory = Path(directory).absolute()
     try:
-        # Before the work, not after it.
+        # Fails early if the directory cannot be created.
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ValueError(f"{directory}: {error.strerror}; choose another directory") from None
@@ -197,9 +192,9 @@ def write_results(given: GivenFiles, diagnosis: Diagnosis,
     Parameters
     ----------
     diagnosis : Diagnosis
-        Of its recordings.
+        Diagnosis of the given recordings.
     proposal : Proposal, optional
-        Where several explanations remain.
+        Next experiment, if several explanations remain.
     """
     directory, identified = given.directory, given.identified
     if proposal is not None:
@@ -225,12 +220,12 @@ def write_results(given: GivenFiles, diagnosis: Diagnosis,
 
 
 def stated_error_um(identified: IdentifiedModel) -> float | None:
-    """Return by how much a model is known to be wrong: what its worst component leaves of its data.
+    """Return the known error of a model: the largest residual of its components.
 
     Returns
     -------
     float or None
-        RMS beyond the noise; None where the model file tells none, as that of responses does.
+        RMS beyond the noise; None if the model file contains none, as for responses.
     """
     parts = [max(0.0, part["residual_rms_um"] ** 2 - part["noise_rms_um"] ** 2) ** 0.5
              for name, part in identified.adequacy.items() if name in identified.sample_periods_s]

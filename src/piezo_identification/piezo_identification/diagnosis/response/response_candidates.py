@@ -16,15 +16,15 @@ from piezo_models.effects.vibration_mode import VibrationMode
 
 @dataclass(frozen=True)
 class GuessSettings:
-    """Guesses from which the effects are fitted.
+    """Initial guesses of the effects.
 
     Attributes
     ----------
     modes : int
-        Frequencies of a mode over the range in which one shows: close enough that one falls on a
-        resonance.
+        Number of initial frequencies of a mode, so close that one is near any resonance in the
+        range.
     creep_relaxations : int
-        Time constants of creep over the lower half of the range.
+        Number of time constants of creep over the lower half of the range.
     """
 
     modes: int = 27
@@ -35,17 +35,17 @@ SETTINGS = GuessSettings()
 
 
 def fit_each_candidate(problem: ResponseProblem, current: ResponseFit) -> list[ResponseFit]:
-    """Fit every candidate beside the effects found.
+    """Fit every candidate in addition to the effects found.
 
     Parameters
     ----------
     current : ResponseFit
-        With the effects found.
+        Fit with the effects found.
 
     Returns
     -------
     list of ResponseFit
-        The best on held-out frequencies first.
+        Sorted by the error on held-out frequencies, the best first.
     """
     found = {type(effect) for effect in current.effects}
     fits = []
@@ -59,7 +59,7 @@ def fit_each_candidate(problem: ResponseProblem, current: ResponseFit) -> list[R
 
 
 def _guesses(problem: ResponseProblem) -> dict[type[Effect], list[Effect]]:
-    """Return effects to begin from, by their kind."""
+    """Return initial guesses of effects, by kind."""
     low_hz, high_hz = problem.measured.frequency_hz[[0, -1]]
     middle_hz, count = np.sqrt(low_hz * high_hz), SETTINGS.creep_relaxations
     slow_s = 1.0 / (2.0 * np.pi * np.geomspace(middle_hz, 0.3 * low_hz, count))

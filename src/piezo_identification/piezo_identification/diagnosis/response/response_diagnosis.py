@@ -34,10 +34,10 @@ from piezo_identification.estimators.frequency_response.response_hold import wit
 from piezo_models.cascade import StageModel
 
 SLOWEST = 10
-"""One in so many frequencies tells the sign of the sensor: the slowest, which nothing delays."""
+"""One frequency in this many, from the lowest, determines the sign of the sensor."""
 
 FEWEST_FREQUENCIES = 4 * SETTINGS.block * SETTINGS.held_out
-"""A response needs so many, of which four blocks are then held out."""
+"""Fewest frequencies of a response, of which four blocks are held out."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -49,10 +49,9 @@ class ResponseDiagnosis(Verdict):
     Attributes
     ----------
     tried : list of list of (str, float)
-        Each round's candidates, and by how many percent they changed the error held out.
-    measured : FrequencyResponse
+        Candidates of each round, and the change of the held-out error in percent.
     before_gain, after_gain : (N,) array of complex
-        Of the model and of the extended one at the measured frequencies.
+        Gain of the given model and of the extended one at the measured frequencies.
     """
 
     tried: list[list[tuple[str, float]]]
@@ -63,22 +62,22 @@ class ResponseDiagnosis(Verdict):
 
 @dataclass(frozen=True, eq=False)
 class ResponseSelection:
-    """What the comparison of linear effects ended with.
+    """Result of the comparison of linear effects.
 
     Attributes
     ----------
     fit : ResponseFit
-        With the effects found.
+        Fit with the effects found.
     effects : list of dict
         Entries of the verdict.
     tried : list of list of (str, float)
-        See `ResponseDiagnosis`.
+        As in `ResponseDiagnosis`.
     not_told_from : dict of str to str
-        Effects that the response does not tell from one found, and which.
+        Effects that the response does not distinguish from one found, and that one.
     refused : dict of str to Undecided
-        Effects that are not taken, and why.
+        Effects that are refused, and why.
     is_explained : bool
-        Little enough is left.
+        True if the residual is small enough.
     """
 
     fit: ResponseFit
@@ -95,10 +94,10 @@ def diagnose_response(
 ) -> ResponseDiagnosis:
     """Find which linear effect a model lacks to explain a frequency response.
 
-    Creep, a further mode of vibration, a delay and a lag of the sensor are compared. Each is fitted
-    on two thirds of the frequencies beside the gain, which the hysteresis leaves open, and the
-    model's dynamics within their prior width. They are compared on the rest. Effects that are not
-    linear do not show in a response.
+    Creep, a further vibration mode, a delay and a sensor lag are compared. Each is fitted to two
+    thirds of the frequencies, together with the gain, which the hysteresis does not determine, and
+    the model's dynamics within their prior width. They are compared on the other frequencies.
+    Nonlinear effects do not show in a response.
 
     Parameters
     ----------
@@ -107,8 +106,8 @@ def diagnose_response(
     progress : callable
         Called with (what is done, fraction).
     budget : Budget, optional
-        Time that the work may take: the comparison then ends with the effects that it has found, as
-        it does with Ctrl-C.
+        Time limit. When it is reached, or with Ctrl-C, the comparison ends with the effects found
+        so far.
 
     Raises
     ------
@@ -132,7 +131,7 @@ def diagnose_response(
 
 
 def moves_against(model: StageModel, measured: FrequencyResponse) -> bool:
-    """Return whether the sensor counts against the model where the stage is slow."""
+    """Return whether the sensor has the opposite sign of the model at low frequency."""
     slow = np.argsort(measured.frequency_hz)[: max(1, measured.frequency_hz.size // SLOWEST)]
     gain = measured.gain[slow]
     response = full_response(model, measured.frequency_hz[slow])
@@ -143,7 +142,7 @@ def moves_against(model: StageModel, measured: FrequencyResponse) -> bool:
 def select_linear_effects(
     problem: ResponseProblem, progress: Progress = lambda what, fraction: None,
 ) -> ResponseSelection:
-    """Add one linear effect after another while the gain on held-out frequencies is convincing."""
+    """Add linear effects one by one while the gain on held-out frequencies is convincing."""
     progress("the model's dynamics", 0.0)
     start = current = problem.fit_dynamics(problem.as_given())
     found = [start]
@@ -152,7 +151,7 @@ def select_linear_effects(
     not_told_from: dict[str, str] = {}
     with while_time_lasts("further linear effects"):
         while len(effects) < CRITERIA.most_effects and not is_explained(problem, current):
-            # Nobody knows how many follow, as likely one more as none.
+            # The number of further effects is unknown.
             progress(f"effect {len(effects) + 1}", 1.0 - 0.5 ** len(effects))
             fits = fit_each_candidate(problem, current)
             tried.append([(fit.effects[-1].name, reduction_percent(problem, current, fit))
@@ -179,10 +178,10 @@ def select_linear_effects(
 
 def _accepted(problem: ResponseProblem,
               found: Sequence[ResponseFit]) -> tuple[int, dict[str, Undecided]]:
-    """Return how many of the effects lower the error that is reported, and why not the others.
+    """Return how many of the effects reduce the reported error, and why not the others.
 
-    The comparison weighs every frequency by its tolerance, and begins with dynamics that were
-    fitted; the errors that are reported are those of the gain, and begin with the given model.
+    The comparison weights every frequency by its tolerance, and starts from fitted dynamics. The
+    reported errors are those of the gain, and start from the given model.
     """
     before, *after = (held_out_errors(problem, fit)["e_y_percent"]
                       for fit in (problem.as_given(), *found[1:]))
@@ -196,9 +195,9 @@ def _accepted(problem: ResponseProblem,
 
 def _told(problem: ResponseProblem, selection: ResponseSelection,
           is_reversed: bool) -> ResponseDiagnosis:
-    """Put the verdict together with its numbers and reasons."""
+    """Assemble the verdict with its numbers and reasons."""
     given, effects = problem.as_given(), selection.effects
-    # Without an effect, other parameters may still explain what the given ones do not.
+    # Even without an effect, other parameters may explain what the given ones do not.
     is_changed = bool(effects) or selection.is_explained and not is_explained(problem, given)
     final = selection.fit if is_changed else given
     faults = [wrong_sign(problem.measured.path)] if is_reversed else []

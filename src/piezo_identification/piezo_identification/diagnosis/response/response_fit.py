@@ -26,17 +26,17 @@ class ResponseFitSettings:
     Attributes
     ----------
     block : int
-        Neighbouring frequencies that stay together, as their errors are alike.
+        Number of neighbouring frequencies in a block, because their errors are correlated.
     held_out : int
-        One block in so many is the validation set.
+        One block in this many is held out for validation.
     tolerance : float
-        Part of the gain to which a good model is right: less is not worth an effect.
+        Relative accuracy of a good model: smaller errors do not justify an effect.
     dynamics_width : float
-        To which the parameters of the model's dynamics are known, as a logarithm.
+        Largest change of the logarithms of the parameters of the model's dynamics.
     most_evaluations : int
-        Of the residual in one fit.
+        Largest number of residual evaluations in one fit.
     relative_change : float
-        Of the sum of squares, below which a fit ends.
+        A fit ends when the sum of squares changes by less than this fraction.
     """
 
     block: int = 5
@@ -52,15 +52,14 @@ SETTINGS = ResponseFitSettings()
 
 @dataclass(frozen=True, eq=False)
 class ResponseFit:
-    """A model with effects as fitted to a response, and what is left.
+    """A model with effects fitted to a response, and its residual.
 
     Attributes
     ----------
     changes : (m,) array
-        Logarithms by which the dynamics are changed.
-    effects : tuple of piezo_models.effects.effect.Effect
+        Changes of the logarithms of the dynamics.
     residual : (N,) array of complex
-        What is left of the gain, over tolerance.
+        Residual of the gain, divided by the tolerance.
     """
 
     changes: FloatArray
@@ -74,7 +73,7 @@ class ResponseProblem:
     Parameters
     ----------
     measured : FrequencyResponse
-        Without a hold, and with the sign of the model.
+        Response without a hold and with the sign of the model.
 
     Attributes
     ----------
@@ -83,13 +82,13 @@ class ResponseProblem:
     estimation : (N,) array of bool
         Frequencies that are fitted; the others are the validation set.
     noise : float
-        Of the gain.
+        Noise of the gain.
     tolerance : (N,) array
-        The noise and what a good model may be wrong by.
+        Combined noise and accuracy of a good model.
     mode_range_hz : (float, float)
-        Lowest and highest frequency that were measured: a mode outside them is a guess.
+        Lowest and highest measured frequency: a mode outside them is a guess.
     extent : Extent
-        By which the parameters of effects are bounded.
+        Ranges that bound the parameters of effects.
     """
 
     def __init__(self, model: StageModel, measured: FrequencyResponse) -> None:
@@ -101,21 +100,21 @@ class ResponseProblem:
         self._free = self._dynamics > 0.0
         self.block = np.arange(measured.frequency_hz.size) // SETTINGS.block
         self.estimation = self.block % SETTINGS.held_out != SETTINGS.held_out // 2
-        # What neighbours on both sides do not share.
+        # The noise is the deviation from the neighbours on both sides.
         bends = np.abs(np.diff(measured.gain, 2))
         self.noise = float(np.median(bends) / np.sqrt(6.0 * np.log(2.0)))
         self.tolerance = np.hypot(self.noise, SETTINGS.tolerance * np.abs(measured.gain))
 
     def as_given(self) -> ResponseFit:
-        """Return the model as it is, but for the gain."""
+        """Return the fit of the given model, in which only the gain is free."""
         return self._fit(np.zeros(np.count_nonzero(self._free)), ())
 
     def fit_dynamics(self, fit: ResponseFit) -> ResponseFit:
-        """Fit the dynamics and the last of the effects, from those of a fit."""
+        """Fit the dynamics and the last of the effects, starting from a fit."""
         return self._solve(fit.changes, fit.effects, fit.changes.size)
 
     def fit_last_effect(self, fit: ResponseFit, effect: Effect) -> ResponseFit:
-        """Fit one more effect beside the others, and the dynamics, as they are in a fit."""
+        """Fit one more effect, with the other effects and the dynamics of a fit held fixed."""
         return self._solve(fit.changes, (*fit.effects, effect), 0)
 
     def gain(self, fit: ResponseFit) -> ComplexArray:
@@ -123,7 +122,7 @@ class ResponseProblem:
         return self.measured.gain - fit.residual * self.tolerance
 
     def extended_model(self, fit: ResponseFit) -> StageModel:
-        """Return the model with the effects, and its dynamics as they were fitted."""
+        """Return the model with the effects of a fit and its fitted dynamics."""
         return self._model(fit.changes, fit.effects)
 
     def _model(self, changes: FloatArray, effects: Sequence[Effect]) -> StageModel:
@@ -136,7 +135,7 @@ class ResponseProblem:
             self.model, dynamics=dynamics, effects=(*self.model.effects, *effects))
 
     def _residual(self, changes: FloatArray, effects: Sequence[Effect]) -> ComplexArray:
-        """Return what the gain that fits best leaves, over tolerance, (N,)."""
+        """Return the residual with the best gain, divided by the tolerance, (N,)."""
         check_cancelled()
         response = full_response(self._model(changes, effects), self.measured.frequency_hz)
         response, wanted = response / self.tolerance, self.measured.gain / self.tolerance
@@ -180,13 +179,12 @@ def _least_squares(
 ) -> tuple[FloatArray, BoolArray]:
     """Fit some of the parameters; return all, and which of the fitted ones the data determine.
 
-    What the data do not determine within its bounds would go anywhere: it is to stay where it
-    starts.
+    Parameters that the data do not determine within their bounds should stay at their start.
 
     Parameters
     ----------
     errors : callable
-        Of a vector, over their standard deviation.
+        Returns the errors for a vector, in standard deviations.
     start, low, high : (n,) array
     free : (n,) array of bool
 
@@ -194,7 +192,7 @@ def _least_squares(
     -------
     vector : (n,) array
     determined : (m,) array of bool
-        Of the free ones.
+        For each of the free parameters.
     """
     def whole(part: FloatArray) -> FloatArray:
         vector = start.copy()
@@ -211,7 +209,7 @@ def _least_squares(
 
 
 def full_response(model: StageModel, frequency_hz: FloatArray) -> ComplexArray:
-    """Return the response of a model with its linear effects, those of the sensor and delays too.
+    """Return the response of a model with its linear effects, including the sensor and delays.
 
     Parameters
     ----------

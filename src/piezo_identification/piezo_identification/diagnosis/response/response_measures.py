@@ -21,17 +21,17 @@ class ResponseCriteria:
     Attributes
     ----------
     significant : float
-        Standard deviations that a gain on held-out blocks must have.
+        Significance required of a gain on held-out blocks, in standard deviations.
     worthwhile_percent : float
-        Reduction of the error on held-out frequencies below which no effect is named.
+        Smallest reduction of the error on held-out frequencies for which an effect is named.
     told_apart_percent : float
-        Difference of two errors below which the response does not tell the candidates apart.
+        Smallest difference of two errors that distinguishes candidates.
     explained : float
-        Mean square beyond the tolerance that may remain of a response that is explained.
+        Largest mean square beyond the tolerance of an explained response.
     near_noise : float
-        Multiple of the noise that may remain of it.
+        Largest residual of an explained response, relative to the noise.
     most_effects : int
-        As many as there are kinds of linear effects.
+        Number of kinds of linear effects.
     """
 
     significant: float = 3.0
@@ -47,23 +47,23 @@ CRITERIA = ResponseCriteria()
 
 def mean_square(problem: ResponseProblem, fit: ResponseFit,
                 part: BoolArray | None = None) -> float:
-    """Return the mean square of what is left, over tolerance, by default of the validation set."""
+    """Return the mean square residual in tolerances, by default on the validation set."""
     return float(np.mean(np.abs(fit.residual[~problem.estimation if part is None else part]) ** 2))
 
 
 def lack_of_fit(problem: ResponseProblem, fit: ResponseFit) -> float:
-    """Return the mean square of what is left beyond the tolerance."""
+    """Return the mean square residual beyond the tolerance."""
     return max(0.0, mean_square(problem, fit) - 2.0)
 
 
 def reduction_percent(problem: ResponseProblem, before: ResponseFit, after: ResponseFit) -> float:
-    """Return the reduction of the error on held-out frequencies."""
+    """Return the reduction of the error on held-out frequencies in percent."""
     squares = [mean_square(problem, fit) for fit in (after, before)]
     return float(100.0 * (1.0 - np.sqrt(squares[0] / squares[1])))
 
 
 def is_convincing(problem: ResponseProblem, before: ResponseFit, after: ResponseFit) -> bool:
-    """Return whether the second fit is better, in most of the held-out blocks alike."""
+    """Return whether the second fit is better, consistently over the held-out blocks."""
     if reduction_percent(problem, before, after) < CRITERIA.worthwhile_percent:
         return False
     rows, change = ~problem.estimation, before.residual - after.residual
@@ -87,7 +87,7 @@ def held_out_errors(problem: ResponseProblem, fit: ResponseFit) -> dict[str, flo
 
 
 def describe_residual(problem: ResponseProblem, fit: ResponseFit) -> str:
-    """Describe at which frequencies how much is left, in a sentence."""
+    """Return a sentence on the residual and its frequencies."""
     left = np.abs(fit.residual) ** 2
     power = np.cumsum(left) / np.sum(left)
     frequency_hz = problem.measured.frequency_hz
@@ -103,9 +103,9 @@ def describe_residual(problem: ResponseProblem, fit: ResponseFit) -> str:
 
 
 def is_explained(problem: ResponseProblem, fit: ResponseFit) -> bool:
-    """Return whether a fit leaves so little of the held-out frequencies that it passes for noise.
+    """Return whether the residual on held-out frequencies is small enough to be noise.
 
-    Of a response without noise, the accuracy of a good model remains.
+    For a response without noise, the accuracy of a good model is the limit.
     """
     gain = np.sqrt(np.mean(np.abs(problem.measured.gain[~problem.estimation]) ** 2))
     passing = CRITERIA.near_noise * np.hypot(problem.noise, FIT.model_tolerance * gain)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A diagnosis of a frequency response from files to files."""
+"""Diagnosis of a frequency response from a file, with results written to files."""
 
 from os import PathLike
 from pathlib import Path
@@ -42,11 +42,11 @@ def diagnose_response_file(
     Parameters
     ----------
     directory : path-like
-        Made if it is missing.
+        Created if it does not exist.
     hold_s : float
         Sample period of a hold in the response, in s; see `FrequencyResponse`.
     progress, budget
-        See `diagnose_response`.
+        As in `diagnose_response`.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def response_sentence(diagnosis: ResponseDiagnosis) -> str:
 
 
 def response_figure(diagnosis: ResponseDiagnosis) -> Figure:
-    """Draw the measured gain beside that of the model and of the extended one, and the errors."""
+    """Draw the measured gain with those of the model and the extended model, and the errors."""
     figure = new_figure(6.0, WIDE_IN)
     gains, errors = figure.subplots(2, 1, sharex=True)
     frequency_hz, measured = diagnosis.measured.frequency_hz, diagnosis.measured.gain

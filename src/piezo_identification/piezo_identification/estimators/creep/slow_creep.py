@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Creep from any slow recordings: what makes of the displacement a memory of the voltage alone.
+"""Creep from any slow recordings, by making the displacement depend on the voltage only.
 
-The inverse of the creep that is sought leaves the output of the hysteresis, which depends on the
-extremes of the voltage and not on time: a regression on the Everett function (4.11). So the creep
-is the one whose inverse this regression explains best. Steps, trapezoids, staircases and loops
-are alike to it. The inverse commutes with the fast dynamics, so that what follows a jump need only
-be left out.
+The inverse of the right creep yields the output of the hysteresis, which depends on the extremes of
+the voltage and not on time: a regression on the Everett function (4.11). The creep is therefore the
+one whose inverse this regression explains best. Any waveform is suitable: steps, trapezoids,
+staircases and loops. The inverse commutes with the fast dynamics, so that only the samples after a
+jump need to be omitted.
 """
 
 from collections.abc import Sequence
@@ -51,40 +51,42 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 from piezo_recorder.reading.recording import Recording
 
 CELLS = 32
-"""Along each threshold: the hysteresis is only to be told apart from the creep."""
+"""Number of cells along each threshold: the hysteresis only needs to be separated from the
+creep."""
 
 CURVATURE = 1e-11
-"""Weight of the density's curvature, of the thesis' kind; it only decides what no sample shows."""
+"""Weight of the density's curvature, as in the thesis; it only matters where there are no
+samples."""
 
 MOST_BINS = 2000
-"""Rows of the regression; neighbouring samples of longer recordings are averaged."""
+"""Largest number of rows of the regression; longer recordings are averaged over neighbours."""
 
 JUMP_SHARE = 0.02
-"""A change within a sample by more than this part of the voltage's range is a jump."""
+"""Change within a sample, relative to the voltage range, that counts as a jump."""
 
 GAINS = (1e-4, 1.0)
-"""Gain of a creep exponential over the immediate one, between which it is sought."""
+"""Range of the gain of a creep exponential relative to the immediate gain."""
 
 INDEPENDENT = 1e-7
-"""Share of a column that others do not make, below which it counts as made of them."""
+"""Share of a column independent of the others below which it counts as dependent."""
 
 HELD = 1e-8
-"""Share of a direction that hysteresis and offsets make, below which they count as free of it."""
+"""Share of a direction due to hysteresis and offsets below which it counts as free of them."""
 
 CANDIDATES = 12
-"""Rates that are tried for each further exponential."""
+"""Number of rates tried for each further exponential."""
 
 FIRST_GAINS = (0.01, 0.05)
-"""Fits begin with these gains of each rate that is tried."""
+"""Initial gains tried with each rate."""
 
 STARTS = 2
-"""Further rates from which a fit may begin, until one is found that can be creep."""
+"""Number of further rates tried as starts until the result can be creep."""
 
 NUISANCES = (("drift",), ("first rise",), ("drift", "first rise"))
-"""What may be fitted beside: a drift of the sensor, and what a first rise leaves for good."""
+"""Signals that may be fitted in addition: sensor drift, and the remanence of a first rise."""
 
 NUISANCE_GAIN = 10.0
-"""They are taken if the information criterion falls by more than this."""
+"""Decrease of the information criterion required to include them."""
 
 
 def estimate_slow_creep(
@@ -93,14 +95,14 @@ def estimate_slow_creep(
 ) -> Estimate:
     """Estimate the creep dynamics (4.4) from recordings of any slow voltage.
 
-    Hysteresis, offset and initial creep are fitted beside; so are, where the data show them, a
-    drift in proportion to time and what the first rise of a stage that was never cycled leaves.
-    Each recording, and each stretch after a gap, begins with an unknown past.
+    Hysteresis, offset and initial creep are fitted together with it. If the data show them, so are
+    a drift proportional to time and the remanence of the first rise of a stage that was never
+    cycled. Each recording, and each stretch after a gap, starts with an unknown past.
 
     Parameters
     ----------
     dynamics : ElectricVibrationDynamics, optional
-        If known: their ringing after each jump is left out.
+        Known dynamics, whose ringing after each jump is omitted.
     pair_count : int, optional
         Number of pole and zero pairs; by default as many as the Bayesian information criterion
         justifies.
@@ -113,8 +115,8 @@ def estimate_slow_creep(
     Raises
     ------
     ValueError
-        If nothing is left of the recordings beside what follows jumps, or the data do not show as
-        many pairs.
+        If no samples remain after omitting those that follow jumps, or the data do not show the
+        requested number of pairs.
     """
     parts = played_segments(recordings)
     settling_s = left_out_s(dynamics)
@@ -143,7 +145,7 @@ def estimate_slow_creep(
 def _search(
     problem: "_Problem", pair_count: int | None,
 ) -> tuple[FloatArray, list[OrderTrial]]:
-    """Add exponentials one by one, each from the best of some rates."""
+    """Add exponentials one by one, each from the best of several rates."""
     point = best = np.empty(0)
     residual = problem.residual(point)
     trials = [problem.trial(point, residual, 0.0)]
@@ -164,7 +166,7 @@ def _search(
 
 
 class _Problem:
-    """Rows of all recordings; a point is the logarithms of rates, then those of gains."""
+    """Rows of all recordings; a point contains logarithms of rates, then of gains."""
 
     def __init__(self, parts: Sequence[Recording], settling_s: float,
                  nuisances: Sequence[str] = ()) -> None:
@@ -190,9 +192,9 @@ class _Problem:
         self.gains = np.log(GAINS)
 
     def _explained_by_hysteresis(self) -> tuple[FloatArray, FloatArray]:
-        """Return orthonormal directions that hysteresis and offsets make, and how much they leave.
+        """Return orthonormal directions of hysteresis and offsets, and the share not explained.
 
-        They leave of what is smooth nothing, and of what is rough a part, for the penalties.
+        Smooth directions are explained fully, rough ones only in part, because of the penalties.
         """
         width = sum(part.offsets.shape[1] for part in self._parts)
         blocks, first = [], 0
@@ -216,16 +218,16 @@ class _Problem:
         kept: FloatArray = orthogonal[:, sizes > INDEPENDENT * sizes[0]]
         count = columns.shape[0]
         self.width = kept.shape[1]
-        # Rows less what the hysteresis takes of them, which the penalties make a fraction.
+        # Number of rows minus the degrees of freedom of the hysteresis, which the penalties reduce.
         self.rows = count - round(float(np.sum(kept[:count] ** 2)))
         # Hundreds of the values are zero: under some kernels divide and conquer does not converge.
         directions, made, mixed = svd(kept[:count], full_matrices=False, lapack_driver="gesvd")
-        # Sines and cosines of the same angles: the penalties tell how little is left.
+        # Sines and cosines of the same angles: the penalties give a small residual accurately.
         left = np.linalg.norm(kept[count:] @ mixed.T, axis=0)
         return directions[:, made > HELD], left[made > HELD]
 
     def residual(self, point: FloatArray) -> FloatArray:
-        """Return what hysteresis, offsets and initial creep leave where the creep is removed."""
+        """Return the residual of hysteresis, offsets and initial creep, with the creep removed."""
         check_cancelled()
         rates, gains = np.exp(np.split(point, 2))
         target = np.concatenate([part.without_creep(rates, gains) for part in self._parts])
@@ -238,7 +240,7 @@ class _Problem:
             column = 1 + index * zeros.size
             both[first : first + len(each), column : column + zeros.size] = each
             first += len(each)
-        # As long as what regression and penalties leave, without the rows of the penalties.
+        # As long as the residual of regression and penalties, without the rows of the penalties.
         both = both - self._span @ ((1.0 - self._left)[:, None] * (self._span.T @ both))
         left: FloatArray = both[:, 0]
         if both.shape[1] > 1:
@@ -246,22 +248,22 @@ class _Problem:
         return left * self._noise_raised(rates, gains)
 
     def alike(self, residual: FloatArray) -> float:
-        """Return how far neighbouring rows of a residual of this problem are alike, 0 to 1."""
+        """Return the correlation of neighbouring rows of a residual, from 0 to 1."""
         data = residual - self._span @ ((1.0 - self._left) * (self._span.T @ residual))
         return float(np.clip(data[1:] @ data[:-1] / (data @ data), 0.0, 0.98))
 
     def _noise_raised(self, rates: FloatArray, gains: FloatArray) -> float:
-        """Return by how much noise is raised that the inverse of the creep has lowered.
+        """Return the factor that compensates for noise reduced by the inverse of the creep.
 
-        Without it, creep that is faster than the rows would explain any noise. It is the geometric
-        mean over the bins, as in the likelihood of the displacements.
+        Without it, creep faster than the rows would explain any noise. It is the geometric mean
+        over the bins, as in the likelihood of the displacements.
         """
         faster = [np.log1p(-np.expm1(-np.outer(part.durations_s, rates)) @ gains)
                   for part in self._parts]
         return float(np.exp(np.concatenate(faster).mean()))
 
     def with_further(self, point: FloatArray) -> list[FloatArray]:
-        """Add an exponential: the points of all rates that are tried, the best first."""
+        """Return the points with one more exponential, for all tried rates, best first."""
         rates, gains = np.split(point, 2)
         starts = []
         for rate in np.linspace(self.rates[0], self.rates[1], CANDIDATES + 2)[1:-1]:
@@ -272,7 +274,7 @@ class _Problem:
         return [start for _, start in sorted(starts, key=lambda pair: pair[0])]
 
     def starts(self, point: FloatArray) -> list[FloatArray]:
-        """Points with one exponential more, and one of evenly spread rates between them."""
+        """Return starts with one more exponential, including one with evenly spaced rates."""
         count = point.size // 2 + 1
         spread = np.append(
             np.linspace(self.rates[0], self.rates[1], count + 2)[1:-1],
@@ -281,7 +283,7 @@ class _Problem:
         return [further[0], spread, *further[1:STARTS]]
 
     def refine(self, point: FloatArray) -> FloatArray:
-        """Rates and gains of least error."""
+        """Rates and gains with the smallest error."""
         pairs = point.size // 2
         low, high = (np.repeat([self.rates[end], self.gains[end]], pairs) for end in (0, 1))
         solution = least_squares(
@@ -291,7 +293,7 @@ class _Problem:
         return result
 
     def refusal(self, point: FloatArray) -> str:
-        """Why these exponentials cannot be creep; empty if they can."""
+        """Return why these exponentials cannot be creep; empty if they can."""
         rates, gains = np.split(point, 2)
         if np.any(gains <= self.gains[0] + 0.01) or np.any(gains >= self.gains[1] - 0.01):
             return "a gain is not positive, or larger than the immediate one"
@@ -301,16 +303,16 @@ class _Problem:
 
     def gain_of(self, before: FloatArray, after: FloatArray, parameters: int,
                 alike: float) -> float:
-        """Fall of the Bayesian information criterion, over rows that are independent.
+        """Decrease of the Bayesian information criterion, from the number of independent rows.
 
-        What the grid leaves of the hysteresis is alike in neighbouring rows, which then count less.
+        Errors of the hysteresis grid are correlated in neighbouring rows, which then count less.
         """
         rows = max(self.rows * (1.0 - alike) / (1.0 + alike), 10.0)
         return float(
             rows * np.log(np.sum(before**2) / np.sum(after**2)) - parameters * np.log(rows))
 
     def trial(self, point: FloatArray, residual: FloatArray, information: float) -> OrderTrial:
-        """Describe a fit, with its information relative to that of no creep."""
+        """Describe a fit, with its information relative to no creep."""
         pairs = point.size // 2
         rms = float(np.sqrt(np.sum(residual**2) / self.rows))
         return OrderTrial(pairs, 3 * pairs, rms, information, self.refusal(point))
@@ -331,13 +333,13 @@ class _Problem:
 
 
 class _Part:
-    """A stretch without gaps, in bins of the samples that are alike."""
+    """A stretch without gaps, with similar samples combined into bins."""
 
     def __init__(self, part: Recording, levels_v: FloatArray, settling_s: float, most_bins: int,
                  nuisances: Sequence[str]) -> None:
         self._period_s = part.sample_period_s
         self._mean_samples = samples_per_mean(part)
-        # A displacement at an instant is that before the voltage of its row acts.
+        # An instantaneous displacement is measured before the voltage of its row acts.
         shift = 1 if self._mean_samples == 1 else 0
         voltage_v = np.asarray(part.voltage_v[: part.voltage_v.size - shift], dtype=float)
         self._displacement_um = np.asarray(part.displacement_um[shift:], dtype=float)
@@ -373,7 +375,7 @@ class _Part:
         return np.asarray(self._gather @ signals)
 
     def without_creep(self, rates: FloatArray, gains: FloatArray) -> FloatArray:
-        """Bins of the displacement passed through the exact inverse of the creep for held input."""
+        """Bins of the displacement filtered by the exact inverse of the creep for held input."""
         at_once, forgotten, weights = inverse_of_creep(
             rates, gains, self._period_s, _unanswered(rates, self._period_s, self._mean_samples))
         sums = _sums_of_rest(
@@ -382,7 +384,7 @@ class _Part:
         return (sums / at_once + first_um * self._counts) / np.sqrt(self._counts)
 
     def decays(self, zeros: FloatArray) -> FloatArray:
-        """Bins of what is left of the creep from before, shape (bins, zeros)."""
+        """Bins of the remaining earlier creep, shape (bins, zeros)."""
         counts = self._counts[:, None]
         sums = np.expm1(-zeros * self._period_s * counts) / np.expm1(-zeros * self._period_s)
         return np.exp(-np.outer(self._starts_s, zeros)) * sums / np.sqrt(counts)
@@ -391,17 +393,17 @@ class _Part:
 @njit(cache=True, nogil=True)
 def _sums_of_rest(signal: FloatArray, bins: NDArray[np.intp], count: int, kept: FloatArray,
                   weights: FloatArray) -> FloatArray:
-    """Sum over each bin how far a signal has moved, less weighted sums of where it was before.
+    """Sum over each bin the change of a signal, minus weighted sums of its past.
 
     Parameters
     ----------
     signal : ndarray, shape (N,)
     bins : ndarray of int, shape (N,)
-        The bin of each sample; negative for none.
+        Bin of each sample; negative for none.
     count : int
-        Bins.
+        Number of bins.
     kept, weights : ndarray, shape (P,)
-        Part of each sum that is kept from one sample to the next, and its weight.
+        Fraction of each sum that is kept from one sample to the next, and its weight.
     """
     sums, states = np.zeros(count), np.zeros(kept.size)
     for n in range(signal.size):
@@ -416,16 +418,16 @@ def _sums_of_rest(signal: FloatArray, bins: NDArray[np.intp], count: int, kept: 
 
 
 def _passed(voltage_v: FloatArray, levels_v: FloatArray) -> list[FloatArray]:
-    """Tell for each level that is passed while recorded, sample by sample, whether it has been."""
+    """For each level passed during the recording, return whether it has been passed, by sample."""
     highest_v = np.maximum.accumulate(voltage_v)
     return [(highest_v >= level_v).astype(float) for level_v in levels_v[1:]
             if highest_v[0] < level_v <= highest_v[-1]]
 
 
 def _unanswered(rates: FloatArray, period_s: float, mean_samples: int) -> FloatArray:
-    """Return the part of a step by which exponentials are behind at the end of its row.
+    """Return the fraction of a step still missing in exponentials at the end of its row.
 
-    Of a displacement that is a mean over several clock samples, it is the mean over these.
+    For a displacement averaged over several clock samples, it is the mean over these.
     """
     if mean_samples == 1:
         return np.exp(-rates * period_s)
@@ -434,9 +436,9 @@ def _unanswered(rates: FloatArray, period_s: float, mean_samples: int) -> FloatA
 
 
 def _used(voltage_v: FloatArray, range_v: float, skipped: int) -> NDArray[np.bool_]:
-    """Mark the samples that are not just after a jump, nor the last before one.
+    """Mark samples except those right after a jump and the last one before it.
 
-    A logger that reads its rows late reads in the last one what the jump has done already.
+    The last one is excluded because a logger that reads late sees the response to the jump there.
     """
     jumps = np.flatnonzero(np.abs(np.diff(voltage_v, prepend=voltage_v[0])) > JUMP_SHARE * range_v)
     since = np.arange(voltage_v.size)
@@ -451,9 +453,9 @@ def _bins(
     voltage_v: FloatArray, levels_v: FloatArray, used: NDArray[np.bool_],
     history: NDArray[np.intp], skipped: int, most_bins: int,
 ) -> NDArray[np.intp]:
-    """Return the bin of each sample: logarithmic in the time of a hold, within a cell on the way.
+    """Return the bin of each sample: logarithmic in time during a hold, by cell while moving.
 
-    Creep after a hold began needs no finer view of logarithmic time.
+    Creep during a hold needs no finer resolution in logarithmic time.
     """
     cell_v = (levels_v[-1] - levels_v[0]) / CELLS
     way = np.abs(np.diff(voltage_v, prepend=voltage_v[0])) / cell_v

@@ -28,24 +28,25 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 from piezo_recorder.reading.recording import Recording
 
 MORE_PAIRS, SHARE_OF_CREEP = "more pairs of the creep", 0.2
-"""What is left out, and from which share of the time of an identification."""
+"""What is omitted when time is short, and the share of the time limit after which it is."""
 
 MOST_PAIRS = 8
-"""Pairs of pole and zero beyond which the search for their number ends."""
+"""Largest number of pole and zero pairs that is tried."""
 
 USUAL_SETTLING_S = 0.03
-"""Time left out after a step where the electric and vibration dynamics are not known."""
+"""Time omitted after a step if the electric and vibration dynamics are not known."""
 
 BINS_PER_DECADE = 60
-"""Averaging after a step: creep needs no finer view of logarithmic time."""
+"""Bins for averaging after a step: creep needs no finer resolution in logarithmic time."""
 
 
 FEWEST_STEPS = 2
-"""A record with fewer steps never returns to its first level, so its loop cannot be checked."""
+"""Fewest steps with which the record returns to its first level, so that its loop can be
+checked."""
 
 
 class CreepNotShown(ValueError):
-    """A recording does not show as many pairs as are asked for."""
+    """A recording does not show the requested number of pairs."""
 
 
 def estimate_creep(
@@ -54,28 +55,28 @@ def estimate_creep(
 ) -> Estimate:
     """Estimate the creep dynamics (4.4) from a square wave of long period.
 
-    Under a square wave the hysteresis is an offset and a gain (4.5); both are free here, and so is
-    the state of the creep at the first sample, as the offset is a step that the creep answers too.
-    The measured mean displacement is then a sum of exponentials in the known voltage, and the
-    error of this output, not of a one-step prediction, is made least: an equation-error fit such as
-    ARMAX would take the offset's step for creep.
+    Under a square wave the hysteresis is an offset and a gain (4.5). Both are free here, and so is
+    the initial state of the creep, because the creep responds to the step of the offset as well.
+    The mean measured displacement is then a sum of exponentials in the known voltage. The error of
+    this output is minimised, not that of a one-step prediction: an equation-error fit such as ARMAX
+    would attribute the step of the offset to creep.
 
-    Until its first step the hysteresis may be anywhere. From then on the loop between the levels is
-    closed: a return to a level has the output that it had there before. So where the Bayesian
-    information criterion says that what comes before the first step is not on the loop, it is left
-    out.
+    The state of the hysteresis before the first step is arbitrary. After it, the loop between the
+    levels is closed: a return to a level gives the same output as before. If the Bayesian
+    information criterion shows that the part before the first step is not on the loop, it is
+    omitted.
 
     Parameters
     ----------
     recording : Recording
-        Of the creep experiment.
+        Recording of the creep experiment.
     dynamics : ElectricVibrationDynamics, optional
-        If known: it delays the creep, and its ringing after each step is left out.
+        Known dynamics: they delay the creep, and their ringing after each step is omitted.
     pair_count : int, optional
         Number of pole and zero pairs; by default as many as the Bayesian information criterion
         justifies.
     delay_s : float
-        Of the measurement, beside the dynamics.
+        Delay of the measurement in addition to the dynamics.
 
     Returns
     -------
@@ -85,7 +86,7 @@ def estimate_creep(
     Raises
     ------
     ValueError
-        If the recording has gaps or is no square wave, or the data do not show as many pairs.
+        If the recording has gaps or is no square wave, or does not show the requested pairs.
     """
     part = square_part(played(recording))
     record = _CreepRecord(part, dynamics, delay_s)
@@ -97,23 +98,23 @@ def estimate_creep(
     off_um = record.first_run_off_um(cut.model)
     if off_um == 0.0:
         return whole
-    # Beside many slow exponentials a step of the level is sure, but not its size.
+    # With many slow exponentials, the level is certain to change, but not by how much.
     size = f"{off_um:+.3g} um " if abs(off_um) < np.ptp(part.displacement_um) else ""
     return replace(cut, start=f"its first {record.first_run_s:.4g} s, up to the first step, are "
                    f"{size}off the loop of the later ones: left out")
 
 
 def left_out_s(dynamics: ElectricVibrationDynamics | None, delay_s: float = 0.0) -> float:
-    """Return the time after a step in which the fast motion hides the creep.
+    """Return the time after a step in which fast motion hides the creep.
 
-    A fast stage may creep within milliseconds, so that no more is left out than its dynamics ask.
+    The time depends on the dynamics, because a fast stage may creep within milliseconds.
 
     Parameters
     ----------
     dynamics : ElectricVibrationDynamics or None
-        None, or static ones: not known, and no less than the usual time is left out.
+        If None or static, the dynamics are unknown, and at least the usual time is omitted.
     delay_s : float
-        Of the rows of the recording, beside the dynamics.
+        Delay of the rows of the recording in addition to the dynamics.
     """
     if dynamics is None or dynamics.is_static:
         return max(USUAL_SETTLING_S, delay_s)
@@ -121,7 +122,7 @@ def left_out_s(dynamics: ElectricVibrationDynamics | None, delay_s: float = 0.0)
 
 
 def _estimate(record: "_CreepRecord", pair_count: int | None) -> Estimate:
-    """Estimate with the steps where the samples show them, or a generator's between the samples."""
+    """Estimate with the steps at the samples, or between them for a free-running generator."""
     estimate = _estimate_as_held(record, pair_count)
     own = free_running_level(record.wave)
     if own is None:
@@ -140,7 +141,7 @@ def _estimate_as_held(record: "_CreepRecord", pair_count: int | None) -> Estimat
             better = trials[-1].information < min(trial.information for trial in trials[:-1])
             if pair_count is None and not better:
                 break
-            # Creep over many decades: a number of pairs may be refused and a larger one fit.
+            # With creep over many decades, a number of pairs may be refused and a larger one fit.
             if pair_count is not None or not trials[-1].refusal:
                 best = rates
     model, standard_deviations = record.creep(best)
@@ -179,14 +180,14 @@ class _CreepRecord:
         self.bounds = np.log([0.3 / self.time_s[-1], self.fastest])
 
     def as_held(self, level: FloatArray) -> "_CreepRecord":
-        """Return the same record of a voltage whose mean in each sample period is this level."""
+        """Return the same record with a voltage that has this mean in each sample period."""
         result = copy(self)
         result.held = level
         return result
 
     def _logarithmic_bins(self) -> tuple[NDArray[np.intp], FloatArray]:
-        """List the starts of the bins, alternating with the settling samples that are left out."""
-        # In the sample of a step the fast motion has its largest part.
+        """Return the starts of the bins, alternating with the settling samples to omit."""
+        # The fast motion is largest in the sample of a step.
         skipped = max(1, int(np.ceil(self.settling_s / self.period_s)))
         edges = np.concatenate([[0], self.wave.steps, [self.wave.level.size]])
         starts, weights = list[IntArray](), list[FloatArray]()
@@ -219,10 +220,10 @@ class _CreepRecord:
         return first * np.expm1(-exponent * counts) / (counts * np.expm1(-exponent))
 
     def _deviation(self, rate: float) -> FloatArray:
-        """Mean over each bin of what an exponential lag is off the level, none at first, (B,)."""
+        """Mean over each bin of an exponential lag's deviation from the level, 0 at first, (B,)."""
         edges = np.concatenate([[0], self.wave.steps])
         levels = self.wave.level[edges]
-        # What a generator that runs freely had of the next level before the step shows.
+        # Part of the next level that a free-running generator reached before the step shows.
         early = (self.held - self.wave.level)[edges[1:] - 1] * -np.expm1(-rate * self.period_s)
         deviations = np.zeros(edges.size)
         for n, decay in enumerate(np.exp(-rate * self.period_s * np.diff(edges))):
@@ -250,7 +251,7 @@ class _CreepRecord:
             basis, self.displacement, rcond=1e-12)[0].astype(float)
         gains = slice(2, 2 + rates.size)
         if coefficients[gains].min(initial=0.0) < 0.0:
-            # A rate slower than the record may show in the initial state alone, without a gain.
+            # A rate slower than the record may appear in the initial state only, without a gain.
             free = np.delete(basis, gains, axis=1)
             span = np.linalg.qr(free)[0]
             beside = basis[:, gains] - span @ (span.T @ basis[:, gains])
@@ -263,7 +264,7 @@ class _CreepRecord:
     def creep(
         self, rates: FloatArray,
     ) -> tuple[CreepDynamics, dict[str, tuple[float, ...]]]:
-        """Model with those of the rates that have a gain, and its standard deviations."""
+        """Model with those rates that have a gain, and its standard deviations."""
         coefficients, residual = self._fit(rates)
         gains = coefficients[2 : 2 + rates.size] / coefficients[1]
         has_gain = gains > 0.0
@@ -292,10 +293,10 @@ class _CreepRecord:
         return self.wave.steps[0] * self.period_s
 
     def first_run_off_um(self, creep: CreepDynamics) -> float:
-        """Level before the first step less that of later ones; 0 where it may be the same.
+        """Level before the first step minus that of later ones; 0 if they may be equal.
 
-        Compared are fits at given rates, of which one has a level of its own before the first step.
-        The creep answers the difference too, and so ends in a decay with free coefficients.
+        It compares fits at given rates, one of which has a separate level before the first step.
+        The creep responds to the difference too, which adds decays with free coefficients.
         """
         rates = np.asarray(creep.poles_rad_per_s)
         kept = self.weights > 0.0
@@ -312,20 +313,20 @@ class _CreepRecord:
         return float(coefficients[basis.shape[1]]) if gain > free * np.log(rows) else 0.0
 
     def trial(self, rates: FloatArray) -> OrderTrial:
-        """How well these rates do, and whether they can be creep at all."""
+        """Rate a fit with these rates, and refuse rates that are too fast."""
         residual = self._fit(rates)[1]
         is_fast = rates.max(initial=0.0) >= 0.99 * self.fastest
         refusal = "a rate is too fast for the rows" if is_fast else ""
         return order_trial(rates.size, residual, 2 + 3 * rates.size, refusal, self.displacement)
 
     def best_further_rate(self, rates: FloatArray) -> float:
-        """Rate that, added to the others, explains most."""
+        """Rate that explains most when added to the others."""
         candidates = np.exp(np.linspace(self.bounds[0], self.bounds[1], 26)[1:-1])
         errors = [np.sum(self._fit(np.append(rates, rate))[1] ** 2) for rate in candidates]
         return candidates[np.argmin(errors)]
 
     def refine(self, rates: FloatArray) -> FloatArray:
-        """Rates of least output error, all linear coefficients projected out."""
+        """Rates of least output error, with all linear coefficients projected out."""
         start = np.clip(np.log(rates), *(self.bounds + [1e-6, -1e-6]))
         solution = least_squares(
             lambda log_rates: self._fit(np.exp(log_rates))[1], start,

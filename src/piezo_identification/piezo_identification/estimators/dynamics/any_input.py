@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Electric and vibration dynamics from any fast input: chirp, noise, steps, a free square wave.
 
-What enters the dynamics is simulated, by a known hysteresis, by that of the recordings themselves,
-or for two levels by offset and gain (4.5); the measured displacement is fitted to the response.
+The input of the dynamics is simulated with a known hysteresis or with that of the recordings
+themselves; for two levels it is an offset and a gain (4.5). The measured displacement is fitted to
+the response.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from piezo_identification.conditioning.settling import AT_REST
 from piezo_identification.conditioning.waveforms import two_levels
 from piezo_identification.estimators.creep.square_wave_creep import USUAL_SETTLING_S
 from piezo_identification.estimators.dynamics.fast_creep import fit_beside_fast_creep
+from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
 from piezo_identification.estimators.dynamics.fast_signals import (
     FEWEST_SAMPLES,
     LATE_ROWS,
@@ -41,42 +43,46 @@ from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
 
 MODES_OF_A_LINE = 2
-"""Vibration modes with which a line is compared with a hysteresis."""
+"""Number of vibration modes with which a line is compared with a hysteresis."""
 
 AT_END = 20
-"""Samples at the end of a visit of a level that tell where it ended."""
+"""Number of samples at the end of a visit of a level that show where it ended."""
 
 LONGEST_LOOK = 200
-"""Samples at the end of that rest, at most, that show whether the stage still rings."""
+"""Largest number of samples at the end of that rest that show whether the stage still rings."""
 
 STILL = 3.0
-"""Times the sensor's noise up to which these samples, less the best parabola, show no ringing, and
-up to which the ends of visits of a level are the same."""
+"""Multiple of the sensor noise up to which these samples, minus the best parabola, show no ringing,
+and up to which the ends of visits of a level are the same."""
 
 MOST_LEFT_OUT = 0.4
-"""Part of a recording that is left out at most, until its past no longer counts."""
+"""Largest part of a recording that is omitted until its past no longer matters."""
 
 NEAR_AN_EXTREME = 0.05
-"""Once the voltage was within this part of its range from both ends, the past counts for no more
-than an offset."""
+"""Distance from both ends of the range, relative to it, that the voltage must have reached for the
+past to act only as an offset."""
 
 
 def estimate_dynamics_any(
     recordings: Sequence[Recording], creep: CreepDynamics,
     hysteresis: PreisachModel | None = None, mode_count: int | None = None,
+    among: Collection[ModeOrder] = (),
 ) -> Estimate:
     """Estimate electric lag and vibration modes (4.3) from recordings of any fast input.
 
     Parameters
     ----------
     recordings : sequence of Recording
-        Without gaps, at the full sample clock and of one sample period. Each has an offset and an
-        initial creep of its own.
+        Recordings without gaps, at the full sample clock and with the same sample period. Each
+        has its own offset and initial creep.
     hysteresis : PreisachModel, optional
-        If known, over the voltages of the recordings. By default that of the recordings, which is
-        estimated together with the dynamics; of two levels, an offset and a gain.
+        Known hysteresis, valid for the voltages of the recordings. By default it is estimated
+        from the recordings together with the dynamics; for two levels, it is an offset and a
+        gain.
     mode_count : int, optional
         By default as many as the Bayesian information criterion justifies.
+    among : collection of ModeOrder
+        See `output_error.fit_output_error`.
 
     Returns
     -------
@@ -102,17 +108,17 @@ def estimate_dynamics_any(
         return fit_beside_fast_creep(
             lambda known: replace(_signals(squares, levels, known), early=timed.early,
                                   phase_room=timed.phase_room).record(),
-            creep, mode_count)
+            creep, mode_count, among=among)
     if hysteresis is not None:
         entering_um = [through_hysteresis(recording, part, hysteresis)
                        for recording, part in zip(recordings, parts, strict=True)]
         return fit_beside_fast_creep(
             lambda known: beside_slow_misfit(_signals(parts, entering_um, known).record()),
-            creep, mode_count)
+            creep, mode_count, among=among)
     without_hysteresis = _signals(
         parts, [np.asarray(part.voltage_v, dtype=float) for part in parts], creep)
     linear = fit_signals(without_hysteresis, MODES_OF_A_LINE)
-    estimate = _beside_hysteresis(parts, creep, mode_count)
+    estimate = _beside_hysteresis(parts, creep, mode_count, among)
     if estimate.residual_rms < linear.residual_rms:
         return estimate
     return fit_signals(without_hysteresis, mode_count)
@@ -120,8 +126,9 @@ def estimate_dynamics_any(
 
 def _beside_hysteresis(
     parts: Sequence[Recording], creep: CreepDynamics, mode_count: int | None,
+    among: Collection[ModeOrder],
 ) -> Estimate:
-    """Fit the dynamics behind the hysteresis that the recordings themselves show."""
+    """Fit the dynamics behind the hysteresis estimated from the same recordings."""
     loops = [
         FastLoops(np.asarray(part.voltage_v, dtype=float),
                   remove_creep(part.displacement_um, creep, part.sample_period_s),
@@ -130,13 +137,13 @@ def _beside_hysteresis(
     found = hysteresis_beside_dynamics(loops)
     entering = [found.entering_um(each) for each in loops]
     return fit_output_error(
-        beside_slow_misfit(_signals(parts, entering, creep).record()), mode_count)
+        beside_slow_misfit(_signals(parts, entering, creep).record()), mode_count, among=among)
 
 
 def _signals(
     parts: Sequence[Recording], inputs: Sequence[FloatArray], creep: CreepDynamics,
 ) -> FastSignals:
-    """Join recordings with known inputs, from where the past of each no longer counts."""
+    """Join recordings with known inputs, from where the past of each no longer matters."""
     first_kept = [_first_kept(part) for part in parts]
     for part, first in zip(parts, first_kept, strict=True):
         left = part.voltage_v.size - LATE_ROWS - first
@@ -153,7 +160,7 @@ def _first_kept(part: Recording) -> int:
     range_v = float(np.ptp(voltage_v))
     moved = np.flatnonzero(np.abs(voltage_v - voltage_v[0]) > 1e-3 * range_v)
     rest = int(moved[0]) if moved.size else voltage_v.size
-    # Of a rest the end is enough: it may begin with what rings after an earlier step.
+    # Only the end of a rest is used: its beginning may still ring after an earlier step.
     is_still = rest >= AT_REST and not _rings(part, slice(max(0, rest - LONGEST_LOOK), rest))
     warm = rest - AT_REST if is_still else round(WARM_UP_S / part.sample_period_s)
     near_v = NEAR_AN_EXTREME * range_v
@@ -161,8 +168,8 @@ def _first_kept(part: Recording) -> int:
     low = int(np.argmax(voltage_v <= voltage_v.min() + near_v))
     most = int(MOST_LEFT_OUT * voltage_v.size)
     first = min(warm, most)
-    # The way to the second of them began where the past had left the stage. A first step of
-    # another height than the later ones leaves all that rings in motion.
+    # The motion to the second of them began when the past no longer mattered. A first step of
+    # another height than the later ones leaves all modes ringing.
     reached = max(high, low)
     if reached + round(USUAL_SETTLING_S / part.sample_period_s) <= most:
         settling_s = USUAL_SETTLING_S if _comes_back(part) else WARM_UP_S
@@ -171,10 +178,10 @@ def _first_kept(part: Recording) -> int:
 
 
 def _comes_back(part: Recording) -> bool:
-    """Tell whether a square wave ends the later visits of its first level where the first ended.
+    """Return whether later visits of the first level of a square wave end where the first ended.
 
-    A stage that rings for longer than a visit does not seem to: that costs some rows only. Any
-    other voltage counts as one that does.
+    They seem not to if the stage rings for longer than a visit, which only costs some rows. Any
+    other voltage returns True.
     """
     wave = two_levels(part)
     if wave is None:
@@ -186,7 +193,7 @@ def _comes_back(part: Recording) -> bool:
 
 
 def _rings(part: Recording, rest: slice) -> bool:
-    """Tell whether the displacement rings while the voltage rests, as after a step before."""
+    """Return whether the displacement rings while the voltage rests, as after an earlier step."""
     displacement_um = part.displacement_um[rest]
     trend = np.vander(np.linspace(-1.0, 1.0, displacement_um.size), 3)
     left_um = displacement_um - trend @ np.linalg.lstsq(trend, displacement_um, rcond=None)[0]

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Creep that a fast record shows: too fast for a creep recording, too slow for the modes.
+"""Creep in a fast record: too fast for a creep recording, too slow for the modes.
 
-Materials creep over all times alike. What goes on within the half period of a fast square wave is
-in no creep recording, and a fit of lag and modes alone would bend these until they explain it.
+Materials creep on all time scales. Creep within the half period of a fast square wave is in no
+creep recording, and a fit of lag and modes alone would be biased by it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -13,6 +13,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
 from piezo_identification.estimators.dynamics.fast_record import FastRecord, FreeFit, independent
 from piezo_identification.estimators.dynamics.output_error import ROWS_OF_SEARCH, fit_output_error
 from piezo_identification.estimators.dynamics.pole_search import (
@@ -29,33 +30,33 @@ from piezo_identification.estimators.estimate import (
 from piezo_models.linear.dynamics import CreepDynamics
 
 RATES_PER_DECADE = 2.5
-"""Exponentials so close stand for any creep between them."""
+"""Number of exponentials per decade that represent any creep between them."""
 
 FASTER_THAN_KNOWN = 3.0
-"""Factor beyond the fastest known creep from which faster one is sought."""
+"""Factor between the fastest known creep and the slowest creep that is sought."""
 
 SLOWER_THAN_MODES = 0.2
-"""Part of the lowest frequency that rings up to which creep is sought."""
+"""Fraction of the lowest ringing frequency up to which creep is sought."""
 
 RINGING = 0.5
 """Damping ratio below which a mode rings."""
 
 MOST_TURNS = 4
-"""Times that creep is sought beside the dynamics that are right beside the creep found before."""
+"""Largest number of times that creep is sought again with the dynamics corrected for creep."""
 
 AS_GOOD = 5.0
-"""Evidence by which free poles may be better: creep is what a stage has, a mode without oscillation
-is not."""
+"""Log-evidence by which free poles may be better, because stages have creep but no overdamped
+modes."""
 
 
 @dataclass(frozen=True)
 class FastCreep:
-    """Creep beside the known one.
+    """Creep in addition to the known one.
 
     Parameters
     ----------
     deviations : dict
-        Standard deviations of its poles and zeros; the poles are given, not fitted.
+        Standard deviations of its poles and zeros; the poles are fixed, not fitted.
     """
 
     model: CreepDynamics
@@ -64,41 +65,41 @@ class FastCreep:
 
 def fit_beside_fast_creep(
     record_without: Callable[[CreepDynamics], FastRecord], creep: CreepDynamics,
-    mode_count: int | None = None, delay: float | None = None,
+    mode_count: int | None = None, delay: float | None = None, among: Collection[ModeOrder] = (),
 ) -> Estimate:
-    """Fit the dynamics of least output error, with fast creep where the record shows some.
+    """Fit the dynamics of least output error, with fast creep if the record shows it.
 
     Parameters
     ----------
     record_without : callable
-        Makes the record with a given creep removed.
+        Returns the record with a given creep removed.
     creep : CreepDynamics
-        That is known.
-    delay : float, optional
+        Known creep.
+    mode_count, delay, among
         See `output_error.fit_output_error`.
 
     Returns
     -------
     Estimate
-        Its `creep` is what was found beside the known one.
+        Its `creep` is in addition to the known one.
     """
     made = cache(record_without)
     found = fast_creep(made, creep)
     if found is None:
-        return fit_output_error(made(creep), mode_count, delay)
-    beside = fit_output_error(made(joined_creep(creep, found.model)), mode_count, delay)
+        return fit_output_error(made(creep), mode_count, delay, among)
+    beside = fit_output_error(made(joined_creep(creep, found.model)), mode_count, delay, among)
     return replace(beside, creep=found.model, creep_deviations=found.deviations)
 
 
 def fast_creep(
     record_without: Callable[[CreepDynamics], FastRecord], creep: CreepDynamics,
 ) -> FastCreep | None:
-    """Find creep in a fast record: exponentials that are slower than all that rings.
+    """Find creep in a fast record: exponentials slower than all ringing modes.
 
-    Free poles show whether there is any: one of them is real and slow. It is creep if the record
-    without it is explained as well by the information criterion, most often with fewer poles. The
-    slow poles bend the others, and with them the creep: it is sought again beside the dynamics that
-    are right once it is removed, while that explains the record better.
+    Free poles show whether there is any: one of them is then real and slow. It is creep if the
+    record without it is explained as well by the information criterion, usually with fewer poles.
+    The slow poles bias the others, and with them the creep. The creep is therefore sought again
+    with the corrected dynamics as long as that explains the record better.
 
     Parameters
     ----------
@@ -110,7 +111,7 @@ def fast_creep(
     rates = sought_rates(record, free, creep)
     if not (np.abs(free.poles) < rates.max(initial=0.0)).any():
         return None
-    # The creep stands in the place of slow poles, which no stage has: it need not pay for itself.
+    # The creep replaces slow poles, which no stage has, so it may cost some evidence.
     best, most = None, record.log_evidence(free, free.numbers) - AS_GOOD
     for _ in range(MOST_TURNS):
         is_slow = np.abs(free.poles) < rates.max()
@@ -128,22 +129,22 @@ def fast_creep(
 
 
 def sought_rates(record: FastRecord, free: FreeFit, creep: CreepDynamics) -> FloatArray:
-    """Return rates (rad/s) that stand for any creep which a fast record could show.
+    """Return rates (rad/s) that represent any creep which a fast record could show.
 
-    They begin above the known creep, or where the record lasts for one decay, and end below all
-    that rings, or where a decay lasts for one row: a pair above the band rings for the fit only.
+    They start above the known creep, or where the record lasts for one decay. They end below all
+    ringing modes, or where a decay lasts for one row.
 
     Parameters
     ----------
     free : FreeFit
-        Of it.
+        Fit of the record.
     creep : CreepDynamics
-        That is known.
+        Known creep.
 
     Returns
     -------
     ndarray, shape (R,)
-        None where nothing rings, or the known creep is as fast.
+        Empty if nothing rings, or if the known creep is as fast.
     """
     period_s = record.input.sample_period_s
     fastest = min(SLOWER_THAN_MODES * _lowest_ringing(free), 1.0 / (ROWS_OF_DECAY * period_s))
@@ -156,19 +157,19 @@ def sought_rates(record: FastRecord, free: FreeFit, creep: CreepDynamics) -> Flo
 
 
 def best_free_fit(record: FastRecord, near: FreeFit | None = None) -> FreeFit:
-    """Return free poles of the most evidence.
+    """Return the fit of free poles with the most evidence.
 
     Parameters
     ----------
     record : FastRecord
-        Its rows are thinned, as the search takes its time.
+        Record, whose rows are thinned to save time.
     near : FreeFit, optional
-        Its poles are those to begin from; by default those of a vector fit.
+        Fit with the initial poles; by default those of a vector fit.
 
     Returns
     -------
     FreeFit
-        Of the thinned rows.
+        Fit of the thinned rows.
     """
     thin = record.thinned(ROWS_OF_SEARCH)
     fits = free_fits(thin, MOST_MODES) if near is None else nested_fits(
@@ -177,14 +178,14 @@ def best_free_fit(record: FastRecord, near: FreeFit | None = None) -> FreeFit:
 
 
 def joined_creep(first: CreepDynamics, second: CreepDynamics) -> CreepDynamics:
-    """Return the creep of two one after the other."""
+    """Return the series connection of two creeps."""
     return CreepDynamics(
         tuple(sorted((*first.poles_rad_per_s, *second.poles_rad_per_s))),
         tuple(sorted((*first.zeros_rad_per_s, *second.zeros_rad_per_s))))
 
 
 def _lowest_ringing(free: FreeFit) -> float:
-    """Lowest frequency (rad/s) of poles that ring; 0 where none do."""
+    """Lowest frequency (rad/s) of ringing poles; 0 if there are none."""
     frequencies = np.abs(free.poles)
     rings = -free.poles.real < RINGING * frequencies
     return float(frequencies[rings].min(initial=np.inf)) if rings.any() else 0.0
@@ -229,6 +230,6 @@ def _positive_parts(record: FastRecord, free: FreeFit, rates: FloatArray) -> Fas
             full = np.zeros((2 * used.size, 2 * used.size))
             full[used.size :, used.size :] = covariance[1:, 1:] / parts[0] ** 2
             return FastCreep(*creep_of_partial_fractions(rates[used], gains, full))
-        # One at a time: what a neighbour takes over makes the others sure.
+        # Remove one at a time: the others become significant when a neighbour is gone.
         used = np.delete(used, np.argmin(over_deviation))
     return None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Lag, modes in series and side by side, antiresonances, and a sensor's lag: poles and residues."""
+"""Lags, modes in series and in parallel, and antiresonances, as poles and residues."""
 
 from dataclasses import dataclass
 
@@ -17,14 +17,15 @@ from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
 APART = 1e-5
-"""Relative distance that poles keep from each other, so that each has a residue."""
+"""Smallest relative distance of poles, so that each has a residue."""
 
 STEP = 1e-6
-"""Step of the derivatives of poles and residues: the root of the rounding, and some more."""
+"""Step of the derivatives of poles and residues: somewhat above the square root of the
+precision."""
 
 ALIKE = 1e-2
-"""Logarithm of the ratio of two lags below which their derivatives are taken so far apart: what
-both make depends on the square of their difference, so that the derivative by it vanishes."""
+"""Logarithm of the ratio of two lags below which derivatives are taken at this ratio. The response
+depends on the square of their difference, so that the derivative by it vanishes at 0."""
 
 
 @dataclass(frozen=True)
@@ -34,14 +35,14 @@ class ModeOrder:
     Parameters
     ----------
     modes : int
-        One after the other (4.3).
+        Modes in series (4.3).
     antiresonances : int
-        Between them.
+        Antiresonances between them.
     beside : int
-        Modes that add a part of the displacement of their own.
+        Modes in parallel, each of which contributes a part of the displacement.
     is_coupled : bool
-        Whether the modes beside have parts that follow their velocities, too: with no mode in
-        series, these are all proper dynamics behind a lag.
+        Whether the parallel modes also have parts proportional to their velocities. With no mode
+        in series, these are all proper dynamics behind a lag.
     """
 
     modes: int
@@ -60,32 +61,32 @@ class ModeOrder:
 
     @property
     def parameters(self) -> int:
-        """Length of the vector: the lags, two numbers for a mode in series, more beside."""
+        """Length of the vector: lags, two numbers per mode in series, more per parallel mode."""
         return self.positive + self.shares
 
     @property
     def positive(self) -> int:
-        """Numbers of the vector that are logarithms."""
+        """Number of elements of the vector that are logarithms."""
         return 1 + 2 * (self.modes + self.antiresonances + self.beside) + self.sensor_lags
 
     @property
     def shares(self) -> int:
-        """Numbers at the end of the vector that are parts of the displacement."""
+        """Number of elements at the end of the vector that are parts of the displacement."""
         return self.beside * (1 + self.is_coupled)
 
 
 def coupled_vector(poles: ComplexArray, residues: ComplexArray) -> FloatArray:
-    """Return the vector of coupled modes behind a lag that have given poles and residues.
+    """Return the vector of coupled modes behind a lag with given poles and residues.
 
     Parameters
     ----------
     poles, residues : ndarray of complex, shape (1 + 2 m,)
-        The lag, then pairs of poles side by side, each conjugate or both real; any gain at rest.
+        The lag, then adjacent pairs of poles, each conjugate or both real; any gain at rest.
 
     Returns
     -------
     ndarray, shape (1 + 4 m,)
-        Of the order ``ModeOrder(0, 0, m, is_coupled=True)``.
+        Vector of the order ``ModeOrder(0, 0, m, is_coupled=True)``.
     """
     rest = np.sum(-residues / poles).real
     through_lag = residues * (1.0 - poles / poles[0]) / rest
@@ -100,27 +101,27 @@ def coupled_vector(poles: ComplexArray, residues: ComplexArray) -> FloatArray:
 
 
 def values_of(vector: FloatArray, order: ModeOrder) -> FloatArray:
-    """Physical numbers of a vector, in its order."""
+    """Physical values of a vector, in its order."""
     return np.concatenate([np.exp(vector[: order.positive]), vector[order.positive :]])
 
 
 def fast_dynamics_of(
     vector: FloatArray, order: ModeOrder,
 ) -> tuple[ElectricVibrationDynamics, tuple[Effect, ...]]:
-    """Dynamics of a vector, and the effects beside: modes, and a sensor's lag.
+    """Dynamics of a vector, and additional effects: parallel modes and a sensor lag.
 
     Parameters
     ----------
     vector : ndarray, shape (P,)
-        Logarithms of what is positive: the lag; frequencies and damping ratios of the modes in
-        series, of the antiresonances and of the modes beside; the sensor's lag. Then the
-        participations of the modes beside.
+        Logarithms of positive values: the lag; frequencies and damping ratios of the modes in
+        series, of the antiresonances and of the parallel modes; the sensor lag. Then the
+        participations of the parallel modes.
 
     Returns
     -------
     dynamics : ElectricVibrationDynamics
     effects : tuple of Effect
-        As the dynamics in the order of frequency.
+        Like the dynamics, in order of frequency.
     """
     values = values_of(ascending(vector, order), order)
     main, frequencies, dampings, lags, *shares = _split(values, order)
@@ -132,12 +133,12 @@ def fast_dynamics_of(
 
 
 def ascending(vector: FloatArray, order: ModeOrder) -> FloatArray:
-    """Reorder a vector: components of every kind in the order of frequency."""
+    """Return a vector with the components of every kind in order of frequency."""
     return vector[ascending_places(vector, order)]
 
 
 def ascending_places(vector: FloatArray, order: ModeOrder) -> np.ndarray:
-    """Places in a vector that put the components of every kind into the order of frequency."""
+    """Indices into a vector that put the components of every kind in order of frequency."""
     main, frequencies, dampings, lag, *shares = _split(np.arange(vector.size), order)
     modes, zeros = order.modes, order.antiresonances
     first, w, zeta, wz, zetaz = np.split(main, np.cumsum([1, modes, modes, zeros]))
@@ -160,9 +161,9 @@ def split_deviations(
     Returns
     -------
     dynamics : dict
-        By the names of the fields of `ElectricVibrationDynamics`.
+        Standard deviations by the names of the fields of `ElectricVibrationDynamics`.
     effects : tuple of dict
-        Of the modes beside, then of the sensor's lag, by the names of their parameters.
+        Standard deviations of parallel modes, then of the sensor lag, by parameter name.
     """
     main, frequencies, dampings, lag, *shares = _split(deviations, order)
     names = "frequency_rad_per_s", "damping_ratio", "participation", "velocity_participation"
@@ -173,7 +174,7 @@ def split_deviations(
 
 
 def _split(values: np.ndarray, order: ModeOrder) -> list[np.ndarray]:
-    """Part a vector: dynamics, frequencies and dampings beside, sensor lag, shares."""
+    """Split a vector: dynamics, frequencies and dampings of parallel modes, sensor lag, shares."""
     shares = [order.beside] * order.is_coupled
     return np.split(values, np.cumsum([
         1 + 2 * (order.modes + order.antiresonances), order.beside, order.beside,
@@ -181,12 +182,12 @@ def _split(values: np.ndarray, order: ModeOrder) -> list[np.ndarray]:
 
 
 def lag_difference(vector: FloatArray, order: ModeOrder) -> float:
-    """Half the logarithm of the ratio of the lag to the sensor's lag."""
+    """Half the logarithm of the ratio of the lag to the sensor lag."""
     return 0.5 * float(vector[0] - vector[order.positive - 1])
 
 
 def with_lags_apart(vector: FloatArray, order: ModeOrder) -> FloatArray:
-    """Return a vector whose two lags are not nearly equal; itself where there is but one.
+    """Return a vector whose two lags are not nearly equal; unchanged if there is only one.
 
     Parameters
     ----------
@@ -216,7 +217,7 @@ def poles_and_residues(
     Parameters
     ----------
     vectors : ndarray, shape (B, P)
-        Several of those of `fast_dynamics_of`.
+        Several vectors of `fast_dynamics_of`.
 
     Returns
     -------
@@ -244,7 +245,7 @@ def poles_and_residues(
     shares = np.broadcast_to(shares, (*poles.shape, order.beside))
     through_side = [shares[:, :, i] * _over(poles, side[:, 2 * i : 2 * i + 2])
                     for i in range(order.beside)]
-    # At the lags' poles the branches add up; at the pole of a branch, that branch is infinite.
+    # The branches add up at the poles of the lags; only its own branch is infinite at a pole.
     branch = through_series + sum(through_side, np.zeros_like(poles))
     first = lags.shape[-1]
     own = [through_series, *through_side]
@@ -255,14 +256,14 @@ def poles_and_residues(
 
 
 def _over(points: ComplexArray, poles: ComplexArray) -> ComplexArray:
-    """Evaluate the product of 1 / (1 - s / p); at one of the poles, without that one."""
+    """Evaluate the product of 1 / (1 - s / p), without the factor of a pole at that pole."""
     factors = 1.0 - points[:, :, None] / poles[:, None, :]
     factors[points[:, :, None] == poles[:, None, :]] = 1.0
     return 1.0 / np.prod(factors, axis=-1)
 
 
 def _pairs(frequencies: FloatArray, dampings: FloatArray) -> ComplexArray:
-    """Poles of modes, shape (B, 2 m), never quite critically damped."""
+    """Poles of modes, shape (B, 2 m), never exactly critically damped."""
     excess = dampings**2 - 1.0
     excess = np.where(np.abs(excess) < APART, APART, excess).astype(complex)
     root = np.sqrt(excess)

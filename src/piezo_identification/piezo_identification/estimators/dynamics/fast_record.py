@@ -27,59 +27,61 @@ from piezo_identification.fitting.evidence import INDEPENDENT, independent_error
 from piezo_identification.fitting.regression import SETTINGS as FIT
 
 BESIDE_LOOPS = 0.5
-"""Part of the rows whose errors count at least: what is alike in them may be the hysteresis', which
-is estimated later."""
+"""Smallest fraction of the rows that counts as independent, because correlated errors may come from
+the hysteresis, which is estimated later."""
 
 EARLIEST, LATEST = -1.5, 100.0
-"""Delays in sample periods between which one is sought: the earliest is that of a logger that reads
-the displacement at the end of the hold, and half a period more."""
+"""Range of delays that are sought, in sample periods. The earliest is that of a logger that reads
+the displacement at the end of the hold, plus half a period."""
 
 FASTEST = 30.0
-"""Frequency over half the sample rate up to which a pole may go: beyond it is at rest within a
-sample period, as if it were not there."""
+"""Highest frequency of a pole, relative to half the sample rate: faster poles settle within a
+sample period and have no effect."""
 
 NEIGHBOURS = 0.08
-"""Logarithm of the distance between these bounds of one pole and the next: modes that add nothing
-end there, and poles that coincide have no partial fractions."""
+"""Logarithm of the ratio of the upper bounds of successive poles. Modes without effect end at these
+bounds, and coinciding poles have no partial fractions."""
 
 LEAST_DAMPING, MOST_DAMPING = 1e-5, 20.0
-"""A damping ratio is sought between these."""
+"""Range of damping ratios."""
 
 BESIDE_DAMPING, PARTICIPATION = (1e-3, 0.4), (-2.0, 3.0)
-"""Bounds of damping and part of a mode beside others, which
-`piezo_models.effects.vibration_mode.VibrationMode` admits."""
+"""Bounds of the damping ratio and participation of parallel modes, as in
+`piezo_models.effects.vibration_mode.VibrationMode`."""
 
 COUPLED_SHARE = (-1e3, 1e3)
-"""Bounds of the parts of coupled modes, which `CoupledMode` admits: they may nearly cancel."""
+"""Bounds of the participations of coupled modes, as in `CoupledMode`: they may nearly cancel."""
 
 ANTIRESONANCE_SPAN = 3.0
-"""Factor beyond the modes within which an antiresonance is taken for one."""
+"""Factor beyond the frequencies of the modes within which a zero is treated as an antiresonance."""
 
 LONG = 20_000
-"""Rows from which a search looks at lines of the spectrum in place of some of the rows."""
+"""Number of rows from which a search uses lines of the spectrum instead of a part of the rows."""
 
 SHORT = 0.1
-"""Part of the longest stretch without a gap, below which one is left out of the spectrum."""
+"""Length, relative to the longest stretch without a gap, below which a stretch is omitted from the
+spectrum."""
 
 COLLINEAR = 1e-9
-"""Singular value, of the largest one, below which columns that are fitted linearly count as one:
-far above rounding, far below what the noise of any record leaves of them."""
+"""Singular value, relative to the largest, below which linearly fitted columns are merged: far
+above rounding, far below what any record determines in the presence of noise."""
 
 
 @dataclass(frozen=True, eq=False)
 class FastFit:
-    """Parameters of one order that leave least.
+    """Best-fitting parameters of one order.
 
     Parameters
     ----------
     vector : ndarray, shape (P,)
         See `fast_dynamics.fast_dynamics_of`.
     delay : float
-        In sample periods.
+        Delay in sample periods.
     residual : ndarray, shape (N,)
     jacobian : ndarray, shape (N, P + 1)
-        By the vector and the delay; without the delay where that was given. Where two lags are
-        nearly equal, it is taken where they are apart, see `fast_dynamics.with_lags_apart`.
+        Derivatives by the vector and the delay, or only by the vector if the delay was given. If
+        two lags are nearly equal, they are taken with the lags apart, see
+        `fast_dynamics.with_lags_apart`.
     """
 
     order: ModeOrder
@@ -96,14 +98,14 @@ class FastFit:
 
 @dataclass(frozen=True, eq=False)
 class FreeFit:
-    """Poles whose residues are free: no dynamics with as many modes leave less.
+    """Poles with free residues: dynamics with the same number of modes do not fit better.
 
     Parameters
     ----------
     vector : ndarray, shape (1 + 2 m,)
-        Of dynamics with the lag and m modes in series.
+        Vector of dynamics with the lag and m modes in series.
     delay : float
-        In sample periods.
+        Delay in sample periods.
     residual : ndarray, shape (N,)
     poles, residues : ndarray of complex, shape (1 + 2 m,)
     """
@@ -121,7 +123,7 @@ class FreeFit:
 
     @property
     def numbers(self) -> int:
-        """Return how many numbers were fitted: poles, residues, and the delay."""
+        """Return the number of fitted parameters: poles, residues, and the delay."""
         return 2 * self.poles.size + 1
 
     @property
@@ -130,7 +132,7 @@ class FreeFit:
         return float(self.residual @ self.residual)
 
     def antiresonances(self) -> FloatArray:
-        """Return frequencies (rad/s) and damping ratios, shape (2, k), of the zeros among modes."""
+        """Return frequencies (rad/s) and damping ratios of zeros near the modes, shape (2, k)."""
         modes = self.poles[1:]
         if not modes.size:
             return np.empty((2, 0))
@@ -142,27 +144,27 @@ class FreeFit:
         low, high = np.abs(modes).min(), np.abs(modes).max()
         zeros = zeros[(zeros.imag > 0.0) & (np.abs(zeros) > low / ANTIRESONANCE_SPAN)
                       & (np.abs(zeros) < high * ANTIRESONANCE_SPAN)][: self.modes]
-        # Zeros on the right are no antiresonances of stable damping: start from the axis.
+        # Zeros in the right half plane are no antiresonances: they start from the imaginary axis.
         return np.array([np.abs(zeros), np.maximum(-zeros.real / np.abs(zeros), 1e-3)])
 
 
 @dataclass(frozen=True, eq=False)
 class FastRecord:
-    """An input, what was measured behind it, and what else that may hold.
+    """An input, the measured output, and further signals that the output may contain.
 
     Parameters
     ----------
     kept : ndarray of int, shape (N,)
-        Samples, or rows of lines, that are fitted. Of an input that is not periodic, none of the
-        last two.
+        Indices of the fitted samples, or rows of lines. If the input is not periodic, the last two
+        samples are excluded.
     measured_um : ndarray, shape (N,)
-        Of the kept samples, with the creep removed.
+        Measured displacement of the kept samples, with the creep removed.
     fixed : ndarray, shape (N, K)
-        What else these may hold, such as an offset; fitted linearly, as is the gain.
+        Further signals in these samples, such as an offset; fitted linearly, as is the gain.
     every_row : FastRecord, optional
-        That of which this one has rows far between; by default itself.
+        Full record, if this one is a thinned copy; by default itself.
     phase_room : float
-        Part of a sample period by which all of the input may be earlier or later.
+        Fraction of a sample period by which the whole input may be earlier or later.
     """
 
     input: HeldInput | SpectralInput
@@ -187,12 +189,12 @@ class FastRecord:
 
     def log_evidence(self, fit: FastFit | FreeFit, numbers: int,
                      independent: float = INDEPENDENT) -> float:
-        """Return the evidence of a fit with so many numbers beside those of the fixed columns.
+        """Return the log-evidence of a fit with this many parameters besides the fixed columns.
 
         Parameters
         ----------
         independent : float
-            Errors that count, at most as many as there are rows.
+            Number of errors that count, limited to the number of rows.
         """
         rows = fit.residual.size
         accuracy_um = FIT.model_tolerance * np.ptp((self.every_row or self).measured_um)
@@ -200,16 +202,16 @@ class FastRecord:
                             numbers + self._span.shape[1], min(rows, independent))
 
     def independent_errors(self, fit: FastFit | FreeFit) -> float:
-        """Return how many errors beside a fit are independent, within what may count."""
+        """Return the number of independent errors of a fit, within the limits of what may count."""
         if self.every_row:
             return INDEPENDENT
         fewest = min(BESIDE_LOOPS * fit.residual.size, INDEPENDENT)
         return max(independent_errors(fit.residual), fewest)
 
     def thinned(self, most_rows: int) -> "FastRecord":
-        """Return the record with no more rows than given, spread over all of it; made once.
+        """Return the record with at most the given number of rows, spread over all of it; cached.
 
-        The rows of a long one are lines of its spectrum, which cost no recursion over its samples.
+        The rows of a long record are lines of its spectrum, which need no recursion over samples.
         """
         step = -(-self.kept.size // most_rows)
         if step == 1:
@@ -231,7 +233,7 @@ class FastRecord:
                 and self.is_on_the_clock and self.kept.size > LONG)
 
     def at_lines(self, count: int) -> "FastRecord":
-        """Return the record at about so many lines of its spectrum; made once."""
+        """Return the record at about the given number of lines of its spectrum; cached."""
         if self.every_row is not None:
             return self.every_row.at_lines(count)
         if count not in self._lines:
@@ -265,7 +267,7 @@ class FastRecord:
     def fit(self, order: ModeOrder, vector: FloatArray, delay: float,
             evaluations: int = 100, is_delay_free: bool = True,
             tolerance: float = 1e-8) -> FastFit:
-        """Fit the parameters of an order for the least residual, from a start."""
+        """Fit the parameters of an order by least squares, from a start."""
         lower, upper = self._bounds(order, vector.size)
 
         def full(unknowns: FloatArray) -> FloatArray:
@@ -286,10 +288,10 @@ class FastRecord:
         return FastFit(order, best[:-1], float(best[-1]), residual, jacobian[:, : begin.size])
 
     def errors(self, order: ModeOrder, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Residual with the gain that fits best, and its exact Jacobian (N, P + 1)."""
+        """Residual with the best-fitting gain, and its exact Jacobian (N, P + 1)."""
         check_cancelled()
         poles, residues, by_pole, by_residue = differentiated(unknowns[:-1], order)
-        # Of a conjugate pair, both have the same real part: one is computed, and counts twice.
+        # One of each conjugate pair is computed, and its real part counts twice.
         own = poles.imag >= 0.0
         twice = np.where(poles.imag[own] > 0.0, 2.0, 1.0)
         answers = self.input.responses(poles[own], float(unknowns[-1]), self.kept)
@@ -311,7 +313,7 @@ class FastRecord:
                 -gain * slopes - np.outer(response, by_gain))
 
     def fit_free(self, vector: FloatArray, delay: float, evaluations: int = 40) -> FreeFit:
-        """Fit poles and delay with free residues for the least residual, from a start."""
+        """Fit poles and delay with free residues by least squares, from a start."""
         order = ModeOrder(vector.size // 2)
         lower, upper = self._bounds(order, vector.size)
         problem = _Remembered(lambda unknowns: self._free_errors(order, unknowns)[:2])
@@ -323,14 +325,14 @@ class FastRecord:
         return self.free(solution.x[:-1], float(solution.x[-1]))
 
     def free(self, vector: FloatArray, delay: float) -> FreeFit:
-        """Residues of least residual for given poles and delay."""
+        """Return the fit with the best residues for given poles and delay."""
         order = ModeOrder(vector.size // 2)
         residual, _, poles, residues = self._free_errors(order, np.append(vector, delay), False)
         return FreeFit(vector, delay, residual, poles, residues)
 
     def parts(self, orders_and_vectors: list[tuple[ModeOrder, FloatArray]],
               delay: float) -> tuple[FloatArray, float]:
-        """Gains of several responses side by side that fit best, and the cost that remains."""
+        """Gains of several parallel responses that fit best, and the remaining cost."""
         columns, all_poles = [], []
         for order, vector in orders_and_vectors:
             poles, residues = poles_and_residues(vector[None], order)
@@ -356,7 +358,7 @@ class FastRecord:
         one, other = answers.value[:, 1::2], answers.value[:, 2::2]
         apart = poles[1::2] - poles[2::2]
         scale = np.abs(poles[1::2])
-        # Real for conjugate poles, and for two real ones.
+        # Real for conjugate poles as well as for two real ones.
         basis = np.column_stack([
             answers.value[:, :1], one + other, (one - other) * (scale / apart)]).real
         span, target = self._beside_poles(poles)
@@ -382,7 +384,7 @@ class FastRecord:
         return residual, left @ (left.T @ slopes) - slopes, poles, residues
 
     def _bounds(self, order: ModeOrder, size: int) -> tuple[FloatArray, FloatArray]:
-        """Bound the vector and the delay by what the samples can show."""
+        """Return bounds of the vector and the delay, from what the samples can show."""
         period_s = self.input.sample_period_s
         duration_s = self.input.samples.size * period_s
         lag = np.log([1e-3 * period_s, duration_s])
@@ -403,23 +405,22 @@ class FastRecord:
         return lower, upper
 
     def _beside_poles(self, poles: ComplexArray) -> tuple[FloatArray, FloatArray]:
-        """Return orthonormal columns of what the record may hold beside, and what they leave."""
+        """Return orthonormal columns of the further signals, and the target without them."""
         if isinstance(self.input, HeldInput):
             return self._span, self._target
-        span = independent(np.column_stack([self._span, self.input.transients(poles)]))
-        return span, _left(self.measured_um, span)
+        transients = independent(self.input.transients(poles), self._span)
+        return np.column_stack([self._span, transients]), _left(self._target, transients)
 
 
 def _left(columns: FloatArray, span: FloatArray) -> FloatArray:
-    """Return what orthonormal columns leave of others."""
+    """Return columns with the part along orthonormal columns removed."""
     return np.asarray(columns - span @ (span.T @ columns))
 
 
 class _Remembered:
-    """A residual and its Jacobian, evaluated together and once for each point, in few rows.
+    """A residual and its Jacobian, evaluated together and cached, reduced to few rows.
 
-    All that the steps of a least-squares fit ask of them are their inner products, which a QR
-    decomposition keeps.
+    A least-squares step needs only their inner products, which a QR decomposition preserves.
     """
 
     def __init__(self, evaluate: Callable[[FloatArray], tuple[FloatArray, FloatArray]]) -> None:
@@ -428,7 +429,7 @@ class _Remembered:
         self._value: tuple[FloatArray, FloatArray] | None = None
 
     def at(self, point: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Residual and Jacobian at a point, of as many rows as there are unknowns, and one."""
+        """Residual and Jacobian at a point, with one more row than there are unknowns."""
         if self._value is None or self._point is None or not np.array_equal(point, self._point):
             residual, jacobian = self._evaluate(point)
             triangle = np.asarray(
@@ -438,42 +439,46 @@ class _Remembered:
 
 
 def real_products(signals: list[ComplexArray], weights: list[ComplexArray]) -> FloatArray:
-    """Real part of the sum of products of signals and weights, by real numbers only.
+    """Real part of the sum of products of signals and weights, computed with real numbers.
 
     Parameters
     ----------
     signals : list of ndarray of complex, shape (N, n)
     weights : list of ndarray of complex, shape (n, P)
-        Of each.
+        Weights of each signal.
 
     Returns
     -------
     ndarray, shape (N, P)
     """
-    # The transposes lie one after the other in memory, where the responses are made.
+    # The transposes are contiguous in memory as computed.
     parts = np.concatenate([part for each in signals for part in (each.T.real, each.T.imag)])
     factors = np.concatenate([part for each in weights for part in (each.real, -each.imag)])
     product: FloatArray = parts.T @ factors
     return product
 
 
-def independent(columns: FloatArray) -> FloatArray:
-    """Return orthonormal columns of the same span, without what differs by rounding alone.
+def independent(columns: FloatArray, beside: FloatArray | None = None) -> FloatArray:
+    """Return orthonormal columns of the same span, without directions that are only rounding.
 
-    Slow exponentials look alike in a short record. Were they kept as they are, the least error
-    would be as rough as the rounding of the processor, and a search would end anywhere on it.
+    Slow exponentials are nearly equal in a short record. If they were kept as they are, the
+    minimum would be obscured by rounding errors, and a search would end anywhere near it.
 
     Parameters
     ----------
     columns : ndarray, shape (N, K)
+    beside : ndarray, shape (N, M), optional
+        Orthonormal columns, to which the ones returned are orthogonal.
 
     Returns
     -------
     ndarray, shape (N, L)
-        With L up to K.
+        L is at most K.
     """
     norms = np.linalg.norm(columns, axis=0)
-    # A decay that is over before the record begins is zero throughout, and shows nothing.
-    left, values, _ = np.linalg.svd(
-        columns[:, norms > 0.0] / norms[norms > 0.0], full_matrices=False)
-    return left[:, values > COLLINEAR * values[0]]
+    # A decay that ends before the record begins is zero throughout.
+    columns = columns[:, norms > 0.0] / norms[norms > 0.0]
+    beside = np.empty((len(columns), 0)) if beside is None else beside
+    left, values, _ = np.linalg.svd(_left(columns, beside), full_matrices=False)
+    # Small columns contain rounding errors along `beside`, too.
+    return _left(left[:, values > COLLINEAR], beside)

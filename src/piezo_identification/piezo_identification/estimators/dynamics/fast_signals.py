@@ -19,31 +19,31 @@ from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
 
 FEWEST_SAMPLES = 160
-"""Samples of a fast input below which its spectrum shows too few lines for a mode."""
+"""Smallest number of samples of a fast input: fewer give too few spectral lines for a mode."""
 
 LATE_ROWS = 2
-"""Rows at the end that are left out: a row may be read up to so much later, under a voltage that is
-not known."""
+"""Number of rows omitted at the end: a row may be read by so much later, under an unknown
+voltage."""
 
 
 @dataclass(frozen=True, eq=False)
 class FastSignals:
-    """What enters the dynamics, and what is measured behind them, recordings one after another.
+    """Inputs and measured outputs of the dynamics, with recordings joined one after another.
 
     Parameters
     ----------
     entering_um, displacement_um : ndarray, shape (N,)
-        What the hysteresis puts in, and the displacement without creep.
+        Output of the hysteresis, and the displacement without creep.
     drift : ndarray, shape (N, K)
-        Offset and what may be left of earlier creep, for each recording its own.
+        Offset and possible remains of earlier creep, separately for each recording.
     kept : ndarray of int
         Samples in which the input is fast and the start has settled.
     begins : tuple of int
         First sample of each recording.
     early : ndarray, shape (N,), optional
-        Part of a sample period by which each input came before its sample; by default none did.
+        Fraction of a sample period by which each input precedes its sample; by default zero.
     phase_room : float
-        Part of a sample period by which all inputs may be earlier or later.
+        Fraction of a sample period by which all inputs may be earlier or later.
     """
 
     entering_um: FloatArray
@@ -67,23 +67,23 @@ def joined_signals(
     parts: Sequence[Recording], inputs_um: Sequence[FloatArray], first_kept: Sequence[int],
     creep: CreepDynamics,
 ) -> FastSignals:
-    """Put recordings one after another, each with an offset and an initial creep of its own.
+    """Join recordings one after another, each with its own offset and initial creep.
 
     Parameters
     ----------
     parts : sequence of Recording
-        Of `played_at_the_clock`, of one sample period.
+        Results of `played_at_the_clock`, with the same sample period.
     inputs_um : sequence of ndarray
-        What enters the dynamics in each, in any unit.
+        Input of the dynamics in each recording, in any unit.
     first_kept : sequence of int
-        Samples of each before which it is not fitted.
+        First sample of each recording that is fitted.
     creep : CreepDynamics
-        Is removed.
+        Creep to be removed.
 
     Raises
     ------
     ValueError
-        If nothing that moves enters the dynamics.
+        If the input of the dynamics is constant.
     """
     for part, entering_um in zip(parts, inputs_um, strict=True):
         if np.ptp(entering_um) == 0.0:
@@ -118,13 +118,13 @@ def fit_signals(
     mode_count : int, optional
         By default as many as the Bayesian information criterion justifies.
     delay : float, optional
-        Of the rows, in sample periods; by default it is estimated beside.
+        Delay of the rows in sample periods; by default it is estimated.
     """
     return fit_output_error(signals.record(), mode_count, delay)
 
 
 def played_at_the_clock(recording: Recording) -> Recording:
-    """Part of a recording in which a waveform plays, not averaged.
+    """Part of a recording in which a waveform plays; averaged recordings are refused.
 
     Raises
     ------
@@ -143,17 +143,17 @@ def played_at_the_clock(recording: Recording) -> Recording:
 def through_hysteresis(
     recording: Recording, part: Recording, hysteresis: PreisachModel,
 ) -> FloatArray:
-    """Return what enters the dynamics, through a hysteresis that saw the recording from its start.
+    """Return the input of the dynamics: the output of a hysteresis since the recording started.
 
     Parameters
     ----------
     part : Recording
-        What plays in it.
+        Part of the recording in which the waveform plays.
 
     Returns
     -------
     ndarray, shape (N,)
-        Of the part.
+        Output during the part.
 
     Raises
     ------
@@ -174,7 +174,7 @@ def through_hysteresis(
 
 
 def drift_basis(time_s: FloatArray, creep: CreepDynamics) -> FloatArray:
-    """Columns (N, K) of what a record without creep may still hold: offset and initial creep."""
+    """Columns (N, K) of what a record without creep may still contain: offset and initial creep."""
     return np.column_stack(
         [np.ones_like(time_s), *(np.exp(-zero * time_s) for zero in creep.zeros_rad_per_s)]
     )

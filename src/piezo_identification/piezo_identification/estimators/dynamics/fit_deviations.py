@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Standard deviations of a fit of fast dynamics, and of its delay beside its lags."""
+"""Standard deviations of a fit of fast dynamics, and of its delay in the presence of lags."""
 
 import numpy as np
 
@@ -16,26 +16,26 @@ from piezo_identification.estimators.estimate import (
 )
 
 FAR_MORE = 2.0
-"""Times the power that a fit has to leave without its delay for that to be evidence of it."""
+"""Ratio of the residual power without and with a delay that is evidence of a delay."""
 
 
 def fit_covariance(fit: FastFit, linear_parameters: int) -> FloatArray:
-    """Covariance of the vector of a fit, and of its delay where that was fitted.
+    """Covariance of the vector of a fit, and of its delay if that was fitted.
 
-    Three things part it from that of a linear fit with white residual. What a form cannot explain
-    is no white noise: neighbours are alike, and count less. Two lags that are nearly equal differ
-    by the square of their difference only. And a lag cannot be negative: a short one differs from a
-    delay by its square only.
+    It differs in three ways from that of a linear fit with white residual. Neighbouring errors of
+    an incomplete model are correlated, and count less. The response depends on two nearly equal
+    lags only by the square of their difference. And a short lag, which cannot be negative, differs
+    from a delay only by its square.
 
     Parameters
     ----------
     linear_parameters : int
-        That were fitted beside.
+        Number of parameters that were fitted linearly.
 
     Returns
     -------
     ndarray, shape (P, P) or (P + 1, P + 1)
-        Of logarithms, but for the parts of modes beside others and the delay.
+        Covariance of logarithms, except for participations of parallel modes and the delay.
     """
     covariance = parameter_covariance(
         fit.jacobian, fit.residual, fit.jacobian.shape[1] + linear_parameters)
@@ -49,17 +49,17 @@ def fit_covariance(fit: FastFit, linear_parameters: int) -> FloatArray:
 
 
 def _of_alike_lags(covariance: FloatArray, fit: FastFit) -> FloatArray:
-    """Bound the variance of the difference of two lags by what its square lets it be.
+    """Limit the variance of the difference of two lags to what follows from its square.
 
     If the square of half their difference x has the deviation d, a large x has the deviation
-    d / (2 x), and one that may be none is below (2 d)^(1/2).
+    d / (2 x), and one that may be zero is below (2 d)^(1/2).
 
     Parameters
     ----------
     covariance : ndarray, shape (P, P)
-        Of the Jacobian where the lags are apart.
+        Covariance from the Jacobian with the lags apart.
     fit : FastFit
-        With a sensor's lag.
+        Fit with a sensor lag.
     """
     one, other = 0, fit.order.positive - 1
     half = abs(lag_difference(fit.vector, fit.order))
@@ -72,7 +72,7 @@ def _of_alike_lags(covariance: FloatArray, fit: FastFit) -> FloatArray:
     of_square = 2.0 * taken_at * np.sqrt(variance)
     largest = np.sqrt(2.0 * of_square)
     bounded = of_square / (2.0 * half) if 2.0 * half * largest > of_square else largest
-    # The mean of both lags stays as it is, the difference is scaled.
+    # The mean of both lags is not changed; the difference is scaled.
     scale = np.eye(covariance.shape[0])
     stretch = bounded / np.sqrt(variance) - 1.0
     scale[lags] += 0.5 * stretch * np.array([[1.0, -1.0], [-1.0, 1.0]])
@@ -81,18 +81,18 @@ def _of_alike_lags(covariance: FloatArray, fit: FastFit) -> FloatArray:
 
 
 def _of_positive_lag(covariance: FloatArray, lag: int) -> FloatArray:
-    """Bound the variance of a lag by what its square lets it be.
+    """Limit the variance of a lag to what follows from its square.
 
-    A lag T acts as a delay T in first order; only T^2 / 2 is identifiable beside a delay. If that
-    has the deviation d, a long lag has the deviation d / T, and one that may be none is below
-    (2 d)^(1/2). What the variance loses is taken from all that trade with the lag, as if it had
-    been measured.
+    To first order, a lag T acts as a delay T; beside a delay, only T^2 / 2 is identifiable. If that
+    has the deviation d, a long lag has the deviation d / T, and one that may be zero is below
+    (2 d)^(1/2). The variances of all correlated parameters are reduced as if the lag had been
+    measured.
 
     Parameters
     ----------
     covariance : ndarray, shape (P, P)
     lag : int
-        Place of its logarithm.
+        Index of its logarithm.
     """
     variance = covariance[lag, lag]
     # In the logarithm: d / T^2 against (2 d)^(1/2) / T.
@@ -108,16 +108,16 @@ def _of_positive_lag(covariance: FloatArray, lag: int) -> FloatArray:
 def delay_deviation(fit: FastFit, without: FastFit | None, variance: float) -> float:
     """Return the standard deviation of a delay, in sample periods.
 
-    Where the fit without the delay leaves far more, there is a delay whatever else the form lacks:
-    the deviation is then no larger than the delay over the root of twice the gain in logarithmic
-    likelihood.
+    If the fit without the delay is far worse, there must be a delay, whatever else the model lacks.
+    The deviation is then at most the delay over the square root of twice the gain in
+    log-likelihood.
 
     Parameters
     ----------
     without : FastFit or None
-        The same order, fitted with no delay; None where that was not asked.
+        Fit of the same order without delay; None if it is not available.
     variance : float
-        Of the delay, from the covariance.
+        Variance of the delay from the covariance.
     """
     deviation = float(np.sqrt(variance))
     if without is None or without.cost <= FAR_MORE * fit.cost:

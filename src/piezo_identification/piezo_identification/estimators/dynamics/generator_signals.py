@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A square wave of a generator that runs freely: its edges, fitted beside the dynamics."""
+"""Edges of the square wave of a free-running generator, fitted together with the dynamics."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,34 +15,34 @@ from piezo_identification.estimators.dynamics.pole_search import free_fits
 from piezo_identification.estimators.poles.pole_responses import HeldInput
 
 MODES_TO_DECIDE = 2
-"""Modes with which a generator is found to run freely: edges off by half a sample show."""
+"""Number of modes used to detect a free-running generator: edges off by half a sample show."""
 
 ROUNDS = 2
-"""Fits of the edges, each after one of the poles: either hardly moves the other."""
+"""Number of fits of the edges, each after one of the poles: they hardly affect each other."""
 
 STEP = 1e-3
-"""Part of a sample period of the differences that show what an edge moves."""
+"""Step of the numerical derivatives by the edges, in sample periods."""
 
 INSTANT = 2
-"""Direction of `GeneratorEdges` in which all edges move alike."""
+"""Column of `GeneratorEdges` directions in which all edges move alike."""
 
 
 def with_edges_between(
     signals: FastSignals, edges: Sequence[GeneratorEdges | None],
 ) -> FastSignals:
-    """Place the edges of generators between the samples, if that leaves less.
+    """Place the edges of generators between the samples if that reduces the error.
 
     Parameters
     ----------
     signals : FastSignals
         Levels of square waves, as sampled.
     edges : sequence of GeneratorEdges or None
-        Of each recording.
+        Edges of each recording.
 
     Returns
     -------
     FastSignals
-        The same ones where a recording has none, or its edges lie at the samples.
+        The same signals if a recording has no edges, or if its edges lie at the samples.
     """
     found = [each for each in edges if each is not None]
     if len(found) < len(edges):
@@ -60,7 +60,7 @@ def with_edges_between(
 
 
 def _fitted_edges(record: FastRecord, directions: FloatArray) -> tuple[HeldInput, float]:
-    """Move the edges to where a fit with free residues leaves least; return what that is."""
+    """Move the edges to minimise the error of a fit with free residues; return it as well."""
     free, held = _free_fit(record), record.input
     assert isinstance(held, HeldInput)
     for _ in range(ROUNDS):
@@ -68,7 +68,7 @@ def _fitted_edges(record: FastRecord, directions: FloatArray) -> tuple[HeldInput
         moved = edge_responses(held, directions, whole.poles, whole.residues, whole.delay)
         columns = np.column_stack([moved[record.kept], record.fixed])
         by = np.linalg.lstsq(columns, whole.residual, rcond=None)[0][: directions.shape[1]]
-        # The instant of the first recording is a delay, which is left to the fit of the poles.
+        # The instant of the first recording is a delay, which the fit of the poles determines.
         by[INSTANT] = 0.0
         held = moved_edges(held, directions @ by)
         record = replace(record, input=held)
@@ -77,12 +77,12 @@ def _fitted_edges(record: FastRecord, directions: FloatArray) -> tuple[HeldInput
 
 
 def moved_edges(held: HeldInput, earlier: FloatArray) -> HeldInput:
-    """Move the edges of an input, none of them beyond the samples beside it.
+    """Move the edges of an input, but not beyond the adjacent samples.
 
     Parameters
     ----------
     earlier : ndarray, shape (N,)
-        Part of a sample period by which each comes earlier; 0 where there is none.
+        Fraction of a sample period by which each edge is moved earlier; 0 where there is no edge.
     """
     early = np.zeros_like(held.samples) if held.early is None else held.early
     return replace(held, early=np.clip(early + earlier, 0.0, 1.0))
@@ -92,15 +92,15 @@ def edge_responses(
     held: HeldInput, directions: FloatArray, poles: ComplexArray, residues: ComplexArray,
     delay: float,
 ) -> FloatArray:
-    """Differentiate the response of poles by what moves the edges of its input.
+    """Differentiate the response of poles by displacements of the edges of its input.
 
     Parameters
     ----------
     directions : ndarray, shape (N, K)
-        Parts of a sample period by which each edge comes earlier, in each direction.
+        Fractions of a sample period by which each edge is earlier, in each direction.
     poles, residues : ndarray of complex, shape (n,)
     delay : float
-        In sample periods.
+        Delay in sample periods.
 
     Returns
     -------

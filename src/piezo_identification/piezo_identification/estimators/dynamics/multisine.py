@@ -25,27 +25,27 @@ def estimate_dynamics_multisine(
 ) -> Estimate:
     """Estimate the electric lag and the vibration modes (3.2) from a multi-sine.
 
-    The identified hysteresis determines what enters the dynamics. The inverse response at the
-    excited lines is a polynomial in the frequency, which gives a start; the physical parameters are
-    then those of least output error.
+    The identified hysteresis determines the input of the dynamics. The inverse response at the
+    excited lines is a polynomial in the frequency, which gives initial values; the physical
+    parameters are then fitted for the least output error.
 
     Parameters
     ----------
     recording : Recording
-        Of the multisine experiment, at the full sample clock: any fast input that comes from
-        negative saturation.
+        Recording of the multisine experiment at the full sample clock: any fast input that starts
+        from negative saturation.
     hysteresis : PreisachModel
-        Covers the voltages of the recording.
+        Hysteresis that covers the voltages of the recording.
     mode_count : int, optional
         By default as many as the Bayesian information criterion justifies.
     delay : float, optional
-        Of the rows, in sample periods; by default it is estimated beside.
+        Delay of the rows in sample periods; by default it is estimated.
 
     Returns
     -------
     Estimate
-        Its model is an `ElectricVibrationDynamics`; its order counts modes. Hysteresis and creep
-        are taken for exact in the standard deviations.
+        Its model is an `ElectricVibrationDynamics`; its order counts modes. The standard
+        deviations assume exact hysteresis and creep.
 
     Raises
     ------

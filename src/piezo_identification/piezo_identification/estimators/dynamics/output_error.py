@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Electric lag, vibration modes, antiresonances, sensor lag and delay of least output error."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import replace
 from itertools import combinations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_common.budget import while_time_lasts
+from piezo_common.side_by_side import side_by_side
 from piezo_identification.estimators.dynamics.fast_dynamics import (
     ModeOrder,
     ascending_places,
@@ -38,74 +39,78 @@ from piezo_identification.estimators.estimate import (
 from piezo_identification.fitting.evidence import INDEPENDENT
 
 ROWS_OF_SEARCH, ROWS_OF_TRIALS, ROWS_OF_FIT = 3000, 10_000, 20_000
-"""Rows of a longer record in which starts are sought, in which orders are compared, and in which
-the order that is taken is fitted."""
+"""Number of rows of a longer record used to find starts, to compare orders, and to fit the chosen
+order."""
 
 QUICK_EVALUATIONS = 12
-"""Steps that part a good start from a bad one."""
+"""Number of steps that distinguish good starts from bad ones."""
 
 POLISHING, ROUNDING = 200, 1e-12
-"""Steps, and relative change of the cost, of the fit of the order that is taken."""
+"""Number of steps, and relative change of the cost, of the final fit of the chosen order."""
 
 MODES_LEFT_OUT = 2
-"""Dynamics richer by up to so many modes are fitted, and the modes taken that explain most: those
-that ring longest are not those that move a stage most."""
+"""Dynamics with up to so many additional modes are fitted, and the most important modes kept: the
+modes that ring longest are not those with the largest displacement."""
 
 MOST_IN_SERIES = 2
-"""Modes one after the other where others stand beside them; more are the same in other words."""
+"""Largest number of modes in series together with parallel ones; larger forms are equivalent."""
 
 NEAR_DELAYS = (0.0, -3.0, -2.0, -1.0, -0.5, 0.5, 1.0, 2.0, 3.0)
-"""Sample periods by which a form may be better delayed than the fit with free residues."""
+"""Delays that are tried, in sample periods relative to that of the fit with free residues."""
 
 USUAL_DELAYS = (-1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 4.0)
-"""Sample periods that are tried whatever the fit with free residues says: it may take the waiting
-of slow modes for a delay."""
+"""Delays in sample periods that are tried in any case: the fit with free residues may describe slow
+modes by a delay."""
 
 FOLLOWED = 3
-"""Starts of a form that are followed by quick fits."""
+"""Number of starts of a form that are refined by quick fits."""
 
 ENDED = 2
-"""So many of the best of those starts are followed to their end."""
+"""Number of the best of those starts that are fitted to the end."""
 
 HOPELESS = 10.0
-"""Times the power that free residues leave, beyond which a form is not followed to its end."""
+"""Ratio to the residual power of free residues above which a form is not fitted to the end."""
 
 LAGGING_FORMS = 2
-"""Forms, the best of as many modes, that are tried with a sensor's lag."""
+"""Number of forms, the best of as many modes, that are tried with a sensor lag."""
 
 ORDERS = 0.3
-"""Share of the time that an identification may take, after which no further orders are tried."""
+"""Share of the time limit after which no further orders are tried."""
 
 SENSOR_LAGS = (0.3, 1.0, 4.0)
-"""In sample periods, from which a sensor's lag is sought."""
+"""Initial values of a sensor lag, in sample periods."""
 
 
 def fit_output_error(
     record: FastRecord, mode_count: int | None = None, delay: float | None = None,
+    among: Collection[ModeOrder] = (),
 ) -> Estimate:
     """Electric and vibration dynamics (4.3) and a delay of least output error.
 
-    Poles with free residues come first, as many as there is evidence for. They are themselves a
-    model, of coupled modes. From them begin the forms with fewer parameters: modes one after the
-    other, as in (4.3); the same with the antiresonances that modes which move side by side leave
-    between them; modes that add their part of the displacement; and each of these with a sensor
-    that lags. That of the most evidence is taken.
+    Poles with free residues are fitted first, as many as the evidence supports. They are themselves
+    a model, of coupled modes. They are the starting point for forms with fewer parameters: modes in
+    series, as in (4.3); modes in series with antiresonances, as parallel modes produce them;
+    parallel modes that add up to the displacement; and each of these with a sensor lag. The form
+    with the most evidence is chosen.
 
     Parameters
     ----------
     mode_count : int, optional
-        Number of modes, one after the other and without antiresonances; by default as many of
-        both as the criterion justifies.
+        Number of modes in series without antiresonances; by default as many of both as the
+        criterion justifies.
     delay : float, optional
-        In sample periods, where it is known; by default it is fitted beside, and left out if it
-        does not differ significantly from none.
+        Delay in sample periods, if it is known; by default it is fitted, and omitted if it is not
+        significant.
+    among : collection of ModeOrder
+        Orders to which the search is restricted, if any of them has the number of modes that the
+        evidence supports; by default all orders are tried.
 
     Returns
     -------
     Estimate
         Its order is a `ModeOrder`.
     """
-    search = _Search(record, delay)
+    search = _Search(record, delay, among)
     if mode_count is None:
         search.try_all_orders()
     else:
@@ -114,34 +119,37 @@ def fit_output_error(
 
 
 _Start = tuple[FloatArray, float]
-"""Vector and delay from which a fit begins."""
+"""Vector and delay from which a fit starts."""
 
 
 class _Search:
     """Fits of a record by order."""
 
-    def __init__(self, record: FastRecord, delay: float | None) -> None:
+    def __init__(self, record: FastRecord, delay: float | None,
+                 among: Collection[ModeOrder] = ()) -> None:
         self._whole, self._known_delay = record.thinned(ROWS_OF_FIT), delay
+        self._among = among
         self._record, self._coarse = (
             record.thinned(rows) for rows in (ROWS_OF_TRIALS, ROWS_OF_SEARCH))
         self._fits: dict[ModeOrder, FastFit] = {}
         self._independent = INDEPENDENT
 
     def try_all_orders(self) -> None:
-        """Fit the forms of as many modes as the free residues have evidence for."""
+        """Fit the forms with as many modes as the evidence of free residues supports."""
         frees = list(free_fits(self._coarse, MOST_MODES))
         self._independent = self._coarse.independent_errors(frees[-1])
         best = int(np.argmax([self._coarse.log_evidence(free, free.numbers, self._independent)
                               for free in frees]))
-        # A form with a lag of its own may have a mode less.
+        # A form with its own lag may need one mode less.
         with while_time_lasts("further orders of the dynamics", ORDERS):
             for free in frees[max(0, best - 1) : best + 1]:
                 self._try_forms(free)
         if not self._fits:
+            self._among = ()
             self._try_forms(frees[best])
 
     def try_modes_in_series(self, count: int) -> None:
-        """Fit a number of modes in series, begun from those that explain most of richer ones."""
+        """Fit a number of modes in series, starting from the most important ones of larger fits."""
         order = ModeOrder(count)
         for free in free_fits(self._coarse, count + MODES_LEFT_OUT):
             if free.modes < count:
@@ -149,10 +157,10 @@ class _Search:
             choices = [(_chosen(free.vector, modes)) for modes in _subsets(free.modes, count)]
             best = min(choices, key=lambda vector: self._coarse.parts(
                 [(order, vector)], free.delay)[1])
-            self._keep(order, [(best, free.delay)])
+            self._keep([self._fit(order, [(best, free.delay)])])
 
     def estimate(self, order_given: bool) -> Estimate:
-        """Return the best order, its delay left out if it is not significant."""
+        """Return the best order, without its delay if that is not significant."""
         trials = self._trials()
         chosen = min(trials, key=lambda trial: trial.information)
         fit, delay = self._polished(self._fits[chosen.order]), None
@@ -169,7 +177,7 @@ class _Search:
             effects=effects, effect_deviations=of_effects, delay=delay)
 
     def _with_delay_decided(self, fit: FastFit) -> tuple[FastFit, DelayEstimate]:
-        """Return the fit and its delay; the fit without it where it is not significant."""
+        """Return the fit and its delay; the fit is without delay if that is not significant."""
         of_phase = self._whole.phase_room**2 / 3.0
         variance = of_phase + float(fit_covariance(fit, self._whole.linear_parameters)[-1, -1])
         without = None if is_significant(fit, variance) else self._whole.fit(
@@ -177,7 +185,7 @@ class _Search:
         period_s = self._record.input.sample_period_s
         deviation = max(delay_deviation(fit, without, variance), np.sqrt(of_phase))
         delay = DelayEstimate(fit.delay * period_s, deviation * period_s, period_s)
-        # Where the instant of the input is open, a delay that is not identifiable stands for that.
+        # If the instant of the input is unknown, a delay that is not identifiable represents it.
         if not delay.is_significant and not of_phase:
             fit = without or self._whole.fit(fit.order, fit.vector, 0.0, is_delay_free=False)
         return fit, delay
@@ -192,31 +200,43 @@ class _Search:
             self._information(fit)) for order, fit in self._fits.items())
 
     def _try_forms(self, free: FreeFit) -> None:
-        """Fit the free poles as a model, the forms with as many modes, and the best with a lag."""
-        if free.modes:
-            self._keep(ModeOrder(0, 0, free.modes, is_coupled=True),
-                       [(coupled_vector(free.poles, free.residues), free.delay)])
-        most = HOPELESS * self._coarse.free(free.vector, free.delay).cost
-        found = [fit for order, starts in [*self._with_antiresonances(free),
-                                           *self._with_modes_beside(free)]
-                 if (fit := self._keep(order, starts, most)) is not None]
-        for fit in sorted(found, key=self._information)[:LAGGING_FORMS]:
-            self._try_sensor_lag(fit)
+        """Fit the free poles as a model, forms with as many modes, and the best with a lag."""
+        # At least one form is fitted, whatever its error.
+        most = HOPELESS * self._coarse.free(free.vector, free.delay).cost if (
+            self._fits or free.modes) else np.inf
+
+        def fitted(forms: Iterable[tuple[ModeOrder, list[_Start]]]) -> list[FastFit]:
+            return [fit for order, starts in forms
+                    if (fit := self._fit(order, starts, most)) is not None]
+
+        coupled, *others = side_by_side(fitted, [
+            self._as_coupled_modes(free), self._with_antiresonances(free),
+            self._with_modes_beside(free)])
+        found = [fit for fits in others for fit in fits]
+        self._keep(coupled + found)
+        best = sorted(found, key=self._information)[:LAGGING_FORMS]
+        self._keep(side_by_side(self._with_sensor_lag, best))
 
     def _information(self, fit: FastFit) -> float:
         return -2.0 * self._record.log_evidence(
             fit, self._numbers(fit.order), self._independent)
 
-    def _try_sensor_lag(self, fit: FastFit) -> None:
+    def _with_sensor_lag(self, fit: FastFit) -> FastFit | None:
         order = replace(fit.order, sensor_lags=1)
         period_s = self._record.input.sample_period_s
         place = fit.order.positive
-        self._keep(order, [
+        return self._fit(order, [
             (np.insert(fit.vector, place, np.log(lag * period_s)), fit.delay - lag)
             for lag in SENSOR_LAGS])
 
+    @staticmethod
+    def _as_coupled_modes(free: FreeFit) -> Iterator[tuple[ModeOrder, list[_Start]]]:
+        if free.modes:
+            yield ModeOrder(0, 0, free.modes, is_coupled=True), [
+                (coupled_vector(free.poles, free.residues), free.delay)]
+
     def _with_antiresonances(self, free: FreeFit) -> Iterator[tuple[ModeOrder, list[_Start]]]:
-        """Modes in series with the zeros of the free fit, then one zero less each time."""
+        """Yield modes in series with the zeros of the free fit, then one zero less each time."""
         zeros = np.log(free.antiresonances())
         chosen = list(range(zeros.shape[1]))
 
@@ -227,7 +247,7 @@ class _Search:
             return np.concatenate([free.vector, *zeros[:, kept]])
 
         while True:
-            # Between modes there is one antiresonance fewer than there are modes.
+            # There are fewer antiresonances than modes, because they lie between them.
             if len(chosen) <= max(free.modes - 1, 0):
                 yield ModeOrder(free.modes, len(chosen)), self._best_starts([
                     (cost(chosen, delay), vector(chosen), delay)
@@ -238,7 +258,7 @@ class _Search:
                          key=cost)
 
     def _with_modes_beside(self, free: FreeFit) -> Iterator[tuple[ModeOrder, list[_Start]]]:
-        """All modes beside each other, then one more of them in series each time."""
+        """Yield all modes in parallel, then one more of them in series each time."""
         series: tuple[int, ...] = ()
 
         def start(chosen: tuple[int, ...], delay: float) -> tuple[float, FloatArray, float]:
@@ -246,7 +266,7 @@ class _Search:
             return self._side_by_side(_chosen(free.vector, chosen), others, delay)
 
         def rank(chosen: tuple[int, ...]) -> tuple[bool, float]:
-            # A mode that is damped beyond what one beside others may be belongs in series.
+            # Modes with too much damping for a parallel mode must be in series.
             cost, vector, _ = start(chosen, free.delay)
             return not _may_stand_beside(vector, len(chosen)), cost
 
@@ -260,7 +280,7 @@ class _Search:
     def _with_one_more_beside(
         self, free: FreeFit, count: int,
     ) -> list[tuple[float, FloatArray, float]]:
-        """Put a mode of the free fit beside those of the form with one mode fewer."""
+        """Return starts with a mode of the free fit added to the form with one mode less."""
         order = ModeOrder(count, 0, free.modes - count - 1)
         smaller = self._fits.get(order)
         if smaller is None:
@@ -276,7 +296,7 @@ class _Search:
     def _side_by_side(
         self, main: FloatArray, beside: list[FloatArray], delay: float,
     ) -> tuple[float, FloatArray, float]:
-        """Rate lag and modes in series, and others beside, by the parts that explain most."""
+        """Return cost and start of modes in series and parallel, with the best participations."""
         gains, cost = self._coarse.parts(
             [(ModeOrder(main.size // 2), main), *((ModeOrder(1), each) for each in beside)], delay)
         numbers = np.array(beside)
@@ -291,32 +311,38 @@ class _Search:
 
     @staticmethod
     def _best_starts(rated: list[tuple[float, FloatArray, float]]) -> list[_Start]:
-        """Return the starts of least cost, with different delays."""
+        """Return the starts with the lowest cost, with different delays."""
         best: dict[float, _Start] = {}
         for _, vector, delay in sorted(rated, key=lambda entry: entry[0]):
             best.setdefault(delay, (vector, delay))
         return list(best.values())[:FOLLOWED]
 
-    def _keep(self, order: ModeOrder, starts: Iterable[_Start],
-              most: float = np.inf) -> FastFit | None:
-        """Fit an order from the best of several starts, unless all leave more; keep the best."""
+    def _fit(self, order: ModeOrder, starts: Iterable[_Start],
+             most: float = np.inf) -> FastFit | None:
+        """Fit an order from the best of several starts; None if all of them exceed a cost."""
+        if self._among and order not in self._among:
+            return None
         is_free = self._known_delay is None
         quick = [
             self._coarse.fit(order, vector, delay if self._known_delay is None
                              else self._known_delay, QUICK_EVALUATIONS, is_free)
             for vector, delay in starts]
         quick.sort(key=lambda fit: fit.cost)
-        if quick[0].cost > most and self._fits:
+        if quick[0].cost > most:
             return None
-        best = min(
+        return min(
             (self._record.fit(order, fit.vector, fit.delay, is_delay_free=is_free)
              for fit in quick[:ENDED]), key=lambda fit: fit.cost)
-        if order not in self._fits or best.cost < self._fits[order].cost:
-            self._fits[order] = best
-        return self._fits[order]
+
+    def _keep(self, fits: Iterable[FastFit | None]) -> None:
+        """Keep the best fit of each order."""
+        for fit in fits:
+            if fit is not None and (fit.order not in self._fits
+                                    or fit.cost < self._fits[fit.order].cost):
+                self._fits[fit.order] = fit
 
     def _numbers(self, order: ModeOrder) -> int:
-        """Return how many numbers an order has, with its gain and its delay."""
+        """Return the number of parameters of an order, including gain and delay."""
         return order.parameters + 1 + (self._known_delay is None)
 
 
@@ -325,13 +351,13 @@ def _subsets(count: int, size: int) -> Iterator[tuple[int, ...]]:
 
 
 def _may_stand_beside(vector: FloatArray, modes: int) -> bool:
-    """Whether the modes beside those in series are damped as little as they have to be."""
+    """Return whether the damping of all parallel modes is below its bound."""
     beside = (vector.size - 1 - 2 * modes) // 3
     first = 1 + 2 * modes + beside
     return bool(np.all(vector[first : first + beside] < np.log(BESIDE_DAMPING[1])))
 
 
 def _chosen(vector: FloatArray, modes: tuple[int, ...]) -> FloatArray:
-    """Lag and some of the modes of a vector of modes in series."""
+    """Return the lag and some modes of a vector of modes in series."""
     lag, frequencies, dampings = np.split(vector, [1, 1 + vector.size // 2])
     return np.concatenate([lag, frequencies[list(modes)], dampings[list(modes)]])

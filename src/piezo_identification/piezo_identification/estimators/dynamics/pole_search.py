@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Poles of a fast record: more than it needs by a vector fit, then one pair less after another."""
+"""Poles of a fast record: a vector fit with too many poles, then one pair less each time."""
 
 from collections.abc import Iterator
 from itertools import combinations
@@ -15,43 +15,43 @@ from piezo_identification.estimators.poles.vector_fitting import Lines, left_by_
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
 MOST_MODES = 8
-"""Vibration modes of the first fit, which are more than records of one axis have shown."""
+"""Number of modes of the first fit: more than any record of one axis has shown."""
 
 SCANNED_DELAYS = (-1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
-"""In sample periods, from which the best is taken to begin with."""
+"""Delays in sample periods, the best of which is the first start."""
 
 NEAR_DELAYS = (-2.0, -1.0, -0.5, 0.5, 1.0, 2.0)
-"""Sample periods by which fewer poles may be better delayed."""
+"""Changes of the delay, in sample periods, that are tried when poles are removed."""
 
 FOLLOWED = 3
-"""Pairs of poles that are left out with other delays, those without which least is left."""
+"""Number of pole pairs, those that matter least, whose removal is tried with other delays."""
 
 LINES = 600
-"""Lines of the spectrum in which poles are sought."""
+"""Number of lines of the spectrum used to find poles."""
 
 LAST_EVALUATIONS = 4
-"""Steps in the rows of the record of poles that were found at those lines."""
+"""Number of steps in the rows of the record for poles that were found at those lines."""
 
 RELOCATIONS = 8
-"""Regressions of a vector fit, after which its poles hardly move."""
+"""Number of regressions of a vector fit, after which its poles hardly change."""
 
 LINES_A_POLE = 2
-"""Lines that the first fit needs for each of its poles."""
+"""Smallest number of lines per pole in the first fit."""
 
 AT_ONCE = 10.0
-"""Rate of a pole, over that of the samples, that no sample shows."""
+"""Rate of a pole, relative to the sample rate, that settles within a sample."""
 
 HIGHEST = 0.95
-"""Part of half the sample rate up to which lines are looked at: beyond it the bilinear rate, and
-with it the weight of a few lines, grows without limit."""
+"""Highest frequency of the lines, relative to half the sample rate: above it, the bilinear rate and
+the weight of a few lines become arbitrarily large."""
 
 _FOUND: WeakKeyDictionary[FastRecord, list[FreeFit]] = WeakKeyDictionary()
 
 
 def free_fits(record: FastRecord, most_modes: int) -> Iterator[FreeFit]:
-    """Yield the fit with free residues for 0, 1, 2, ... modes, as far as the record shows them.
+    """Yield the fits with free residues for 0, 1, 2, ... modes, as far as the record shows them.
 
-    None leaves more than the one before. A record is searched once, however often this is asked.
+    The error never increases from one to the next. The fits of a record are cached.
     """
     if record not in _FOUND:
         _FOUND[record] = nested_fits(record, *generous_poles(record))
@@ -59,23 +59,23 @@ def free_fits(record: FastRecord, most_modes: int) -> Iterator[FreeFit]:
 
 
 def nested_fits(record: FastRecord, poles: ComplexArray, delay: float) -> list[FreeFit]:
-    """Fit poles with free residues; take one pair after the other away, and fit the rest anew.
+    """Fit poles with free residues, then remove one pair at a time and refit.
 
-    The pair that goes is that without which least is left.
+    The pair whose removal increases the error least is removed.
 
     Parameters
     ----------
     poles : ndarray of complex, shape (n,)
-        In rad/s, closed under conjugation; of an even number, a fast one is added.
+        Poles in rad/s, closed under conjugation; a fast one is added to an even number.
     delay : float
-        In sample periods.
+        Delay in sample periods.
 
     Returns
     -------
     list of FreeFit
-        Of 0, 1, 2, ... modes up to those of the given poles.
+        Fits with 0, 1, 2, ... modes, up to the number of the given poles.
     """
-    # A spectrum knows nothing of edges between the samples.
+    # A spectrum cannot represent edges between the samples.
     seen = record.at_lines(LINES) if record.is_on_the_clock else record
     fits = [_begun_from(seen, poles, delay)]
     while fits[-1].modes:
@@ -84,7 +84,7 @@ def nested_fits(record: FastRecord, poles: ComplexArray, delay: float) -> list[F
     fits = [record.fit_free(fit.vector, fit.delay, LAST_EVALUATIONS) for fit in reversed(fits)]
     for count in range(1, len(fits)):
         if fits[count].cost > fits[count - 1].cost:
-            # A mode that no sample shows leaves what was left.
+            # A mode too fast for the samples leaves the residual as it was.
             fewer, fast_per_s = fits[count - 1], -AT_ONCE / record.input.sample_period_s
             fits[count] = _begun_from(
                 record, np.append(fewer.poles, [fast_per_s, 2.0 * fast_per_s]), fewer.delay)
@@ -93,7 +93,7 @@ def nested_fits(record: FastRecord, poles: ComplexArray, delay: float) -> list[F
 
 def _begun_from(record: FastRecord, poles: ComplexArray, delay: float) -> FreeFit:
     if poles.size % 2 == 0:
-        # What follows at once is behind a pole that no sample shows.
+        # A pole too fast for the samples represents the immediate response.
         poles = np.append(poles, -AT_ONCE / record.input.sample_period_s)
     return record.fit_free(vector_of_poles(poles), delay)
 
@@ -104,7 +104,7 @@ def _with_a_pair_less(record: FastRecord, fit: FreeFit) -> FreeFit:
     pairs += combinations(np.flatnonzero(fit.poles.imag == 0.0), 2)
     rated = sorted((record.free(vector_of_poles(np.delete(fit.poles, pair)), fit.delay)
                     for pair in pairs), key=lambda each: each.cost)
-    # Poles to spare stand for any delay, which those that remain do not.
+    # Superfluous poles can represent any delay; the remaining ones cannot.
     rated += [record.free(start.vector, start.delay + by)
               for start in rated[:FOLLOWED] for by in NEAR_DELAYS]
     start = min(rated, key=lambda each: each.cost)
@@ -119,7 +119,7 @@ def generous_poles(record: FastRecord) -> tuple[ComplexArray, float]:
     shown = held.phases < HIGHEST * np.pi
     output, beside = (_complex(each)[shown] for each in rows)
     stretch = np.repeat(np.arange(len(held.counts)), held.counts)[shown]
-    # What rings at the ends of a stretch is behind the same poles.
+    # Transients at the ends of a stretch have the same poles.
     begun = stretch[:, None] == np.arange(0 if held.is_periodic else len(held.counts))
     # Rational in z is rational in the bilinear rate, and stable poles remain stable ones.
     rate = np.tan(0.5 * held.phases[shown])
@@ -133,7 +133,7 @@ def generous_poles(record: FastRecord) -> tuple[ComplexArray, float]:
         rated.append((float(np.linalg.norm(left_by_poles(lines, poles))), delay, poles))
     _, delay, poles = min(rated, key=lambda each: each[0])
     discrete: ComplexArray = (1.0 + poles) / (1.0 - poles)
-    # A negative one has no continuous pole: a fast one is the nearest there is.
+    # A negative pole has no continuous equivalent; a fast pole is the closest.
     discrete[poles.imag == 0.0] = np.abs(discrete[poles.imag == 0.0])
     return np.asarray(np.log(discrete) / held.sample_period_s, dtype=complex), delay
 
@@ -144,7 +144,7 @@ def _complex(rows: FloatArray) -> ComplexArray:
 
 
 def vector_of_poles(poles: ComplexArray) -> FloatArray:
-    """Logarithms of lag, frequencies and dampings with given poles.
+    """Logarithms of lag, frequencies and damping ratios with given poles.
 
     Parameters
     ----------
@@ -166,15 +166,16 @@ def dynamics_of_poles(poles: ComplexArray) -> ElectricVibrationDynamics:
     Parameters
     ----------
     poles : ndarray of complex, shape (1 + 2 modes,)
-        In rad/s, closed under conjugation. Unstable ones are taken for their stable mirror image;
-        real ones but the fastest, which is the electric lag, pair up to overdamped modes.
+        Poles in rad/s, closed under conjugation. Unstable poles are replaced by their stable
+        mirror images. Real poles form overdamped modes, except the fastest, which is the
+        electric lag.
     """
     mode_count = (poles.size - 1) // 2
-    # What noise made unstable starts as its stable mirror image.
+    # Noise may make poles unstable.
     poles = -np.maximum(np.abs(poles.real), 1e-6 * np.abs(poles)) + 1j * poles.imag
     pairs = poles[poles.imag > 0.0][:mode_count]
     real = np.sort(-poles[poles.imag == 0.0].real)
-    # Where all poles oscillate, the electric lag starts from the slowest of them.
+    # If all poles oscillate, the electric lag starts from the slowest of them.
     time_constant_s = 1.0 / (real[-1] if real.size else np.abs(poles).min())
     one, other = real[:-1:2], real[1::2]
     products = np.concatenate([np.abs(pairs) ** 2, one * other])

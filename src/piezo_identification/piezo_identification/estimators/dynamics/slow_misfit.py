@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a hysteresis that is not quite right leaves in a fast record: slow, large, and no vibration.
+"""Slow errors that an inexact hysteresis leaves in a fast record: large, but no vibration.
 
-A fit of lag and modes would bend until it explains that too, with modes that no structure has.
+A fit of lag and modes would describe them by modes that no structure has.
 """
 
 from dataclasses import replace
@@ -14,29 +14,30 @@ from piezo_identification.estimators.dynamics.fast_creep import best_free_fit
 from piezo_identification.estimators.dynamics.fast_record import FastRecord
 
 LEAST_DAMPING = 5e-4
-"""Damping ratio below which no mode of a structure lies that is glued or screwed together."""
+"""Damping ratio below which no glued or screwed structure has modes."""
 
 HEAVY_DAMPING, FAR_BELOW = 0.15, 0.05
-"""Damping ratio, and frequency over that of the lowest mode which rings, of what creeps: structures
-have no such modes, and what a hysteresis that is not quite right leaves looks like one."""
+"""Damping ratio, and frequency relative to the lowest ringing mode, of slow errors. Structures have
+no such modes, but errors of the hysteresis look like them."""
 
 MOST_WAVES = 300
-"""Half periods of the fastest wave: a longer record parts slow motions from vibrations itself."""
+"""Largest number of half periods of the fastest cosine: a longer record separates slow motion from
+vibration without them."""
 
 MOST_OF_THE_MOTION = 0.95
-"""Part of the input's power that counts in how fast its loops are."""
+"""Part of the input power that defines the frequency of its loops."""
 
 
 def beside_slow_misfit(record: FastRecord) -> FastRecord:
-    """Let a record hold any slow motion beside the response, where it needs to.
+    """Add slow cosines to the further signals of a record, if it needs them.
 
-    It needs to where its loops are far slower than what rings, and free poles take pairs, which
-    neither a lag nor creep has, to follow them. Cosines up to there then take what is slow.
+    It does if its loops are far slower than the ringing modes, and free poles form slow oscillating
+    pairs, which neither a lag nor creep has. The cosines then describe the slow errors.
 
     Returns
     -------
     FastRecord
-        The same one where there is no need.
+        The same record if it does not need them.
     """
     poles = best_free_fit(record).poles
     frequencies, dampings = np.abs(poles), -poles.real / np.abs(poles)
@@ -60,6 +61,6 @@ def loop_rad_per_s(input_um: FloatArray, sample_period_s: float) -> float:
 
 
 def slow_waves(rows: NDArray[np.intp], count: int) -> FloatArray:
-    """Return cosines of one, two and more half periods over rows of a record, shape (N, count)."""
+    """Return cosines of 1, 2, 3, ... half periods over rows of a record, shape (N, count)."""
     phase = np.pi * (rows - rows[0]) / np.ptp(rows)
     return np.cos(np.outer(phase, np.arange(1, count + 1)))

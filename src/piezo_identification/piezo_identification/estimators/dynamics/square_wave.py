@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Electric and vibration dynamics from a short square wave: vector-fit start, output-error fit."""
+"""Electric and vibration dynamics from a short square wave: vector fit, then output-error fit."""
+
+from collections.abc import Collection
 
 import numpy as np
 
@@ -9,6 +11,7 @@ from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.settled_periods import first_settled_step
 from piezo_identification.conditioning.waveforms import square_wave
 from piezo_identification.estimators.dynamics.fast_creep import fit_beside_fast_creep
+from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
 from piezo_identification.estimators.dynamics.fast_record import FastRecord
 from piezo_identification.estimators.dynamics.fast_signals import drift_basis, played_at_the_clock
 from piezo_identification.estimators.estimate import Estimate
@@ -17,36 +20,37 @@ from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
 
 WARM_UP_S = 0.3
-"""Part at the start that is not used, as the approach from rest still shows in it; more is left out
-where it shows for longer."""
+"""Smallest part at the start that is not used, because the approach from rest still affects it."""
 
 
 def estimate_dynamics(
     recording: Recording, creep: CreepDynamics, mode_count: int | None = None,
-    delay: float | None = None,
+    delay: float | None = None, among: Collection[ModeOrder] = (),
 ) -> Estimate:
     """Estimate electric lag, vibration modes (4.3) and delay from a square wave of short period.
 
-    The creep is removed by its inverse, and the periods are averaged. A vector fit finds poles
-    without a starting guess; the physical parameters are then refined for the least output error of
-    the exactly sampled model in its periodic state, with offset and gain of the hysteresis (4.5)
-    and the initial creep free.
+    The creep is removed by its inverse, and the periods are averaged. A vector fit finds initial
+    poles. The physical parameters are then fitted for the least output error of the exactly sampled
+    model in its periodic state, with offset and gain of the hysteresis (4.5) and the initial creep
+    free.
 
     Parameters
     ----------
     recording : Recording
-        Of the dynamics experiment, at the full sample clock.
+        Recording of the dynamics experiment, at the full sample clock.
     mode_count : int, optional
-        Number of vibration modes, one after the other and without antiresonances; by default as
-        many of both, and of modes beside them, as the Bayesian information criterion justifies.
+        Number of modes in series without antiresonances; by default as many of both, and of
+        parallel modes, as the Bayesian information criterion justifies.
     delay : float, optional
-        Of the rows, in sample periods; by default it is estimated beside.
+        Delay of the rows in sample periods; by default it is estimated.
+    among : collection of ModeOrder
+        See `output_error.fit_output_error`.
 
     Returns
     -------
     Estimate
-        Its model is an `ElectricVibrationDynamics`; its order counts modes. The creep is taken for
-        exact in the standard deviations.
+        Its model is an `ElectricVibrationDynamics`; its order counts modes. The standard
+        deviations assume exact creep.
 
     Raises
     ------
@@ -54,7 +58,7 @@ def estimate_dynamics(
         If the recording has gaps, is no square wave, is averaged, or is too short.
     """
     return fit_beside_fast_creep(
-        lambda known: mean_period(recording, known), creep, mode_count, delay)
+        lambda known: mean_period(recording, known), creep, mode_count, delay, among)
 
 
 def mean_period(recording: Recording, creep: CreepDynamics) -> FastRecord:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Rational responses with a delay as vectors of numbers: modes in series, or side by side."""
+"""Rational responses with a delay as parameter vectors, with modes in series or in parallel."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -12,35 +12,35 @@ from scipy.linalg import eigvals
 from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
 
 BAND = (0.1, 30.0)
-"""Rates over the lowest and the highest measured one within which poles and zeros are sought."""
+"""Range of poles and zeros, relative to the lowest and the highest measured rate."""
 
 DAMPINGS = (1.001e-5, 99.9)
-"""Damping ratios of modes; a pair beyond 1 is two relaxations."""
+"""Range of damping ratios of modes; a pair beyond 1 is two relaxations."""
 
 LONGEST_DELAY = 1e4
-"""In periods over two pi of the highest measured frequency."""
+"""Longest delay in radian periods (1 / rate) of the highest measured frequency."""
 
 DELAY, LAG = 0, 1
-"""Places in a vector: both over the inverse of the highest measured rate."""
+"""Indices in a vector; both values are relative to the inverse of the highest measured rate."""
 
 Reduced = tuple["RationalForm", FloatArray, BoolArray]
-"""A form with fewer numbers, its vector, and which of the numbers are free."""
+"""A form with fewer parameters, its vector, and which of the parameters are free."""
 
 
 @dataclass(frozen=True)
 class RationalForm:
-    """A delay, a lag, pairs of creep, and modes, as the layout of a vector.
+    """A delay, a lag, creep pairs, and modes, as the layout of a vector.
 
-    The vector holds the delay and the lag; logarithms of the poles and the zeros of the creep; the
-    gain; logarithms of the modes' frequencies and damping ratios. Modes in series are followed by
-    logarithms of the antiresonances' frequencies and damping ratios. For modes side by side the
-    gain is that of the part that follows at once, and the parts of the modes follow: of their
+    The vector contains the delay and the lag; logarithms of the poles and the zeros of the creep;
+    the gain; logarithms of the modes' frequencies and damping ratios. For modes in series,
+    logarithms of the antiresonances' frequencies and damping ratios follow. For parallel modes, the
+    gain is that of the instantaneous part, and the participations of the modes follow: of their
     positions, then of their scaled velocities.
 
     Parameters
     ----------
     antiresonances : int
-        None beside modes that are side by side.
+        0 for parallel modes.
     """
 
     creep_pairs: int
@@ -50,42 +50,42 @@ class RationalForm:
 
     @property
     def creep_places(self) -> NDArray[np.intp]:
-        """Places of poles and zeros of the creep, shape (2, creep_pairs)."""
+        """Indices of poles and zeros of the creep, shape (2, creep_pairs)."""
         return 2 + np.arange(2 * self.creep_pairs).reshape(2, -1)
 
     @property
     def gain_place(self) -> int:
-        """Place of the gain, or of the part that follows at once."""
+        """Index of the gain, or of the instantaneous part."""
         return 2 + 2 * self.creep_pairs
 
     @property
     def mode_places(self) -> NDArray[np.intp]:
-        """Places of frequency and damping of modes; side by side, of both parts too."""
+        """Indices of frequency and damping of modes; for parallel modes, of both parts too."""
         rows = 4 if self.is_beside else 2
         return self.gain_place + 1 + np.arange(rows * self.modes).reshape(rows, -1)
 
     @property
     def zero_places(self) -> NDArray[np.intp]:
-        """Places of frequency and damping of antiresonances, shape (2, antiresonances)."""
+        """Indices of frequency and damping of antiresonances, shape (2, antiresonances)."""
         first = self.gain_place + 1 + 2 * self.modes
         return first + np.arange(2 * self.antiresonances).reshape(2, -1)
 
     @property
     def size(self) -> int:
-        """Numbers in a vector."""
+        """Length of a vector."""
         return self.gain_place + 1 + self.mode_places.size + self.zero_places.size
 
     @property
     def linear_places(self) -> NDArray[np.intp]:
-        """Places of the numbers that the response is proportional to."""
+        """Indices of the elements in which the response is linear."""
         parts = self.mode_places[2:].ravel()
         return np.append(self.gain_place, parts).astype(np.intp)
 
     def bounds(self, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Lowest and highest vector for increasing measured rates."""
+        """Lower and upper bounds of the vector for increasing measured rates."""
         low, high = np.full(self.size, -np.inf), np.full(self.size, np.inf)
         low[[DELAY, LAG]] = 0.0
-        # What is slower is creep.
+        # Slower lags are creep.
         high[[DELAY, LAG]] = LONGEST_DELAY, np.sqrt(rate[-1] / rate[0])
         slow, fast = np.log([BAND[0] * rate[0], BAND[1] * rate[-1]])
         low[self.creep_places], high[self.creep_places] = slow, 0.5 * np.log(rate[0] * rate[-1])
@@ -129,7 +129,7 @@ class RationalForm:
             1.0 / quadratics, ratio / quadratics])
 
     def with_mode(self, vector: FloatArray, free: BoolArray, mode: FloatArray) -> Reduced:
-        """Add a mode beside the others: logarithms of frequency and damping, then its parts."""
+        """Add a parallel mode: logarithms of frequency and damping, then its participations."""
         places = self.mode_places
         vector = np.concatenate([vector[: self.gain_place + 1],
                                  np.column_stack([vector[places], mode]).ravel()])
@@ -138,13 +138,13 @@ class RationalForm:
         return replace(self, modes=self.modes + 1), vector, free
 
     def with_creep(self, vector: FloatArray, free: BoolArray, pole: float, zero: float) -> Reduced:
-        """Add a pair of creep, given as logarithms."""
+        """Add a creep pair, given as logarithms."""
         at = self.creep_places[:, -1] + 1 if self.creep_pairs else [2, 2]
         return (replace(self, creep_pairs=self.creep_pairs + 1),
                 np.insert(vector, at, [pole, zero]), np.insert(free, at, True))
 
     def reduced(self, vector: FloatArray, free: BoolArray) -> Iterator[Reduced]:
-        """Yield what remains without each one of the delay, the lag, and the other components."""
+        """Yield the form without the delay, without the lag, and without each other component."""
         droppable = [DELAY, LAG]
         if self.is_beside:
             droppable += [self.gain_place] * (self.modes > 0) + self.mode_places[3].tolist()
@@ -175,7 +175,7 @@ class RationalForm:
         return replace(self, **counts), np.delete(vector, places), np.delete(free, places)
 
     def zeros_between(self, vector: FloatArray, rate: FloatArray) -> FloatArray:
-        """Zeros of modes side by side, mirrored into the left half plane, as antiresonances.
+        """Zeros of parallel modes, mirrored into the left half plane, as antiresonances.
 
         Parameters
         ----------
@@ -185,7 +185,7 @@ class RationalForm:
         Returns
         -------
         ndarray, shape (2, M)
-            Logarithms of frequencies and of positive damping ratios, at most one a mode.
+            Logarithms of frequencies and of positive damping ratios, at most one per mode.
         """
         w, damping = np.exp(vector[self.mode_places[:2]]) / [[rate[-1]], [1.0]]
         system = np.zeros((2 * self.modes + 1, 2 * self.modes + 1))
@@ -207,7 +207,7 @@ class RationalForm:
 
 
 def _finite_eigenvalues(system: FloatArray) -> ComplexArray:
-    """Zeros of a system: of the pencil of its matrices, states first."""
+    """Zeros of a system, from the pencil of its matrices, states first."""
     states = np.diag(np.append(np.ones(system.shape[0] - 1), 0.0))
     values = eigvals(system, states)
     return values[np.isfinite(values)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Measured frequency responses: the CSV file that holds one."""
+"""Measured frequency responses and the CSV file that contains one."""
 
 import csv
 from dataclasses import dataclass, field, replace
@@ -18,19 +18,19 @@ COLUMNS = ("frequency_hz", "gain_re", "gain_im")
 
 @dataclass(frozen=True)
 class FrequencyResponse:
-    """Complex gain at some frequencies.
+    """Complex gain at a number of frequencies.
 
     Parameters
     ----------
     path : str
-        Where it was read.
+        Path of the file it was read from.
     frequency_hz : ndarray, shape (N,)
         Positive and increasing.
     gain : ndarray of complex, shape (N,)
         Displacement over voltage, in the unit in which it was measured.
     hold_s : float
-        Sample period, where the gain is that from voltage samples that were held (zero-order hold)
-        to displacement samples; 0 where it is that of the stage alone, between continuous signals.
+        Sample period, if the gain is that from held voltage samples (zero-order hold) to
+        displacement samples; 0 if it is that of the stage between continuous signals.
     """
 
     path: str
@@ -39,7 +39,7 @@ class FrequencyResponse:
     hold_s: float = 0.0
 
     def held(self, hold_s: float) -> "FrequencyResponse":
-        """Take the same numbers as those of a response from held samples to samples.
+        """Return the response, declared as one from held samples to samples.
 
         Parameters
         ----------
@@ -77,7 +77,7 @@ class FrequencyResponse:
 
 
 def is_frequency_response(path: str | Path) -> bool:
-    """Tell whether a file holds a frequency response: of ours, or as other programs export it."""
+    """Return whether a file contains a frequency response, in this or another program's format."""
     return Path(path).is_file() and (_is_ours(path) or is_response_table(Path(path)))
 
 
@@ -96,12 +96,12 @@ def read_frequency_response(path: str | Path) -> FrequencyResponse:
     Parameters
     ----------
     path : path-like
-        Or the text file of another program; see `read_response_table`.
+        CSV file, or text file of another program; see `read_response_table`.
 
     Raises
     ------
     ValueError
-        If the file cannot be read, lacks a column, or a row holds no finite gain at a frequency
+        If the file cannot be read, lacks a column, or a row has no finite gain at a frequency
         above that of the row before; the message names the row.
     """
     if not _is_ours(path) and is_frequency_response(path):

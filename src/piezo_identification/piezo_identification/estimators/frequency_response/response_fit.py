@@ -36,23 +36,23 @@ from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
 MOST_STATES = 60
-"""States beyond which the search for the order ends."""
+"""Number of states at which the search for the order ends."""
 
 LEAST_FREQUENCIES = 24
-"""Frequencies below which no order can be compared with another."""
+"""Fewest frequencies with which orders can be compared."""
 
 FREQUENCIES_A_MODE = 8
-"""Frequencies that a mode needs: it has four numbers, each frequency two."""
+"""Fewest frequencies per mode: a mode has four parameters, each frequency two values."""
 
 BEST_IN_SERIES = 3
-"""Fits of modes in series from which smaller models are sought."""
+"""Number of fits of modes in series from which smaller models are sought."""
 
 STRONG_EVIDENCE = 6.0
-"""Information that coupled modes have to gain over those of a structure, as they may stand for them
-in many ways (Kass and Raftery, "Bayes factors", 1995)."""
+"""Gain in information required for coupled modes over those of a structure, because they can
+imitate these in many ways (Kass and Raftery, "Bayes factors", 1995)."""
 
 STEP = 1e-6
-"""By which the numbers of a fit are moved to differentiate those of the model."""
+"""Step in the parameters of a fit for numerical derivatives of those of the model."""
 
 
 def estimate_from_response(
@@ -60,19 +60,19 @@ def estimate_from_response(
 ) -> Estimate:
     """Fit a measured frequency response with creep, a lag, modes, antiresonances and a delay.
 
-    Poles of any residue come first, one more pair each time, from vector fits and from what is
-    left. From the best of them, and from the same modes one after the other with the zeros between
-    them (4.3), one component after the other is left out and the rest fitted again: a lag, a delay,
-    a part that follows at once or with the velocity of a mode, a mode, an antiresonance, a pair of
-    creep. The Bayesian information criterion alone decides. Frequencies are weighed by their noise.
+    Poles with free residues are fitted first, one more pair each time, starting from vector fits
+    and from the residual. The best of these fits, and the same modes in series with the zeros
+    between them (4.3), are then reduced: a lag, a delay, an instantaneous part, a part proportional
+    to the velocity of a mode, a mode, an antiresonance, or a creep pair is removed, and the rest
+    refitted. The Bayesian information criterion decides. Frequencies are weighted by their noise.
 
     Parameters
     ----------
     measured : FrequencyResponse
-        Take the part in which the sensor shows more than noise (`between`). The model is that of
-        the stage alone: a hold in the response is taken out.
+        Part of the response in which the signal exceeds the noise (`between`). The model is that of
+        the stage alone: a hold in the response is removed.
     order : ResponseOrder
-        What it leaves open is what the criterion prefers.
+        Requested orders; open ones are chosen by the criterion.
     most_states : int
         Largest order that is tried.
 
@@ -80,8 +80,8 @@ def estimate_from_response(
     -------
     Estimate
         Its model is a `ResponseModel`, its order a `ResponseOrder`. The standard deviations have
-        the fields `gain`, `delay_s`, `creep` and `dynamics`. They count errors that are alike at
-        neighbouring frequencies as fewer.
+        the fields `gain`, `delay_s`, `creep` and `dynamics`. They account for the correlation of
+        errors at neighbouring frequencies.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def estimate_from_response(
     best = granted[chosen]
     trials = tuple(_trial(search, found, fit) for found, fit in granted.items())
     if measured.hold_s:
-        # The model determines what sampling folds back.
+        # The model determines the aliases.
         model = _model(search, best)
         search = ResponseSearch(without_hold(measured, model.linear(), model.delay_s))
     best = search.fit((best.form, best.vector, best.free), LAST_STEPS, LAST_ROUNDING)
@@ -136,7 +136,7 @@ def estimate_from_response(
 def _fits(
     search: ResponseSearch, order: ResponseOrder, most_states: int,
 ) -> Iterator[ResponseFit]:
-    """Yield fits of modes side by side and in series, and what remains of the best of them."""
+    """Yield fits of modes in parallel and in series, and the reduced forms of the best of them."""
     grown = list[ResponseFit]()
     for fit in search.grown(order, most_states):
         grown.append(fit)
@@ -166,10 +166,10 @@ def _trial(search: ResponseSearch, order: ResponseOrder, fit: ResponseFit) -> Or
 
 
 def _in_dynamics(fit: ResponseFit) -> NDArray[np.intp]:
-    """Return the modes of `ElectricVibrationDynamics`: those in series, or one beside the others.
+    """Return the modes of `ElectricVibrationDynamics`: those in series, or one parallel mode.
 
-    Of modes side by side it is the one that moves most among those that have no part of their
-    velocity, if nothing follows at once.
+    Of parallel modes, it is the largest one without a velocity part, if there is no instantaneous
+    part.
     """
     form = fit.form
     if not form.is_beside:
@@ -190,7 +190,7 @@ def _order(fit: ResponseFit) -> ResponseOrder:
 
 
 def _model(search: ResponseSearch, fit: ResponseFit) -> ResponseModel:
-    """Model with the numbers of a fit, its components in the order of their frequencies."""
+    """Model with the parameters of a fit, its components in order of frequency."""
     form, vector, top = fit.form, fit.vector, search.rate[-1]
     poles, zeros = np.sort(np.exp(vector[form.creep_places]))
     modes = _in_dynamics(fit)
@@ -212,7 +212,7 @@ def _model(search: ResponseSearch, fit: ResponseFit) -> ResponseModel:
 
 
 def _is_model(search: ResponseSearch, fit: ResponseFit) -> bool:
-    """Whether the effects allow the numbers: participations count in the gain at rest."""
+    """Return whether the parameters are within the bounds of the effects."""
     try:
         _model(search, fit)
     except ValueError:
@@ -221,7 +221,7 @@ def _is_model(search: ResponseSearch, fit: ResponseFit) -> bool:
 
 
 def _mode(frequency: float, damping: float, position: float, velocity: float) -> VibrationMode:
-    """Mode beside others, one of a structure where it can be that."""
+    """Return a parallel mode: a `VibrationMode` if its numbers allow it, else a `CoupledMode`."""
     numbers = float(frequency), float(damping), float(position)
     is_plain = velocity == 0.0 and all(
         field.metadata["low"] <= number <= field.metadata["high"]
@@ -230,7 +230,7 @@ def _mode(frequency: float, damping: float, position: float, velocity: float) ->
 
 
 def _numbers(model: ResponseModel) -> FloatArray:
-    """All numbers of a model: of each mode beside others four."""
+    """All parameters of a model; four for each parallel mode."""
     beside = [(*astuple(mode), 0.0)[:4] for mode in model.beside]
     return np.concatenate([np.ravel(part) for part in (
         model.gain, model.delay_s, *astuple(model.creep), *astuple(model.dynamics), *beside)])
@@ -239,7 +239,7 @@ def _numbers(model: ResponseModel) -> FloatArray:
 def _deviations(
     search: ResponseSearch, fit: ResponseFit, model: ResponseModel,
 ) -> tuple[dict[str, Any], tuple[dict[str, float], ...]]:
-    """Standard deviations of the numbers of a model, and of those of its effects."""
+    """Standard deviations of the parameters of a model, and of those of its effects."""
     residual, slopes = search.residual(fit.form, fit.vector)
     covariance = parameter_covariance(slopes[:, fit.free], residual)
     covariance *= residual.size / independent_rows(residual)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The zero-order hold in a measured frequency response: what it is, and how it is taken out.
+"""The zero-order hold in a measured frequency response, and its removal.
 
-A response from voltage samples, each held for a sample period, to displacement samples is that of
-the sampled system. It lags half a sample period behind the stage's own. A model that took this lag
-for a delay of the stage would be late twice when it is simulated from samples.
+A response from held voltage samples to displacement samples is that of the sampled system. It lags
+that of the stage by half a sample period. A model that attributed this lag to the stage would apply
+it twice when it is simulated from samples.
 """
 
 from dataclasses import replace
@@ -22,7 +22,7 @@ def hold_response(frequency_hz: np.ndarray, hold_s: float) -> np.ndarray:
     ----------
     frequency_hz : ndarray, shape (N,)
     hold_s : float
-        T.
+        Sample period T.
 
     Returns
     -------
@@ -38,9 +38,9 @@ def sampled_response(system: control.StateSpace, delay_s: float, frequency_hz: n
     Parameters
     ----------
     system : control.StateSpace
-        Continuous.
+        Continuous system.
     delay_s : float
-        Behind it.
+        Delay after the system.
     frequency_hz : ndarray, shape (N,)
     hold_s : float
         Sample period.
@@ -56,23 +56,22 @@ def sampled_response(system: control.StateSpace, delay_s: float, frequency_hz: n
 
 def without_hold(measured: FrequencyResponse, system: control.StateSpace | None = None,
                  delay_s: float = 0.0) -> FrequencyResponse:
-    """Return a measured response as that of the stage alone.
+    """Return a measured response converted to that of the stage alone.
 
     Parameters
     ----------
     measured : FrequencyResponse
-        One without hold is returned as it is.
+        A response without hold is returned unchanged.
     system : control.StateSpace, optional
-        Continuous; about that of the stage. It determines what sampling folds back from beyond half
-        the sample rate, which is little where the response falls fast; left out, that is not
-        corrected.
+        Approximate continuous system of the stage. It determines the aliases from above half the
+        sample rate, which are small if the response falls fast; by default they are not corrected.
     delay_s : float
-        Behind the system.
+        Delay after the system.
 
     Returns
     -------
     FrequencyResponse
-        Without hold.
+        Response without hold.
     """
     if not measured.hold_s:
         return measured

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Displacement over voltage in physical parameters, and the numbers of its components."""
+"""Displacement over voltage in physical parameters, and its numbers of components."""
 
 from dataclasses import dataclass
 
@@ -20,9 +20,9 @@ class ResponseModel:
     Parameters
     ----------
     gain : float
-        Between creep and modes, in the unit of the measured response.
+        Gain at a frequency between creep and modes, in the unit of the measured response.
     beside : tuple of VibrationMode
-        Modes that add a part of their own, which puts zeros anywhere in the plane.
+        Parallel modes, which place zeros anywhere in the plane.
     """
 
     gain: float
@@ -33,7 +33,7 @@ class ResponseModel:
 
     @property
     def states(self) -> int:
-        """States of the rational part."""
+        """Number of states of the rational part."""
         modes = len(self.dynamics.damping_ratios) + len(self.beside)
         lag = self.dynamics.time_constant_s > 0.0
         return len(self.creep.poles_rad_per_s) + lag + 2 * modes
@@ -65,10 +65,10 @@ class ResponseOrder:
     creep_pairs, modes, antiresonances : int or None
         None in a request: as many as the data justify.
     beside : int
-        Modes side by side, which a request counts among its modes if it leaves the antiresonances
-        open.
+        Number of parallel modes. In a request they count as modes if the number of antiresonances
+        is open.
     is_coupled : bool
-        Whether a mode beside others has a part that follows its velocity.
+        Whether a parallel mode has a part proportional to its velocity.
     """
 
     creep_pairs: int | None
@@ -81,7 +81,7 @@ class ResponseOrder:
 
     @property
     def states(self) -> int:
-        """States of the rational part."""
+        """Number of states of the rational part."""
         return (self.creep_pairs or 0) + self.has_lag + 2 * ((self.modes or 0) + self.beside)
 
     def __str__(self) -> str:
@@ -90,7 +90,7 @@ class ResponseOrder:
         return text + " no lag" * (not self.has_lag) + " no delay" * (not self.has_delay)
 
     def grants(self, order: "ResponseOrder") -> bool:
-        """Whether an order is what this one requests."""
+        """Return whether an order meets this request."""
         if self.antiresonances is not None and (order.beside or order.is_coupled):
             return False
         numbers = (order.creep_pairs, (order.modes or 0) + order.beside, order.antiresonances)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Fits of rational forms to a measured response, and the search for that of most evidence."""
+"""Fits of rational forms to a measured response, and the search for the one with most evidence."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -25,43 +25,44 @@ from piezo_identification.estimators.poles.vector_fitting import (
 from piezo_identification.fitting.evidence import log_evidence
 
 SPARE_POLES = 40
-"""Poles of the rational fit that shows noise and delay: more than a stage has."""
+"""Number of poles of the fit that determines noise and delay: more than a stage has."""
 
 FREQUENCIES_OF_SEARCH = 600
-"""Frequencies of a longer response in which starts are sought; every fit has all."""
+"""Number of frequencies used to find starts in a longer response; fits use all."""
 
 DELAYS_A_TURN, MOST_DELAYS = 4, 48
-"""Delays that are tried for a turn of phase of the highest strong frequency, and altogether."""
+"""Number of delays tried per turn of phase at the highest strong frequency, and in total."""
 
 NEARLY_AS_LITTLE, FEW_DELAYS = 3.0, 8
-"""Delays that leave so many times the least error are tried with fewer poles: so many of them."""
+"""Ratio to the smallest error up to which delays are also tried with fewer poles, and their
+number."""
 
 STRONG = 0.02
-"""Part of the largest gain above which a frequency is strong."""
+"""Gain, relative to the largest, above which a frequency is strong."""
 
 CREEP_STARTS = 16
-"""Rates from which a further pair of creep begins."""
+"""Number of initial rates of a further creep pair."""
 
 START_DAMPINGS = (0.002, 0.02, 0.2, 1.0)
-"""Damping ratios from which a further mode begins."""
+"""Initial damping ratios of a further mode."""
 
 PATIENCE = 3
-"""Components in succession that may bring no evidence before the search ends."""
+"""Number of successive components without a gain of evidence after which the search ends."""
 
 MOST_CREEP_PAIRS = 3
-"""Pairs of creep poles and zeros beyond which their number is not tried."""
+"""Largest number of creep pairs that is tried."""
 
 RANKED = 5
-"""So many of the smaller models that promise most by a linear step are fitted."""
+"""Number of smaller models, the most promising by a linear step, that are fitted."""
 
 START_LAGS = (0.2, 1.0, 5.0)
-"""Over the inverse of the highest measured rate."""
+"""Initial lags, relative to the inverse of the highest measured rate."""
 
 STEPS, QUICK_STEPS, LAST_STEPS = 40, 10, 300
-"""Steps of a fit, of one that parts a good start from a bad one, and of the one that is taken."""
+"""Largest numbers of steps of a fit, of a quick fit that compares starts, and of the final fit."""
 
 ROUNDING, LAST_ROUNDING = 1e-6, 1e-12
-"""Relative change of the sum of squares at which a fit ends, and the one that is taken."""
+"""Relative change of the sum of squares at which a fit, and the final fit, end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,11 +73,11 @@ class ResponseFit:
     ----------
     vector : ndarray, shape (P,)
     free : ndarray of bool, shape (P,)
-        Numbers that were fitted; the others are zero.
+        Parameters that were fitted; the others are zero.
     cost : float
-        Sum of squares of the weighed error.
+        Sum of squares of the weighted error.
     frequencies : int
-        At which the form was fitted.
+        Number of frequencies used.
     """
 
     form: RationalForm
@@ -87,7 +88,7 @@ class ResponseFit:
 
     @property
     def parameters(self) -> int:
-        """Numbers that were fitted."""
+        """Number of fitted parameters."""
         return int(np.sum(self.free))
 
 
@@ -97,9 +98,10 @@ class ResponseSearch:
     Attributes
     ----------
     weight : ndarray, shape (N,)
-        Inverse of the standard deviation of each gain, of mean square 1 against the gain's unit.
+        Inverse standard deviation of each gain, scaled so that the weighted error has the same mean
+        square.
     independent : float
-        Errors that are independent of their neighbours, real and imaginary parts.
+        Number of independent errors, counting real and imaginary parts.
     """
 
     def __init__(self, measured: FrequencyResponse) -> None:
@@ -119,11 +121,11 @@ class ResponseSearch:
         return left_by_poles(Lines(self.rate, turned, weight=self.weight), poles)
 
     def _delays_and_poles(self) -> tuple[list[float], ComplexArray]:
-        """Delays beside which poles to spare leave little, the best first, and its poles."""
+        """Delays with which a fit of many poles is good, best first, and the poles of that one."""
         rate, gain = self.rate[self._coarse], self.gain[self._coarse]
         strong = rate[np.abs(gain) > STRONG * np.abs(gain).max()]
         turn_s = 2.0 * np.pi / strong[-1]
-        # Twice the mean slope of the phase is more than the delay.
+        # Twice the mean slope of the phase exceeds the delay.
         turning = np.angle(gain[1:] * gain[:-1].conj()) / np.diff(rate)
         slope_s = max(0.0, -float(np.median(turning[-turning.size // 3 :])))
         longest_s = turn_s + 2.0 * slope_s
@@ -139,25 +141,25 @@ class ResponseSearch:
         return near[:1] + near[1::-(-len(near) // FEW_DELAYS)], tried[0][2]
 
     def information(self, fit: ResponseFit) -> float:
-        """Bayesian information criterion; the least is best."""
+        """Bayesian information criterion; the smallest is best."""
         mean_square = fit.cost / (2.0 * fit.frequencies) + self._rounding
         return -2.0 * log_evidence(mean_square, fit.parameters, self.independent)
 
     def residual(
         self, form: RationalForm, vector: FloatArray, rows: slice = slice(None),
     ) -> tuple[FloatArray, FloatArray]:
-        """Weighed error, shape (2 N,), and its derivatives, shape (2 N, P)."""
+        """Weighted error, shape (2 N,), and its derivatives, shape (2 N, P)."""
         response, slopes = form.response(vector, self.rate[rows])
         weight = self.weight[rows]
         error, slopes = weight * (response - self.gain[rows]), weight[:, None] * slopes
         return np.concatenate([error.real, error.imag]), np.vstack([slopes.real, slopes.imag])
 
     def quick_fit(self, start: Reduced, steps: int = QUICK_STEPS) -> ResponseFit:
-        """Fit the frequencies of the search, in few steps."""
+        """Fit to the coarse frequencies in a few steps."""
         return self.fit(start, steps, rows=self._coarse)
 
     def full_fit(self, fit: ResponseFit) -> ResponseFit:
-        """Fit on, first to the frequencies of the search, then to all."""
+        """Continue a fit, first with the coarse frequencies, then with all."""
         if self._coarse.step > 1:
             fit = self.quick_fit((fit.form, fit.vector, fit.free), STEPS)
         return self.fit((fit.form, fit.vector, fit.free))
@@ -199,7 +201,7 @@ class ResponseSearch:
         return ResponseFit(form, vector, free, cost, error.size // 2)
 
     def grown(self, wanted: ResponseOrder, most_states: int) -> Iterator[ResponseFit]:
-        """Yield fits of modes side by side, one component more each time, with all else free."""
+        """Yield fits of parallel modes, one component more each time, with all else free."""
         best_information, without_gain = np.inf, 0
         fit = self.full_fit(self._fitted_poles(0, wanted.creep_pairs or 0))
         while True:
@@ -220,7 +222,7 @@ class ResponseSearch:
             fit = self.full_fit(min(fits, key=self.information))
 
     def with_another_lag(self, fit: ResponseFit) -> ResponseFit:
-        """Fit modes side by side again from other lags, at the expense of the delay."""
+        """Fit parallel modes again from other lags, with the delay changed accordingly."""
         form, tried = fit.form, [fit]
         for lag in START_LAGS:
             vector = fit.vector.copy()
@@ -232,14 +234,14 @@ class ResponseSearch:
         return min(tried, key=lambda each: each.cost)
 
     def with_real_parts(self, fit: ResponseFit) -> ResponseFit:
-        """Fit the same modes as those of a structure: no part follows velocity, or at once."""
+        """Fit the same modes as those of a structure, without velocity or instantaneous parts."""
         form, vector, free = fit.form, fit.vector.copy(), fit.free.copy()
         places = np.append(form.gain_place, form.mode_places[3])
         vector[places], free[places] = 0.0, False
         return self.with_another_lag(self.full_fit(self.quick_fit((form, vector, free))))
 
     def _further_pair(self, fit: ResponseFit) -> Reduced:
-        """Return the form with the pair of creep that explains most of what is left."""
+        """Return the form with the creep pair that explains most of the residual."""
         error, slopes = self.residual(fit.form, fit.vector, self._coarse)
         basis = np.linalg.qr(slopes[:, fit.free])[0]
         error = error - basis @ (basis.T @ error)
@@ -256,7 +258,7 @@ class ResponseSearch:
             fit.vector, fit.free, pole, pole + float(np.clip(along[best] / power[best], -0.5, 0.5)))
 
     def _further_modes(self, fit: ResponseFit) -> Iterator[Reduced]:
-        """Yield the two modes that explain most of what is left, whatever else then moves."""
+        """Yield the two modes that explain most of the residual, with all else free."""
         error, slopes = self.residual(fit.form, fit.vector, self._coarse)
         basis = np.linalg.qr(slopes[:, fit.free])[0]
         error = error - basis @ (basis.T @ error)
@@ -322,9 +324,9 @@ class ResponseSearch:
     def reduced(
         self, fit: ResponseFit, wanted: ResponseOrder, least: float = np.inf,
     ) -> Iterator[ResponseFit]:
-        """Yield fits with fewer numbers, one component less each time, while evidence grows.
+        """Yield fits with one component less each time, as long as the evidence increases.
 
-        It ends where no smaller model could come below the information `least`.
+        The search ends when no smaller model could have less information than `least`.
         """
         while self.information(fit) - fit.parameters * np.log(self.independent) < least:
             starts = [(self._promise(start), start) for start in fit.form.reduced(
@@ -340,7 +342,7 @@ class ResponseSearch:
             yield fit
 
     def _promise(self, start: Reduced) -> float:
-        """Information after a single step, by linear terms."""
+        """Information after a single linear step."""
         form, vector, free = start
         error, slopes = self.residual(form, vector, self._coarse)
         slopes = slopes[:, free]
@@ -350,12 +352,12 @@ class ResponseSearch:
             form, vector, free, float(left @ left), error.size // 2))
 
     def in_series(self, fit: ResponseFit, antiresonances: int | None) -> ResponseFit:
-        """Fit the same modes one after the other, with the zeros between them."""
+        """Fit the same modes in series, with the zeros between them."""
         beside = fit.form
         zeros = beside.zeros_between(fit.vector, self.rate)
         missing = max(0, (antiresonances or 0) - zeros.shape[1])
         if missing:
-            # On a mode each, which they cancel.
+            # Missing zeros start on modes, which they cancel.
             zeros = np.hstack([zeros, fit.vector[beside.mode_places[:2, :missing]]])
         form = RationalForm(beside.creep_pairs, beside.modes, zeros.shape[1], is_beside=False)
         vector = np.zeros(form.size)
@@ -371,7 +373,7 @@ class ResponseSearch:
 
 
 def _leads_to(form: RationalForm, wanted: ResponseOrder) -> bool:
-    """Whether a form has as many of each component as are asked for, or more."""
+    """Return whether a form has at least as many of each component as requested."""
     return all(number >= (asked or 0) for number, asked in (
         (form.creep_pairs, wanted.creep_pairs), (form.modes, wanted.modes),
         (form.antiresonances, 0 if form.is_beside else wanted.antiresonances)))
@@ -387,9 +389,9 @@ def _orthogonal(columns: FloatArray, basis: FloatArray) -> FloatArray:
 
 
 def weight_of_noise(left: ComplexArray, gain: ComplexArray) -> FloatArray:
-    """Return the inverse of the noise of each gain, which has a constant and a relative part.
+    """Return the inverse noise of each gain, which has a constant and a relative part.
 
-    Their ratio is that of the greatest likelihood of what a rich fit leaves.
+    Their ratio maximises the likelihood of the residual of a rich fit.
 
     Parameters
     ----------
@@ -398,7 +400,7 @@ def weight_of_noise(left: ComplexArray, gain: ComplexArray) -> FloatArray:
     Returns
     -------
     ndarray, shape (N,)
-        Scaled so that the weighed error has the mean square of the plain one.
+        Scaled so that the weighted error has the mean square of the unweighted one.
     """
     power, best = np.abs(gain) ** 2, (np.inf, np.ones(gain.size))
     for relative in (0.0, *np.geomspace(1e-2, 1e3, 26)):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Frequency responses as analysers and other programs export them."""
+"""Frequency responses in the text formats of analysers and other programs."""
 
 import re
 from collections.abc import Mapping
@@ -20,7 +20,7 @@ WORDS = {
     "phase": {"phase", "phi", "arg", "angle", "argument", "deg"},
     "magnitude": {"magnitude", "mag", "gain", "amplitude", "amp", "abs", "modulus", "betrag", "db"},
 }
-"""What columns are called; the first that fits counts, so that gain_re is a real part."""
+"""Words that identify columns; the first match counts, so that gain_re is a real part."""
 
 TO_HZ = {"hz": 1.0, "khz": 1e3, "rad/s": 0.5 / np.pi}
 TO_RAD = {"rad": 1.0, "deg": np.pi / 180.0, "degree": np.pi / 180.0, "degrees": np.pi / 180.0,
@@ -38,7 +38,7 @@ class ResponseColumn:
     Attributes
     ----------
     unit : str
-        As `plain` writes it; empty where it is not said.
+        Unit in the form of `plain`; empty if it is not given.
     """
 
     label: str
@@ -46,7 +46,7 @@ class ResponseColumn:
 
 
 def is_response_table(path: Path) -> bool:
-    """Tell whether a text file has a frequency beside a magnitude or a real part, and no time."""
+    """Return whether a text file has a frequency, a magnitude or real part, and no time."""
     table = text_columns(path)
     if table is None:
         return False
@@ -60,9 +60,9 @@ def read_response_table(path: Path) -> tuple[FloatArray, ComplexArray]:
     Parameters
     ----------
     path : Path
-        With a frequency in Hz, kHz or rad/s, and the gain as real and imaginary part, or as
-        magnitude (also in dB) and phase in degrees or rad; or the first parameter of a Touchstone
-        file. A magnitude in nm/V and the like is taken to um/V.
+        File with a frequency in Hz, kHz or rad/s, and the gain as real and imaginary part, or as
+        magnitude (also in dB) and phase in degrees or rad; or a Touchstone file, of which the first
+        parameter is read. Magnitudes in nm/V and similar units are converted to um/V.
 
     Returns
     -------
@@ -139,12 +139,12 @@ def _columns(path: Path, table: Table) -> dict[str, ResponseColumn]:
 
 
 def _unit_in(words: set[str]) -> str:
-    """Return the unit that is a word of a label, such as mag_db; empty without one."""
+    """Return the unit that is a word of a label, such as mag_db; empty if there is none."""
     return next(iter(words & {"db", "deg", "hz", "khz", "rad"}), "")
 
 
 def _touchstone(path: Path) -> tuple[str, str] | None:
-    """Return the unit of frequency and the form of the numbers that a Touchstone file states."""
+    """Return the unit of frequency and the number format stated in a Touchstone file."""
     with open(path, encoding="utf-8", errors="replace") as file:
         for line, _ in zip(file, range(200), strict=False):
             option = _TOUCHSTONE.fullmatch(line.strip())

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The hysteresis of fast recordings, fitted together with the dynamics that follow it.
+"""Hysteresis of fast recordings, fitted together with the dynamics that follow it.
 
-As the hysteresis depends on no frequency, what lags alike at all of them is told from what does
-not: for any dynamics the best hysteresis is known, and only the few parameters of the dynamics are
-sought. Without a hysteresis a slow mode would stand in for it, from which no search comes back; so
-the dynamics grow behind it, mode after mode, each begun where the spectrum has most left.
+The hysteresis does not depend on frequency, which distinguishes it from the dynamics. For any
+dynamics the best hysteresis follows from a regression, so that only the few parameters of the
+dynamics are sought. Without a hysteresis, a slow mode would imitate it, and the search could not
+recover. The dynamics are therefore extended one mode at a time, each starting where the residual
+spectrum is largest.
 """
 
 from collections.abc import Sequence
@@ -26,42 +27,42 @@ from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
 REACH = 3.0
-"""By so much the logarithms of the parameters, and the delay in sample periods, may change: a mode
-that is not there would go on without end."""
+"""Largest change of the logarithms of the parameters, and of the delay in sample periods: the
+parameters of an absent mode would grow without limit."""
 
 MOST_MODES, LEAST_FALL = 3, 0.1
-"""Modes that are sought, and the part by which each has to lower the squared error: more are left
-to the fit of the dynamics behind the hysteresis that was found."""
+"""Largest number of modes, and the relative decrease of the squared error that each must give.
+Further modes are found in the fit of the dynamics with this hysteresis."""
 
 PEAKS = 3
-"""Peaks in the spectrum of what is left, at which a further mode is tried."""
+"""Number of peaks in the spectrum of the residual at which a further mode is tried."""
 
 TRIED_DAMPINGS = (0.01, 0.1, 0.8)
-"""Damping ratios of a further mode to begin with."""
+"""Initial damping ratios of a further mode."""
 
 FOLLOWED = 2
-"""So many of the starts of a further mode, the best ones, are followed."""
+"""Number of starts of a further mode, the best ones, that are refined."""
 
 MOST_EVALUATIONS, LEAST_GAIN = 20, 1e-4
-"""Steps of the search for the dynamics, and the part by which the squared error must fall in each:
-what is found only drives a fit of the dynamics, and of their order."""
+"""Number of steps of the search for the dynamics, and the smallest relative decrease of the squared
+error in each. The result is only the input of a fit of the dynamics and their order."""
 
 STEP = 1e-5
-"""Step of the derivatives of a response: the third root of the rounding."""
+"""Step of the derivatives of a response: about the cube root of the precision."""
 
 
 @dataclass(frozen=True, eq=False)
 class BesideDynamics:
-    """A hysteresis and the dynamics behind it.
+    """A hysteresis and the dynamics that follow it.
 
     Parameters
     ----------
     hysteresis : PreisachModel
-        Over the voltages of the recordings.
+        Hysteresis for the voltages of the recordings.
     delay_s : float
-        Beside them.
+        Delay in addition to the dynamics.
     past : str
-        One of `pasts.PASTS`: that which explains the recordings best.
+        The one of `pasts.PASTS` that fits the recordings best.
     """
 
     hysteresis: PreisachModel
@@ -70,7 +71,7 @@ class BesideDynamics:
     past: str
 
     def entering_um(self, recording: FastLoops) -> FloatArray:
-        """Return what enters the dynamics in a recording, shape (N,)."""
+        """Return the input of the dynamics in a recording, shape (N,)."""
         hysteresis, memory = self.hysteresis, self.hysteresis.memory()
         hysteresis.simulate(past_voltages(
             self.past, recording.voltage_v[0], hysteresis.voltage_min_v,
@@ -79,12 +80,12 @@ class BesideDynamics:
 
 
 def hysteresis_beside_dynamics(recordings: Sequence[FastLoops]) -> BesideDynamics:
-    """Fit a hysteresis of few cells, the dynamics behind it and a delay together.
+    """Fit a hysteresis of few cells, the dynamics that follow it and a delay together.
 
     Parameters
     ----------
     recordings : sequence of FastLoops
-        Of one sample period.
+        Recordings with the same sample period.
     """
     period_s = recordings[0].sample_period_s
     regressions = [LoopRegression(recordings, past) for past in PASTS]
@@ -102,12 +103,12 @@ def hysteresis_beside_dynamics(recordings: Sequence[FastLoops]) -> BesideDynamic
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """Parameters of dynamics as they are sought.
+    """Parameters of dynamics during the search.
 
     Parameters
     ----------
     vector : ndarray, shape (P,)
-        Logarithms of those of the dynamics, then the delay in sample periods.
+        Logarithms of the parameters of the dynamics, then the delay in sample periods.
     """
 
     vector: FloatArray
@@ -116,20 +117,20 @@ class _Point:
 
     @property
     def dynamics(self) -> ElectricVibrationDynamics:
-        """The dynamics of this point."""
+        """Dynamics at this point."""
         return dynamics_of_vector(np.exp(self.vector[:-1]), self.modes)
 
     @property
     def delay(self) -> float:
-        """In sample periods."""
+        """Delay in sample periods."""
         return float(self.vector[-1])
 
     def moved(self, vector: FloatArray) -> "_Point":
-        """Return the point of the same order at another vector."""
+        """Return a point of the same order with another vector."""
         return _Point(vector, self.modes, self.sample_period_s)
 
     def with_mode(self, frequency_rad_per_s: float, damping: float, delay: float) -> "_Point":
-        """Return the point with a further mode."""
+        """Return a point with a further mode."""
         lag, frequencies, dampings, _ = np.split(
             self.vector, np.cumsum([1, self.modes, self.modes]))
         vector = np.concatenate([
@@ -137,7 +138,7 @@ class _Point:
         return _Point(vector, self.modes + 1, self.sample_period_s)
 
     def response(self, frequency_hz: FloatArray) -> ComplexArray:
-        """From held values to samples."""
+        """Response from held values to samples."""
         return held_response(self.dynamics, frequency_hz, self.sample_period_s,
                              self.delay * self.sample_period_s)
 
@@ -150,7 +151,7 @@ class _Point:
 
 
 def _grown(regression: LoopRegression, lag: _Point) -> _Point:
-    """Begin with a lag and a delay, and add modes as long as each lowers the error."""
+    """Start with a lag and a delay, and add modes as long as each reduces the error."""
     best = _polished(regression, lag)
     fit = regression.fit(best.response)
     for _ in range(MOST_MODES):
@@ -171,7 +172,7 @@ def _grown(regression: LoopRegression, lag: _Point) -> _Point:
 
 
 def _polished(regression: LoopRegression, start: _Point) -> _Point:
-    """Follow a start to its least error."""
+    """Refine a start to its smallest error."""
     fits: dict[bytes, LoopFit] = {}
 
     def fit_at(vector: FloatArray) -> LoopFit:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What every method of estimating the Preisach density returns."""
+"""Result of every method of estimating the Preisach density."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.model_summary import visited_fraction
 
 LINE = "a line, which predicts what is held out as well as a hysteresis"
-"""Method of an estimate whose density is zero: the stage answers in proportion."""
+"""Method of an estimate whose density is zero: the displacement is proportional to the voltage."""
 
 LINE_OF_RESPONSE = "a line, as a frequency response shows no hysteresis"
 
@@ -30,16 +30,16 @@ class DensityEstimate:
     offset_um : float
         Output at negative saturation.
     visited : ndarray of bool, shape (n, n)
-        Cells in which the moving corner of the memory has been. Elsewhere the density is none of
-        the data's: the smoothing has continued it from the visited cells, or the least norm has.
+        Cells in which the moving corner of the memory has been. The data do not determine the
+        density elsewhere, where it is continued by smoothing or by the least norm.
     reversible_um_per_v : ndarray, shape (n,)
-        On the diagonal, alpha = beta.
+        Reversible part on the diagonal, alpha = beta.
     smoothing_weight : float, optional
-        For the smoothed method.
+        Weight of the curvature in the smoothed method.
     translation_weight : float
-        For the smoothed method.
+        Weight of the change along the diagonal in the smoothed method.
     plays : PlaySum, optional
-        About which the density is smoothed.
+        Sum of plays about which the density is smoothed.
     """
 
     method: str
@@ -59,7 +59,7 @@ class DensityEstimate:
 
     @property
     def visited_fraction(self) -> float:
-        """Part of the area of the Preisach plane that was visited."""
+        """Fraction of the area of the Preisach plane that was visited."""
         return visited_fraction(self.visited)
 
     def model(self) -> PreisachModel:
@@ -70,7 +70,7 @@ class DensityEstimate:
         )
 
     def report(self) -> str:
-        """One line for people: method, grid, and what was not visited."""
+        """Return a line for the user: method, grid, and the visited fraction."""
         if self.is_line:
             return f"{self.method}: {self.reversible_um_per_v[0]:.6g} um/V"
         method = f"{self.method}, about a sum of plays" if self.plays is not None else self.method

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Preisach density from recordings: the linear dynamics removed, then the estimate."""
+"""Preisach density from recordings, after removal of the linear dynamics."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -29,13 +29,13 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 from piezo_recorder.reading.recording import Recording
 
 LEVELS = 70
-"""Levels above the lowest voltage, where the voltage passes by so many."""
+"""Largest number of levels above the lowest voltage."""
 
 FEWEST_LEVELS = 4
-"""Levels from which a density is sought; fewer show a line only."""
+"""Fewest levels for which a density is estimated; fewer show only a line."""
 
 LARGE_STEP_SHARE = 0.9
-"""A level is as high as this share of the voltage's changes from sample to sample is at most."""
+"""Quantile of the voltage steps from sample to sample that is used as the height of a level."""
 
 
 def estimate_density(
@@ -47,31 +47,31 @@ def estimate_density(
 ) -> DensityEstimate:
     """Estimate the Preisach density on a uniform grid over the voltages played.
 
-    Creep and fast dynamics are removed by their inverses, Fig. 4.8. What is left makes a linear
+    Creep and fast dynamics are removed by their inverses, Fig. 4.8. The result is a linear
     regression (4.11), solved by smoothed non-negative least squares with all samples; offset and
-    initial creep are free. Any input will do: `DensityEstimate.visited` tells which part of the
-    plane it determines. Where a line predicts what is held out as well, the hysteresis is a line.
+    initial creep are free. Any input is suitable: `DensityEstimate.visited` shows which part of the
+    plane it determines. If a line predicts held-out data as well, the hysteresis is a line.
 
     Parameters
     ----------
     recording : Recording or sequence of Recording
-        Of the hysteresis experiment, or any other. For the start see `everett_regression`; after a
-        gap a recording starts anew, and several recordings share all but offset and initial creep.
-        Samples that are marked as outliers are neither fitted nor held out.
+        Recordings of the hysteresis experiment, or any others. For their start see
+        `everett_regression`; after a gap a recording starts anew. Several recordings share all but
+        offset and initial creep. Marked outliers are neither fitted nor held out.
     level_count : int, optional
-        Number of levels L above level 0; by default `most_levels`, or as many as the voltage
-        passes by.
+        Number of levels L above level 0; by default `most_levels`, or as many as the voltage steps
+        resolve.
     cells_per_level : int
-        Cells of the model from one level to the next.
+        Number of cells of the model between levels.
     smoothing_weight, translation_weight : float, optional
-        Of `smoothed_density`; chosen on branches held out by default.
+        Weights of `smoothed_density`; by default chosen on held-out branches.
     delay_s : float
-        Of the measurement, beside the dynamics.
+        Delay of the measurement in addition to the dynamics.
     near : DensityEstimate, optional
-        From the same recordings beside nearly the same dynamics: the weights are sought from its
-        own.
+        Estimate from the same recordings with nearly the same dynamics, whose weights are the
+        starting point of the choice.
     most_rows : int, optional
-        Samples that are fitted, evenly among all; all by default.
+        Number of samples that are fitted, spaced evenly; all by default.
 
     Raises
     ------
@@ -95,16 +95,16 @@ def density_of_parts(
     smoothing_weight: float | None = None, translation_weight: float | None = None,
     most_levels: int = LEVELS, near: DensityEstimate | None = None,
 ) -> DensityEstimate:
-    """Estimate the density from what enters and leaves the hysteresis in parts of recordings.
+    """Estimate the density from inputs and outputs of the hysteresis in parts of recordings.
 
     Parameters
     ----------
     parts : sequence of Recording
-        Without gaps.
+        Recordings without gaps.
     segments : sequence of HysteresisSegment
-        One for each.
+        Segment of each part.
     level_count, cells_per_level, smoothing_weight, translation_weight, most_levels, near
-        As of `estimate_density`.
+        As in `estimate_density`.
 
     Raises
     ------
@@ -127,12 +127,12 @@ def density_of_parts(
 
 
 def levels_passed(parts: Sequence[Recording], range_v: float) -> int:
-    """Count the equal steps of voltage that the recordings do not jump over.
+    """Return the number of equal voltage steps that the recordings resolve.
 
     Returns
     -------
     int
-        From 1 to `LEVELS`.
+        Between 1 and `LEVELS`.
     """
     steps_v = np.concatenate([np.abs(np.diff(part.voltage_v)) for part in parts])
     largest_v = float(np.quantile(steps_v[steps_v > 0.0], LARGE_STEP_SHARE))
@@ -142,7 +142,7 @@ def levels_passed(parts: Sequence[Recording], range_v: float) -> int:
 def segment_of(
     part: Recording, creep: CreepDynamics, dynamics: ElectricVibrationDynamics, delay_s: float,
 ) -> HysteresisSegment:
-    """Return what enters and leaves the hysteresis in a part of a recording without gaps.
+    """Return input and output of the hysteresis in a part of a recording without gaps.
 
     Parameters
     ----------
@@ -170,14 +170,15 @@ def hysteresis_output_um(
     Parameters
     ----------
     dynamics : ElectricVibrationDynamics
-        Inverted at low frequency, (4.18) and (4.19), where the voltage is slow beside it.
+        Dynamics, inverted at low frequency by (4.18) and (4.19) if the voltage is slow compared
+        with them.
     delay_s : float
-        Further delay.
+        Additional delay.
 
     Returns
     -------
     ndarray, shape (N,)
-        But for the decaying trace of the creep's initial state.
+        Output, except for the decaying effect of the creep's initial state.
     """
     displacement_um = recording.displacement_um
     if dynamics.is_static and delay_s == 0.0:
@@ -188,10 +189,10 @@ def hysteresis_output_um(
         return remove_creep(displacement_um, creep, recording.sample_period_s)
     period_s = recording.sample_period_s
     if _answers_in_the_next_row(recording, dynamics):
-        # Of all rows, as the first shows where the creep begins.
+        # From all rows, because the first shows the initial state of the creep.
         held_um = remove_creep_of_held(displacement_um, creep, period_s)
-        # The next row keeps the corners where the voltage turns; a shift along the slope of this
-        # one would cut them.
+        # Taking the next row keeps the corners where the voltage turns; a shift along the slope of
+        # this one would cut them.
         held_um = np.append(held_um[1:], 2.0 * held_um[-1] - held_um[-2])
         lead_s = delay_s + held_delay_s(dynamics, period_s) - period_s
         return _earlier(held_um, lead_s, period_s)
@@ -203,26 +204,26 @@ def hysteresis_output_um(
 
 
 def _earlier(signal: FloatArray, lead_s: float, period_s: float) -> FloatArray:
-    """Move a signal ahead in time by less than a sample period, along its slope."""
+    """Shift a signal earlier in time by less than a sample period, along its slope."""
     return signal + lead_s * np.gradient(signal, period_s)
 
 
 def _answers_in_the_next_row(recording: Recording, dynamics: ElectricVibrationDynamics) -> bool:
-    """Tell whether the displacement of a row is the answer to the voltage of the row before.
+    """Return whether the displacement of a row is the response to the voltage of the row before.
 
-    It is where rows are read at an instant, and the stage has time to answer between them.
+    It is if rows are read at an instant, and the stage has time to respond between them.
     """
     return not (dynamics.is_static or _has_means(recording) or follows_fast(
         recording.voltage_v, dynamics, recording.sample_period_s))
 
 
 def _has_means(recording: Recording) -> bool:
-    """Tell whether displacements are means over several samples of the clock."""
+    """Return whether displacements are means over several clock samples."""
     return recording.sample_period_s > 1.5 / recording.sample_rate_hz
 
 
 def _check_sign(path: str, segments: Sequence[HysteresisSegment]) -> None:
-    """Refuse a hysteresis that falls where the voltage rises, the dynamics removed."""
+    """Raise an error if the hysteresis falls when the voltage rises."""
     products = [(segment.voltage_v - segment.voltage_v.mean()) @ segment.output_um
                 for segment in segments]
     if sum(products) < 0.0:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The inverse of electric and vibration dynamics for cycles that are fast beside them."""
+"""The inverse of electric and vibration dynamics for cycles that are fast compared with them."""
 
 import numpy as np
 from scipy.fft import next_fast_len
@@ -9,19 +9,19 @@ from piezo_identification.conditioning.settling import low_frequency_delay_s
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
 SLOW_ERROR = 1e-3
-"""The inverse at low frequency may miss this part of the voltage's RMS."""
+"""Largest error of the inverse at low frequency, relative to the RMS voltage."""
 
 LEAST_GAIN = 0.3
-"""Gain of the dynamics below which they are not inverted but damped: noise would drown the rest."""
+"""Gain of the dynamics below which the inverse is damped, to limit the noise."""
 
 TAPER_SHARE = 0.1
-"""So much of the record is added that its end leads back to its beginning."""
+"""Share of the record that is added to lead from its end back to its beginning."""
 
 
 def follows_fast(
     voltage_v: FloatArray, dynamics: ElectricVibrationDynamics, sample_period_s: float,
 ) -> bool:
-    """Tell whether a voltage is too fast for the inverse of the dynamics at low frequency.
+    """Return whether a voltage is too fast for the inverse of the dynamics at low frequency.
 
     Parameters
     ----------
@@ -41,18 +41,18 @@ def remove_dynamics(
     displacement_um: FloatArray, voltage_v: FloatArray, dynamics: ElectricVibrationDynamics,
     sample_period_s: float, delay_s: float = 0.0,
 ) -> FloatArray:
-    """Return what enters the dynamics, as the values that are held from each sample on.
+    """Return the input of the dynamics, as values held from each sample on.
 
-    The inverse is the stable, non-causal one of Wiener: ``conj(D) / (|D|^2 + e^2)``. It acts on
-    what a line in the voltage leaves of the displacement; the response to the line is calculated,
-    so that the damping of high frequencies touches the small rest only.
+    The inverse is the stable, non-causal one of Wiener: ``conj(D) / (|D|^2 + e^2)``. It is applied
+    to the residual of the displacement after fitting a line in the voltage. The response to the
+    line is calculated, so that the damping of high frequencies only affects the small residual.
 
     Parameters
     ----------
     displacement_um, voltage_v : ndarray, shape (N,)
         Each displacement is measured before its voltage acts.
     delay_s : float
-        Further delay of the displacement.
+        Additional delay of the displacement.
 
     Returns
     -------
@@ -68,7 +68,7 @@ def remove_dynamics(
     slope, offset = np.linalg.lstsq(basis, displacement_um, rcond=None)[0]
     rest_um = closed_signal(displacement_um - basis @ [slope, offset])
     damped = np.conj(forward) / (np.abs(forward) ** 2 + LEAST_GAIN**2)
-    # One more turn makes 1 - (e^2 / (|D|^2 + e^2))^2 of the loop: nothing is lost where D is 1.
+    # A second iteration gives 1 - (e^2 / (|D|^2 + e^2))^2 in total, which is 1 where D is 1.
     inverse = damped * (2.0 - damped * forward)
     before_um = np.fft.irfft(np.fft.rfft(rest_um) * inverse, rest_um.size)[: voltage_v.size]
     return slope * voltage_v + offset + before_um
@@ -78,13 +78,13 @@ def held_response(
     dynamics: ElectricVibrationDynamics, frequency_hz: FloatArray, sample_period_s: float,
     delay_s: float = 0.0,
 ) -> ComplexArray:
-    """Response from held values to samples, as far as the hold's images are small.
+    """Response from held values to samples, valid where images of the hold are small.
 
     Parameters
     ----------
     frequency_hz : ndarray, shape (N,)
     delay_s : float
-        Further delay of the samples.
+        Additional delay of the samples.
 
     Returns
     -------
@@ -96,10 +96,10 @@ def held_response(
 
 
 def samples_added(count: int) -> int:
-    """Return by how many samples `closed_signal` is longer than a signal of so many.
+    """Return the number of samples that `closed_signal` adds to a signal of given length.
 
-    A tenth of them, and as many more as make a length of small prime factors: others take the
-    transform five times as long.
+    It is a tenth, plus what gives a length with small prime factors: the transform of other lengths
+    takes five times as long.
     """
     return int(next_fast_len(count + max(2, int(TAPER_SHARE * count)), real=True)) - count
 
@@ -114,7 +114,7 @@ def closed_signal(signal: FloatArray) -> FloatArray:
     Returns
     -------
     ndarray, shape (M,) or (M, K)
-        M is N and `samples_added`.
+        M is N plus `samples_added`.
     """
     added = samples_added(len(signal))
     way = 0.5 - 0.5 * np.cos(np.pi * (np.arange(added) + 1.0) / (added + 1.0))

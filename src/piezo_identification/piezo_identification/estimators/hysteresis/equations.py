@@ -20,15 +20,15 @@ from piezo_identification.estimators.hysteresis.penalties import (
 )
 
 ROWS_AT_ONCE = 200_000
-"""Rows of the regression that are held in memory together."""
+"""Number of rows of the regression that are held in memory together."""
 
 HOLD = 1e6
-"""Weight at which a reversible part is zero, but for a millionth of what it would be."""
+"""Weight that forces a reversible part to zero, except for a millionth of its value."""
 
 
 @dataclass(frozen=True, eq=False)
 class HysteresisSegment:
-    """A stretch without gaps of what enters and leaves the hysteresis.
+    """Input and output of the hysteresis in a stretch without gaps.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class HysteresisSegment:
     samples : ndarray of int
         Increasing indices of the samples to fit.
     transients : ndarray, shape (N, k)
-        Further columns of the regression, whose coefficients are free.
+        Additional columns of the regression with free coefficients.
     """
 
     voltage_v: FloatArray
@@ -47,12 +47,12 @@ class HysteresisSegment:
 
 @dataclass(frozen=True)
 class Penalties:
-    """Weights of what a density is charged for; see `smoothed_density`.
+    """Weights of the penalties of a density; see `smoothed_density`.
 
     Parameters
     ----------
     is_reversible : bool
-        The density has a reversible part beside it.
+        Whether there is a reversible part in addition to the density.
     """
 
     smoothing: float
@@ -68,15 +68,16 @@ class Equations:
     size : int
         Number n of cells along each threshold.
     others : int
-        Number of unknowns beside those of the hysteresis: offsets and transients.
+        Number of other unknowns: offsets and transients.
 
     Attributes
     ----------
     offset_columns : ndarray of int
-        For each segment the column, of those, of the offset of its samples of a known past.
+        For each segment, the column (among the others) of the offset of samples with known
+        past.
     about : ndarray
-        Unknowns of the hysteresis of which the output was relieved, and about which the rest is
-        smoothed; zero by default. What is solved for is the difference from them.
+        Hysteresis whose output was subtracted, and about which the rest is smoothed; zero by
+        default. The solution is the difference from it.
     """
 
     def __init__(self, size: int, others: int, about: FloatArray | None = None) -> None:
@@ -99,7 +100,7 @@ class Equations:
         self.square += float(output @ output)
 
     def plus(self, other: "Equations", sign: float = 1.0) -> "Equations":
-        """Return the equations of the samples of both; with sign -1, without those of the other."""
+        """Return the equations of both sets of samples; with sign -1, those without the other's."""
         result = Equations(self.size, self.corner.shape[0], self.about)
         result.count = self.count + int(sign) * other.count
         result.offset_columns = self.offset_columns
@@ -110,7 +111,7 @@ class Equations:
     def solve(
         self, penalties: Penalties, multiplier: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return unknowns, coefficients of the other columns, and forces of the bounds."""
+        """Return unknowns, coefficients of the other columns, and multipliers of the bounds."""
         roughness = penalties.smoothing * bending_operator(self.size)
         if penalties.translation:
             roughness = roughness + penalties.translation * _sliding(self.size)
@@ -118,7 +119,7 @@ class Equations:
             roughness = roughness + _held_at_zero(self.size)
         quadratic = self.quadratic / self.count + roughness
         border = self.border / self.count
-        # The bounds hold for the sum.
+        # The bounds apply to the sum.
         unknowns, beside, forces = nonnegative_minimum(
             quadratic, self.linear / self.count + quadratic @ self.about, _bounded(self.size),
             border, self.corner / self.count,
@@ -138,14 +139,14 @@ class Equations:
         return slope * line, np.array(beside)
 
     def misfit(self, unknowns: FloatArray, beside: FloatArray) -> float:
-        """Sum of the squares of what the regression leaves."""
+        """Sum of squared residuals of the regression."""
         return float(self.square + (
             unknowns @ (self.quadratic @ unknowns + 2.0 * self.border @ beside - 2.0 * self.linear)
             + beside @ (self.corner @ beside - 2.0 * self.border_linear)
         ))
 
     def beside(self, unknowns: FloatArray) -> FloatArray:
-        """Return the coefficients of the other columns that fit best beside given unknowns."""
+        """Return the best coefficients of the other columns for given unknowns."""
         right = self.border_linear - self.border.T @ unknowns
         return np.asarray(np.linalg.lstsq(self.corner, right, rcond=1e-13)[0])
 
@@ -160,15 +161,15 @@ def equations_of_folds(
     segments: Sequence[HysteresisSegment], levels_v: FloatArray,
     folds: Sequence[NDArray[np.intp]] | None = None, about: FloatArray | None = None,
 ) -> list[Equations]:
-    """Return the equations of the samples whose memory is known well enough, by folds.
+    """Return the equations of the samples with sufficiently known memory, by folds.
 
     Parameters
     ----------
     segments : sequence of HysteresisSegment
-        Each has offsets and transients of its own.
+        Segments, each with its own offsets and transients.
     levels_v : ndarray, shape (n + 1,)
     folds : sequence of ndarray of int, optional
-        For every segment the number of the fold of each of its samples to fit; one by default.
+        For every segment, the fold of each of its samples; by default a single fold.
     about : ndarray, optional
         See `Equations`.
 
@@ -222,9 +223,9 @@ def _bounded(size: int) -> csr_array:
 
 @lru_cache(maxsize=8)
 def bending_operator(size: int) -> csr_array:
-    """Integral of the squares of the second derivatives; of a density over the squared range.
+    """Integral of the squared second derivatives of a density over the squared range.
 
-    The powers of the size turn differences into derivatives and the sum into the integral.
+    The powers of the size turn differences into derivatives, and the sum into the integral.
     """
     curvature = curvature_operator(size) @ _bounded(size)[:-size]
     bend = reversible_differences(size, 2)
@@ -233,7 +234,7 @@ def bending_operator(size: int) -> csr_array:
 
 @lru_cache(maxsize=8)
 def _sliding(size: int) -> csr_array:
-    """Do the same with the first derivatives along the diagonal."""
+    """Integral of the squared first derivatives along the diagonal."""
     translation = translation_operator(size) @ _bounded(size)[:-size]
     slope = reversible_differences(size, 1)
     return size**4 * (translation.T @ translation) + size**3 * (slope.T @ slope)
@@ -241,6 +242,6 @@ def _sliding(size: int) -> csr_array:
 
 @lru_cache(maxsize=8)
 def _held_at_zero(size: int) -> csr_array:
-    """Charge reversible parts so much that they vanish; the regression has rows of about one."""
+    """Penalty that forces reversible parts to zero; rows of the regression are of order one."""
     crossings = size * (size + 1) // 2
     return HOLD * diags_array(np.repeat([0.0, 1.0], [crossings, size])).tocsr()

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The regression of the Preisach hysteresis on its Everett function: sparse, whatever the grid.
+"""Sparse regression of the Preisach hysteresis on its Everett function, for any grid.
 
-A sample is a sum of few Everett values, one per remembered extreme, where the regression on the
+A sample is a sum of a few Everett values, one per remembered extreme, whereas a regression on the
 density involves every active cell. The unknowns are the Everett values at the crossings of the
-levels, and behind them the reversible parts of the n cells of the diagonal; together they determine
-the densities. Crossings (i + 1, j) and cells (i, j) are counted alike: i-major with j <= i.
+levels, followed by the reversible parts of the n cells of the diagonal; together they determine the
+densities. Crossings (i + 1, j) and cells (i, j) have the same numbers: i-major with j <= i.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ from piezo_models.hysteresis.preisach_kernels import branch_start, cell_of, with
 IntArray = NDArray[np.int64]
 
 NEAR_A_LEVEL = 0.02
-"""A voltage within this part of a cell from a level is on it when cells are called visited."""
+"""Distance from a level, in cells, within which a voltage counts as on it for visited cells."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,11 +32,11 @@ class EverettRegression:
     Parameters
     ----------
     matrix : csr_array, shape (N, n (n + 1) / 2 + n)
-        The output is `matrix @ unknowns` and an offset.
+        The output is `matrix @ unknowns` plus an offset.
     history : ndarray of int, shape (N,)
-        Samples of one number share one offset. 0: the memory is known. Above: the memory is known
-        inside the voltages seen so far, and what lies outside has not moved. -1: the voltage is
-        where it has not been before, and what it switches there depends on what came before.
+        Samples with the same number share an offset. 0: the memory is known. Positive: the memory
+        is known for the voltages seen so far, and the rest has not changed. -1: the voltage has not
+        been here before, and its effect depends on the unknown past.
     """
 
     matrix: csr_array
@@ -48,9 +48,9 @@ def everett_regression(
 ) -> EverettRegression:
     """Regression of the hysteresis output on the Everett values at the crossings of the levels.
 
-    The density is constant in each cell, so this is eq. (2.3) in other unknowns, exactly. What
-    happened before the first voltage is not known: it counts no more from the first visit to either
-    end of the levels on, provided that nothing beyond them switches.
+    The density is constant in each cell, so this is exactly eq. (2.3) in other unknowns. The memory
+    before the first voltage is unknown. It no longer matters once the voltage has reached either
+    end of the levels, provided that no relays switch beyond them.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def everett_regression(
     levels_v : ndarray, shape (n + 1,)
         Uniform and increasing.
     samples : ndarray of int, optional
-        Increasing indices of the voltages whose rows are wanted; all by default.
+        Increasing indices of the voltages whose rows are computed; all by default.
     """
     samples = np.arange(len(voltage_v)) if samples is None else samples
     size = levels_v.size - 1
@@ -87,10 +87,10 @@ def remembered_pairs(
     Returns
     -------
     pairs : ndarray, shape (P, 4)
-        Place among the samples, upper and lower voltage where the range reaches from -1 to 1, and
-        the sign with which the value counts.
+        Index among the samples, upper and lower voltage with the range scaled to -1 to 1, and
+        the sign of the value.
     history : ndarray of int
-        As in `EverettRegression`; a sample of a negative one has no pairs.
+        As in `EverettRegression`; a sample with a negative number has no pairs.
     """
     size = levels_v.size - 1
     pairs, history = _pairs(_positions(voltage_v, levels_v), size, samples.astype(np.int64))
@@ -109,8 +109,8 @@ def density_operator(size: int) -> csr_array:
     Returns
     -------
     csr_array, shape (n (n + 1) / 2, n (n + 1) / 2 + n)
-        The mixed second difference; on the diagonal twice what the reversible part leaves of the
-        Everett value, as the cell there is half.
+        The mixed second difference. On the diagonal, where a cell is a half cell, twice the
+        Everett value without the reversible part.
     """
     i, j = np.tril_indices(size)
     cell = np.arange(i.size)
@@ -138,8 +138,8 @@ def density_operator(size: int) -> csr_array:
 def visited_cells(voltage_v: FloatArray, levels_v: FloatArray) -> BoolArray:
     """Cells of the Preisach plane in which the moving corner of the memory has been.
 
-    Only there does the output tell the density cell by cell. One full loop switches all relays,
-    but its corner runs along two sides of the triangle.
+    Only there does the output determine the density of each cell. One full loop switches all
+    relays, but its corner moves along two sides of the triangle only.
 
     Parameters
     ----------
@@ -166,9 +166,9 @@ def summed_over_corners(
     Parameters
     ----------
     values : ndarray, shape (n, n)
-        Of each cell: row of its alpha, column of its beta.
+        Value of each cell: row of its alpha, column of its beta.
     voltage_v : ndarray, shape (N,)
-        From negative saturation.
+        Voltages after negative saturation.
     levels_v : ndarray, shape (n + 1,)
         Uniform and increasing.
 
@@ -181,7 +181,7 @@ def summed_over_corners(
 
 
 def _positions(voltage_v: FloatArray, levels_v: FloatArray) -> FloatArray:
-    """Voltages in cells from level 0."""
+    """Voltages in units of cells above level 0."""
     size = levels_v.size - 1
     width_v = (levels_v[-1] - levels_v[0]) / size
     return np.clip((np.asarray(voltage_v, dtype=float) - levels_v[0]) / width_v, 0.0, size)
@@ -209,7 +209,7 @@ def _put(values: FloatArray, columns: IntArray, count: int, value: float, column
 @njit(cache=True)
 def _everett_row(values: FloatArray, columns: IntArray, count: int, sign: float, alpha: float,
                  beta: float, size: int) -> int:
-    """Append the weights with which the unknowns give sign times the value at (alpha, beta)."""
+    """Append the weights of the unknowns in sign times the Everett value at (alpha, beta)."""
     i = cell_of(alpha, size)
     j = cell_of(beta, size)
     if i == j:
@@ -223,7 +223,7 @@ def _everett_row(values: FloatArray, columns: IntArray, count: int, sign: float,
     count = _put(values, columns, count, sign * x * (1.0 - y), _crossing(i + 1, j + 1))
     if i > j + 1:
         count = _put(values, columns, count, sign * (1.0 - x) * (1.0 - y), _crossing(i, j + 1))
-    # The triangles on the diagonal fill up with the square of the way, the reversible with the way.
+    # On the diagonal, the density adds the square of the way, the reversible part the way.
     count = _put(values, columns, count, sign * (x * x - x), _crossing(i + 1, i))
     count = _put(values, columns, count, sign * (x - x * x), _reversible(i, size))
     count = _put(values, columns, count, sign * (y * y - y), _crossing(j + 1, j))
@@ -242,9 +242,9 @@ def _longer(values: Any, room: int) -> Any:
 @njit(cache=True)
 def _follow(position: FloatArray, n: int, extremes: FloatArray, top: int, seen: FloatArray,
             size: int) -> tuple[FloatArray, int, int]:
-    """Memory after sample n: extremes, top, and the number of its history (see above).
+    """Memory after sample n: extremes, top, and history number (see above).
 
-    `seen` holds the lowest and the highest voltage, the present number, and the last one given.
+    `seen` contains the lowest and highest voltage, the present number, and the last one used.
     """
     v = position[n]
     if n == 0:
@@ -253,7 +253,7 @@ def _follow(position: FloatArray, n: int, extremes: FloatArray, top: int, seen: 
         top = 0
     slack = NEAR_THE_END * size
     if seen[2] != 0.0 and (v <= slack or v >= size - slack):
-        # The range is wiped: all that is in it is off, or on.
+        # The whole memory is erased: all relays are off, or on.
         seen[0], seen[1], seen[2] = 0.0, size, 0.0
         extremes[0] = 0.0
         extremes[1] = v
@@ -352,7 +352,7 @@ def _visited(position: FloatArray, size: int) -> BoolArray:
         extremes, top, number = _follow(position, n, extremes, top, seen, size)
         if number < 0:
             continue
-        # What is jumped over is not seen.
+        # Cells that are jumped over are not visited.
         if abs(v - before) > 1.0 + 1e-9:
             before = v
         if top == 0:
@@ -387,5 +387,5 @@ def _summed(values: FloatArray, position: FloatArray) -> FloatArray:
 
 @njit(cache=True)
 def _upper_cell(position: float) -> int:
-    """Cell whose upper edge a position on an edge is."""
+    """Return the cell below a position; on an edge, the cell whose upper edge it is."""
     return max(int(np.ceil(position)) - 1, 0)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Regression of fast recordings on the hysteresis that enters known dynamics.
+"""Regression of fast recordings on the hysteresis ahead of known dynamics.
 
-What leaves the dynamics is linear in the Everett values of the hysteresis. So for any dynamics the
-hysteresis of least error is that of a linear regression: variable projection (Golub and Pereyra
-1973), with the Jacobian of Kaufman (1975).
+The output of the dynamics is linear in the Everett values of the hysteresis. For any dynamics, the
+hysteresis of least error therefore follows from a linear regression: variable projection (Golub and
+Pereyra 1973), with the Jacobian of Kaufman (1975).
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -25,40 +25,40 @@ from piezo_models.hysteresis.pasts import PASTS, past_voltages
 from piezo_models.hysteresis.preisach import PreisachModel
 
 CELLS = 12
-"""Cells along a threshold: enough for the hysteresis that drives dynamics, few enough to filter."""
+"""Cells along a threshold: enough for the input of the dynamics, few enough to filter each."""
 
 SMOOTHING = 1e-10
 """Weight of the density's curvature."""
 
 MOST_SAMPLES = 40_000
-"""Samples of the longest recordings that are fitted; further ones would only cost time."""
+"""Largest number of samples fitted; more would only cost time."""
 
 MOST_ROWS = 6_000
-"""Samples that are compared, spread over all: many times as many as there are unknowns."""
+"""Number of compared samples, spread over all: many times the number of unknowns."""
 
 ROUNDING = 1e-13
-"""Eigenvalue, of the largest one of scaled normal equations, that counts as zero."""
+"""Eigenvalue of the scaled normal equations, relative to the largest, that counts as zero."""
 
 LINES_OF_A_PEAK = 400
-"""Parts of a spectrum over which it is averaged before its peaks are sought: noise has peaks at
-every line."""
+"""Number of parts over which a spectrum is averaged before its peaks are sought, because noise has
+peaks at every line."""
 
 Response = Callable[[FloatArray], ComplexArray]
-"""From held values to samples, by frequency (Hz)."""
+"""Response from held values to samples, as a function of frequency (Hz)."""
 
 
 @dataclass(frozen=True, eq=False)
 class FastLoops:
-    """A fast recording without gaps, and what else its displacement may hold.
+    """A fast recording without gaps, with further components of its displacement.
 
     Parameters
     ----------
     voltage_v, displacement_um : ndarray, shape (N,)
         The creep is removed from the displacement.
     fixed : ndarray, shape (N, K)
-        Columns whose coefficients are free, such as an offset.
+        Columns with free coefficients, such as an offset.
     first_kept : int
-        Sample from which on the past counts for no more than these columns.
+        First sample at which these columns describe the effect of the past.
     """
 
     voltage_v: FloatArray
@@ -68,24 +68,24 @@ class FastLoops:
     sample_period_s: float
 
     def first(self, count: int) -> "FastLoops":
-        """Return the first samples alone."""
+        """Return only the first samples."""
         return FastLoops(self.voltage_v[:count], self.displacement_um[:count],
                          self.fixed[:count], self.first_kept, self.sample_period_s)
 
 
 @dataclass(frozen=True, eq=False)
 class LoopFit:
-    """The hysteresis of least error behind one response.
+    """The hysteresis of least error for one response.
 
     Parameters
     ----------
     columns : ndarray, shape (R, U)
         Responses to the Everett values, then the fixed columns of each recording.
     inverse : ndarray, shape (U, U)
-        Of the normal equations.
+        Inverse of the normal equations.
     unknowns : ndarray, shape (U,)
     residual : ndarray, shape (R + 1,)
-        What is left, then the root of the density's curvature.
+        Residual, followed by the square root of the curvature penalty.
     """
 
     columns: FloatArray
@@ -100,14 +100,14 @@ class LoopFit:
 
 
 class LoopRegression:
-    """What is measured, as a regression on the responses to Everett values of all recordings.
+    """Regression of all recordings on the responses to Everett values.
 
     Parameters
     ----------
     recordings : sequence of FastLoops
-        Of one sample period.
+        Recordings with the same sample period.
     past : str
-        One of `PASTS`. It counts where the voltage grows, until it has been at either end.
+        One of `PASTS`. It matters for new voltages until the voltage has been at either end.
     """
 
     def __init__(self, recordings: Sequence[FastLoops], past: str = PASTS[0]) -> None:
@@ -129,11 +129,11 @@ class LoopRegression:
         past_v = past_voltages(self.past, part.voltage_v[0], self._levels_v[0], self._levels_v[-1])
         rows = everett_regression(np.append(past_v, part.voltage_v), self._levels_v)
         columns = rows.matrix[past_v.size :].toarray()
-        # One row for each value: transforms along rows take half as long as along columns.
+        # Values in rows: transforms along rows take half as long as along columns.
         return np.ascontiguousarray(rfft(closed_signal(columns), axis=0).T)
 
     def fit(self, response: Response) -> LoopFit:
-        """Return the best hysteresis in front of a response; its density may be negative."""
+        """Return the best hysteresis for a response; its density may be negative."""
         check_cancelled()
         columns = self._columns(response)
         quadratic, linear = columns.T @ columns, columns.T @ self._measured_um
@@ -168,7 +168,7 @@ class LoopRegression:
         return np.vstack([fit.columns @ taken - driven, -bent @ taken[:size]])
 
     def peaks(self, fit: LoopFit, response: Response, most: int) -> FloatArray:
-        """Return the frequencies (rad/s) at which a fit leaves most, of the longest recording."""
+        """Return the frequencies (rad/s) of the largest residual in the longest recording."""
         longest = int(np.argmax([part.voltage_v.size - part.first_kept for part in self._parts]))
         part, spectrum, frequency_hz, count, _ = list(self._each())[longest]
         size = self._bending.shape[0]
@@ -184,7 +184,7 @@ class LoopRegression:
         return 2.0 * np.pi * strongest / (left.size * part.sample_period_s)
 
     def hysteresis(self, response: Response) -> PreisachModel:
-        """Return the hysteresis of least error whose density is nowhere negative."""
+        """Return the hysteresis of least error with a non-negative density."""
         columns = self._columns(response)
         size = self._bending.shape[0]
         responses, fixed = columns[:, :size], columns[:, size:]
@@ -202,7 +202,7 @@ class LoopRegression:
             0.0, reversible / width_v)
 
     def _columns(self, response: Response) -> FloatArray:
-        """Responses to the Everett values, and the columns of each recording beside them."""
+        """Responses to the Everett values, and the other columns of each recording."""
         blocks, first = [], 0
         for part, spectrum, frequency_hz, count, rows in self._each():
             responses = irfft(spectrum * response(frequency_hz), count)
@@ -213,7 +213,7 @@ class LoopRegression:
         return np.vstack(blocks)
 
     def _each(self) -> Iterator[tuple[FastLoops, ComplexArray, FloatArray, int, slice]]:
-        """Give the recordings with their spectra, frequencies, lengths and the rows compared."""
+        """Yield the recordings with their spectra, frequencies, lengths and compared rows."""
         for part, spectrum in zip(self._parts, self._spectra, strict=True):
             count = part.voltage_v.size + samples_added(part.voltage_v.size)
             frequency_hz: FloatArray = np.fft.rfftfreq(count, part.sample_period_s).astype(float)

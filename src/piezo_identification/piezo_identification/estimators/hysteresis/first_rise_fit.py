@@ -21,21 +21,20 @@ from piezo_recorder.reading.recording import Recording
 
 @dataclass(frozen=True)
 class FirstRiseSettings:
-    """Numbers that steer the estimate.
+    """Settings of the estimate.
 
     Attributes
     ----------
     cells : int
-        Parts of the voltage range between which the remanence goes on a straight line.
+        Number of voltage cells between which the remanence is piecewise linear.
     least : float
-        Part of the displacement's range below which a remanence is noise, drift or creep.
+        Smallest remanence, relative to the displacement range, that is not noise, drift or creep.
     largest_drift : float
-        Part of the remanence by which the displacement at the lowest voltage may still change once
-        the highest voltage was reached; what drifts goes on, a remanence does not.
+        Largest change of the displacement at the lowest voltage, relative to the remanence, after
+        the highest voltage was reached; drift continues, a remanence does not.
     largest_error_ratio : float
-        A remanence is accepted if the loops fitted beside it leave, beyond their noise, less than
-        this part of what they leave without. One that drift or an unknown creep feigns explains
-        less of them.
+        Largest ratio of the errors of the loops beyond noise, with and without the remanence. Drift
+        or unknown creep that looks like a remanence explains less.
     """
 
     cells: int = 24
@@ -50,24 +49,24 @@ SETTINGS = FirstRiseSettings()
 def estimate_first_rise(
     voltage_v: FloatArray, output_um: FloatArray, highest_v: float = -np.inf,
 ) -> FirstRise | None:
-    """Estimate what rises beyond all earlier voltages add for good.
+    """Estimate the remanence added by rises beyond all earlier voltages.
 
-    A rise from the lowest voltage runs along one curve, the Everett function of a cycled stage.
-    Beyond the highest voltage so far the remanence adds to it, and shows again as the displacement
+    A rise from the lowest voltage follows one curve, the Everett function of a cycled stage. Beyond
+    the highest voltage so far, the remanence adds to it, and remains as an increased displacement
     at the lowest voltage afterwards.
 
     Parameters
     ----------
     voltage_v, output_um : ndarray, shape (N,)
-        Of the hysteresis, with everything linear removed.
+        Input and output of the hysteresis, without the linear dynamics.
     highest_v : float
-        Voltage up to which the stage had risen before.
+        Highest voltage that the stage had reached before.
 
     Returns
     -------
     FirstRise or None
         None if the recording does not return to its lowest voltage and rise again, shows no
-        remanence of account, or goes on to drift once the highest voltage was reached.
+        significant remanence, or continues to drift after the highest voltage was reached.
     """
     low_v, high_v = float(voltage_v.min()), float(voltage_v.max())
     at_low = voltage_v <= low_v + NEAR_THE_END * (high_v - low_v)
@@ -108,7 +107,7 @@ def _rises(
 ) -> list[tuple[FloatArray, FloatArray, float, float]]:
     """Voltages and outputs of each rise from the lowest voltage, its start, and the highest before.
 
-    Of each, the samples at which the voltage is where it has not been since the lowest one.
+    Only samples with a new highest voltage since the lowest one are included.
     """
     starts = np.flatnonzero(at_low[:-1] & ~at_low[1:]) + 1
     arrivals = np.flatnonzero(at_low & np.insert(~at_low[:-1], 0, True))
@@ -135,7 +134,7 @@ def _cell_means(points: FloatArray, edges_v: FloatArray) -> tuple[FloatArray, Fl
 
 
 def highest_before(recording: Recording) -> float:
-    """Return the highest voltage of a recording before what is played; -inf if nothing is."""
+    """Return the highest voltage of a recording before the played part; -inf if none."""
     before_v, lead = with_voltage_before(recording, played(recording))
     return float(before_v[:lead].max(initial=-np.inf))
 
@@ -144,16 +143,16 @@ def without_first_rise(
     recording: Recording, first_rise: FirstRise, creep: CreepDynamics,
     dynamics: ElectricVibrationDynamics, highest_v: float | None = None,
 ) -> Recording:
-    """Return what is played in a recording as if the stage had been cycled before.
+    """Return the played part of a recording as if the stage had been cycled before.
 
     Parameters
     ----------
     recording : Recording
-        That begins with the first rise.
+        Recording that begins with the first rise.
     dynamics : ElectricVibrationDynamics
-        What follows the hysteresis.
+        Dynamics that follow the hysteresis.
     highest_v : float, optional
-        Voltage up to which the stage had risen before; by default as far as the recording shows.
+        Highest voltage that the stage had reached before; by default that of the recording.
     """
     part = played(recording)
     shown_v = highest_before(recording)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Sparse quadratic minimum under linear bounds, for a density that is nowhere negative."""
+"""Sparse quadratic minimisation with linear bounds, for a non-negative density."""
 
 from collections.abc import Callable
 
@@ -11,47 +11,47 @@ from piezo_common.arrays import BoolArray, FloatArray
 from piezo_common.cancellation import check_cancelled
 
 PENALTY = 100.0
-"""A violated bound costs so many times the mean curvature of the quadratic form."""
+"""Penalty of a violated bound, relative to the mean curvature of the quadratic form."""
 
 VIOLATION = 1e-5
-"""Sum of what is below zero over the sum of all: so much counts as zero."""
+"""Sum of values below zero, relative to the sum of magnitudes, that counts as zero."""
 
 UNDECIDED = 1e-3
-"""Where a smaller part of the bounds changes in a step, the rest of the way does not matter."""
+"""Share of bounds that change in a step below which the rest does not matter."""
 
 BISECTIONS = 10
-"""The best length of a step is found by so many bisections."""
+"""Number of bisections that determine the length of a step."""
 
 PANEL = 10
-"""Columns that are factorised together: of 4 to 40, so many take the least time on 70 cells."""
+"""Number of columns factorised together: of 4 to 40, the fastest on 70 cells."""
 
 MOST_FACTORISATIONS = 60
-"""The search for the bounds that hold ends then; 1 to 20 are usual."""
+"""Limit of the search for the active bounds; 1 to 20 factorisations are usual."""
 
 
 def nonnegative_minimum(
     quadratic: csr_array, linear: FloatArray, bounded: csr_array, border: FloatArray,
     corner: FloatArray, border_linear: FloatArray, multiplier: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Minimise x H x / 2 - c x over x = (e, z) with T e >= 0: sparse in e, with few z beside it.
+    """Minimise x H x / 2 - c x over x = (e, z) with T e >= 0, sparse in e, with a few z.
 
-    Augmented Lagrangian, each of whose piecewise quadratic functions is minimised by Newton steps:
-    exact after a few factorisations, and after one where no bound holds.
+    Augmented Lagrangian method. Each of its piecewise quadratic functions is minimised by Newton
+    steps: exact after a few factorisations, and after one if no bound is active.
 
     Parameters
     ----------
     quadratic : sparse array, shape (n, n)
-        Of e; positive definite.
+        Quadratic form of e; positive definite.
     linear : ndarray, shape (n,)
     bounded : sparse array, shape (m, n)
         T.
     border : ndarray, shape (n, k)
-        Of e and z.
+        Quadratic form between e and z.
     corner : ndarray, shape (k, k)
-        Of z.
+        Quadratic form of z.
     border_linear : ndarray, shape (k,)
     multiplier : ndarray, shape (m,), optional
-        Guess of the bounds' forces, which saves factorisations.
+        Initial multipliers of the bounds, which save factorisations.
 
     Returns
     -------
@@ -60,14 +60,14 @@ def nonnegative_minimum(
     ndarray, shape (k,)
         z.
     ndarray, shape (m,)
-        Forces of the bounds.
+        Multipliers of the bounds.
     """
     bounded = bounded.tocsr()
     penalty = PENALTY * quadratic.diagonal().mean()
     forces = np.zeros(bounded.shape[0]) if multiplier is None else multiplier
 
     def newton_point(active: BoolArray) -> tuple[FloatArray, FloatArray]:
-        """Minimum of the function that is quadratic while these bounds are the violated ones."""
+        """Minimum of the function that is quadratic while exactly these bounds are violated."""
         rows = bounded[active]
         factor = _factor(quadratic + penalty * (rows.T @ rows))
         right_sides = np.column_stack([linear + rows.T @ forces[active], border])
@@ -108,7 +108,7 @@ def nonnegative_minimum(
 
 
 def _length(slope: Callable[[float], float]) -> float:
-    """Part of a step after which a convex function is least along it, from its rising slope."""
+    """Fraction of a step that minimises a convex function, from its increasing slope."""
     if slope(1.0) <= 0.0:
         return 1.0
     low, high = 0.0, 1.0

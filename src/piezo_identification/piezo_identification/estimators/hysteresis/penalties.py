@@ -12,7 +12,7 @@ from piezo_identification.estimators.hysteresis.everett_regression import densit
 
 
 def bounded_operator(size: int) -> csr_array:
-    """Return the operator of what must not be negative: densities and reversible parts.
+    """Return the operator of the non-negative quantities: densities and reversible parts.
 
     Returns
     -------
@@ -45,9 +45,9 @@ def curvature_operator(size: int) -> csr_array:
 
 
 def reversible_differences(size: int, order: int) -> csr_array:
-    """Differences of the reversible parts, and a trace of the parts themselves.
+    """Differences of the reversible parts, and small multiples of the parts themselves.
 
-    The trace lets the parts be zero where the voltage tells nothing of them.
+    The multiples let the parts be zero where the data do not determine them.
 
     Returns
     -------

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A hysteresis of plays whose two sides are curves of the voltage, fitted to loops.
+"""Hysteresis of plays whose two sides are curves of the voltage, fitted to loops.
 
 This is the generalised Prandtl-Ishlinskii operator (Al Janaideh, Rakheja and Su 2011): a Preisach
-hysteresis whose density is that of parallel lines, bent by the two curves. Few numbers describe it,
-so that it goes on well where a voltage has not been. It is the hysteresis about which a density is
-smoothed where it predicts loops better than none; see `smoothed_density`.
+hysteresis with a density of parallel lines, bent by the two curves. It has few parameters, so that
+it extrapolates well to other voltages. A density is smoothed about it if that predicts loops
+better; see `smoothed_density`.
 """
 
 from collections.abc import Sequence
@@ -23,32 +23,33 @@ from piezo_identification.estimators.hysteresis.everett_regression import rememb
 
 WIDTHS = np.concatenate([[0.0], np.arange(0.0025, 0.2, 0.005), np.arange(0.205, 0.5, 0.01),
                          np.arange(0.515, 1.0, 0.03)])
-"""Widths of the plays, over the widest; narrow ones matter most, as every loop passes them."""
+"""Widths of the plays, relative to the widest; narrow ones are dense, because every loop uses
+them."""
 
 SLOPE_KNOTS = 8
-"""Voltages between which the slope of the reversible part is a straight line."""
+"""Number of knots between which the slope of the reversible part is linear."""
 
 MOST_ROWS = 8_000
-"""Samples that are fitted, spread over all."""
+"""Largest number of fitted samples, spread over all."""
 
 ROWS_PER_NUMBER = 10
-"""Samples for each number that is fitted, at least."""
+"""Fewest samples per fitted parameter."""
 
 MOST_BENT = 2.0
 """Bound of each coefficient of the logarithm of a curve's slope, over voltages from -1 to 1."""
 
 STEP, MOST_EVALUATIONS = 1e-3, 15
-"""Step of the derivatives by the curves' coefficients, and steps of the search."""
+"""Step of the derivatives by the curves' coefficients, and largest number of steps."""
 
 WORTHWHILE = 1e-5
-"""Part of the squares that a step has to gain for another: less of `MOST_ROWS` rows is chance."""
+"""Smallest relative decrease of the squares for a further step: less is chance with `MOST_ROWS`."""
 
 LARGEST_GAIN = 1.01
-"""Factor by which the squares may rise where the reversible part, or the bend of the curves, is
-left out."""
+"""Largest factor by which the squares may increase when the reversible part, or the bend of the
+curves, is omitted."""
 
 CURVE_POINTS = 401
-"""Voltages between which a curve is a straight line."""
+"""Number of points between which a curve is linear."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,16 +59,16 @@ class PlaySum:
     Attributes
     ----------
     rising : (2,) array
-        Coefficients of the logarithm of the slope of the rising sides: of the voltage and of its
-        square, where the range reaches from -1 to 1.
+        Coefficients of the logarithm of the slope of the rising sides, for the voltage and its
+        square, with the voltage range scaled to -1 to 1.
     falling : (3,) array
-        Those of the falling sides, a constant first.
+        The same for the falling sides, with a constant first.
     weights : (K,) array
-        Of the plays of all widths, in um where the range of the voltage is 2.
+        Weights of the plays of all widths, in um for a voltage range of 2.
     slopes : (S,) array
-        Of the reversible part at knots of the voltage.
+        Slopes of the reversible part at knots of the voltage.
     noise_um : float
-        Of the loops, from how much what the plays leave changes from row to row.
+        Noise of the loops, estimated from the change of the residual from row to row.
     """
 
     rising: FloatArray
@@ -96,8 +97,8 @@ class PlaySum:
         ways = rising[upper + 1] - falling[lower]
         answers_um = _answers(ways, widths) @ self.weights
         everett_um = answers_um + reversible_um[upper + 1] - reversible_um[lower]
-        # A smooth density has half as much in a triangle on the diagonal as in the square beside
-        # it. More is that of plays so narrow that nearly all of it passes on every way through.
+        # A smooth density has half as much in a triangle on the diagonal as in the adjacent square.
+        # Any excess is due to plays so narrow that they act on nearly every reversal.
         diagonal = np.flatnonzero(upper == lower)
         inner_um = answers_um[diagonal]
         beside_um = answers_um[diagonal[1:] - 1] - inner_um[1:] - inner_um[:-1]
@@ -109,22 +110,22 @@ def fit_plays(segments: Sequence[HysteresisSegment], levels_v: FloatArray,
               near: PlaySum | None = None) -> PlaySum | None:
     """Fit a sum of plays to loops.
 
-    For any two curves the weights of least error are those of a linear regression without negative
-    ones, so that only the curves are sought (Golub and Pereyra 1973).
+    For any two curves, the best weights follow from a non-negative linear regression, so that only
+    the curves are sought (Golub and Pereyra 1973).
 
     Parameters
     ----------
     segments : sequence of HysteresisSegment
-        Each has offsets of its own.
+        Segments, each with its own offsets.
     levels_v : (n + 1,) array
-        Uniform and increasing; their ends are those of the range.
+        Uniform and increasing; their ends define the range.
     near : PlaySum, optional
-        Of nearly the same loops: the search begins with its curves.
+        Fit to nearly the same loops, whose curves are the starting point.
 
     Returns
     -------
     PlaySum or None
-        None where there are too few samples for so many numbers.
+        None if there are too few samples.
     """
     regression = _PlayRegression(segments, levels_v)
     if regression.count < ROWS_PER_NUMBER * (WIDTHS.size + SLOPE_KNOTS):
@@ -136,7 +137,7 @@ def fit_plays(segments: Sequence[HysteresisSegment], levels_v: FloatArray,
         max_nfev=MOST_EVALUATIONS)
     curves = bent.x
     if np.sum(regression.left_um(straight) ** 2) < LARGEST_GAIN * 2.0 * bent.cost:
-        # A few loops may be those of many curves.
+        # A few loops may be compatible with many curves.
         curves = straight
     weights, left_um = regression.weights(curves)
     return PlaySum(curves[:2], curves[2:], weights[SLOPE_KNOTS:], weights[:SLOPE_KNOTS],
@@ -144,7 +145,7 @@ def fit_plays(segments: Sequence[HysteresisSegment], levels_v: FloatArray,
 
 
 class _PlayRegression:
-    """What the hysteresis gives, as a regression on plays beside offsets and transients."""
+    """Regression of the hysteresis output on plays, offsets and transients."""
 
     def __init__(self, segments: Sequence[HysteresisSegment], levels_v: FloatArray) -> None:
         stride = max(1, sum(segment.samples.size for segment in segments) // MOST_ROWS)
@@ -183,7 +184,7 @@ class _PlayRegression:
         return columns - self._beside @ (self._beside.T @ columns)
 
     def weights(self, curves: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the slopes and weights of least error for two curves, and what they leave (um)."""
+        """Return the best slopes and weights for two curves, and the residual (um)."""
         rising, falling = np.append(0.0, curves[:2]), curves[2:]
         ways = _curve(rising, self._pairs[:, 0]) - _curve(falling, self._pairs[:, 1])
         plays = _play_columns(self._row_of_pair, self._pairs[:, 2], ways,
@@ -192,7 +193,7 @@ class _PlayRegression:
         triangle = np.asarray(
             np.linalg.qr(np.column_stack([columns, self._output_um]), mode="r"))
         weights, left = nnls(triangle[:, :-1], triangle[:, -1], maxiter=30 * columns.shape[1])
-        # Without a reversible part and a play of no width, or with the latter.
+        # Try to omit the reversible part and the play of zero width, or only the reversible part.
         for first in (SLOPE_KNOTS + 1, SLOPE_KNOTS):
             fewer, without = nnls(
                 triangle[:, first:-1], triangle[:, -1], maxiter=30 * columns.shape[1])
@@ -202,20 +203,20 @@ class _PlayRegression:
         return weights, self._output_um - columns @ weights
 
     def left_um(self, curves: FloatArray) -> FloatArray:
-        """Return what the plays of least error leave for two curves, in um."""
+        """Return the residual of the best plays for two curves, in um."""
         check_cancelled()
         return self.weights(curves)[1]
 
 
 def _curve(coefficients: FloatArray, voltage: FloatArray) -> FloatArray:
-    """Return a curve that is zero in the middle and rises by the exponential of a polynomial."""
+    """Return a curve, zero in the middle, whose slope is the exponential of a polynomial."""
     points = np.linspace(-1.0, 1.0, CURVE_POINTS)
     risen = _integral(np.exp(polyval(points, coefficients)), points)
     return np.asarray(np.interp(voltage, points, risen - np.interp(0.0, points, risen)))
 
 
 def _reversible_columns(voltage: FloatArray) -> FloatArray:
-    """Return the integrals of hats over the voltage, one for each knot."""
+    """Return the integrals of hat functions of the voltage, one for each knot."""
     points = np.linspace(-1.0, 1.0, CURVE_POINTS)
     knots = np.linspace(-1.0, 1.0, SLOPE_KNOTS)
     return np.column_stack([
@@ -228,7 +229,7 @@ def _integral(values: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def _widths(rising: FloatArray, falling: FloatArray) -> FloatArray:
-    """Return the widths of the plays, from the least that no voltage passes on its way nowhere."""
+    """Return the widths of the plays, starting from the smallest one that is possible."""
     points = np.linspace(-1.0, 1.0, CURVE_POINTS)
     up, down = _curve(rising, points), _curve(falling, points)
     least = max(0.0, float(np.max(up - down)))
@@ -236,7 +237,7 @@ def _widths(rising: FloatArray, falling: FloatArray) -> FloatArray:
 
 
 def _answers(ways: FloatArray, widths: FloatArray) -> FloatArray:
-    """Return what each play adds on ways from a reversal, over its weight."""
+    """Return the output of each play after a way from a reversal, for unit weight."""
     rows = np.arange(ways.size)
     return _play_columns(rows, np.ones(ways.size), ways, widths, ways.size)
 
@@ -244,7 +245,7 @@ def _answers(ways: FloatArray, widths: FloatArray) -> FloatArray:
 @njit(cache=True)
 def _play_columns(rows: NDArray[np.intp], signs: FloatArray, ways: FloatArray, widths: FloatArray,
                   count: int) -> FloatArray:
-    """Return what each play adds to each row, over its weight."""
+    """Return the output of each play in each row, for unit weight."""
     columns = np.zeros((count, widths.size))
     for pair in range(rows.size):
         for play in range(widths.size):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The density by smoothed non-negative least squares, on any recording and on large grids."""
+"""Density by smoothed non-negative least squares, for any recording and for large grids."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -34,24 +34,24 @@ from piezo_identification.estimators.hysteresis.smoothing_choice import (
 )
 
 SAMPLES_PER_CELL = 4
-"""So many samples tell more than the few cells on which the weights are chosen can follow."""
+"""Number of samples per cell above which the weights are also chosen on finer grids."""
 
 CELLS_FOR_THE_WEIGHT = 30
-"""Cells along a threshold on which the weights are chosen: they mean the same on any grid."""
+"""Number of cells along a threshold for choosing the weights, which do not depend on the grid."""
 
 LEAST_GAIN = 1.2
-"""Factor by which plays have to lessen the squares that are left of branches held out: the cells on
-which they are compared are too few for a density that is as good on more."""
+"""Factor by which plays must reduce the squared error on held-out branches, because the grid of
+this comparison is too coarse for a density that would be as good on a finer one."""
 
 PARTS_OF_CELLS = (1, 2, 4)
-"""Parts of a cell along each threshold in which plays may be written: their density is narrow."""
+"""Divisions of a cell along each threshold that represent plays, whose density is narrow."""
 
 ROUNDED = 0.1
-"""Part of the noise by which the cells may err in small loops at most: their error returns at each
-reversal, and a mode makes it larger."""
+"""Largest error due to the cells in small loops, relative to the noise. It returns at each
+reversal, and a mode amplifies it."""
 
 SMALL_LOOP = 0.1
-"""Part of the range of the voltage that small loops have."""
+"""Size of small loops, relative to the voltage range."""
 
 
 def smoothed_density(
@@ -60,14 +60,14 @@ def smoothed_density(
     smoothing_weight: float | None = None, level_count: int | None = None,
     translation_weight: float | None = None,
 ) -> DensityEstimate:
-    """Density that is nowhere negative and as smooth as the data allow.
+    """Density that is non-negative and as smooth as the data allow.
 
-    Minimises the mean square of what the regression on the Everett values leaves, and the weighted
-    integral of the squares of the density's second derivatives along both thresholds (voltages in
-    units of the range). The reversible part on the diagonal is smoothed alike, as a function of the
-    voltage; it is left out where the data do not ask for it. Everything is sparse: Everett values
-    and reversible part are the unknowns, the density is the mixed second difference of what the
-    second leaves of the first.
+    It minimises the mean squared residual of the regression on the Everett values, plus the
+    weighted integral of the squared second derivatives of the density along both thresholds
+    (voltages in units of the range). The reversible part on the diagonal is smoothed in the same
+    way, as a function of the voltage; it is omitted if the data do not require it. Everything is
+    sparse: Everett values and reversible part are the unknowns, and the density is the mixed second
+    difference of the Everett values without the reversible part.
 
     Parameters
     ----------
@@ -78,17 +78,17 @@ def smoothed_density(
     samples : ndarray of int, optional
         Increasing indices of the samples to fit; all by default.
     transients : ndarray, shape (N, k), optional
-        Further columns of the regression, whose coefficients are free.
+        Additional columns of the regression with free coefficients.
     smoothing_weight : float, optional
-        By default the largest that predicts branches held out as well as any, see
+        By default the largest that predicts held-out branches as well as any, see
         `smoothing_choice.choose_penalties`.
     level_count : int, optional
-        Number of equal steps of voltage by which a cell counts as visited; n by default.
+        Number of equal voltage steps that define visited cells; n by default.
     translation_weight : float, optional
-        Weight of the integral of the squares of the density's first derivative along the diagonal.
-        A small one lets the density outside the visited cells be that of equally wide loops
-        elsewhere, where the curvature alone would go on straight. By default 0 where every cell is
-        visited or the smoothing is given, and chosen like the smoothing elsewhere.
+        Weight of the integral of the squared first derivative of the density along the diagonal. A
+        small weight makes the density outside the visited cells equal to that of equally wide loops
+        elsewhere, where the curvature alone would extrapolate linearly. By default 0 if every cell
+        is visited or the smoothing is given, otherwise chosen like the smoothing.
 
     Raises
     ------
@@ -104,12 +104,12 @@ def smoothed_density(
 
 
 LARGEST_TRANSLATION_COST = 1.3
-"""Factor by which a weight on the change along the diagonal that was chosen on few cells may raise
-the sum of squares on all of them."""
+"""Largest factor by which a translation weight that was chosen on few cells may increase the sum of
+squares on all of them."""
 
 LARGEST_REVERSIBLE_GAIN = 1.06
-"""Factor by which the sum of squares may rise where the reversible part is left out. A density near
-its diagonal does nearly what such a part does, and smoothing moves one into the other; see
+"""Largest factor by which the sum of squares may increase when the reversible part is omitted. A
+density near its diagonal has nearly the same effect, and smoothing moves one into the other; see
 `docs/decisions/reversible_part.md`."""
 
 
@@ -123,19 +123,19 @@ def density_of_segments(
     Parameters
     ----------
     segments : sequence of HysteresisSegment
-        Each has an offset of its own; that of the model is the first one of a known past.
+        Segments, each with its own offset; that of the model is the first one with a known past.
     levels_v : ndarray, shape (n + 1,)
     smoothing_weight, translation_weight : float, optional
-        As of `smoothed_density`.
+        As in `smoothed_density`.
     is_line : bool
-        The voltage shows no more than a line.
+        True if the voltage shows only a line.
     near : DensityEstimate, optional
-        From nearly the same segments: the choice of the weights begins with its own.
+        Estimate from nearly the same segments, whose weights are the starting point of the choice.
 
     Returns
     -------
     DensityEstimate
-        Of method `LINE` where a line predicts what is held out as well as any density.
+        Its method is `LINE` if a line predicts held-out data as well as any density.
     """
     size = levels_v.size - 1
     level_count = size if level_count is None else level_count
@@ -153,7 +153,7 @@ def density_of_segments(
             segments, levels_v, translation_weight, near)
         if size % 2 == 0 and size >= 2 * CELLS_FOR_THE_WEIGHT and (
                 plays is not None or not has_time_for("a density of more cells", WEIGHTS)):
-            # What is smooth needs fewer cells.
+            # A smooth density needs fewer cells.
             levels_v, size = levels_v[::2], size // 2
             parts = parts if plays is None else 2 * parts
         choice = _on_finer_grids(segments, levels_v, choice, whole_plane, plays)
@@ -172,7 +172,7 @@ def density_of_segments(
         unknowns, beside, multiplier = equations.solve(penalties, multiplier)
         with while_time_lasts("a density of fewer parts"):
             if translation_weight is None and penalties.translation and plays is None:
-                # Loops that were alike on the coarse grid need not be on the fine one.
+                # Loops that are equal on the coarse grid need not be so on the fine one.
                 free = choice.without_translation
                 others = equations.solve(free, multiplier)[:2]
                 if equations.misfit(unknowns, beside) > (
@@ -182,7 +182,7 @@ def density_of_segments(
             if equations.misfit(*without) < (
                     LARGEST_REVERSIBLE_GAIN * equations.misfit(unknowns, beside)):
                 penalties, (unknowns, beside) = replace(penalties, is_reversible=False), without
-    # The first column of a segment is the offset of its samples of a known past.
+    # The first column of a segment is the offset of its samples with known past.
     known = np.flatnonzero(np.diag(equations.corner)[equations.offset_columns] > 0.0)
     offset_um = float(beside[equations.offset_columns[known[0]]]) if known.size else 0.0
     if is_line:
@@ -220,7 +220,7 @@ def _per_volt(bounded_um: FloatArray, size: int,
 
 
 def _added(more: FloatArray, of_plays: FloatArray, of_cells: FloatArray) -> FloatArray:
-    """Add to the narrow densities of plays; what is taken away is so in proportion in a cell."""
+    """Add to the narrow densities of plays; negative additions are in proportion within a cell."""
     part = np.divide(more, of_cells, out=np.zeros_like(more), where=of_cells > 0.0)
     return of_plays * (1.0 + np.clip(part, -1.0, 0.0)) + np.maximum(more, 0.0)
 
@@ -231,8 +231,8 @@ def _choice_for(
 ) -> tuple[PenaltyChoice, PlaySum | None, Sequence[HysteresisSegment], int]:
     """Choose the weights, and whether the density is smoothed about a sum of plays.
 
-    It is where that predicts branches held out better. The output is then relieved of the plays,
-    and its cells divided into parts in which they are written.
+    It is if that predicts held-out branches better. The output of the plays is then subtracted, and
+    the cells are divided to represent them.
     """
     size = levels_v.size - 1
     coarse_v = np.linspace(levels_v[0], levels_v[-1], min(size, CELLS_FOR_THE_WEIGHT) + 1)
@@ -260,7 +260,7 @@ def _choice_for(
 
 
 def _parts_for(size: int, plays: PlaySum) -> int:
-    """Return the parts of a cell in which plays are written as well as in half as wide ones."""
+    """Return the divisions of a cell in which plays are represented accurately enough."""
     for parts in PARTS_OF_CELLS[:-1]:
         if _rounded_um(plays, parts * size) < ROUNDED * plays.noise_um:
             return parts
@@ -268,15 +268,15 @@ def _parts_for(size: int, plays: PlaySum) -> int:
 
 
 def _rounded_um(plays: PlaySum, size: int) -> float:
-    """Return the error in the middle of the cells that small loops pass, RMS.
+    """Return the RMS error at the centres of the cells that small loops pass.
 
-    There the Everett function of the cells is the mean of that at their corners.
+    There, the Everett function of the cells is the mean of its values at their corners.
     """
     crossings = size * (2 * size + 1)
     everett_um = lower_triangle(plays.unknowns(2 * size)[:crossings], 2 * size)
     errors_um = []
     for apart in range(1, max(2, round(SMALL_LOOP * size))):
-        # Level 2 a is that of row 2 a - 1.
+        # Level 2 a belongs to row 2 a - 1.
         upper = 2 * np.arange(apart, size)
         lower = upper - 2 * apart
         corners_um = sum(everett_um[upper + row, lower + column]
@@ -287,7 +287,7 @@ def _rounded_um(plays: PlaySum, size: int) -> float:
 
 def _output_um(segment: HysteresisSegment, levels_v: FloatArray, plays: PlaySum, parts: int,
                samples: NDArray[np.intp] | None = None) -> FloatArray:
-    """Return what plays give at some samples of a segment, written in parts of cells."""
+    """Return the output of plays at some samples of a segment, represented in divided cells."""
     size = parts * (levels_v.size - 1)
     finer_v = np.linspace(levels_v[0], levels_v[-1], size + 1)
     regression = everett_regression(segment.voltage_v, finer_v, samples)
@@ -298,11 +298,10 @@ def _on_finer_grids(
     segments: Sequence[HysteresisSegment], levels_v: FloatArray, choice: PenaltyChoice,
     whole_plane: bool, plays: PlaySum | None,
 ) -> PenaltyChoice:
-    """Choose the smoothing anew on twice as many cells if the data allow.
+    """Choose the smoothing again on twice as many cells if the data allow.
 
-    They do where the whole plane is visited, or there are several samples for each cell.
-
-    The bounds that hold are then found on grids twice as fine each time, where that costs little.
+    They do if the whole plane is visited, or there are several samples per cell. Then the active
+    bounds are found on grids twice as fine each time, which costs little.
     """
     size = levels_v.size - 1
     cells = min(size, CELLS_FOR_THE_WEIGHT)
@@ -323,7 +322,7 @@ def _on_finer_grids(
 
 
 def _on_finer_grid(forces: FloatArray, coarse: int, fine: int) -> FloatArray:
-    """Give each cell of a fine grid the force of the bounds of the coarse cell it lies in."""
+    """Give each cell of a fine grid the multiplier of the coarse cell that contains it."""
     cell = np.arange(fine) * coarse // fine
     density, reversible = np.split(forces, [-coarse])
     return np.concatenate([
@@ -333,6 +332,6 @@ def _on_finer_grid(forces: FloatArray, coarse: int, fine: int) -> FloatArray:
 
 
 def _many(segments: Sequence[HysteresisSegment], size: int) -> bool:
-    """Tell whether there are several samples for each cell of a grid."""
+    """Return whether there are several samples per cell of a grid."""
     cells = size * (size + 1) // 2
     return sum(len(segment.samples) for segment in segments) >= SAMPLES_PER_CELL * cells

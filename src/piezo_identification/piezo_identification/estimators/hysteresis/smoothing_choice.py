@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The weights of the density's penalties that predict branches held out."""
+"""Weights of the density's penalties, chosen by the prediction of held-out branches."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -19,33 +19,33 @@ from piezo_identification.estimators.hysteresis.equations import (
 )
 
 SMOOTHING_WEIGHTS = tuple(10.0**power for power in range(-6, -19, -1))
-"""Weights of the density's curvature, from the largest down."""
+"""Weights of the density's curvature, in descending order."""
 
 TRANSLATION_WEIGHTS = tuple(10.0**power for power in range(-6, -12, -1))
-"""Weights of the density's change along the diagonal, from the largest down."""
+"""Weights of the density's change along the diagonal, in descending order."""
 
 FOLDS = 5
-"""Parts of the branches, each held out once; odd, so that ways up and down take turns."""
+"""Number of folds of the branches, each held out once; odd, so that they mix both directions."""
 
 SHORT_BRANCH = 0.02
-"""A way back by less than this part of the voltage's range is no branch of its own."""
+"""Shortest branch, relative to the voltage range."""
 
 MOST_ABOVE_THE_LEAST = 0.1
-"""Part by which a mean square may exceed the least, however much the folds differ: where some hold
-far more than others, the standard error excuses anything, even a line."""
+"""Largest relative excess of a mean square over the smallest one. If some folds are far larger than
+others, the standard error alone would admit any density, even a line."""
 
 RISES = 3
-"""So many weights in a row, each of which predicts worse than the one before, end a search: those
-that would follow take most time, as the bounds then hold here and there."""
+"""Number of successive weights, each of which predicts worse than the one before, that ends a
+search. The following ones would take most time, because some of the bounds then become active."""
 
 FURTHER_WEIGHTS, WEIGHTS = "further weights of the density", 0.5
-"""What is left out, and from which share of the time of an identification."""
+"""What is omitted when time is short, and the share of the time limit after which it is."""
 
 USUAL = 1e-10
-"""Weight of the curvature where there is no time to choose: most choose 1e-9 to 1e-11."""
+"""Weight of the curvature if there is no time to choose: 1e-9 to 1e-11 are usual."""
 
 FEWEST_ROWS = 4
-"""Samples to fit in a piece of a branch."""
+"""Fewest fitted samples in a piece of a branch."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,13 +55,13 @@ class PenaltyChoice:
     Parameters
     ----------
     without_translation : Penalties
-        Those to take where the density's change along the diagonal is not to be charged.
+        Weights to use without a penalty of the change along the diagonal.
     forces : ndarray
-        Of the bounds, on the grid on which the weights were chosen.
+        Multipliers of the bounds, on the grid on which the weights were chosen.
     misfit : float
-        Sum of the squared errors of what was held out.
+        Sum of squared errors on held-out samples.
     is_enough : bool
-        A line, or what it is smoothed about alone, predicts what was held out as well.
+        True if a line, or the hysteresis about which it is smoothed, predicts them as well.
     """
 
     penalties: Penalties
@@ -72,10 +72,10 @@ class PenaltyChoice:
 
 
 def branch_folds(segments: Sequence[HysteresisSegment]) -> list[NDArray[np.intp]]:
-    """Return, for each sample to fit, the number of the fold in which they are held out.
+    """Return, for each sample to fit, the number of the fold in which it is held out.
 
-    Whole branches between reversals are held out, as samples beside each other tell the same. Where
-    there are few, they are cut into pieces.
+    Whole branches between reversals are held out, because neighbouring samples carry the same
+    information. If there are few branches, they are divided into pieces.
     """
     branches = [_branches(segment) for segment in segments]
     count = sum(len(np.unique(each)) for each in branches)
@@ -103,29 +103,29 @@ def choose_penalties(
     segments: Sequence[HysteresisSegment], levels_v: FloatArray, translation: float | None = None,
     about: FloatArray | None = None, near: Penalties | None = None,
 ) -> PenaltyChoice:
-    """Choose the weights that predict branches held out as well as any.
+    """Choose the weights that predict held-out branches as well as any.
 
-    Of those, the largest of the curvature; of the change along the diagonal the smallest, and none
-    unless it predicts better, because few stages are alike along it. As well as any: the mean over
-    the folds is worse by no more than the standard error of the difference, or than chance does to
-    a mean square.
+    Among these, the curvature has the largest weight. The change along the diagonal has the
+    smallest, and zero unless it predicts better, because the densities of few stages are constant
+    along it. "As well as any" means that the mean over the folds is worse by no more than the
+    standard error of the difference, or the random variation of a mean square.
 
     Parameters
     ----------
     levels_v : ndarray, shape (n + 1,)
     translation : float, optional
-        Weight of the change along the diagonal; by default chosen too.
+        Weight of the change along the diagonal; by default it is chosen.
     about : ndarray, optional
         See `Equations`.
     near : Penalties, optional
-        Chosen from nearly the same segments: the smoothing is sought from there.
+        Weights chosen from nearly the same segments: the starting point of the smoothing.
     """
     trials = _Trials(equations_of_folds(segments, levels_v, branch_folds(segments), about))
     if near is None and not has_time_for(FURTHER_WEIGHTS, WEIGHTS):
         near = Penalties(USUAL, translation or 0.0)
     if near is not None:
         penalties = trials.best_near(near)
-        # About plays nothing asks for another.
+        # With plays, there is no translation weight to choose.
         free = penalties if about is not None else trials.best_near(
             replace(near, translation=translation or 0.0))
     else:
@@ -146,16 +146,16 @@ def refine_smoothing(
     segments: Sequence[HysteresisSegment], levels_v: FloatArray, choice: PenaltyChoice,
     forces: FloatArray, about: FloatArray | None = None,
 ) -> PenaltyChoice:
-    """Go on from weights that were chosen on few cells to a smoothing for more of them.
+    """Continue from weights that were chosen on few cells to a smoothing for more of them.
 
-    What few cells cannot follow hides from them how much the density may bend.
+    Errors of a coarse grid hide how much curvature the density may have.
 
     Parameters
     ----------
     levels_v : ndarray, shape (n + 1,)
-        Of the finer grid.
+        Levels of the finer grid.
     forces : ndarray
-        Of the bounds on the finer grid, about.
+        Approximate multipliers of the bounds on the finer grid.
     about : ndarray, optional
         See `Equations`; on the finer grid.
     """
@@ -166,7 +166,7 @@ def refine_smoothing(
 
 
 class _Trials:
-    """Misfits of the folds held out, by the penalties."""
+    """Errors of held-out folds, by the penalties."""
 
     def __init__(
         self, folds: Sequence[Equations], forces: FloatArray | None = None,
@@ -190,7 +190,7 @@ class _Trials:
                 unknowns, _, forces = self._fitted[index].solve(penalties, forces)
                 return self._unseen_misfit(self._unseen[index], unknowns), forces
 
-            # The bounds that hold are nearly those of weights nearby, and the same in all folds.
+            # The active bounds are nearly those of similar weights, and the same in all folds.
             known = self._forces_near(penalties)
             first = fitted(0, known[0] if known else self._first_forces)
             misfits, self._forces[penalties] = (list(each) for each in zip(first, *side_by_side(
@@ -200,7 +200,7 @@ class _Trials:
         return self._misfits[penalties]
 
     def _forces_near(self, penalties: Penalties) -> list[FloatArray]:
-        """Return the forces of the weights nearest to some, by the folds; none before any."""
+        """Return the multipliers of the most similar weights, by folds; empty if there are none."""
         def decades(known: Penalties) -> float:
             return abs(np.log10(known.smoothing / penalties.smoothing)) + (
                 known.translation != penalties.translation)
@@ -208,7 +208,7 @@ class _Trials:
         return self._forces[min(self._forces, key=decades)] if self._forces else []
 
     def best(self, candidates: Iterable[Penalties]) -> Penalties:
-        """Return the first candidate that predicts as well as any, until they get ever worse."""
+        """Return the first candidate that predicts as well as any; stop when they get worse."""
         first, *others = candidates
         listed, misfits = [first], [float(self.misfits(first).sum())]
         with while_time_lasts(FURTHER_WEIGHTS, WEIGHTS):
@@ -223,8 +223,8 @@ class _Trials:
     def best_near(self, penalties: Penalties) -> Penalties:
         """Return the best smoothing that is reached from a given one.
 
-        Weaker ones are tried as long as they predict the branches held out better; if the first
-        does not, stronger ones are.
+        Smaller weights are tried as long as they predict the held-out branches better; if the first
+        does not, larger ones are tried.
         """
         first = SMOOTHING_WEIGHTS.index(penalties.smoothing)
         tried, least = [penalties], self.misfits(penalties).sum()
@@ -242,12 +242,12 @@ class _Trials:
         return self.best(sorted(tried, key=lambda each: -each.smoothing))
 
     def forces(self, penalties: Penalties) -> FloatArray:
-        """Return the forces of the bounds with all samples."""
+        """Return the multipliers of the bounds for all samples."""
         self.misfits(penalties)
         return self._whole.solve(penalties, self._forces[penalties][0])[2]
 
     def nothing_more_predicts(self, penalties: Penalties) -> bool:
-        """Tell whether a line, or nothing beside what is given, predicts as well as a density."""
+        """Return whether a line, or the given hysteresis alone, predicts as well as a density."""
         nothing = np.zeros(self._whole.about.size)
         misfits = np.array([
             self._unseen_misfit(
@@ -259,8 +259,8 @@ class _Trials:
     def _unseen_misfit(self, unseen: Equations, unknowns: FloatArray) -> float:
         """Sum of the squared errors of a fold.
 
-        Offsets and transients of the start are no part of the hysteresis: they are those of all
-        samples. A transient may lie in one fold alone, and the others tell nothing of it.
+        Offsets and transients do not belong to the hysteresis and are fitted to all samples. A
+        transient may lie in one fold only, so that the other folds do not determine it.
         """
         return unseen.misfit(unknowns, self._whole.beside(unknowns))
 
@@ -270,5 +270,5 @@ class _Trials:
         error = float(np.std(worse) / np.sqrt(max(worse.size - 1, 1)))
         chance = np.sqrt(2.0 / self._counts.sum()) * best.sum() / self._counts.sum()
         most = MOST_ABOVE_THE_LEAST * best.sum() / self._counts.sum()
-        # Of exact data, the misfits are rounding, of either sign.
+        # For exact data, the misfits are rounding errors of either sign.
         return float(np.mean(worse)) <= max(min(error, most), chance, 0.0)

@@ -37,13 +37,13 @@ class HeldInput:
     ----------
     samples : ndarray, shape (N,)
     is_periodic : bool
-        The samples are one period of what has gone on for ever; otherwise the first of them was
-        held for ever before, and the last one will be.
+        True if the samples are one period of a periodic input. Otherwise, the first sample was held
+        for all time before, and the last one is held for all time after.
     begins : tuple of int
-        Samples at which inputs begin that have nothing to do with each other. Not if periodic.
+        Samples at which independent inputs begin. Unused if periodic.
     early : ndarray, shape (N,), optional
-        Part of a sample period by which the input takes each sample before its time. By default 0,
-        and 0 where an input begins. Not if periodic.
+        Fraction of a sample period by which the input changes to each sample before its time. By
+        default 0; 0 where an input begins. Unused if periodic.
     """
 
     samples: FloatArray
@@ -55,17 +55,17 @@ class HeldInput:
     def responses(
         self, poles: ComplexArray, delay: float, rows: NDArray[np.intp] | None = None,
     ) -> PoleResponses:
-        """Respond to the input by every pole.
+        """Return the response of every pole to the input.
 
         Parameters
         ----------
         poles : ndarray of complex, shape (n,)
-            In rad/s, stable.
+            Stable poles in rad/s.
         delay : float
-            In sample periods: output sample n is the response at n less the delay. Where it is
-            negative, the output is read later than the input changes.
+            Delay in sample periods: output sample n is the response at n minus the delay. If it
+            is negative, the output is read after the input changes.
         rows : ndarray of int, shape (K,), optional
-            Output samples that are wanted, ascending; by default all.
+            Indices of the output samples to compute, ascending; by default all.
         """
         scaled = poles * self.sample_period_s
         ahead = int(np.floor(-delay))
@@ -86,7 +86,7 @@ class HeldInput:
         self, part: float, rows: NDArray[np.intp], scaled: ComplexArray, value: ComplexArray,
         by_pole: ComplexArray, by_delay: ComplexArray,
     ) -> None:
-        """Add what steps to the next samples add that come before the part of a period read at."""
+        """Add the responses to early steps that precede the instant of reading in its period."""
         assert self.early is not None
         following = np.minimum(rows + 1, self.samples.size - 1)
         since = self.early[following] + part - 1.0
@@ -130,7 +130,7 @@ class HeldInput:
     def _edges(
         self, begin: int, end: int, scaled: ComplexArray,
     ) -> tuple[NDArray[np.intp], ComplexArray, ComplexArray]:
-        """Return early samples of the input, and what they add to each state and slope."""
+        """Return the indices of early samples, and what they add to each state and slope."""
         if self.early is None:
             return _NO_EDGES
         at = np.flatnonzero(self.early[begin:end])
@@ -139,7 +139,7 @@ class HeldInput:
         return at, change * gain, change * gain_slope
 
     def _places(self, ahead: int, rows: NDArray[np.intp] | None) -> NDArray[np.intp]:
-        """Return samples so many ahead of some; at rest before an input, unknown after it."""
+        """Return sample indices shifted ahead, clipped to the input that each belongs to."""
         size = self.samples.size
         wanted: NDArray[np.intp] = np.arange(size) if rows is None else rows
         if self.is_periodic:
@@ -154,7 +154,7 @@ _NO_EDGES = (np.empty(0, dtype=np.intp), np.empty((0, 0), dtype=complex),
 
 
 def _step(scaled: ComplexArray, time: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Answer to a step after a time in sample periods, and its derivative by the scaled pole."""
+    """Response to a step after a time in sample periods, and its derivative by the scaled pole."""
     decay = np.exp(scaled * time)
     gain = (decay - 1.0) / scaled
     return gain, (time * decay - gain) / scaled
@@ -178,7 +178,7 @@ def _run(
             continue
         state, slope = start[i], start_slope[i]
         n, edge = 0, 0
-        # Only what is wanted is kept: writing all of it takes longer than the recursion.
+        # Only the requested rows are stored: storing all takes longer than the recursion.
         for k in range(rows.size + 1):
             until = rows[k] if k < rows.size else samples.size
             while n < until:
@@ -203,8 +203,8 @@ def _read(
     part: float, decay: ComplexArray, gain: ComplexArray, gain_slope: ComplexArray,
     period_s: float,
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Responses at a part of a sample period behind some samples, and their derivatives."""
-    # In one pass: as whole arrays, the terms of these sums take most of the time of a fit.
+    """Responses a fraction of a sample period after some samples, and their derivatives."""
+    # One pass, because whole-array operations would take most of the time of a fit.
     values = np.empty(states.shape, dtype=np.complex128)
     by_pole = np.empty(states.shape, dtype=np.complex128)
     by_delay = np.empty(states.shape, dtype=np.complex128)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Responses of single poles to a held input, at lines of its spectrum.
 
-A response of a million samples costs a recursion over all of them, its spectrum a product at the
-lines that are looked at. What rings at the beginning of a stretch and at its end adds a transient
-to each pole, of one size at all lines (Pintelon and Schoukens, "System Identification", 2012, 2.6):
-so the relation is exact without a window.
+A response of a million samples needs a recursion over all of them; its spectrum needs only a
+product at each selected line. Free oscillations at the beginning and end of a stretch add a
+transient to each pole, of the same size at all lines (Pintelon and Schoukens, "System
+Identification", 2012, 2.6), so that the relation is exact without a window.
 """
 
 from dataclasses import dataclass
@@ -16,22 +16,22 @@ from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.estimators.poles.pole_responses import PoleResponses
 
 DELAYED = 3
-"""Sample periods of delay of which the ends of a stretch are free."""
+"""Number of sample periods of delay for which the ends of a stretch are free."""
 
 EXCITED = 1e-3
-"""Part of the strongest line of an input from which a line shows the response."""
+"""Strength of a line, relative to the strongest of the input, from which it shows the response."""
 
 
 @dataclass(frozen=True, eq=False)
 class SpectralLines:
-    """Lines of stretches of a record: where they are, and how a signal is seen there.
+    """Spectral lines of stretches of a record.
 
     Parameters
     ----------
     stretches : tuple of slice
-        Of the samples.
+        Sample ranges of the stretches.
     lines : tuple of ndarray of int
-        Of each stretch.
+        Indices of the lines of each stretch.
     """
 
     stretches: tuple[slice, ...]
@@ -40,13 +40,13 @@ class SpectralLines:
     @classmethod
     def excited_by(cls, samples: FloatArray, stretches: tuple[slice, ...],
                    most: int) -> "SpectralLines":
-        """Choose lines at which an input excites, dense at low frequencies and spread over all.
+        """Choose lines that an input excites, dense at low frequencies and spread over all.
 
         Parameters
         ----------
         samples : ndarray, shape (N,)
         most : int
-            Lines of all stretches together, about.
+            Approximate number of lines in all stretches together.
         """
         chosen = []
         for stretch in stretches:
@@ -63,7 +63,7 @@ class SpectralLines:
         return cls(stretches, tuple(chosen))
 
     def of(self, signal: FloatArray) -> ComplexArray:
-        """Return a signal of shape (N,) at the lines, of white noise with its variance twice."""
+        """Return a signal of shape (N,) at the lines; white noise has twice its variance there."""
         return np.concatenate([
             _spectrum(signal[stretch])[lines]
             for stretch, lines in zip(self.stretches, self.lines, strict=True)])
@@ -80,28 +80,28 @@ def _spectrum(signal: FloatArray) -> ComplexArray:
 
 
 def real_rows(values: ComplexArray) -> FloatArray:
-    """Return real and then imaginary parts as rows, of shape (K,) the shape (2 K,)."""
+    """Return real parts followed by imaginary parts, of shape (2 K,) for shape (K,)."""
     return np.concatenate([values.real, values.imag])
 
 
 @dataclass(frozen=True, eq=False)
 class SpectralInput:
-    """An input whose samples are held, as a `pole_responses.HeldInput`, seen at lines.
+    """A held input, as in `pole_responses.HeldInput`, seen at spectral lines.
 
-    The rows of its responses are the real parts of all lines, then the imaginary parts. Those to
-    conjugate poles are conjugate, as in time, so that pairs of poles give real rows.
+    The rows of its responses are the real parts of all lines, then the imaginary parts. Responses
+    of conjugate poles are conjugate, as in time, so that pairs of poles give real rows.
 
     Parameters
     ----------
     samples : ndarray, shape (N,)
     phases : ndarray, shape (K,)
-        Of the lines, in rad a sample.
+        Phase advance per sample at the lines, in rad.
     lines : ndarray of complex, shape (K,)
-        The input at them.
+        Spectrum of the input at the lines.
     counts : tuple of int
-        Lines of each stretch.
+        Number of lines of each stretch.
     is_periodic : bool
-        The one stretch is a period of what has gone on for ever: it has no ends.
+        True if the only stretch is a period of a periodic input, which has no ends.
     """
 
     samples: FloatArray
@@ -112,17 +112,17 @@ class SpectralInput:
     is_periodic: bool = False
 
     def transients(self, poles: ComplexArray) -> FloatArray:
-        """Return what may begin and end in each stretch: of all poles, of a level, and of delays.
+        """Return possible transients of each stretch: of all poles, of a level, and of delays.
 
         Parameters
         ----------
         poles : ndarray of complex, shape (n,)
-            In rad/s; one of each conjugate pair counts for both.
+            Poles in rad/s; one of each conjugate pair represents both.
 
         Returns
         -------
         ndarray, shape (2 K, S (n + 1 + DELAYED))
-            Of a period (2 K, 0).
+            For a periodic input, (2 K, 0).
         """
         if self.is_periodic:
             return np.empty((2 * self.phases.size, 0))
@@ -145,16 +145,16 @@ class SpectralInput:
     def responses(
         self, poles: ComplexArray, delay: float, rows: NDArray[np.intp] | None = None,
     ) -> PoleResponses:
-        """Respond to the input by every pole.
+        """Return the response of every pole to the input.
 
         Parameters
         ----------
         poles : ndarray of complex, shape (n,)
-            In rad/s, stable.
+            Stable poles in rad/s.
         delay : float
-            In sample periods, as for a `pole_responses.HeldInput`.
+            Delay in sample periods, as in `pole_responses.HeldInput`.
         rows : ndarray of int, optional
-            Of the 2 K rows those that are wanted; by default all.
+            Indices of the 2 K rows to compute; by default all.
         """
         at, mirrored = (self._at_lines(poles, delay, sign) for sign in (1.0, -1.0))
         values = []

@@ -14,20 +14,20 @@ from piezo_common.arrays import ComplexArray, FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Lines:
-    """An output that is a sum of inputs, each behind a proper rational function of the same poles.
+    """An output that is a sum of inputs, each filtered by a rational function of common poles.
 
     Parameters
     ----------
     rate_rad_per_s : ndarray, shape (N,)
         Positive.
     output : ndarray of complex, shape (N,)
-        A measured response, where the one input is 1.
+        For a single input of 1, a measured response.
     inputs : ndarray of complex, shape (N, K), optional
         By default 1.
     beside : ndarray of complex, shape (N, L), optional
-        What else the output may hold, in real amounts; by default nothing.
+        Further signals that the output may contain, with real coefficients; by default none.
     weight : float or ndarray, shape (N,)
-        Of the error of each line.
+        Weight of the error of each line.
     """
 
     rate_rad_per_s: FloatArray
@@ -37,7 +37,7 @@ class Lines:
     weight: FloatArray | float = 1.0
 
     def columns(self, basis: ComplexArray) -> ComplexArray:
-        """Return what the output may be made of, with given responses of poles (N, n)."""
+        """Return the regressors of the output for given responses of poles, (N, n)."""
         whole = np.column_stack([basis, np.ones(basis.shape[0])])
         inputs = np.ones((whole.shape[0], 1)) if self.inputs is None else self.inputs
         beside = [] if self.beside is None else [self.beside]
@@ -45,12 +45,12 @@ class Lines:
 
 
 def vector_fit(lines: Lines, pole_count: int, iterations: int = 20) -> ComplexArray:
-    """Poles of proper rational functions near an output.
+    """Poles of proper rational functions that approximate an output.
 
     Returns
     -------
     ndarray of complex, shape (pole_count,)
-        In rad/s; stable.
+        Stable poles in rad/s.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def vector_fit(lines: Lines, pole_count: int, iterations: int = 20) -> ComplexAr
         )
     scale = rate.max()
     s = 1j * rate / scale
-    # Spread as the measured frequencies are.
+    # The initial poles are distributed as the measured frequencies.
     ranks = np.linspace(0.0, 1.0, pole_count // 2 + 2)[1:-1]
     pairs = np.quantile(rate, ranks) / scale
     poles = np.concatenate([(-0.02 + 1j) * pairs, (-0.02 - 1j) * pairs])
@@ -81,12 +81,12 @@ def vector_fit(lines: Lines, pole_count: int, iterations: int = 20) -> ComplexAr
 
 
 def left_by_poles(lines: Lines, poles: ComplexArray) -> ComplexArray:
-    """Return what the best rational functions with given poles leave of an output, shape (N,).
+    """Return the residual of the best rational functions with given poles, shape (N,).
 
     Parameters
     ----------
     poles : ndarray of complex, shape (n,)
-        In rad/s, closed under conjugation.
+        Poles in rad/s, closed under conjugation.
     """
     scale = lines.rate_rad_per_s.max()
     columns = lines.columns(_basis(1j * lines.rate_rad_per_s / scale, poles / scale)[2])
@@ -94,7 +94,7 @@ def left_by_poles(lines: Lines, poles: ComplexArray) -> ComplexArray:
 
 
 def _basis(s: ComplexArray, poles: ComplexArray) -> tuple[FloatArray, FloatArray, ComplexArray]:
-    """Real state space with these poles, and its states' responses (N, n)."""
+    """Real state space with these poles, and the responses of its states, (N, n)."""
     pairs, real = poles[poles.imag > 0.0], poles[poles.imag == 0.0].real
     dynamics, drive = np.diag(np.concatenate([np.repeat(pairs.real, 2), real])), np.ones(poles.size)
     for i, pole in enumerate(pairs):

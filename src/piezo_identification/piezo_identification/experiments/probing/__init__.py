@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Measure a stage one knows nothing about, and fit the other experiments to it."""
+"""Measure an unknown stage, and fit the other experiments to it."""

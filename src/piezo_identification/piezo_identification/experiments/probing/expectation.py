@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Tell how accurate a model can become on a stage, and what a probe cannot see of it."""
+"""Estimate how accurate a model of a stage can become, and what a probe cannot measure."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,25 +11,25 @@ from piezo_identification.experiments.probing.findings import Findings
 from piezo_identification.experiments.stage_limits import StageLimits
 
 FEWEST_SAMPLES_PER_CYCLE = 4.0
-"""A vibration with fewer samples in a cycle may be the alias of one above half the sample rate."""
+"""A vibration with fewer samples per cycle may be an alias of one above half the sample rate."""
 
 FEWEST_SETTLING_SAMPLES = 8.0
-"""A motion that is over in fewer samples shows too little of itself to be taken apart."""
+"""A motion that ends within fewer samples cannot be decomposed into modes and lags."""
 
 NOTABLE_PERCENT = 0.05
-"""Error by noise that is told: some times that of a model of a stage with a quiet sensor."""
+"""Error caused by noise above which a remark is made: some times that with a quiet sensor."""
 
 
 @dataclass(frozen=True)
 class Expectation:
-    """What the noise leaves in a model after the experiments, in percent of what each moves.
+    """Model errors that noise causes, in percent of the motion of each experiment.
 
     Parameters
     ----------
     creep_percent, dynamics_percent, hysteresis_percent : float
-        Standard deviations of the means that decide on each component.
+        Standard deviations of the means from which each component is identified.
     remarks : tuple of str
-        What is out of reach, and what would help.
+        What the experiments cannot identify, and what would help.
     """
 
     creep_percent: float
@@ -39,21 +39,21 @@ class Expectation:
 
     @property
     def model_percent(self) -> float:
-        """Return that of the whole model, as the components' noise is independent."""
+        """Return the error of the whole model; the errors of the components are independent."""
         return float(np.sqrt(
             self.creep_percent**2 + self.dynamics_percent**2 + self.hysteresis_percent**2))
 
 
 def expectation(findings: Findings, limits: StageLimits,
                 parameters: Mapping[str, Mapping[str, Any]]) -> Expectation:
-    """Estimate what the noise leaves in a model, and tell what is out of reach.
+    """Estimate the model errors that noise causes, and what cannot be identified.
 
     Parameters
     ----------
     limits : StageLimits
-        Of `fitted_limits`.
+        Limits from `fitted_limits`.
     parameters : dict of str to dict
-        Of `fitted_parameters`.
+        Parameters from `fitted_parameters`.
     """
     rate_hz, gain_um_per_v = limits.sample_rate_hz, abs(findings.gain_um_per_v)
     creep, dynamics, hysteresis = (
@@ -63,7 +63,7 @@ def expectation(findings: Findings, limits: StageLimits,
         noise_um = findings.rest.of_mean_um(max(1, round(samples)))
         return float(100.0 * noise_um / (travel_v * gain_um_per_v))
 
-    # The fastest creep shows between the settling and some times that, after both steps.
+    # The fastest creep appears after both steps, from one to about ten settling times.
     creep_percent = left_percent(
         creep["swing_v"], 10.0 * findings.response.settling_s * rate_hz)
     dynamics_percent = left_percent(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a probe has found, and how each of it is measured from what was played."""
+"""The results of a probe, and how they are computed from the measured responses."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,13 +11,13 @@ from piezo_common.arrays import FloatArray
 from piezo_identification.experiments.probing.step_response import StepResponse, step_response
 
 SENSOR_MARGIN = 0.05
-"""This part of the sensor's range is left free at both ends."""
+"""Fraction of the sensor's range that stays unused at both ends."""
 
 LEAST_CREEP = 1e-3
-"""A change by this part of the step in an octave of time counts as creep."""
+"""Smallest change in an octave of time that counts as creep, as a fraction of the step."""
 
 ENDED = 0.4
-"""An octave of time with less than this part of the largest one's creep is behind the creep."""
+"""The creep has ended in an octave of time with less than this fraction of the largest creep."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,9 @@ class Rest:
     level_um : float
         Mean displacement.
     noise_rms_um : float
-        Of a sample, without a linear drift; no less than the sensor's resolution gives.
+        Noise of a sample without linear drift; at least the rounding noise of the sensor.
     resolution_um : float
-        Smallest change of the reading that was seen; 0 where it never changed.
+        Smallest observed change of the reading; 0 if it never changed.
     """
 
     level_um: float
@@ -39,9 +39,9 @@ class Rest:
     resolution_um: float = 0.0
 
     def of_mean_um(self, count: int) -> float:
-        """Return the noise of the mean of samples that were taken at the same motion.
+        """Return the noise of the mean of `count` samples taken at the same motion.
 
-        Where the noise is smaller than half the resolution, the reading is rounded alike each time.
+        If the noise is smaller than half the resolution, each reading is rounded the same way.
         """
         white_um = self.noise_rms_um / np.sqrt(count)
         rounded_um = self.resolution_um / np.sqrt(12.0)
@@ -49,9 +49,9 @@ class Rest:
             white_um)
 
     def seen_moving(self, displacement_um: FloatArray) -> "Rest":
-        """Return the same rest with the resolution that a motion shows.
+        """Return a copy with the resolution determined from a motion.
 
-        A converter whose steps are larger than the noise reads the same all the time at rest.
+        At rest, a converter whose steps are larger than the noise gives constant readings.
 
         Parameters
         ----------
@@ -66,16 +66,17 @@ class Rest:
 
 @dataclass(frozen=True)
 class Pulse:
-    """The answer to one pulse of the voltage, from rest and back.
+    """The response to one pulse of the voltage, from rest and back.
 
     Parameters
     ----------
     rise_um, fall_um : float
-        Change of the displacement by the rise and by the fall of the voltage, signed alike.
+        Change of the displacement caused by the rise and by the fall of the voltage, both with the
+        sign of the rise.
     highest_um, lowest_um : float
-        Largest excursions from rest, without the noise; from 0.
+        Largest excursions above and below rest less the noise, not negative.
     unsettled : float
-        Change in the last quarter of the dwell over the rise.
+        Change in the last quarter of the dwell as a fraction of the rise.
     """
 
     rise_um: float
@@ -92,11 +93,11 @@ class Creep:
     Parameters
     ----------
     share_per_decade : float
-        Of the step, mean over the decades of the hold.
+        Creep per decade of time as a fraction of the step, averaged over the hold.
     time_s : float
-        Up to which it creeps: the end of the last octave with much creep; 0 where there is none.
+        End of the last octave of time with notable creep; 0 without creep.
     ended : bool
-        Whether it faded.
+        Whether the creep faded before the end of the hold.
     """
 
     share_per_decade: float
@@ -106,16 +107,16 @@ class Creep:
 
 @dataclass(frozen=True)
 class Findings:
-    """What a probe has found of a stage.
+    """The results of a probe.
 
     Parameters
     ----------
     step_v : float
-        The step at which all else was measured, signed.
+        Step at which gain, response and creep were measured, signed.
     gain_um_per_v : float
-        Of the first rise to it, signed.
+        Gain of the first rise to this step, signed.
     signal_to_noise : float
-        Of the repeated step over the noise of one sample.
+        Height of the repeated step over the noise of one sample.
     """
 
     rest: Rest
@@ -138,19 +139,19 @@ def measure_rest(displacement_um: FloatArray) -> Rest:
     level_um = float(displacement_um.mean())
     least_um = 1e-6 * max(1.0, abs(level_um))
     spread_um = float((displacement_um - level_um - slope * time).std())
-    # A converter without noise in front of it hides what is smaller than a step of it.
+    # Without noise, a converter does not resolve changes below one of its steps.
     return Rest(level_um, max(spread_um, least_um)).seen_moving(displacement_um)
 
 
 def _smallest_change_um(displacement_um: FloatArray) -> float:
-    """Return the smallest change from sample to sample; infinity where there is none."""
+    """Return the smallest change from sample to sample; infinity if there is none."""
     changes_um = np.abs(np.diff(displacement_um))
     rounding_um = 1e-9 * float(np.abs(displacement_um).max(initial=0.0))
     return float(changes_um[changes_um > rounding_um].min(initial=np.inf))
 
 
 def measure_pulse(displacement_um: FloatArray, rise: int, fall: int, noise_um: float) -> Pulse:
-    """Measure the answer to one pulse.
+    """Measure the response to one pulse.
 
     Parameters
     ----------
@@ -158,7 +159,7 @@ def measure_pulse(displacement_um: FloatArray, rise: int, fall: int, noise_um: f
     rise, fall : int
         Samples at which the voltage begins to rise and to fall.
     noise_um : float
-        RMS of a sample.
+        RMS noise of a sample.
     """
     before_um = float(displacement_um[:rise].mean())
     quarter = max(1, (fall - rise) // 4)
@@ -175,17 +176,17 @@ def measure_pulse(displacement_um: FloatArray, rise: int, fall: int, noise_um: f
 
 def measure_response(displacement_um: FloatArray, rises: Sequence[int], dwell: int, rest: Rest,
                      sample_period_s: float) -> StepResponse:
-    """Average the answers to equal pulses and take them apart.
+    """Average the responses to equal pulses, and decompose the mean into exponentials.
 
     Parameters
     ----------
     displacement_um : ndarray, shape (N,)
     rises : sequence of int
-        Samples at which the voltage rises; it falls a dwell later.
+        Samples at which the voltage rises; it falls `dwell` samples later.
     dwell : int
         Samples from one change of the voltage to the next.
     rest : Rest
-        Whose noise there is.
+        Rest of the stage, which gives the noise.
     """
     up_um = np.mean([displacement_um[n:n + dwell] for n in rises], axis=0)
     down_um = np.mean([displacement_um[n + dwell:n + 2 * dwell] for n in rises], axis=0)
@@ -198,18 +199,18 @@ def measure_response(displacement_um: FloatArray, rises: Sequence[int], dwell: i
 
 def measure_creep(time_s: FloatArray, displacement_um: FloatArray, steps_s: FloatArray,
                   noise_um: float) -> Creep:
-    """Find how much and for how long a stage creeps after a step, apart from what lasts of others.
+    """Find how much and for how long a stage creeps after a step.
 
-    The creep is a sum of relaxations with time constants an octave apart and shares of one sign,
-    the same after each of the steps (superposition, Boltzmann).
+    The creep is a sum of relaxations with time constants an octave apart and amplitudes of one
+    sign. The creep of earlier steps is superposed (Boltzmann).
 
     Parameters
     ----------
     time_s : ndarray, shape (N,)
-        Since the last step; below 0 before it.
+        Time since the last step; negative before it.
     displacement_um : ndarray, shape (N,)
     steps_s : ndarray, shape (S,)
-        Times of all steps up and down in turn, the last at 0.
+        Times of all steps, alternately up and down; the last is at 0.
     noise_um : float
         Standard deviation of each sample.
     """
@@ -221,7 +222,7 @@ def measure_creep(time_s: FloatArray, displacement_um: FloatArray, steps_s: Floa
     ups = (-1.0) ** np.arange(steps_s.size)[::-1]
     relaxed = sum(up * -np.expm1(-np.maximum(time_s - step_s, 0.0)[:, None] / constants_s)
                   for up, step_s in zip(ups, steps_s, strict=True))
-    # As many points for each octave of time, so that the long end does not outweigh the others.
+    # Each octave of time has the same weight, although later ones hold more samples.
     weights = 1.0 / np.sqrt(np.maximum(np.abs(time_s), first_s))
     columns = np.column_stack([np.ones_like(time_s), after, sign * relaxed])
     bounds = [-np.inf, -np.inf] + [0.0] * constants_s.size

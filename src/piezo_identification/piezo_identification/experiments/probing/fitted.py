@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Fit the parameters of the experiments to what a probe has found."""
+"""Choose the parameters of the experiments from the results of a probe."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,72 +16,72 @@ from piezo_identification.experiments.probing.findings import SENSOR_MARGIN, Fin
 from piezo_identification.experiments.stage_limits import StageLimits
 
 LARGE_SIGNAL = (2.0, 1.3)
-"""Gain over the whole range over that of a step, at most: of the smallest, whose loop has hardly
-more than half of the gain of large ones, and of one of `SWING_FRACTION` of the range."""
+"""Upper bounds of the gain over the whole range relative to that of a step: for the smallest step,
+whose loop has hardly more than half the gain, and for one of `SWING_FRACTION` of the range."""
 
 LEAST_RANGE = 0.1
-"""This part of the voltage range must be left to identify anything."""
+"""Smallest fraction of the voltage range with which a model can be identified."""
 
 HALF_PERIOD_SETTLINGS = 2.0
-"""Settling times in half a period of the dynamics: the whole answer to each step shows."""
+"""Settling times in half a period of the dynamics, so that each step response is complete."""
 
 PRECISION = 4e-5
-"""Noise of the mean step of the dynamics over the step, that enough periods reach."""
+"""Wanted noise of the mean step response as a fraction of the step; sets the number of periods."""
 
 PERIODS, LONGEST_DYNAMICS_S = (100, 1000), 30.0
-"""The dynamics are recorded for at least and at most so many periods, and for no longer."""
+"""Fewest and most periods of the dynamics, and their longest duration."""
 
 LEVEL_COUNT = 70
 """Harmonics of the hysteresis, as in the thesis (4.7.2)."""
 
 HARMONIC_SETTLINGS = 350.0
-"""Settling times in a harmonic: the dynamics are a small correction to the hysteresis."""
+"""Settling times in a harmonic, so that the dynamics are a small correction to the hysteresis."""
 
 LEVEL_PRECISION = 1e-4
-"""Noise of the mean within a level over the travel."""
+"""Wanted noise of the mean within a level as a fraction of the travel."""
 
 HARMONIC_S = (0.2, 8.0)
 """Shortest and longest period of a harmonic."""
 
 HELD_SETTLINGS, MOST_HELD = 0.17, 10_000
-"""Settling times in a value of a harmonic, as a mean over more loses the lag; values in it at most,
-which keeps the estimate's memory."""
+"""Settling times for which a value of a harmonic is held (the mean over a longer time loses the
+lag), and most values in a harmonic (which bounds the memory of the estimate)."""
 
 CREEP_TIMES = 1.0
-"""Half a period of the creep over the time up to which most of it lasts."""
+"""Half a period of the creep experiment over the time until which the stage creeps."""
 
 CREEP_PERIOD_S = (20.0, 1600.0)
-"""Shortest and longest period of the creep."""
+"""Shortest and longest period of the creep experiment."""
 
 CREEP_SETTLINGS = 2.0
-"""Settling times in a sample of the creep: the fast motion ends within the first."""
+"""Settling times in a sample of the creep, so that the fast motion ends within the first."""
 
 ARC_SETTLINGS, CLIMB_SETTLINGS = 45.0, 90.0
 """Settling times in an arc of the validation, and in the climb before the multisine."""
 
 ARC_S, TONES_S = 0.25, (1.0, 10.0)
-"""Shortest arc; shortest and longest part with tones."""
+"""Shortest arc; shortest and longest duration of the tones."""
 
 ABOVE_THE_MODES = 1.3
 """Highest tone over the highest frequency of the stage."""
 
 HIGHEST_TONE = 0.1
-"""Tones above this part of the sample clock's rate are stairs."""
+"""Highest tone over the sample rate; above it, the held voltage is a coarse staircase."""
 
 LARGEST_PEAK = 1.5
-"""A tone at a resonance may be so many times the same tone far below it."""
+"""Largest gain at a tone over the static gain before the tone is made smaller."""
 
 RELAY_S, RELAY_SETTLINGS = 0.5, 100.0
-"""Shortest time of the relay, and settling times in it."""
+"""Shortest duration of the relay, and its duration in settling times."""
 
 
 def fitted_limits(findings: Findings, limits: StageLimits) -> StageLimits:
-    """Narrow the voltage range to what stays within the range of the sensor.
+    """Narrow the voltage range so that the displacement stays within the range of the sensor.
 
     Raises
     ------
     ValueError
-        If hardly any range is left.
+        If the narrowed range is too small to identify a model.
     """
     size = abs(findings.step_v) / limits.span_v
     gain_um_per_v = findings.gain_um_per_v * float(
@@ -107,12 +107,12 @@ def fitted_parameters(findings: Findings, limits: StageLimits) -> dict[str, dict
     Parameters
     ----------
     limits : StageLimits
-        Of `fitted_limits`.
+        Limits from `fitted_limits`.
 
     Returns
     -------
     dict of str to dict
-        Arguments of the functions of the catalogue, by the name of the experiment.
+        Arguments of the functions of the catalogue by name of the experiment.
     """
     clock_s, settling_s = 1.0 / limits.sample_rate_hz, findings.response.settling_s
     swing_v = min(SWING_FRACTION * limits.span_v, 0.99 * limits.slew_limit_v_per_s * clock_s)
@@ -160,7 +160,7 @@ def _hysteresis(findings: Findings, limits: StageLimits, clock_s: float) -> dict
 
 def _tones(findings: Findings, limits: StageLimits,
            usual: Sequence[tuple[float, float]]) -> dict[str, Any]:
-    """Stretch the usual tones to the frequencies of the stage, smaller where it resonates."""
+    """Scale the usual tones to the frequencies of the stage, and reduce them at resonances."""
     response = findings.response
     highest_hz = max([mode[0] for mode in response.modes] or [3.0 / response.settling_s])
     top_hz = min(ABOVE_THE_MODES * highest_hz, HIGHEST_TONE * limits.sample_rate_hz)

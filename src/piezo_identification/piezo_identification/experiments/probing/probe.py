@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Decide which small step follows, to measure a stage of which only the limits are known."""
+"""Measure a stage of which only the limits are known, step by step."""
 
 from collections.abc import Generator
 from dataclasses import dataclass
@@ -25,56 +25,59 @@ from piezo_identification.experiments.stage_limits import StageLimits
 from piezo_recorder.reading.recording import Recording
 
 NAME = "probe"
-"""Under which it is asked for, beside the experiments."""
+"""Name that selects the probe, in addition to those of the experiments."""
 
 SIGNAL_TO_NOISE = 200.0
-"""Wanted of a step over the RMS noise of one sample: no step is larger than this needs."""
+"""Wanted height of a step over the RMS noise of one sample; steps grow until they reach it."""
 
 LEAST_SIGNAL_TO_NOISE = 10.0
-"""Below, even the largest step that is allowed does not tell the gain."""
+"""Smallest signal-to-noise ratio with which the gain can be measured."""
 
 SMALLEST_STEP, LARGEST_STEP = 1e-3, 0.3
-"""The first step and the largest one are these parts of the voltage range. The other experiments
-step as far."""
+"""First and largest step as fractions of the voltage range. The other experiments use steps as
+large as the largest."""
 
 GROWTH = 2.0
-"""A step is at most so many times the one before it."""
+"""Largest ratio of a step to the one before it."""
 
 GAIN_GROWTH = 2.0
-"""What a step twice as large may show in gain: a loop's displacement grows with the square."""
+"""Bound of the gain growth from step to step: the displacement of a loop grows with the square."""
 
 REST_S, FIRST_DWELL_S, LONGEST_DWELL_S = 0.5, 0.1, 6.4
-"""Silence for the noise; time for which a step is held, made longer where it has not settled."""
+"""Time at rest to measure the noise; time for which a step is held, longer if it has not
+settled."""
 
 SETTLED = 0.1
-"""Change within the last quarter of a dwell, over the step, of what has settled: creep is less."""
+"""A step has settled if it changes by less than this fraction in the last quarter of the dwell;
+creep stays below it."""
 
 AVERAGED_PULSES = 12
-"""Whose mean shows the ringing; the first one more is not counted, as its loop is not closed."""
+"""Pulses that are averaged to show the ringing. One more before them is discarded, as its loop is
+not closed."""
 
 FIRST_HOLD_S, LONGEST_HOLD_S, HOLD_GROWTH = 4.0, 1024.0, 4.0
-"""Holds for the creep, each so much longer than the one before, until the creep fades."""
+"""First and longest hold for the creep, and their ratio; holds grow until the creep fades."""
 
 HOLD_SAMPLES, LEAD = 800, 20
-"""A hold has so many means, the rest before it fewer; none is longer than the stage allows, 1 s."""
+"""Means in a hold and in the rest before it; none is longer than the stage allows (1 s)."""
 
 Course = Generator[Experiment, Recording, Findings]
 
 
 @dataclass(frozen=True)
 class Step:
-    """A size of step that the stage was found to bear.
+    """A step that is large enough to measure and safe for the stage.
 
     Parameters
     ----------
     size_v : float
-        Signed.
+        Signed height.
     dwell : int
-        Samples for which it settles.
+        Samples for which it is held to settle.
     gain_um_per_v : float
-        Of the first rise to it.
+        Gain of the first rise.
     signal_to_noise : float
-        Of its repetition.
+        Height of the response over the noise of one sample.
     """
 
     size_v: float
@@ -84,16 +87,16 @@ class Step:
 
 
 class Probe:
-    """Measure a stage by small steps, each decided by what those before it have shown.
+    """Measure a stage by small steps, each chosen from the results of those before it.
 
     Every step begins and ends at the rest voltage.
 
     Attributes
     ----------
     step : Experiment or None
-        To be played next; None once all is known.
+        Step to be played next; None once the probe is complete.
     longest_s : float
-        What the longest step may take: of the order of what is left.
+        Duration of the longest possible step, which indicates the remaining time.
     """
 
     longest_s = LONGEST_HOLD_S
@@ -105,19 +108,19 @@ class Probe:
 
     @property
     def findings(self) -> Findings:
-        """What was found; RuntimeError before the last step was taken."""
+        """The results; RuntimeError before the last step was taken."""
         if self._findings is None:
             raise RuntimeError("the probe has steps left: play them first")
         return self._findings
 
     def take(self, recording: Recording) -> None:
-        """Take what was recorded of the present step, and decide on the next.
+        """Evaluate the recording of the present step, and choose the next.
 
         Raises
         ------
         ValueError
-            If samples are missing, the sensor does not follow the voltage, or it reads what is
-            out of its range already at rest.
+            If samples are missing, the sensor does not follow the voltage, or its reading at rest
+            is outside its range.
         """
         try:
             self.step = self._course.send(recording)
@@ -136,7 +139,7 @@ def _course(limits: StageLimits) -> Course:
 
 def _grow(limits: StageLimits,
           rest: Rest) -> Generator[Experiment, Recording, tuple[Rest, Step]]:
-    """Enlarge a pulse until it stands out of the noise, or what was measured forbids more."""
+    """Enlarge a pulse until it exceeds the noise clearly or reaches a limit."""
     upwards = limits.voltage_max_v - limits.rest_voltage_v
     downwards = limits.rest_voltage_v - limits.voltage_min_v
     sign, room_v = (1.0, upwards) if upwards >= downwards else (-1.0, downwards)
@@ -166,7 +169,7 @@ def _grow(limits: StageLimits,
 
 
 def _growth(pulse: Pulse, ratio: float, rest: Rest, limits: StageLimits) -> float:
-    """Return by which factor the next pulse may be larger, by noise and by the sensor's range."""
+    """Return the factor by which the next pulse may grow, from noise and sensor range."""
     wanted = GROWTH
     if ratio > LEAST_SIGNAL_TO_NOISE:
         wanted = min(GROWTH, 1.1 * SIGNAL_TO_NOISE / ratio)
@@ -181,7 +184,7 @@ def _growth(pulse: Pulse, ratio: float, rest: Rest, limits: StageLimits) -> floa
 
 def _ring(limits: StageLimits, rest: Rest,
           step: Step) -> Generator[Experiment, Recording, StepResponse]:
-    """Repeat the pulse, and take the mean answer apart; hold it longer where it still rings."""
+    """Repeat the pulse and decompose the mean response; hold it longer if it still rings."""
     dwell = step.dwell
     while True:
         voltage_v, rises = _pulses(limits, step.size_v, dwell, AVERAGED_PULSES + 1)
@@ -197,7 +200,7 @@ def _ring(limits: StageLimits, rest: Rest,
 
 def _creep(limits: StageLimits, rest: Rest, step: Step,
            settling_s: float) -> Generator[Experiment, Recording, Creep]:
-    """Hold the step for longer and longer, until its creep fades."""
+    """Hold the step for increasing times until its creep fades."""
     hold_s, steps_s = max(FIRST_HOLD_S, 100.0 * settling_s), np.empty(0)
     while True:
         held = max(1, round(min(hold_s / HOLD_SAMPLES, 1.0) * limits.sample_rate_hz))
@@ -212,7 +215,7 @@ def _creep(limits: StageLimits, rest: Rest, step: Step,
         begin_s = float(played(recording).sample_index[0]) / limits.sample_rate_hz
         up_s, down_s = begin_s + LEAD * period_s, begin_s + (LEAD + count) * period_s
         time_s: FloatArray = (np.arange(LEAD + count, dtype=np.float64) + 0.5 - LEAD) * period_s
-        # The fast motion is over by then.
+        # Exclude the fast motion after the step.
         used = (time_s < 0.0) | (time_s > 3.0 * settling_s)
         creep = measure_creep(
             time_s[used], _measured(recording)[:LEAD + count][used],
@@ -237,7 +240,7 @@ def _pulses(limits: StageLimits, size_v: float, dwell: int,
 
 
 def _with_slow_edges(limits: StageLimits, voltage_v: FloatArray) -> FloatArray:
-    """Return a voltage that approaches another one by what the slew limit allows per sample."""
+    """Return the voltage with its slew rate limited to that of the stage."""
     largest_v = (1.0 - 1e-9) * limits.slew_limit_v_per_s / limits.sample_rate_hz
     slewed_v, present_v = voltage_v.copy(), voltage_v[0]
     for n in range(voltage_v.size) if np.abs(np.diff(voltage_v)).max() > largest_v else ():
@@ -252,7 +255,7 @@ def _experiment(limits: StageLimits, name: str, voltage_v: FloatArray,
 
 
 def _measured(recording: Recording) -> FloatArray:
-    """Return the displacement (N,) while the step was played."""
+    """Return the displacement (N,) during the step."""
     return np.asarray(played(recording).displacement_um, dtype=np.float64)
 
 

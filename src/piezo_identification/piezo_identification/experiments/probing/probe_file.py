@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The file of a probe: what was found of a stage, and the experiments that fit it."""
+"""The file of a probe: its results, and the experiments that suit the stage."""
 
 import dataclasses
 import json
@@ -25,7 +25,7 @@ from piezo_identification.experiments.probing.fitted import fitted_limits, fitte
 from piezo_identification.experiments.stage_limits import StageLimits
 
 NAME = "probe.json"
-"""Under which a directory keeps it: experiments in this directory are fitted by it."""
+"""Name of the file in a directory; it sets the parameters of the experiments recorded there."""
 
 FORMAT, VERSION = "piezo_probe", 1
 
@@ -34,11 +34,11 @@ OF_THE_LIMITS = (
 
 
 class ProbeFileError(ValueError):
-    """A file of a probe that cannot be used: says path and cure."""
+    """The file of a probe cannot be used; the message gives the path and a remedy."""
 
 
 class ProbedMode(Part):
-    """A vibration that rang visibly."""
+    """A visible vibration."""
 
     frequency_hz: Positive = entry("Natural frequency.", unit="Hz")
     damping_ratio: Positive = entry("Damping ratio.", unit="1")
@@ -46,7 +46,7 @@ class ProbedMode(Part):
 
 
 class ProbedStage(Part):
-    """What was found of the stage."""
+    """Measured properties of the stage."""
 
     step_v: Number = entry("Largest step that was played, from rest.", unit="V")
     signal_to_noise: Positive = entry(
@@ -64,7 +64,7 @@ class ProbedStage(Part):
 
 
 class ProbedLimits(Part):
-    """What the stage allowed."""
+    """Limits of the stage."""
 
     voltage_min_v: Number = entry("Lowest voltage.", unit="V")
     voltage_max_v: Number = entry("Highest voltage.", unit="V")
@@ -81,7 +81,7 @@ class ProbedRange(Part):
 
 
 class CreepParameters(Part):
-    """Of the experiment `creep`."""
+    """Parameters of the experiment `creep`."""
 
     swing_v: Positive = entry("Difference of the two levels.", unit="V")
     period_s: Positive = entry("Period of the square wave.", unit="s")
@@ -89,7 +89,7 @@ class CreepParameters(Part):
 
 
 class DynamicsParameters(Part):
-    """Of the experiment `dynamics`."""
+    """Parameters of the experiment `dynamics`."""
 
     swing_v: Positive = entry("Difference of the two levels.", unit="V")
     period_s: Positive = entry("Period of the square wave.", unit="s")
@@ -97,7 +97,7 @@ class DynamicsParameters(Part):
 
 
 class HysteresisParameters(Part):
-    """Of the experiment `hysteresis`."""
+    """Parameters of the experiment `hysteresis`."""
 
     level_count: int = entry("Number of harmonics.", at_least=2)
     harmonic_period_s: Positive = entry("Period of each.", unit="s")
@@ -105,7 +105,7 @@ class HysteresisParameters(Part):
 
 
 class TonesParameters(Part):
-    """Of the experiments `validation` and `multisine`."""
+    """Parameters of the experiments `validation` and `multisine`."""
 
     arc_s: Positive = entry("Time from one turning point to the next.", unit="s")
     tones_s: Positive = entry("Length of the part with tones.", unit="s")
@@ -113,7 +113,7 @@ class TonesParameters(Part):
 
 
 class RelayParameters(Part):
-    """Of the experiment `relay`."""
+    """Parameters of the experiment `relay`."""
 
     oscillation_s: Positive = entry("For which the relay acts.", unit="s")
 
@@ -130,7 +130,7 @@ class FittedExperiments(Part):
 
 
 class ExpectedErrors(Part):
-    """What the noise leaves in a model that is identified from these experiments."""
+    """Errors that noise causes in a model identified from these experiments."""
 
     creep_percent: NotNegative = entry("Of the creep.", unit="%")
     dynamics_percent: NotNegative = entry("Of the dynamics.", unit="%")
@@ -158,7 +158,7 @@ class ProbeDocument(Document):
         "What to expect of a model; null where an older suite wrote the file.", default=None)
 
     def fitted(self, name: str) -> dict[str, Any]:
-        """Return the parameters of an experiment; empty where the probe fits none."""
+        """Return the parameters of an experiment; empty if the probe sets none."""
         part = getattr(self.experiments, name, None)
         return part.model_dump() if isinstance(part, Part) else {}
 
@@ -168,12 +168,12 @@ class ProbeDocument(Document):
         Parameters
         ----------
         limits : StageLimits
-            Of the stage that is to play them.
+            Limits of the stage that will play them.
 
         Raises
         ------
         ProbeFileError
-            If the file is of a stage with other limits.
+            If the file belongs to a stage with other limits.
         """
         for name in OF_THE_LIMITS:
             probed, present = getattr(self.limits, name), getattr(limits, name)
@@ -184,7 +184,7 @@ class ProbeDocument(Document):
 
 
 def probe_document(findings: Findings, limits: StageLimits) -> ProbeDocument:
-    """Fit the experiments to what was found.
+    """Choose the experiments from the results, and return both.
 
     Raises
     ------
@@ -219,7 +219,7 @@ def probe_document(findings: Findings, limits: StageLimits) -> ProbeDocument:
 
 
 def save_probe(path: str | Path, document: ProbeDocument) -> None:
-    """Write the file at once, in place of one that is there.
+    """Write the file in one step, and replace an existing one.
 
     Raises
     ------
@@ -249,7 +249,7 @@ def load_probe(path: str | Path) -> ProbeDocument:
 
 
 def probe_summary(document: ProbeDocument) -> str:
-    """Tell people what was found and what follows, one line each."""
+    """Return the results and the chosen experiments as text, one line each."""
     stage, experiments = document.stage, document.experiments
     modes = ", ".join(f"{mode.frequency_hz:.4g} Hz (damping {mode.damping_ratio:.2g})"
                       for mode in stage.modes) or "none seen"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Take a measured step response apart into decaying exponentials: modes, lags and settling."""
+"""Decompose a measured step response into decaying exponentials: modes, lags and settling."""
 
 from dataclasses import dataclass
 
@@ -9,34 +9,34 @@ from scipy.linalg import hankel, lstsq, svd
 from piezo_common.arrays import ComplexArray, FloatArray
 
 LEAST_MODE_SHARE, LEAST_LAG_SHARE = 0.01, 0.05
-"""A vibration or a lag counts from these parts of the step on; what is less or slower is creep."""
+"""Smallest vibration and lag as fractions of the step; smaller or slower parts are creep."""
 
 LARGEST_DAMPING = 0.9
-"""Above, a pair of poles does not visibly ring."""
+"""Damping ratio above which a pair of poles does not ring visibly."""
 
 REMAINDER = 0.01
-"""The response has settled when less than this part of the step is left."""
+"""The response has settled when it is within this fraction of the step of its end."""
 
 SIGNIFICANT = 4.0
-"""Standard deviations above which a share is told from the noise."""
+"""Standard deviations of the noise above which an amplitude is significant."""
 
 MOST_POINTS = 1200
-"""A fit has at most so many: the singular values of a Hankel matrix of a third of them take a
+"""Most samples in a fit. The singular values of a Hankel matrix with a third as many columns take a
 fraction of a second."""
 
 POINTS_PER_CYCLE = 5.0
-"""A cycle of the highest frequency that the response shows has so many points."""
+"""Samples per cycle of the highest frequency in the response."""
 
 
 @dataclass(frozen=True)
 class StepResponse:
-    """Sum of exponentials that a step response is made of.
+    """A step response as a sum of exponentials.
 
     Parameters
     ----------
     poles_rad_per_s : ndarray of complex, shape (P,)
     shares : ndarray of complex, shape (P,)
-        Amplitude of each at the step, over the height of the step.
+        Amplitude of each exponential at the step, as a fraction of the step.
     final_share : float
         Constant part, 1 without creep.
     """
@@ -59,7 +59,7 @@ class StepResponse:
 
     @property
     def lag_s(self) -> float:
-        """Time constant of the largest part that decays without ringing; 0 where there is none."""
+        """Time constant of the largest part that decays without ringing; 0 if there is none."""
         lags = [(abs(share), -1.0 / pole.real)
                 for pole, share in zip(self.poles_rad_per_s, self.shares, strict=True)
                 if pole.imag == 0.0 and abs(share) > LEAST_LAG_SHARE]
@@ -76,7 +76,7 @@ class StepResponse:
         return float(max(times_s))
 
     def magnitude(self, frequency_hz: float) -> float:
-        """Return the gain at a frequency over the static one."""
+        """Return the gain at a frequency over the static gain."""
         s = 2j * np.pi * frequency_hz
         return float(abs(self.final_share + np.sum(
             self.shares * s / (s - self.poles_rad_per_s))))
@@ -88,9 +88,9 @@ def step_response(response: FloatArray, noise: float, sample_period_s: float) ->
     Parameters
     ----------
     response : ndarray, shape (N,)
-        From the step on, 0 before it and about 1 at the end.
+        Response from the step on: 0 at the step and about 1 at the end.
     noise : float
-        Standard deviation of each sample of it.
+        Standard deviation of each sample.
     """
     response = np.asarray(response, dtype=float)
     begin = _first_motion(response, noise)
@@ -100,7 +100,7 @@ def step_response(response: FloatArray, noise: float, sample_period_s: float) ->
     powers = poles[None, :] ** np.arange(part.size)[:, None]
     amplitudes = lstsq(np.column_stack([np.ones(part.size), powers]), part.astype(complex))[0]
     rates = np.log(poles) / (every * sample_period_s)
-    # The parts begin with the step, which may be some samples before the first motion.
+    # Amplitudes are taken at the first motion, which may be some samples after the step.
     shares = amplitudes[1:]
     kept = (np.abs(shares) > SIGNIFICANT * noise / np.sqrt(part.size)) & (rates.real < 0.0)
     return StepResponse(rates[kept], shares[kept], float(amplitudes[0].real), sample_period_s)
@@ -112,10 +112,10 @@ def _first_motion(response: FloatArray, noise: float) -> int:
 
 
 def _window_and_decimation(response: FloatArray, noise: float) -> tuple[int, int]:
-    """Return how many samples to fit and the distance between them, from what the response shows.
+    """Return the number of samples to fit and the distance between them.
 
-    The window is some times as long as the response needs to come near its end; the distance is as
-    large as the highest frequency allows.
+    The window is some times as long as the response needs to come near its end value. The distance
+    is as large as the highest frequency in the response allows.
     """
     final = float(np.mean(response[-max(1, response.size // 20):]))
     away = np.flatnonzero(np.abs(response - final) > max(0.05, 5.0 * noise))
@@ -131,17 +131,17 @@ def _window_and_decimation(response: FloatArray, noise: float) -> tuple[int, int
 
 
 def _pencil_poles(values: FloatArray, noise: float) -> ComplexArray:
-    """Return the poles per sample, inside the unit circle, of a sum of exponentials in noise."""
+    """Return the discrete poles inside the unit circle of a sum of exponentials in noise."""
     columns = values.size // 3
     matrix = hankel(values[:values.size - columns], values[values.size - columns - 1:])
-    # The constant part is a pole at 1, which differences take away.
+    # The constant part is a pole at 1, which differences remove.
     matrix = np.diff(matrix, axis=0)
     _, sizes, right = svd(matrix, full_matrices=False)
     level = SIGNIFICANT * noise * np.sqrt(2.0) * np.sqrt(max(matrix.shape))
     rank = int(np.count_nonzero(sizes > max(level, 1e-6 * sizes[0])))
     basis = right[:max(1, min(rank, 14))].T
     poles = np.linalg.eigvals(lstsq(basis[:-1], basis[1:])[0]).astype(complex)
-    # What lies on the negative axis alternates from sample to sample: noise, not a motion.
+    # Poles on the negative real axis alternate from sample to sample: noise, not a motion.
     inside = (np.abs(poles) < 1.0) & (np.abs(poles) > 1e-3) & ~(
         (poles.imag == 0.0) & (poles.real < 0.0))
     return poles[inside]

@@ -57,6 +57,15 @@ def test_a_decay_that_is_over_before_the_record_begins_takes_no_part():
     begun = np.exp(-np.linspace(0.0, 3.0, 50))
     with_nothing = independent(np.column_stack([np.ones(50), begun, np.zeros(50)]))
     assert with_nothing == pytest.approx(independent(np.column_stack([np.ones(50), begun])))
+
+
+def test_columns_are_orthonormal_to_those_beside_however_alike():
+    time = np.linspace(0.0, 1.0, 500)
+    beside = independent(np.cos(np.pi * np.outer(time, np.arange(60))))
+    decays = np.exp(-np.outer(time, [0.1, 0.1001, 3.0, 80.0]))
+    every = np.column_stack([beside, independent(decays, beside)])
+    np.testing.assert_allclose(every.T @ every, np.eye(every.shape[1]), atol=1e-12)
+    np.testing.assert_allclose(decays - every @ (every.T @ decays), 0.0, atol=1e-7)
     over = mean_period(recording(0.0), CreepDynamics((1.0, 2e3), (1.1, 2.1e3)))
     assert np.isfinite(over.fit_free(np.log([LAG_S, 3900.0, 0.02]), 0.0, 2).cost)
 

@@ -12,6 +12,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from independent_stage import IndependentStage, square_wave_v
 
 from piezo_identification.adequacy.component_adequacy import INADEQUATE, adequacy_of
+from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
 from piezo_identification.estimators.dynamics.output_error import fit_output_error
 from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics, mean_period
 from piezo_identification.identification.linear_dynamics import LinearDynamics
@@ -227,3 +228,15 @@ def test_a_known_delay_is_not_fitted():
     estimate = fit_output_error(mean_period(record(stage), CreepDynamics()), 2, delay=2.0)
     assert estimate.delay is None
     assert str(estimate.order) == "2"
+
+
+def test_only_orders_that_are_asked_for_are_tried_as_far_as_there_is_evidence_for_them():
+    stage = IndependentStage(4.9e-4, MODES)
+    period = mean_period(record(stage), CreepDynamics())
+    every = fit_output_error(period)
+    among = fit_output_error(period, among=[every.order])
+    assert {trial.order for trial in among.trials} == {every.order}
+    assert among.model == every.model and among.effects == every.effects
+    useless = fit_output_error(period, among=[ModeOrder(7, 6)])
+    assert {trial.order for trial in useless.trials} <= {trial.order for trial in every.trials}
+    assert useless.order == every.order

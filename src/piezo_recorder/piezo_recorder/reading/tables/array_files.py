@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Arrays under names: NumPy's .npy and .npz, sound, HDF5 and what MATLAB writes as such."""
+"""Named arrays: NumPy's .npy and .npz, sound, HDF5, and MATLAB files based on it."""
 
 import warnings
 import zipfile
@@ -36,7 +36,7 @@ class Group:
         self.scalars: dict[str, float] = {}
 
     def take(self, name: str, values: Any, unit: str = "") -> None:
-        """Take an array or a single number; what is neither is left."""
+        """Add an array or a single number; anything else is ignored."""
         array = np.asarray(values)
         if array.dtype.kind in "iuf" and array.size == 1:
             self.scalars[name] = float(array.reshape(-1)[0])
@@ -47,7 +47,7 @@ class Group:
             self.units |= dict.fromkeys(columns, unit)
 
     def table(self, path: Path) -> Table:
-        """Return the columns of one length as a table."""
+        """Return the columns of the most common length as a table."""
         columns = equal_length(self.columns)
         left_out = {name: len(values) for name, values in self.columns.items()
                     if name not in columns}
@@ -76,7 +76,7 @@ def tables_of(path: Path, groups: list[Group]) -> list[Table]:
 
 @contextmanager
 def damage_told(path: Path, kind: str) -> Iterator[None]:
-    """Turn whatever a library stumbles over in damaged bytes into one line."""
+    """Convert any error of a library on damaged bytes to a one-line message."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -90,7 +90,7 @@ def damage_told(path: Path, kind: str) -> Iterator[None]:
 
 
 def read_npy(path: Path, progress: Progress) -> list[Table]:
-    """Read an array of NumPy, whose columns are numbered where they have no names."""
+    """Read an array of NumPy; columns without names are numbered."""
     with damage_told(path, "NumPy file"):
         values = np.load(path, mmap_mode="r")
         group = Group("")
@@ -112,7 +112,7 @@ def read_npz(path: Path, progress: Progress) -> list[Table]:
                 try:
                     group.take(name, arrays[name])
                 except ValueError as error:
-                    # An array of objects; others may be columns.
+                    # An array of objects is skipped; others may be columns.
                     if "Object arrays" not in str(error):
                         raise
                 progress(f"read {path.name}", number / len(arrays.files))
@@ -152,7 +152,7 @@ def _take_dataset(groups: dict[str, Group], name: str, node: Any) -> None:
     if node.attrs.get("MATLAB_class") in (b"char", "char"):
         return
     if node.dtype.names and len(node.shape) == 1 and "values_block_0" in node.dtype.names:
-        return  # of a format of pandas that only its own reader knows
+        return  # of a format that only pandas can read
     attributes = {key: node.attrs[key] for key in UNIT_ATTRIBUTES if key in node.attrs}
     unit = next(iter(attributes.values()), "")
     group = groups.setdefault(title, Group(title))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a cell of a text table holds: a number, a time of the day, a text, or nothing."""
+"""Contents of a cell of a text table: a number, a time, a text, or nothing."""
 
 import math
 import re
@@ -9,7 +9,7 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 
 MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "---"}
-"""What programs write where there is no value, in small letters."""
+"""Texts for a missing value, in lower case."""
 
 DAY_S = 86_400.0
 
@@ -17,7 +17,7 @@ _FORTRAN = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+))[dD]([-+]?\d+)")
 _GROUPED = {
     decimal: re.compile(rf"[-+]?[1-9]\d{{0,2}}(?:{mark}\d{{3}})+(?:{re.escape(decimal)}\d+)?")
     for decimal, mark in ((".", "[, '’]"), (",", r"[. '’]"))}
-"""Numbers whose thousands are marked, by their decimal mark."""
+"""Numbers with thousands separators, by their decimal mark."""
 
 _DATE = r"(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)|(\d\d?)([./])(\d\d?)[./](\d{4}))"
 _CLOCK = re.compile(
@@ -33,8 +33,8 @@ def kind_of(cell: str, decimal: str, grouped: bool = False) -> str:
     decimal : str
         Decimal mark of the file, ``.`` or ``,``.
     grouped : bool
-        Whether one mark before three digits is one of thousands, as in 1,570. In a file that
-        does not show its decimal mark elsewhere, it may be the decimal mark.
+        Whether a single mark before three digits is a thousands separator, as in 1,570. If the
+        file does not show its decimal mark elsewhere, it may be the decimal mark.
     """
     if cell.lower() in MISSING:
         return "empty"
@@ -44,7 +44,7 @@ def kind_of(cell: str, decimal: str, grouped: bool = False) -> str:
 
 
 def number_of(cell: str, decimal: str, grouped: bool = False) -> float:
-    """Return the number in a cell; nan where there is none. See `kind_of`."""
+    """Return the number in a cell; NaN if there is none. See `kind_of`."""
     if is_grouped(cell, decimal):
         digits = re.sub("[ '’]", "", cell)
         marks = [mark for mark in digits if mark in ".,"]
@@ -60,18 +60,18 @@ def number_of(cell: str, decimal: str, grouped: bool = False) -> float:
 
 
 def is_grouped(cell: str, decimal: str) -> bool:
-    """Tell whether a number may have marks of thousands."""
+    """Return whether a number may have thousands separators."""
     return bool(_GROUPED[decimal].fullmatch(cell))
 
 
 def is_time_of_day(cell: str) -> bool:
-    """Tell whether a cell holds a time without a date, which begins anew at midnight."""
+    """Return whether a cell holds a time without a date, which restarts at midnight."""
     found = _CLOCK.fullmatch(cell)
     return found is not None and found[1] is None and found[4] is None
 
 
 def across_midnight(time_s: FloatArray) -> FloatArray:
-    """Let times of the day go on where they begin anew at midnight."""
+    """Return times of the day that continue to rise across midnight."""
     begins = np.diff(time_s) < -0.5 * DAY_S
     return time_s + DAY_S * np.concatenate([[0], np.cumsum(begins)])
 
@@ -79,8 +79,8 @@ def across_midnight(time_s: FloatArray) -> FloatArray:
 def clock_seconds(cell: str) -> tuple[float, float]:
     """Return the midnight before a date with time, and the time since then, both in seconds.
 
-    Apart, they keep the nanoseconds. A time of the day has the midnight 0. Both are nan where the
-    cell is neither. Of 3/4/2026 the month comes first, of 3.4.2026 the day.
+    Separate values keep the nanoseconds. For a time of the day the midnight is 0. Both are NaN if
+    the cell is neither. In 3/4/2026 the month comes first, in 3.4.2026 the day.
     """
     found = _CLOCK.fullmatch(cell)
     if not found:

@@ -14,10 +14,10 @@ from piezo_recorder.reading.tables.libraries import library
 from piezo_recorder.reading.tables.table import Progress, Table
 
 WAVEFORM_TIME = "time [s]"
-"""Label of the time that the increment of a TDMS waveform tells."""
+"""Label of the time that follows from the increment of a TDMS waveform."""
 
 MOST_OF_WARNING = 120
-"""Characters; the library quotes the bytes that it cannot read."""
+"""Largest length of a warning (characters), as the library quotes unreadable bytes."""
 
 
 def read_tdms(path: Path, progress: Progress) -> list[Table]:
@@ -42,7 +42,7 @@ def read_tdms(path: Path, progress: Progress) -> list[Table]:
 
 @contextmanager
 def _warnings_of_tdms() -> Iterator[list[str]]:
-    """Collect what the library would print of a file that it can read in part."""
+    """Collect the warnings of the library on a file that it can read in part."""
     from nptdms.log import log_manager
 
     found: list[str] = []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Tables in text files of any delimiter and decimal mark, read in parts of bounded memory."""
+"""Tables in text files of any delimiter and decimal mark, read in chunks of bounded memory."""
 
 import io
 import math
@@ -26,32 +26,32 @@ HEAD_BYTES = 1 << 18
 HEAD_LINES = 400
 CHUNK_LINES = 100_000
 LONGEST_LINE_BYTES = 1 << 22
-"""Tens of thousands of columns."""
+"""Largest length of a line, which has room for tens of thousands of columns."""
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 
 _NUMBER_AND_UNIT = re.compile(r"\s*[-+]?[\d.,]+(?:[eE][-+]?\d+)?\s*[^\W\d]{1,7}\s*")
 
 Needed = Callable[[Table], Sequence[str]]
-"""Tells by its labels alone which columns of a table must be there in every row."""
+"""Returns the columns that a table must have in every row, given its labels."""
 
 
 def read_text_table(path: Path, needed: Needed, progress: Progress) -> Table:
-    """Read the table of a text file; a preamble, comments and empty lines are passed over.
+    """Read the table of a text file; a preamble, comments and empty lines are skipped.
 
     Parameters
     ----------
     needed : callable
-        Called with the table without rows.
+        Returns the needed columns; called with the table without rows.
 
     Returns
     -------
     Table
-        A column that is not needed and has text somewhere is left out, with a note.
+        A column that is not needed and contains text is omitted, with a note.
 
     Raises
     ------
     RecordingError
-        If there is no table, or a needed cell is no finite number; names the line.
+        If there is no table, or a needed cell is not a finite number; the message names the line.
     """
     encoding, lines = _first_lines(path)
     found = _table_of(path, lines)
@@ -64,7 +64,7 @@ def read_text_table(path: Path, needed: Needed, progress: Progress) -> Table:
 
 
 def text_columns(path: Path) -> Table | None:
-    """Return the table of a text file without its rows; None where there is none."""
+    """Return the table of a text file without its rows; None if there is none."""
     try:
         found = _table_of(path, _first_lines(path)[1])
     except (OSError, RecordingError):
@@ -82,7 +82,7 @@ def _first_lines(path: Path) -> tuple[str, list[str]]:
 
 
 def _table_of(path: Path, lines: Sequence[str]) -> tuple[Dialect, list[str], Table] | None:
-    """Return how the first lines write a table, its labels, and the table without rows."""
+    """Return the dialect of the first lines, the labels, and the table without rows."""
     labview = labview_preamble(lines)
     dialect = dialect_of(lines, [labview.delimiter] if labview else DELIMITERS)
     if dialect is None:
@@ -96,7 +96,7 @@ def _table_of(path: Path, lines: Sequence[str]) -> tuple[Dialect, list[str], Tab
 
 
 def _units(labels: Sequence[str], dialect: Dialect) -> dict[str, str]:
-    """Return the units that do not stand in the labels of the columns themselves."""
+    """Return the units that are not part of the labels of the columns."""
     clocks = {label: "s" for label, kind in zip(labels, dialect.kinds, strict=True)
               if kind == "clock"}
     numbered = {label: name_and_unit(written)[1]
@@ -106,7 +106,7 @@ def _units(labels: Sequence[str], dialect: Dialect) -> dict[str, str]:
 
 
 def _take_preamble(table: Table, labview: LabviewPreamble) -> None:
-    """Complete a table without rows by the units and the time that LabVIEW tells above it."""
+    """Add the units and the time of LabVIEW's preamble to a table without rows."""
     channels = [label for label in table.columns if label != TIME]
     table.units |= {label: unit for label, unit in zip(channels, labview.units, strict=False)
                     if unit}
@@ -125,7 +125,7 @@ def _encoding(path: Path, head: bytes) -> str:
             f"{path} is not plain text, nor another kind of file that is known: save it as "
             "comma-separated text, or as .mat, .h5, .npz, .tdms or .parquet")
     try:
-        # The last character may be cut.
+        # The last character may be incomplete.
         head[:-4].decode("utf-8") if len(head) == HEAD_BYTES else head.decode("utf-8")
     except UnicodeDecodeError:
         return "cp1252"
@@ -133,7 +133,7 @@ def _encoding(path: Path, head: bytes) -> str:
 
 
 def _without_rows(path: Path, lines: Sequence[str], needed: Needed) -> Table:
-    """Return a table of a header alone, or say that there is none."""
+    """Return a table that consists of a header only, or raise if there is none."""
     for number, line in enumerate(lines):
         for delimiter in "\t;,":
             cells = line.split(delimiter)
@@ -156,9 +156,9 @@ def _without_rows(path: Path, lines: Sequence[str], needed: Needed) -> Table:
 
 
 def _labels(path: Path, dialect: Dialect, lines: Sequence[str]) -> list[str]:
-    """Return the labels of the columns; their numbers from 1 where there is no header.
+    """Return the labels of the columns; their numbers from 1 if there is no header.
 
-    Of labels that are there twice, the first one becomes LABEL.1.
+    If a label occurs twice, the first one becomes LABEL.1.
     """
     if not dialect.header:
         above = dialect.first_line - 1
@@ -178,7 +178,7 @@ def _labels(path: Path, dialect: Dialect, lines: Sequence[str]) -> list[str]:
 
 
 class _WatchedBytes(io.BufferedReader):
-    """What a text is decoded from: given up where the work is, or where a line does not end."""
+    """Bytes to decode; reading stops if the work is cancelled, or a line does not end."""
 
     def __init__(self, raw: io.RawIOBase, path: Path) -> None:
         super().__init__(raw)
@@ -196,7 +196,7 @@ class _WatchedBytes(io.BufferedReader):
 
 
 class _Reading:
-    """One passage through a file."""
+    """One pass through a file."""
 
     def __init__(self, path: Path, dialect: Dialect, labels: list[str], needed: set[str],
                  encoding: str, progress: Progress):
@@ -258,16 +258,16 @@ class _Reading:
         return self._slowly(lines, rows) if values is None else values
 
     def _parsed(self, lines: list[str]) -> np.ndarray | None:
-        """Return what NumPy makes of the lines; None unless all needed cells are finite."""
+        """Return the numbers that NumPy parses; None unless all needed cells are finite."""
         if not lines or "clock" in self._dialect.kinds:
             return None
         if self._dialect.decimal == ",":
             if any("." in line for line in lines):
-                return None  # it may mark thousands
+                return None  # it may be a thousands separator
             lines = [line.replace(",", ".") for line in lines]
         every = len(self._used) == len(self._labels)
         if not every and any(map(is_comment, lines)):
-            return None  # where the mark is in no column that is read
+            return None  # if the mark is only in columns that are not read
         try:
             with warnings.catch_warnings():
                 warnings.filterwarnings("ignore", "loadtxt: input contained no data")
@@ -278,7 +278,7 @@ class _Reading:
             return None
         if values.shape != (len(lines), len(self._used)) or not self._finite(values).all():
             return None
-        # Rows of another length pass where only some columns are read.
+        # If only some columns are read, NumPy accepts rows of another length.
         return values if every or self._even(lines) else None
 
     def _even(self, lines: list[str]) -> bool:
@@ -292,7 +292,7 @@ class _Reading:
         return np.isfinite(values[:, needed])
 
     def _slowly(self, lines: list[str], rows: int) -> np.ndarray:
-        """Return the rows in lines that have comments or another header between them."""
+        """Return the rows in lines with comments or a repeated header between them."""
         dialect = self._dialect
         values: list[list[float]] = []
         for line in lines:
@@ -312,7 +312,7 @@ class _Reading:
         return np.array(values, dtype=float).reshape(-1, len(self._used))
 
     def _is_header(self, cells: list[str]) -> bool:
-        """Tell whether a line repeats the header, or the units below it."""
+        """Return whether a line repeats the header, or the units below it."""
         labels = self._dialect.header
         return bool(labels) and (cells == list(labels) or cells == list(self._dialect.units))
 
@@ -342,7 +342,7 @@ class _Reading:
 
 
 class _UnusableColumn(Exception):
-    """A column that nobody needs has text somewhere."""
+    """A column that is not needed contains text."""
 
     def __init__(self, column: int, what: str):
         super().__init__(what)

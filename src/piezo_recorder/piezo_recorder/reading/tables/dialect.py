@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How a text file writes its table: delimiter, decimal mark, header, and where the rows begin."""
+"""The format of a text table: delimiter, decimal mark, header, and first row."""
 
 import re
 from collections import Counter
@@ -12,20 +12,20 @@ from piezo_recorder.reading.tables.cells import is_grouped, kind_of, number_of
 from piezo_recorder.reading.units import is_unit
 
 DELIMITERS = ("\t", ";", ",", "|", None)
-"""In the order in which they are tried; None is any white space."""
+"""Delimiters in the order in which they are tried; None is any white space."""
 
 COMMENTS = ("#", "%", "//", "!")
-"""What begins a line that is no row; a header may stand behind it."""
+"""Beginnings of lines that are not rows; a header may follow them."""
 
 HEADER_WITHIN = 3
-"""Lines above the first row in which its header is looked for: names, units, an empty one."""
+"""Lines above the first row that may contain its header: names, units, an empty line."""
 
 _GLUED = re.compile(r"[^\s\[(]+(?:\s*[\[(][^\])]*[\])])?")
 
 
 @dataclass(frozen=True)
 class Dialect:
-    """How a text file writes its table.
+    """The format of a text table.
 
     Attributes
     ----------
@@ -34,17 +34,17 @@ class Dialect:
     decimal : str
         ``.`` or ``,``.
     grouped : bool
-        Whether the file shows its decimal mark, so that the other one marks thousands.
+        Whether the file shows its decimal mark, so that the other one separates thousands.
     cells : int
-        In a row.
+        Number of cells in a row.
     kinds : tuple of str
-        Of each cell of a row: ``number``, ``clock``, ``text`` or ``empty``.
+        Kind of each cell of a row: ``number``, ``clock``, ``text`` or ``empty``.
     header : tuple of str
-        Labels of the columns; empty where the file has none.
+        Labels of the columns; empty if the file has none.
     units : tuple of str
-        Of a line of units below the header; empty where there is none.
+        Units in a line below the header; empty if there is none.
     header_line : int
-        Line of the header, from 0; -1 where there is none.
+        Line of the header, from 0; -1 if there is none.
     first_line : int
         Line of the first row, from 0.
     """
@@ -60,24 +60,24 @@ class Dialect:
     grouped: bool = False
 
     def split(self, line: str) -> list[str]:
-        """Return the cells of a line, without quotes and white space around them."""
+        """Return the cells of a line, without surrounding quotes and white space."""
         return split_cells(line, self.delimiter)
 
     def kind(self, cell: str) -> str:
-        """Return what a cell holds: ``number``, ``clock``, ``text`` or ``empty``."""
+        """Return the kind of a cell: ``number``, ``clock``, ``text`` or ``empty``."""
         return kind_of(cell, self.decimal, self.grouped)
 
     def number(self, cell: str) -> float:
-        """Return the number in a cell; nan where there is none."""
+        """Return the number in a cell; NaN if there is none."""
         return number_of(cell, self.decimal, self.grouped)
 
     def is_grouped(self, cell: str) -> bool:
-        """Tell whether a cell holds a number whose thousands are marked."""
+        """Return whether a cell holds a number with thousands separators."""
         return is_grouped(cell, self.decimal)
 
 
 def split_cells(line: str, delimiter: str | None) -> list[str]:
-    """Return the cells of a line; a delimiter between quotes separates none."""
+    """Return the cells of a line; a delimiter in quotes does not separate cells."""
     line = line.strip("\r\n") if delimiter == "\t" else line.strip()
     if delimiter and '"' in line:
         cells = re.split(re.escape(delimiter) + r'(?=(?:[^"]*"[^"]*")*[^"]*$)', line)
@@ -87,27 +87,27 @@ def split_cells(line: str, delimiter: str | None) -> list[str]:
 
 
 def is_comment(line: str) -> bool:
-    """Tell whether a line is empty or a comment, so that it holds no row."""
+    """Return whether a line is empty or a comment."""
     text = line.lstrip("\ufeff \t\r\n")
     return not text or text.startswith(COMMENTS)
 
 
 def dialect_of(lines: Sequence[str],
                delimiters: Sequence[str | None] = DELIMITERS) -> Dialect | None:
-    """Find how the first lines of a file write a table.
+    """Determine the format from the first lines of a file.
 
-    Rows are lines of as many cells, of which at least one is a number and none is text; where a
-    table has a column of text, of which at least two are numbers.
+    Rows are lines with the same number of cells, at least one of which is a number and none is
+    text; in a table with a column of text at least two are numbers.
 
     Parameters
     ----------
     delimiters : sequence of (str or None)
-        Those that may stand between cells; all that are known by default.
+        Possible delimiters; all known ones by default.
 
     Returns
     -------
     Dialect or None
-        None where no line is a row.
+        None if no line is a row.
     """
     found = (_best(lines, delimiters, text_allowed=False)
              or _best(lines, delimiters, text_allowed=True))
@@ -141,7 +141,7 @@ def _best(lines: Sequence[str], delimiters: Sequence[str | None],
 
 
 def _first_line(found: Dialect, lines: Sequence[str]) -> int:
-    """Return the first row, also where other columns hold remarks beside the first rows."""
+    """Return the first row, also if other columns contain remarks next to the first rows."""
     first = found.first_line
     while first > 0:
         cells = found.split(lines[first - 1])
@@ -154,7 +154,7 @@ def _first_line(found: Dialect, lines: Sequence[str]) -> int:
 
 
 def _shows_decimal_mark(found: Dialect, lines: Sequence[str]) -> bool:
-    """Tell whether a cell has a decimal mark that cannot be one of thousands."""
+    """Return whether a cell has a decimal mark that cannot be a thousands separator."""
     thousands = re.compile(rf"[-+]?[1-9]\d{{0,2}}(?:{re.escape(found.decimal)}\d{{3}})+")
     cells = (cell for line in lines[found.first_line:] for cell in found.split(line))
     return any(found.decimal in cell and found.kind(cell) == "number"
@@ -178,7 +178,7 @@ def _rows(lines: Sequence[str], delimiter: str | None, decimal: str, text_allowe
 
 
 def _with_header(found: Dialect, lines: Sequence[str]) -> Dialect:
-    """Complete a dialect by the labels and units above its first row."""
+    """Add the labels and units above the first row to a dialect."""
     above = range(found.first_line - 1, max(found.first_line - 2 - HEADER_WITHIN, -1), -1)
     units: tuple[str, ...] = ()
     units_line = 0
@@ -187,22 +187,22 @@ def _with_header(found: Dialect, lines: Sequence[str]) -> Dialect:
             continue
         labels = _labels(lines[number], found)
         texts = [found.kind(label) == "text" for label in labels or () if label]
-        # A line of units below vouches for a header that has mostly numbers for names.
+        # With a line of units below it, a header may have mostly numbers for names.
         if labels is None or not any(texts) or not units and sum(texts) < 0.5 * len(texts):
             continue
         if not units and _are_units(labels):
             units, units_line = labels, number
             continue
         if not units and _stands_below_units(lines, number, found):
-            # The channels of a card, say, below names and units.
+            # For example the channels of a card, below names and units.
             continue
         return replace(found, header=labels, units=units, header_line=number)
-    # Nothing stands above the units: they are the only names that there are.
+    # There is nothing above the units, which are then the only names.
     return replace(found, header=units, header_line=units_line) if units else found
 
 
 def _stands_below_units(lines: Sequence[str], number: int, found: Dialect) -> bool:
-    """Tell whether a line of units stands above a line, and names above that."""
+    """Return whether there is a line of units above a line, and names above that."""
     if number < 2:
         return False
     names, units = (_labels(lines[each], found) for each in (number - 2, number - 1))
@@ -210,7 +210,7 @@ def _stands_below_units(lines: Sequence[str], number: int, found: Dialect) -> bo
 
 
 def _labels(line: str, found: Dialect) -> tuple[str, ...] | None:
-    """Return the labels of a header of as many cells as a row, or None."""
+    """Return the labels of a header with as many cells as a row, or None."""
     text = line.strip().lstrip("\ufeff")
     while text.startswith(COMMENTS):
         text = text[1:].lstrip()
@@ -219,10 +219,10 @@ def _labels(line: str, found: Dialect) -> tuple[str, ...] | None:
         splits += [re.split(r"\t+|\s{2,}", text), _GLUED.findall(text),
                    split_cells(text, ","), split_cells(text, ";")]
     for cells in splits:
-        # A delimiter at the end of each row, but not of the header.
+        # Each row, but not the header, ends with a delimiter.
         if len(cells) == found.cells - 1 and found.kinds[-1] == "empty":
             cells = [*cells, ""]
-        # LabVIEW heads a last column that its rows leave out.
+        # LabVIEW has a label for a last column that its rows omit.
         if len(cells) == found.cells + 1 and cells[-1].lower() in ("", "comment"):
             cells = cells[:-1]
         if len(cells) == found.cells:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which kind of file it is: told by its first bytes, whatever its name."""
+"""Recognition of a file's kind by its first bytes, regardless of its name."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -23,7 +23,7 @@ READERS: tuple[tuple[bytes, TableReader], ...] = (
     (HDF5_MAGIC, read_hdf5), (b"\x93NUMPY", read_npy), (b"PK\x03\x04", read_zip),
     (b"MATLAB 5.0", read_matlab), (b"TDSm", read_tdms), (b"PAR1", read_parquet),
     (b"ARROW1", read_arrow), (b"RIFF", read_wav))
-"""The bytes that a file begins with tell its reader."""
+"""Readers by the first bytes of a file."""
 
 FOREIGN = {
     b"SQLite format 3": ("a recording of rosbag2 as sqlite3",
@@ -34,7 +34,7 @@ FOREIGN = {
                             "save it as .xlsx, or the sheet as CSV"),
     b"%PDF": ("a PDF", "give the data"),
 }
-"""What is known, but not read: what it is, and what to do."""
+"""Known kinds that cannot be read, with their description and what to do."""
 
 MATLAB_HDF5_OFFSET = 512
 
@@ -45,17 +45,17 @@ def read_tables(path: Path, needed: Needed, progress: Progress) -> list[Table]:
     Parameters
     ----------
     needed : callable
-        Tells which columns of a table must be there in every row.
+        Returns the columns that a table must have in every row.
 
     Returns
     -------
     list of Table
-        Where the file has groups, a table for each of them, and one of all together at the end.
+        For a file with groups one table for each of them, followed by one of all together.
 
     Raises
     ------
     RecordingError
-        If the file is of no kind that is known, or damaged.
+        If the kind of the file is unknown, or it is damaged.
     """
     with open(path, "rb") as file:
         head = file.read(MATLAB_HDF5_OFFSET + len(HDF5_MAGIC))

@@ -9,23 +9,23 @@ from piezo_recorder.reading.tables.dialect import Dialect, is_comment
 
 TAIL_BYTES = 1 << 14
 MOST_LINES = 40
-"""A longer end without rows is damage, and is refused where it begins."""
+"""Largest number of lines; a longer end without rows is damage, and reported at its beginning."""
 
 
 def footer_lines(path: Path, encoding: str, dialect: Dialect) -> list[str]:
-    """Return the lines at the end of a file that begin with a text where rows do not.
+    """Return the lines at the end of a file that begin with text, unlike the rows.
 
     Returns
     -------
     list of str
-        Comments and empty lines between and below them included; empty where the last line that
-        says anything is a row, or the end without rows is long.
+        Includes comments and empty lines between and below them; empty if the last line with any
+        content is a row, or the end without rows is long.
     """
     if dialect.kinds[0] == "text":
         return []
     with open(path, "rb") as file:
         size = file.seek(0, 2)
-        # Characters of two bytes begin at an even place.
+        # Two-byte characters begin at even positions.
         start = max(size - TAIL_BYTES, 0) // 2 * 2
         file.seek(start)
         text = file.read().decode(encoding, errors="replace")
@@ -42,7 +42,7 @@ def footer_lines(path: Path, encoding: str, dialect: Dialect) -> list[str]:
 
 
 def without_last(lines: Iterable[str], count: int) -> Iterator[str]:
-    """Give all lines but the last ones."""
+    """Yield all lines except the last ones."""
     held: deque[str] = deque()
     for line in lines:
         held.append(line)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the preamble of a LabVIEW measurement file (.lvm) says of the table below it."""
+"""Preamble of a LabVIEW measurement file (.lvm), which describes the table below it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,16 +12,16 @@ _SEPARATORS = {"Tab": "\t", "Comma": ","}
 
 @dataclass(frozen=True)
 class LabviewPreamble:
-    """Parts of a preamble that a table needs.
+    """Entries of a preamble that are needed to read the table.
 
     Attributes
     ----------
     delimiter : str
-        Between cells.
+        Delimiter of cells.
     units : tuple of str
-        Of the channels, in their order.
+        Units of the channels, in their order.
     period_s : float
-        Distance of rows; 0 where it is not said.
+        Distance of rows (s); 0 if it is not given.
     has_time : bool
         Whether the first column holds the time of each row; it is empty otherwise.
     """
@@ -38,12 +38,12 @@ def labview_preamble(lines: Sequence[str]) -> LabviewPreamble | None:
     Parameters
     ----------
     lines : sequence of str
-        The first ones of the file.
+        First lines of the file.
 
     Returns
     -------
     LabviewPreamble or None
-        None of any other file.
+        None for any other file.
     """
     if not lines or not lines[0].startswith(FIRST_LINE):
         return None

@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Libraries that are asked for only where a file of their kind is read."""
+"""Libraries that are imported only when a file of their kind is read."""
 
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from piezo_common.extras import how_to_install
 from piezo_recorder.reading.recording import RecordingError
 
 PACKAGES = {"h5py": "h5py", "nptdms": "nptdms", "openpyxl": "openpyxl",
             "pyarrow.parquet": "pyarrow", "pyarrow.ipc": "pyarrow"}
-"""Package to install for each module; all of them are in the extra ``formats`` of the suite."""
+"""Package to install for each module; all are in the extra ``formats`` of the suite."""
 
 
 def library(module: str, path: Path) -> Any:
@@ -23,13 +24,12 @@ def library(module: str, path: Path) -> Any:
     Raises
     ------
     RecordingError
-        If it is not installed; names the package.
+        If it is not installed; the message names the package.
     """
     try:
         return import_module(module)
     except ImportError:
         package = PACKAGES[module]
-        raise RecordingError(f"{path} needs the package {package}, which is not installed: install "
-                             f"it (`pip install {package}`, or all such packages by the extra "
-                             "`pip install '.[formats]'` of the suite), or save the data as "
+        raise RecordingError(f"{path} needs the package {package}, which is not installed: "
+                             f"{how_to_install(package, 'formats')}, or save the data as "
                              "CSV") from None

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Write the numeric arrays of a MATLAB file as .npz: a program that `matlab_files` starts.
 
-It is a process of its own, because SciPy's reader crashes on some damaged files, and takes all
+It runs in a separate process, because SciPy's reader crashes on some damaged files, and takes all
 time and memory on others. It imports nothing of this package, so that it starts quickly.
 """
 
@@ -17,18 +17,18 @@ from scipy.io import loadmat
 
 
 def numeric_arrays(name: str, value: Any) -> Iterator[tuple[str, np.ndarray]]:
-    """Give the numeric arrays of a variable, those of structures as NAME.FIELD.
+    """Yield the numeric arrays of a variable; those of structures are named NAME.FIELD.
 
     Parameters
     ----------
     value : object
-        As `scipy.io.loadmat` returns it, squeezed, and structures as objects.
+        Result of `scipy.io.loadmat`, squeezed, with structures as objects.
 
     Yields
     ------
     name : str
     values : ndarray
-        Of an array of structures, NAME.NUMBER.FIELD; NAME.FIELD where each field is one number.
+        For an array of structures NAME.NUMBER.FIELD, or NAME.FIELD if each field is one number.
     """
     fields = getattr(value, "_fieldnames", None)
     if fields is not None:
@@ -59,7 +59,7 @@ def _of_structures(name: str, structures: list[Any]) -> Iterator[tuple[str, np.n
 
 
 def is_capture(structure: Any) -> bool:
-    """Whether a structure is a capture of dSPACE's ControlDesk: X is its time, Y its signals."""
+    """Return whether a structure is a capture of dSPACE ControlDesk with time X and signals Y."""
     if not {"X", "Y"} <= set(structure._fieldnames):
         return False
     signals = np.atleast_1d(structure.Y)
@@ -78,12 +78,12 @@ def _of_capture(name: str, capture: Any) -> Iterator[tuple[str, np.ndarray]]:
 
 
 def told_apart(paths: list[str]) -> list[str]:
-    """Return the words of block paths that tell them apart, between what all begin and end with.
+    """Return the distinguishing words of block paths, without their common beginning and end.
 
     Parameters
     ----------
     paths : list of str
-        Such as ``"Model Root"/"Sensor"/"In1"``.
+        Paths such as ``"Model Root"/"Sensor"/"In1"``.
     """
     words = [[_printable(word) for word in path.strip('"').split('"/"')] for path in paths]
     if len(words) == 1:
@@ -96,7 +96,7 @@ def told_apart(paths: list[str]) -> list[str]:
 
 
 def _printable(word: str) -> str:
-    """Return a word without points, which part groups from names, and what no terminal shows."""
+    """Return a word without points, which separate groups from names, and unprintable letters."""
     return "".join(letter if letter.isprintable() and letter != "." else "_" for letter in word)
 
 

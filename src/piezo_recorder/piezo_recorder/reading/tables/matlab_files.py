@@ -18,10 +18,10 @@ from piezo_recorder.reading.tables.table import Progress, Table
 READER = Path(__file__).with_name("matlab_contents.py")
 
 LEAST_LIMIT_S, SECONDS_PER_BYTE = 60.0, 1e-6
-"""Time limit of the reading, which takes some ten nanoseconds a byte."""
+"""Time limit of the reading, which takes some ten nanoseconds per byte."""
 
 LEAST_LIMIT_BYTES, EXPANSION = 4_000_000_000, 40
-"""Memory limit of the reading: what NumPy and SciPy map, and how far a file unpacks."""
+"""Memory limit of the reading: memory that NumPy and SciPy map, and expansion of a file."""
 
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
 """Each further thread of OpenBLAS would map memory that counts towards the limit."""
@@ -30,7 +30,7 @@ LONGEST_NAME = 64
 
 
 def is_version_4(head: bytes) -> bool:
-    """Tell a MATLAB file of version 4, which has no magic, by the header of its first matrix.
+    """Return whether a file is MATLAB version 4, which has no magic, by its first matrix header.
 
     Parameters
     ----------

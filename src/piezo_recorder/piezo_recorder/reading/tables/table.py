@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A table of samples as some program wrote it: columns with their labels, not yet understood."""
+"""A table of samples as written by some program: labelled columns, not yet interpreted."""
 
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
@@ -10,40 +10,40 @@ from typing import Any
 import numpy as np
 
 Progress = Callable[[str, float], object]
-"""Called with what is done, and which part of it (0 to 1)."""
+"""Called with the name of the present step and the fraction done (0 to 1)."""
 
 
 def no_progress(what: str, fraction: float) -> None:
-    """Tell nobody how far the reading is."""
+    """Do not report progress."""
 
 
 @dataclass
 class Table:
-    """Columns of equal length under the labels that the file gives them.
+    """Columns of equal length with the labels of the file.
 
     Attributes
     ----------
     path : Path
-        Where it was read.
+        Path of the file that was read.
     columns : dict of str to ndarray, shape (N,)
         By label, such as ``Time [s]``, in the order of the file. Times of the day and dates are
-        seconds.
+        in seconds.
     units : dict of str to str
-        Of the columns whose unit the file keeps apart from the label.
+        Units that the file keeps separate from the labels, by label.
     scalars : dict of str to float
-        Single numbers beside the columns, such as a sample rate.
+        Single numbers in addition to the columns, such as a sample rate.
     title : str
-        Name of the group that holds the table; empty where there is none.
+        Name of the group that holds the table; empty if there is none.
     parts : list of int
-        Rows, beside the first, at which the file itself begins another recording.
+        Rows at which the file itself begins another recording, without the first row.
     skipped : list of (int, int)
-        Row of the table, and how many lines of the file that hold no row come before it.
+        Row of the table, and number of lines of the file before it that are not rows.
     header_line : int
-        Line of the file with the labels, from 0; -1 where no line has them.
+        Line of the file with the labels, from 0; -1 if there is none.
     notes : list of str
-        What was left out, for people.
+        What was omitted, for users.
     left_out : dict of str to int
-        Columns of the file that are of another length than these, and that length.
+        Columns of the file of another length than these, and that length.
     """
 
     path: Path
@@ -59,24 +59,24 @@ class Table:
 
     @property
     def header_place(self) -> str:
-        """Where the labels of the columns stand, for a message."""
+        """Return the position of the labels of the columns, for a message."""
         if self.header_line >= 0:
             return f"{self.path}, row {self.header_line + 1}"
         return f"{self.path}, {self.title}" if self.title else str(self.path)
 
     @property
     def rows(self) -> int:
-        """How many rows there are."""
+        """Return the number of rows."""
         return len(next(iter(self.columns.values()), ()))
 
     def place(self, row: int) -> str:
-        """Return where a row stands, for a message: its line in the file, counted from 1."""
+        """Return the position of a row for a message: its line in the file, counted from 1."""
         found = self.skipped[bisect_right(self.skipped, (row, 1 << 62)) - 1]
         of_group = f" of {self.title}" if self.title else ""
         return f"{self.path}, row {row + found[1] + 1}{of_group}"
 
     def cut(self, rows: slice, title: str) -> "Table":
-        """Return some rows in a row as a table of their own."""
+        """Return some consecutive rows as a separate table."""
         first = rows.start or 0
         skipped = [(max(row - first, 0), lines + first) for row, lines in self.skipped]
         return Table(self.path, {name: values[rows] for name, values in self.columns.items()},
@@ -84,12 +84,12 @@ class Table:
 
 
 def array_columns(name: str, values: Any) -> dict[str, np.ndarray]:
-    """Return the columns that a numeric array holds, none where it is no such array.
+    """Return the columns of a numeric array; empty if it is not such an array.
 
     Parameters
     ----------
     name : str
-        A two-dimensional array has columns NAME.1, NAME.2, ...; a structured one NAME.FIELD.
+        Name; a two-dimensional array has columns NAME.1, NAME.2, ...; a structured one NAME.FIELD.
 
     Returns
     -------
@@ -127,7 +127,7 @@ def seconds(times: np.ndarray) -> np.ndarray:
 
 
 def equal_length(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Keep the columns of the most common length; of lengths that are as common, the larger."""
+    """Return the columns of the most common length; the larger one of equally common lengths."""
     lengths = [len(values) for values in columns.values()]
     if not lengths:
         return {}
@@ -136,6 +136,6 @@ def equal_length(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def listing(names: Sequence[str], most: int = 12) -> str:
-    """Return names for a message, the first of them where there are many."""
+    """Return names for a message; if there are many, only the first of them."""
     shown = ", ".join(f"'{name}'" for name in names[:most])
     return f"{shown} and {len(names) - most} more" if len(names) > most else shown or "none"

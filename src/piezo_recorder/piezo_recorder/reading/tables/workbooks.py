@@ -16,10 +16,10 @@ from piezo_recorder.reading.tables.libraries import library
 from piezo_recorder.reading.tables.table import Progress, Table
 
 WORKBOOK = "[Content_Types].xml"
-"""Every workbook has it."""
+"""File that every workbook contains."""
 
 Clock = datetime | time | timedelta
-"""What openpyxl makes of a cell that is formatted as a time, rounded to milliseconds."""
+"""Types of a cell that is formatted as a time, which openpyxl rounds to milliseconds."""
 
 
 def read_zip(path: Path, progress: Progress) -> list[Table]:
@@ -30,7 +30,7 @@ def read_zip(path: Path, progress: Progress) -> list[Table]:
 
 
 def read_workbook(path: Path, progress: Progress) -> list[Table]:
-    """Read the sheets of a workbook; each is a table below the last row of text in it."""
+    """Read the sheets of a workbook; each is a table below its last row of text."""
     openpyxl = library("openpyxl", path)
     groups = []
     with damage_told(path, "workbook"):
@@ -60,7 +60,7 @@ def _group(title: str, rows: Iterable[tuple[Any, ...]]) -> Group:
 
 def _columns(labels: tuple[Any, ...], rows: list[tuple[Any, ...]],
              ) -> Iterator[tuple[str, FloatArray, str]]:
-    """Yield label, values and unit of each column of numbers or times; nan in cells of neither."""
+    """Yield label, values and unit of each column of numbers or times; other cells are NaN."""
     for column in range(max(map(len, rows), default=0)):
         cells = [row[column] if column < len(row) else None for row in rows]
         are_times = any(isinstance(cell, Clock) for cell in cells)
@@ -72,7 +72,7 @@ def _columns(labels: tuple[Any, ...], rows: list[tuple[Any, ...]],
 
 
 def _seconds(cells: list[Any]) -> FloatArray:
-    """Return times in seconds, of dates since the midnight before the first."""
+    """Return times in seconds, and dates in seconds since the midnight before the first."""
     found = np.array([
         (0.0, cell.total_seconds()) if isinstance(cell, timedelta)
         else clock_seconds(str(cell)) for cell in cells])
