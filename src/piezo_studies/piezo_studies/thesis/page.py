@@ -28,12 +28,7 @@ peak sensitivity. Learning begins with models that are 5 % off, without offset a
 
 
 def page(rows):
-    """Write the page.
-
-    Parameters
-    ----------
-    rows : list of Row
-    """
+    """Return the page with the table of rows."""
     pictures = "\n\n".join(
         f"**Fig. {figure}.** {caption}\n\n"
         f"![Answer to figure {figure}](pictures/reproduction/figure_{figure}.png)"
