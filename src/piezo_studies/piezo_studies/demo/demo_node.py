@@ -118,11 +118,13 @@ def run_demo(plant, directory, command, progress, tell, has_second_part=True):
 
     Parameters
     ----------
+    plant : DemoPlant
     directory : Path
         Directory for the recordings, ``model.json``, ``summary.json``, ``report.html``, the figure
         ``tracking.png`` and the logs.
     command : str
         Command line of the user.
+    progress : ProgressLine
     tell : callable
         Called with the summary of the first part after its report was written.
     has_second_part : bool

@@ -23,8 +23,10 @@ def render_report(plant, command, sections):
 
     Parameters
     ----------
+    plant : DemoPlant
     command : str
         Command line of the demo.
+    sections : sequence of Section
     """
     return render_page(TITLE, _introduction(plant, command), sections)
 
@@ -80,6 +82,7 @@ def report_sections(summary, drawn, extended):
     ----------
     summary : dict
         Summary from `summary.summarise`.
+    drawn : DrawnRuns
     extended : ExtendedModel
         Result of the diagnosis.
     """

@@ -70,6 +70,7 @@ def extended_model_sections(summary, runs, extended):
         Summary with the keys ``diagnosis`` and ``tracking_after``.
     runs : list of TrackedRun
         Runs with the original model.
+    extended : ExtendedModel
     """
     return (_effects_section(extended.sentence, extended.verdict["effects"]),
             _model_section(summary, extended),

@@ -130,7 +130,12 @@ def draw_step_response(prediction, period_s):
 
 
 def draw_density(hysteresis):
-    """Draw the density of the relays over their thresholds."""
+    """Draw the density of the relays over their thresholds.
+
+    Parameters
+    ----------
+    hysteresis : PreisachModel
+    """
     levels_v = hysteresis.levels_v
     density = np.ma.array(hysteresis.density_um_per_v2,
                           mask=np.triu(np.ones_like(hysteresis.density_um_per_v2), 1))

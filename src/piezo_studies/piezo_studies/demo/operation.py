@@ -89,6 +89,7 @@ def start_changing_stage(session, plant, directory):
 
     Parameters
     ----------
+    session : Session
     directory : Path
         Directory of the second part; the plant file is written to its folder ``monitor``.
 
@@ -146,6 +147,7 @@ def decide_a_cause(session, plant, model, directory):
 
     Parameters
     ----------
+    session : Session
     directory : Path
         Directory for plant file, recordings and diagnosis.
     """
@@ -173,6 +175,7 @@ def second_part(session, plant, change_s, model, directory):
 
     Parameters
     ----------
+    session : Session
     change_s : float or None
         Time from `start_changing_stage`.
     model : path-like

@@ -32,6 +32,7 @@ def summarise(runs, identification, directory):
 
     Parameters
     ----------
+    runs : list of TrackedRun
     identification : dict of str to float
         Errors of the model on unseen data, by name.
     directory : path-like
@@ -52,6 +53,10 @@ def summarise(runs, identification, directory):
 
 def summarise_run(run, directory):
     """Return the errors of one run.
+
+    Parameters
+    ----------
+    run : TrackedRun
 
     Returns
     -------

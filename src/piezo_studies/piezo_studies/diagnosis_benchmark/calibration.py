@@ -100,6 +100,7 @@ def first_statements(results, strict=False):
 
     Parameters
     ----------
+    results : list of dict
     strict : bool
         Passed to `is_true`.
 
@@ -152,7 +153,13 @@ def _means(sums, counts):
 
 
 def draw_reliability(axes, found):
-    """Draw the reliability diagram: fraction of true statements over their probability."""
+    """Draw the reliability diagram: fraction of true statements over their probability.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    found : Reliability
+    """
     shown = [(stated, true, count) for stated, true, count in zip(
         found.stated, found.true, found.counts, strict=True) if count]
     stated, true, counts = (np.array(part) for part in zip(*shown, strict=True))

@@ -41,7 +41,13 @@ def strongest(result):
 
 
 def refused(case, error):
-    """Return the result of a case that could not be diagnosed."""
+    """Return the result of a case that could not be diagnosed.
+
+    Parameters
+    ----------
+    case : Case
+    error : Exception
+    """
     return {"number": case.number, "plant": case.plant, "kind": case.kind,
             "causes": list(case.causes), "verdict": "refused", "error": str(error)}
 

@@ -123,6 +123,7 @@ def record(plant, experiment, seed):
 
     Parameters
     ----------
+    plant : PlantConfig
     experiment : piezo_identification.experiments.catalogue.Experiment
     seed : int
         Seed of everything random in the plant.
@@ -144,6 +145,7 @@ def play_proposed(plant, experiment, seed):
 
     Parameters
     ----------
+    plant : PlantConfig
     experiment : piezo_identification.experiments.catalogue.Experiment
     seed : int
         Seed of everything random in the plant.
@@ -164,6 +166,7 @@ def player_of_proposals(plant, seed):
 
     Parameters
     ----------
+    plant : PlantConfig
     seed : int
         Seed of the previous recording; each further recording uses the next one.
     """

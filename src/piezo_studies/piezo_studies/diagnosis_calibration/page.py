@@ -69,6 +69,10 @@ def _with_cause(results, cause):
 def write_page(page, seed, results):
     """Replace the section of a page and its figure; the other text of the page is unchanged.
 
+    Parameters
+    ----------
+    results : list of dict
+
     Raises
     ------
     ValueError

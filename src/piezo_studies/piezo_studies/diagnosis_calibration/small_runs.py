@@ -24,6 +24,7 @@ def run_small_case(case, identified):
 
     Parameters
     ----------
+    case : SmallCase
     identified : IdentifiedModel
         Model of the plant without effects.
 

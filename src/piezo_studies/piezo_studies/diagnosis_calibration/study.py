@@ -64,7 +64,18 @@ def run_study(seed, count, directory, seconds, report):
 
 
 def figures(results):
-    """Return the calibration and the coverage of results."""
+    """Return the calibration and the coverage of results.
+
+    Parameters
+    ----------
+    results : list of dict
+
+    Returns
+    -------
+    Reliability
+    dict
+        Result of `coverage`.
+    """
     return calibrate(results), coverage(results)
 
 

@@ -86,7 +86,12 @@ class Figure:
 
 @dataclass(frozen=True, eq=False)
 class Ringing:
-    """Measured and modelled response to a jump."""
+    """Measured and modelled response to a jump.
+
+    Parameters
+    ----------
+    modelled_um : ndarray, shape (N,)
+    """
 
     response: JumpResponse
     modelled_um: np.ndarray

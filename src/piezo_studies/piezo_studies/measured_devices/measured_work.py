@@ -104,7 +104,12 @@ OSCILLATORS = {"the circuit": oscillators.circuit, "Bouc-Wen": oscillators.bouc_
 
 
 def table(figures):
-    """Return a text table with a row for each figure."""
+    """Return a text table with a row for each figure.
+
+    Parameters
+    ----------
+    figures : list of Figure
+    """
     head = ("set", "fitted on", "tested on", "error", "in the note", "ours", "at most", "")
     rows = [head] + [
         (figure.data, figure.fitted_on, figure.tested_on, figure.quantity,

@@ -58,6 +58,7 @@ def record_model(name, model, voltage_v, sample_period_s, noise_um, seed=1):
 
     Parameters
     ----------
+    model : StageModel
     voltage_v : ndarray, shape (N,)
     """
     linear = zoh(model.linear(), sample_period_s)

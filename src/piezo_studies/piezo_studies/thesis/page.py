@@ -28,7 +28,12 @@ peak sensitivity. Learning begins with models that are 5 % off, without offset a
 
 
 def page(rows):
-    """Return the page with the table of rows."""
+    """Return the page with the table of rows.
+
+    Parameters
+    ----------
+    rows : list of Row
+    """
     pictures = "\n\n".join(
         f"**Fig. {figure}.** {caption}\n\n"
         f"![Answer to figure {figure}](pictures/reproduction/figure_{figure}.png)"
