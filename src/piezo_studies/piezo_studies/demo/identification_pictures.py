@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Pictures of what was identified, beside what was measured."""
+"""Figures that compare the identified model with measurements."""
 
 import numpy as np
 
@@ -28,7 +28,7 @@ def draw_loops(prediction):
     Parameters
     ----------
     prediction : piezo_identification.prediction.Prediction
-        Of the validation recording; the slow part, with which it begins, is drawn.
+        Prediction for the validation recording; its initial slow part is drawn.
     """
     end = _end_of_slow_part(prediction)
     slow = slice(0, end, max(1, end // DRAWN_POINTS))
@@ -51,7 +51,7 @@ def draw_creep(prediction):
     Parameters
     ----------
     prediction : piezo_identification.prediction.Prediction
-        Of the creep recording.
+        Prediction for the creep recording.
     """
     step = int(np.argmax(np.abs(np.diff(prediction.voltage_v)))) + 1
     since_s = prediction.time_s[step:] - prediction.time_s[step]
@@ -73,14 +73,14 @@ def draw_creep(prediction):
 
 
 def draw_frequency_response(dynamics, sample_period_s, measured):
-    """Draw the gain and phase of the linear dynamics, and what the square wave measured of them.
+    """Draw gain and phase of the linear dynamics, and those measured with a square wave.
 
     Parameters
     ----------
     dynamics : control.StateSpace
-        Continuous, from the hysteresis' output to the displacement.
+        Continuous system from the output of the hysteresis to the displacement.
     sample_period_s : float
-        The model is drawn as sampled with this period.
+        Sample period with which the model is discretized.
     measured : tuple of ndarray
         Frequency (Hz) and complex response.
     """
@@ -103,14 +103,14 @@ def draw_frequency_response(dynamics, sample_period_s, measured):
 
 
 def draw_step_response(prediction, period_s):
-    """Answer to one period of the short square wave, measured and modelled.
+    """Draw the response to one period of the short square wave, measured and modelled.
 
     Parameters
     ----------
     prediction : piezo_identification.prediction.Prediction
-        Of the dynamics recording.
+        Prediction for the dynamics recording.
     period_s : float
-        Of the square wave.
+        Period of the square wave.
     """
     steps = np.flatnonzero(np.diff(prediction.voltage_v)) + 1
     middle = steps[steps.size // 2]

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Frequency response of the linear dynamics, as a square wave measured it."""
+"""Frequency response of the linear dynamics, measured with a square wave."""
 
 import numpy as np
 
 from piezo_identification.conditioning.waveforms import played, square_wave
 
 WARM_UP_PERIODS = 5
-# Harmonics that do not stand out of their standard error by this factor tell nothing.
+# Smallest ratio of a harmonic to its standard error for which it is used.
 CLEARANCE = 10.0
 
 
@@ -16,14 +16,14 @@ def square_wave_response(model, recording):
     Parameters
     ----------
     model : StageModel
-        Tells the output of the hysteresis at the two levels of the square wave.
+        Model that gives the output of the hysteresis at the two levels of the square wave.
     recording : Recording
-        Of the dynamics experiment.
+        Recording of the dynamics experiment.
 
     Returns
     -------
     frequency_hz : ndarray, shape (N,)
-        Odd multiples of the square wave's frequency, as far as they stand out of the noise.
+        Odd multiples of the square wave's frequency that exceed the noise.
     response : ndarray, shape (N,), complex
 
     Raises

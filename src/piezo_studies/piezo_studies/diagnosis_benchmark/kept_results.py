@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Results of a run that takes hours: each is kept at once, and the run goes on from them."""
+"""Results of a run of hours; each is saved at once, so that the run can be resumed."""
 
 import json
 
@@ -10,14 +10,14 @@ class KeptResults:
     Parameters
     ----------
     conditions : dict
-        Plain values. Results of other conditions stay in the file, and do not count.
+        Conditions as plain values. Results of other conditions stay in the file and are ignored.
     """
 
     def __init__(self, path, conditions):
         self._path, self._conditions = path, conditions
 
     def results(self):
-        """Return the results that are there, by the number of their case."""
+        """Return the saved results by number of their case."""
         if not self._path.exists():
             return {}
         lines = [json.loads(line) for line in self._path.read_text(encoding="utf-8").splitlines()]
@@ -25,6 +25,6 @@ class KeptResults:
                 if entry["conditions"] == self._conditions}
 
     def add(self, result):
-        """Keep the result of a case."""
+        """Save the result of a case."""
         with self._path.open("a", encoding="utf-8") as file:
             file.write(json.dumps({"conditions": self._conditions, "result": result}) + "\n")

@@ -9,7 +9,7 @@ from pathlib import Path
 from piezo_studies.recording_kinds.trials import STAGES, Outcome, run, trials
 
 OUTCOMES = "outcomes.jsonl"
-"""File in the folder that holds what was run: an interrupted table goes on where it stopped."""
+"""File of the completed trials in the folder, from which an interrupted table is resumed."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -18,7 +18,7 @@ def main(arguments: list[str] | None = None) -> None:
     Parameters
     ----------
     arguments : list of str, optional
-        Those of the command line by default.
+        Arguments; by default those of the command line.
     """
     parser = argparse.ArgumentParser(prog="recording_kinds", description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("runs/recording-kinds"),
@@ -47,7 +47,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _kept(path: Path) -> dict[str, Outcome]:
-    """Outcomes of the trials that were run before, by their lines in the table."""
+    """Return the outcomes of earlier trials by their text in the table."""
     if not path.exists():
         return {}
     rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
