@@ -52,9 +52,9 @@ class Command:
     check: Callable[[argparse.Namespace], None] | None = None
     interrupted: str = "nothing was written"
 
-    def parser(self, prog: str = "") -> argparse.ArgumentParser:
+    def parser(self) -> argparse.ArgumentParser:
         """Return the parser of the command under its own name."""
-        return self.fill(argparse.ArgumentParser(prog=prog or self.name))
+        return self.fill(argparse.ArgumentParser(prog=self.name))
 
     def fill(self, parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
         """Set up a parser, for example of a subcommand, for this command; return it."""

@@ -180,7 +180,7 @@ class Estimate:
 
 def order_trial(
     order: object, residual: FloatArray, parameters: int, refusal: str = "",
-    signal: FloatArray | None = None, independent: float | None = None,
+    signal: FloatArray | None = None,
 ) -> OrderTrial:
     """Rate a fit by its residual: the Bayesian information criterion N ln(mean square) + P ln N.
 
@@ -191,13 +191,11 @@ def order_trial(
     signal : ndarray, optional
         Fitted signal, in the unit of the residual. An exact fit leaves only rounding, which does
         not justify more parameters.
-    independent : float, optional
-        Number of independent errors; by default all.
     """
     mean_square = np.mean(residual**2)
     least = 0.0 if signal is None else finest_power(signal)
-    rows = residual.size if independent is None else independent
-    information = rows * np.log(mean_square + least) + parameters * np.log(rows)
+    information = (residual.size * np.log(mean_square + least)
+                   + parameters * np.log(residual.size))
     return OrderTrial(order, parameters, float(np.sqrt(mean_square)), float(information), refusal)
 
 

@@ -102,8 +102,7 @@ class Dataset:
 
 def simulate_recordings(model: StageModel, recordings: Sequence[Recording],
                         past_v: tuple[float, ...] | None = None,
-                        sensitivities: Sensitivities = parameter_sensitivities,
-                        undivided: int = 0) -> Dataset:
+                        sensitivities: Sensitivities = parameter_sensitivities) -> Dataset:
     """Simulate recordings, and split their samples into rows to fit and a validation set.
 
     Parameters
@@ -115,9 +114,6 @@ def simulate_recordings(model: StageModel, recordings: Sequence[Recording],
         `starting_past_v`.
     sensitivities : callable
         Returns the change of the displacement with each free parameter.
-    undivided : int
-        Number of recordings, counted from the first, that use `SplitSettings.most_rows` each. The
-        others share that number. By default, all share it.
 
     Raises
     ------
@@ -126,7 +122,7 @@ def simulate_recordings(model: StageModel, recordings: Sequence[Recording],
     """
     simulated = side_by_side(
         lambda recording: SimulatedRecording(model, recording, past_v), recordings)
-    return dataset_of(simulated, recordings, sensitivities, undivided)
+    return dataset_of(simulated, recordings, sensitivities)
 
 
 def dataset_of(simulated: Sequence[SimulatedRecording], recordings: Sequence[Recording],
@@ -140,8 +136,11 @@ def dataset_of(simulated: Sequence[SimulatedRecording], recordings: Sequence[Rec
         At least one recording; all simulated with the same model.
     recordings : sequence of Recording
         The measured recordings, in the same order.
-    sensitivities, undivided
+    sensitivities : callable
         As in `simulate_recordings`.
+    undivided : int
+        Number of recordings, counted from the first, that use `SplitSettings.most_rows` each. The
+        others share that number. By default, all share it.
     """
     simulated, model = tuple(simulated), simulated[0].model
     rows, stretch, for_estimation = _split(simulated, undivided)

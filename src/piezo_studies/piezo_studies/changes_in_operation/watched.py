@@ -109,17 +109,15 @@ def samples(duration_s: float) -> int:
     return round(duration_s * CLOCK.sample_rate_hz)
 
 
-def watch_unchanged(watched: WatchedStage, hours: float, seed: int = 0) -> list[Report]:
+def watch_unchanged(watched: WatchedStage, hours: float) -> list[Report]:
     """Track references in random order on a stage that does not change.
 
     Parameters
     ----------
     hours : float
         Time of the stage; the last kinds of references are tracked in its second half only.
-    seed : int
-        Of the order.
     """
-    random, kinds = np.random.default_rng(seed), list(KINDS)
+    random, kinds = np.random.default_rng(0), list(KINDS)
     runs, reports = round(3600.0 * hours / RUN_S), []
     for number in range(runs):
         known = kinds if 2 * number >= runs else kinds[:-LATER_KINDS]

@@ -26,7 +26,7 @@ OVER_NOISE = 6.0
 """Contribution to the first recording over the noise: clear, and far from overwhelming."""
 
 
-def decide_twin(cause, clean, plant_seed, seed, budget=1, over_noise=OVER_NOISE):
+def decide_twin(cause, clean, plant_seed, seed, budget=1):
     """Record a plant with one effect as on an ordinary day, and decide by proposed recordings.
 
     Parameters
@@ -36,8 +36,6 @@ def decide_twin(cause, clean, plant_seed, seed, budget=1, over_noise=OVER_NOISE)
     clean : (IdentifiedModel, tuple of Recording)
         Of the plant without effects; see `run_case.clean_model`.
     plant_seed : sequence of int
-    over_noise : float
-        Contribution of the effect to the first recording.
 
     Returns
     -------
@@ -47,7 +45,7 @@ def decide_twin(cause, clean, plant_seed, seed, budget=1, over_noise=OVER_NOISE)
     plant = draw_plant(plant_seed)
     experiment = records.tracking(np.random.default_rng(seed), TWINS[cause])
     voltage_v, _ = records.commanded(experiment)
-    drawn = draw_effect(cause, plant, voltage_v, records.surroundings(experiment, seed), over_noise,
+    drawn = draw_effect(cause, plant, voltage_v, records.surroundings(experiment, seed), OVER_NOISE,
                         seed, records.clock_samples(experiment))
     identified, identified_from = clean
     first = records.record(drawn.plant, experiment, seed)

@@ -67,7 +67,7 @@ def study():
     return Study(rows)
 
 
-def learn(frequency_hz, amplitude_um, seed, part=MODEL_ERROR):
+def learn(frequency_hz, amplitude_um, seed):
     """Learn a harmonic from a wrong model on the simulated stage.
 
     Parameters
@@ -76,10 +76,8 @@ def learn(frequency_hz, amplitude_um, seed, part=MODEL_ERROR):
         The amplitude is peak to peak.
     seed : int
         Of the model's errors and of the stage.
-    part : float
-        By which the model's parameters are wrong.
     """
-    model = wrong_model(part, seed)
+    model = wrong_model(MODEL_ERROR, seed)
     controller = design_integral_feedback(model)
     reference = Reference("harmonic", (frequency_hz,), (amplitude_um,), (), CENTRE_UM)
     feedforward, learner = plan_learning(

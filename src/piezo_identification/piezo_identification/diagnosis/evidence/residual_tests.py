@@ -72,7 +72,7 @@ class CorrelationTest:
         return bool(self.share_outside * lags <= by_chance)
 
 
-def whiteness(residual_um: FloatArray, most_lags: int = SETTINGS.most_lags) -> CorrelationTest:
+def whiteness(residual_um: FloatArray) -> CorrelationTest:
     """Return the autocorrelation of the residual.
 
     Parameters
@@ -80,13 +80,12 @@ def whiteness(residual_um: FloatArray, most_lags: int = SETTINGS.most_lags) -> C
     residual_um : (N,) array
     """
     residual = residual_um - residual_um.mean()
-    lags = np.arange(1, min(most_lags, residual.size // 4) + 1)
+    lags = np.arange(1, min(SETTINGS.most_lags, residual.size // 4) + 1)
     return CorrelationTest(lags, _correlation(residual, residual, lags),
                            SETTINGS.band_99 / np.sqrt(residual.size))
 
 
-def input_correlation(residual_um: FloatArray, input: FloatArray,
-                      most_lags: int = SETTINGS.most_lags) -> CorrelationTest:
+def input_correlation(residual_um: FloatArray, input: FloatArray) -> CorrelationTest:
     """Correlate the residual with earlier values of an input.
 
     Both are filtered first so that the input becomes white, because a smooth input correlates with
@@ -98,14 +97,14 @@ def input_correlation(residual_um: FloatArray, input: FloatArray,
     """
     white_input, coefficients = _whitened(input - input.mean())
     residual = np.convolve(residual_um - residual_um.mean(), coefficients, mode="valid")
-    lags = np.arange(0, min(most_lags, residual.size // 4) + 1)
+    lags = np.arange(0, min(SETTINGS.most_lags, residual.size // 4) + 1)
     return CorrelationTest(lags, _correlation(residual, white_input, lags),
                            SETTINGS.band_99 / np.sqrt(residual.size))
 
 
-def _whitened(signal: FloatArray,
-              order: int = SETTINGS.whitening_order) -> tuple[FloatArray, FloatArray]:
+def _whitened(signal: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Make a signal white by an autoregressive filter; return it, and the filter."""
+    order = SETTINGS.whitening_order
     lagged = np.column_stack(
         [signal[order - lag : signal.size - lag] for lag in range(1, order + 1)]
     )
@@ -208,17 +207,15 @@ class Dependence:
     share: float
 
 
-def dependence(residual_um: FloatArray, values: FloatArray, quantity: str,
-               bins: int = SETTINGS.bins) -> Dependence:
+def dependence(residual_um: FloatArray, values: FloatArray, quantity: str) -> Dependence:
     """Estimate how the residual depends on a quantity.
 
     Parameters
     ----------
     residual_um, values : (N,) array
-    bins : int
-        Number of bins with equally many samples.
     """
-    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, bins + 1)))
+    # Bins of equally many samples each.
+    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, SETTINGS.bins + 1)))
     index = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, max(0, edges.size - 2))
     count = np.bincount(index)
     used = count > 0
