@@ -57,9 +57,24 @@ class Prediction:
 
     def plot(self) -> "Figure":
         """Draw measured and simulated displacement over time, and their difference."""
-        from piezo_identification.prediction.prediction_pictures import displacement_figure
+        from piezo_common.picture_style import (
+            DIFFERENCE,
+            MEASURED,
+            MODELLED,
+            WIDE_IN,
+            label,
+            new_figure,
+        )
 
-        return displacement_figure(self)
+        figure = new_figure(5.0, WIDE_IN)
+        above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+        above.plot(self.time_s, self.measured_um, **MEASURED)
+        above.plot(self.time_s, self.simulated_um, **MODELLED)
+        above.legend(loc="upper right")
+        label(above, y="displacement (um)", title=f"e_y = {self.e_y_percent():.3g} %")
+        below.plot(self.time_s, 1e3 * (self.measured_um - self.simulated_um), **DIFFERENCE)
+        label(below, "time (s)", "difference (nm)")
+        return figure
 
     @property
     def good(self) -> NDArray[np.bool_]:

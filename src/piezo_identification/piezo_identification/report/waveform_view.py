@@ -87,17 +87,8 @@ class WaveformView:
 
     def mean(self, values: FloatArray) -> FloatArray:
         """Return the mean period of a signal, or the whole signal if there are no periods."""
-        return np.asarray(np.mean(self._folded(values), axis=0))
-
-    def scatter(self, values: FloatArray) -> float:
-        """Return the standard deviation of samples about the mean period; nan without periods."""
-        if not self.is_mean:
-            return float("nan")
-        folded = self._folded(values)
-        return float(np.sqrt(np.mean(np.var(folded, axis=0, ddof=1))))
-
-    def _folded(self, values: FloatArray) -> FloatArray:
-        return np.stack([values[start : start + self.samples] for start in self.starts])
+        return np.asarray(np.mean(
+            [values[start : start + self.samples] for start in self.starts], axis=0))
 
 
 def view_of(voltage_v: FloatArray, sample_period_s: float,
