@@ -86,7 +86,7 @@ def to_control(model: StageModel, sample_period_s: float | None = None, lags: bo
     Examples
     --------
     >>> from piezo_models import PreisachModel
-    >>> line = PreisachModel(0.0, 10.0, np.zeros((1, 1)), 0.0, np.array([2.0]))
+    >>> line = PreisachModel.line(0.0, 10.0, 2.0)
     >>> dynamics = ElectricVibrationDynamics(1e-3, (1257.0,), (0.02,))
     >>> stage = StageModel(line, CreepDynamics(), dynamics)
     >>> to_control(stage).poles().round(1)

@@ -209,8 +209,7 @@ class WholeModel:
     def with_line(self) -> "WholeModel":
         """Return the problem with the best-fitting line in place of its hysteresis."""
         loops = self._given.hysteresis
-        unit = PreisachModel(
-            loops.voltage_min_v, loops.voltage_max_v, np.zeros((1, 1)), 0.0, np.ones(1))
+        unit = PreisachModel.line(loops.voltage_min_v, loops.voltage_max_v, 1.0)
         model = replace(self._given, hysteresis=unit)
         pairs = [(part.with_model(model).simulate(), part.measured_um)
                  for part in self._dataset.simulated]
@@ -219,8 +218,8 @@ class WholeModel:
         gain_um_per_v = max(float(moved @ measured / (moved @ moved)), LEAST_GAIN)
         offset_um = np.mean([measured.mean() - gain_um_per_v * moved.mean()
                              for moved, measured in pairs])
-        return self.with_hysteresis(replace(
-            unit, offset_um=float(offset_um), reversible_um_per_v=np.array([gain_um_per_v])),
+        return self.with_hysteresis(PreisachModel.line(
+            loops.voltage_min_v, loops.voltage_max_v, gain_um_per_v, float(offset_um)),
             BESIDE_ROUGH)
 
     def about_here(self) -> None:

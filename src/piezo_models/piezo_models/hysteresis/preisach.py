@@ -9,6 +9,7 @@ over time and nothing drifts.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -136,6 +137,13 @@ class PreisachModel:
         object.__setattr__(self, "density_um_per_v2", density)
         object.__setattr__(self, "offset_um", float(self.offset_um))
         object.__setattr__(self, "reversible_um_per_v", reversible)
+
+    @classmethod
+    def line(cls, voltage_min_v: float, voltage_max_v: float, gain_um_per_v: float,
+             offset_um: float = 0.0) -> Self:
+        """Return a gain without hysteresis; the offset is its output at the lowest voltage."""
+        return cls(voltage_min_v, voltage_max_v, np.zeros((1, 1)), offset_um,
+                   np.array([gain_um_per_v]))
 
     def __repr__(self) -> str:
         low_um, high_um = self.output_range_um

@@ -97,7 +97,7 @@ def nanopositioner_without_creep(directory):
     """Diagnose a model of the resonances alone on the response from 1 Hz on."""
     measured = read_frequency_response(Path(directory) / NANOPOSITIONER).between(*BAND_HZ)
     fit = estimate_from_response(measured.between(*RESONANCES_HZ), RESONANCES).model
-    line = PreisachModel(-1.0, 1.0, np.zeros((1, 1)), 0.0, np.array([fit.gain]))
+    line = PreisachModel.line(-1.0, 1.0, fit.gain)
     model = StageModel(
         line, CreepDynamics(), fit.dynamics, effects=(*fit.beside, Delay(fit.delay_s)))
     return _finding("nanopositioner", "resonances only", diagnose_response(model, measured),

@@ -124,7 +124,7 @@ def _line(model: StageModel, recordings: Sequence[Recording]) -> PreisachModel:
     gain_um_per_v = (high_um - low_um) / (high_v - low_v)
     low_v = min(low_v, *(float(np.min(each.voltage_v)) for each in recordings))
     high_v = max(high_v, *(float(np.max(each.voltage_v)) for each in recordings))
-    return PreisachModel(low_v, high_v, np.zeros((1, 1)), low_um, np.array([gain_um_per_v]))
+    return PreisachModel.line(low_v, high_v, gain_um_per_v, low_um)
 
 
 def _left_um(fit: WholeFit) -> float:
