@@ -30,19 +30,25 @@ FIT_HEIGHT_IN = 6.4
 def component_pictures(evidence: ComponentEvidence) -> Iterator[Picture]:
     """Yield the fit of a component with its recording, and its residual over time and frequency."""
     name = evidence.name
+    yield fit_picture(evidence)
     if evidence.is_response:
-        yield pictured(f"Fit of the {name}", _response(evidence), "Measured frequency response at "
-                       "the travel of the model, what was fitted to it, and what is left.",
-                       closer=True)
         return
-    shown, caption = _fit(evidence)
-    yield pictured(f"Fit of the {name}", shown, caption, tall=True, closer=True)
     yield pictured(f"What is left of the {name} over time", _over_time(evidence),
                    "Measured minus fitted displacement of all samples; dotted, twice the noise, "
                    "between which 95 % of it lies.", closer=True)
     yield pictured(f"What is left of the {name} over frequency", _over_frequency(evidence),
                    "Density of what is left, and of the measured displacement; dotted, white noise "
                    f"as large as that told by {evidence.fit.noise_from}.", closer=True)
+
+
+def fit_picture(evidence: ComponentEvidence) -> Picture:
+    """Return the fit of a component beside its recording."""
+    name = f"Fit of the {evidence.name}"
+    if evidence.is_response:
+        return pictured(name, _response(evidence), "Measured frequency response at the travel of "
+                        "the model, what was fitted to it, and what is left.", closer=True)
+    shown, caption = _fit(evidence)
+    return pictured(name, shown, caption, tall=True, closer=True)
 
 
 def _fit(evidence: ComponentEvidence) -> tuple[Figure, str]:
