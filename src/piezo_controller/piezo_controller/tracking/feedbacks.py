@@ -22,7 +22,7 @@ from piezo_controller.feedback.feedback_design import (
 )
 from piezo_controller.feedback.multirate_feedback import MultirateFeedback
 from piezo_controller.feedback.onboard_law import answers_samples, onboard_law
-from piezo_controller.feedback.synthesis.generalised_plant import hysteresis_gain_range
+from piezo_controller.feedback.synthesis.generalised_plant import nominal_hysteresis_gain
 from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_controller.feedforward.periodic import FeedforwardPlan
 from piezo_controller.learning.fast_sensitivity import fast_sensitivity
@@ -206,7 +206,7 @@ class Feedbacks:
                 "with --delay-ticks 1")
         if "hysteresis_gain_um_per_v" not in controller.report:
             # A controller of another tool: it stabilises the model, so also at this gain.
-            nominal = float(np.mean(hysteresis_gain_range(model)))
+            nominal = nominal_hysteresis_gain(model)
             controller = replace(controller, report={
                 **controller.report, "hysteresis_gain_um_per_v": nominal})
         return controller

@@ -13,7 +13,7 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_controller.feedback.sample_rate.perturbed_loops import light_mode
-from piezo_controller.feedback.synthesis.generalised_plant import hysteresis_gain_range
+from piezo_controller.feedback.synthesis.generalised_plant import nominal_hysteresis_gain
 from piezo_models.cascade import StageModel
 
 LEAK = 1e-4
@@ -46,7 +46,7 @@ class Form:
     def controller(self, model: StageModel, numbers: Sequence[float] | FloatArray,
                    clock_period_s: float) -> control.StateSpace:
         """Return the discrete controller from error (um) to voltage (V)."""
-        gain_um_per_v = float(np.mean(hysteresis_gain_range(model)))
+        gain_um_per_v = nominal_hysteresis_gain(model)
         continuous = self.make(model, np.asarray(numbers, dtype=float))
         return (continuous * (1 / gain_um_per_v)).sample(clock_period_s, method="bilinear")
 

@@ -15,6 +15,7 @@ from piezo_controller.feedback.robustness import with_errors
 from piezo_controller.feedback.synthesis.generalised_plant import (
     design_plant,
     hysteresis_gain_range,
+    nominal_hysteresis_gain,
 )
 from piezo_models.cascade import StageModel
 
@@ -185,7 +186,7 @@ def _perturbed(model: StageModel, errors: ModelErrors, clock_period_s: float,
     def sampled(found: StageModel) -> control.StateSpace:
         return design_plant(found, clock_period_s, clock_period_s, delay_ticks=delay_ticks)[0]
 
-    nominal_gain = float(np.mean(hysteresis_gain_range(model)))
+    nominal_gain = nominal_hysteresis_gain(model)
     yield nominal_gain * sampled(model)
     pairs, modes = len(model.creep.poles_rad_per_s), len(model.dynamics.damping_ratios)
     light = light_mode(model)

@@ -17,7 +17,10 @@ from piezo_controller.feedback.sample_rate.tuned_over_stages import (
     LoopProblem,
     tuned_family,
 )
-from piezo_controller.feedback.synthesis.generalised_plant import hysteresis_gain_range
+from piezo_controller.feedback.synthesis.generalised_plant import (
+    hysteresis_gain_range,
+    nominal_hysteresis_gain,
+)
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
@@ -95,7 +98,7 @@ def test_the_derivatives_are_those_of_differences(model):
     demands = Demands(errors=ModelErrors(0.05, 0.20), of_every_stage=True)
     family, numbers, loops = start_of(model, demands)
     problem = LoopProblem(loops, demands, family.structure, FIRST_MODE_HZ,
-                          float(np.mean(hysteresis_gain_range(model))))
+                          nominal_hysteresis_gain(model))
     here = problem.linearise(numbers)
     rng = np.random.default_rng(0)
     for _ in range(5):
