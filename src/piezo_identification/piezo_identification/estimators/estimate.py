@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.row_alignment import MOST_UNCERTAIN
 from piezo_models.cascade import StageModel
 from piezo_models.effects.effect import Effect
-from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_models.linear.dynamics import CreepDynamics
 
 SHOWN = 12
 """Number of trials shown in a table of orders."""
@@ -330,36 +330,6 @@ def unidentified_parameters(
             unidentified += [f"{part} {name} {index + 1}" if value.size > 1 else f"{part} {name}"
                        for index in wide]
     return unidentified
-
-
-def dynamics_vector(dynamics: ElectricVibrationDynamics) -> FloatArray:
-    """Parameters of electric and vibration dynamics in one vector, all positive."""
-    return np.array([
-        dynamics.time_constant_s, *dynamics.mode_frequencies_rad_per_s, *dynamics.damping_ratios,
-        *dynamics.antiresonance_frequencies_rad_per_s, *dynamics.antiresonance_damping_ratios,
-    ])
-
-
-def split_dynamics_vector(
-    vector: ArrayLike, mode_count: int, antiresonance_count: int = 0,
-) -> dict[str, Any]:
-    """Fields of `ElectricVibrationDynamics` by name, from a vector in their order."""
-    edges = np.cumsum([1, mode_count, mode_count, antiresonance_count])
-    parts = np.split(np.asarray(vector, dtype=float), edges)
-    names = ("mode_frequencies_rad_per_s", "damping_ratios",
-             "antiresonance_frequencies_rad_per_s", "antiresonance_damping_ratios")
-    return {"time_constant_s": float(parts[0][0])} | {
-        name: tuple(part.tolist()) for name, part in zip(names, parts[1:], strict=True)
-    }
-
-
-def dynamics_of_vector(
-    vector: ArrayLike, mode_count: int, antiresonance_count: int = 0,
-) -> ElectricVibrationDynamics:
-    """Inverse of `dynamics_vector`."""
-    return ElectricVibrationDynamics(
-        **split_dynamics_vector(vector, mode_count, antiresonance_count)
-    )
 
 
 def creep_of_partial_fractions(

@@ -19,12 +19,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.estimators.estimate import (
-    dynamics_of_vector,
-    dynamics_vector,
-    propagated,
-    split_dynamics_vector,
-)
+from piezo_identification.estimators.estimate import propagated
 from piezo_identification.fitting.sensitivities import (
     factor_surfaces,
     sensitivity_systems,
@@ -42,6 +37,11 @@ from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.connections import in_parallel, in_series, matrices_of, scaled
 from piezo_models.linear.creep_errors import creep_error_map
 from piezo_models.linear.dynamics import CreepDynamics
+from piezo_models.linear.dynamics_vector import (
+    dynamics_of_vector,
+    dynamics_vector,
+    split_dynamics_vector,
+)
 
 
 @dataclass(frozen=True)

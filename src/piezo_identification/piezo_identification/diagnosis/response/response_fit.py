@@ -9,14 +9,11 @@ from scipy.optimize import least_squares
 
 from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
 from piezo_common.cancellation import check_cancelled
-from piezo_identification.estimators.estimate import (
-    dynamics_of_vector,
-    dynamics_vector,
-    parameter_deviations,
-)
+from piezo_identification.estimators.estimate import parameter_deviations
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, Extent, fitted_values, with_fitted_values
+from piezo_models.linear.dynamics_vector import dynamics_of_vector, dynamics_vector
 
 
 @dataclass(frozen=True)

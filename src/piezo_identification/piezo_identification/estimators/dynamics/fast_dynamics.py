@@ -6,15 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezo_common.arrays import ComplexArray, FloatArray
-from piezo_identification.estimators.estimate import (
-    dynamics_of_vector,
-    split_dynamics_vector,
-)
 from piezo_models.effects.coupled_mode import CoupledMode
 from piezo_models.effects.effect import Effect
 from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
+from piezo_models.linear.dynamics_vector import dynamics_of_vector, split_dynamics_vector
 
 APART = 1e-5
 """Smallest relative distance of poles, so that each has a residue."""

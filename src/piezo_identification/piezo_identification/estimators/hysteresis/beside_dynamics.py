@@ -15,7 +15,6 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from piezo_common.arrays import ComplexArray, FloatArray
-from piezo_identification.estimators.estimate import dynamics_of_vector
 from piezo_identification.estimators.hysteresis.dynamics_inverse import held_response
 from piezo_identification.estimators.hysteresis.fast_loops import (
     FastLoops,
@@ -25,6 +24,7 @@ from piezo_identification.estimators.hysteresis.fast_loops import (
 from piezo_models.hysteresis.pasts import PASTS, past_voltages
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
+from piezo_models.linear.dynamics_vector import dynamics_of_vector
 
 REACH = 3.0
 """Largest change of the logarithms of the parameters, and of the delay in sample periods: the
