@@ -123,15 +123,11 @@ def with_linear_part(model: StageModel, system: control.StateSpace | control.Tra
         If `from_control` rejects the system.
     """
     parts = from_control(system)
-    hysteresis = model.hysteresis
-    scaled = replace(hysteresis, offset_um=parts.gain * hysteresis.offset_um,
-                     density_um_per_v2=parts.gain * hysteresis.density_um_per_v2,
-                     reversible_um_per_v=parts.gain * hysteresis.reversible_um_per_v)
     delay = (Delay(parts.delay_s),) if parts.delay_s else ()
     stays = tuple(effect for effect in model.effects if effect.place not in IN_LINEAR
                   and not (delay and isinstance(effect, Delay)))
-    return replace(model, hysteresis=scaled, creep=parts.creep, dynamics=parts.dynamics,
-                   effects=(*stays, *delay))
+    return replace(model, hysteresis=model.hysteresis.scaled(parts.gain), creep=parts.creep,
+                   dynamics=parts.dynamics, effects=(*stays, *delay))
 
 
 def from_control(system: control.StateSpace | control.TransferFunction) -> LinearParts:

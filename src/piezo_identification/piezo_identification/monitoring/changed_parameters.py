@@ -151,13 +151,9 @@ def _changed(model: StageModel, logarithms: dict[str, float]) -> StageModel:
     """Return the model with some parameters multiplied by the exponentials of `logarithms`."""
     factor = {name: float(np.exp(logarithms.get(name, 0.0))) for name in _values(model)}
     dynamics, hysteresis = model.dynamics, model.hysteresis
-    gain = factor["gain_um_per_v"]
     modes = range(1, len(dynamics.damping_ratios) + 1)
-    if gain != 1.0:
-        hysteresis = replace(
-            hysteresis, density_um_per_v2=gain * hysteresis.density_um_per_v2,
-            reversible_um_per_v=gain * hysteresis.reversible_um_per_v,
-            offset_um=gain * hysteresis.offset_um)
+    if factor["gain_um_per_v"] != 1.0:
+        hysteresis = hysteresis.scaled(factor["gain_um_per_v"])
     return replace(model, hysteresis=hysteresis, dynamics=replace(
         dynamics, time_constant_s=dynamics.time_constant_s * factor["time_constant_s"],
         mode_frequencies_rad_per_s=tuple(

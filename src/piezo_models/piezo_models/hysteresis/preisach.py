@@ -145,6 +145,12 @@ class PreisachModel:
         return cls(voltage_min_v, voltage_max_v, np.zeros((1, 1)), offset_um,
                    np.array([gain_um_per_v]))
 
+    def scaled(self, factor: float) -> Self:
+        """Return the hysteresis with its output multiplied by a factor."""
+        return replace(self, density_um_per_v2=factor * self.density_um_per_v2,
+                       offset_um=factor * self.offset_um,
+                       reversible_um_per_v=factor * self.reversible_um_per_v)
+
     def __repr__(self) -> str:
         low_um, high_um = self.output_range_um
         return (f"<PreisachModel: {self.voltage_min_v:g} to {self.voltage_max_v:g} V, "
