@@ -44,6 +44,7 @@ from piezo_controller.references.trajectory import KeptTrajectory, Trajectory
 from piezo_models.cascade import StageModel
 from piezo_models.effects.amplifier_lag import lag_behind_hysteresis
 from piezo_models.hysteresis.preisach import PreisachMemory
+from piezo_models.linear.connections import inverse
 from piezo_models.linear.dynamics import continue_linear, equilibrium_state, zoh, zoh_response
 
 REST_S = 0.02
@@ -277,7 +278,7 @@ class StreamPlanner:
         rest_um = slow_um[-1]
         level_um = self.model.sensed(np.full(ALIGNMENT_SAMPLES, rest_um), self.sample_period_s)[-1]
         return once_v, slow_um, level_um, OnlineInverse(
-            self.model, self.preview, _inverse(self.sampled_slow), self.sample_period_s,
+            self.model, self.preview, inverse(self.sampled_slow), self.sample_period_s,
             self.preview.state(rest_um), slow_state, memory,
             np.full(2 * EFFECT_MARGIN_SAMPLES, level_um))
 
@@ -379,9 +380,3 @@ class _Scaled(Trajectory):
 
     def _scaled(self, displacement_um: FloatArray) -> FloatArray:
         return self._centre_um + self._scale * (displacement_um - self._centre_um)
-
-
-def _inverse(system: control.StateSpace) -> control.StateSpace:
-    """Return the inverse, in the same states, of a discrete system with direct feedthrough."""
-    a, b, c, d = system.A, system.B, system.C, system.D
-    return control.ss(a - b @ c / d, b / d, -c / d, 1 / d, system.dt)

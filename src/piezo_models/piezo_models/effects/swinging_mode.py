@@ -28,11 +28,11 @@ class SwingingMode(Effect):
 
     @abstractmethod
     def _swing(self, loads: FloatArray, state: FloatArray, phase: float) -> FloatArray:
-        """Return y for x and update the state; the phase of the mode advances by `phase` a sample."""
+        """Return y for x and update the state; in a sample, the mode advances by `phase`."""
 
     @abstractmethod
     def _force(self, wanted: FloatArray, derivative: ComplexArray) -> ComplexArray:
-        """Return the spectrum of the force of a motion; `derivative` times a spectrum is that of y'/w."""
+        """Return the spectrum of the force of a motion y, given the spectrum of d/dt over w."""
 
     def apply(self, signal: FloatArray, sample_period_s: float,
               rest: float | None = None) -> FloatArray:
