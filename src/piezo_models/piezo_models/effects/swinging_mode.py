@@ -55,8 +55,8 @@ class SwingingMode(Effect):
 
     def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
         """Add what the force of the wanted motion removes."""
-        derivative = 2j * np.pi * np.fft.rfftfreq(wanted.size, sample_period_s) / (
-            self.frequency_rad_per_s)
+        rate = 2.0 * np.pi * np.fft.rfftfreq(wanted.size, sample_period_s)
+        derivative = np.asarray(1j * rate / self.frequency_rad_per_s, dtype=complex)
         mode = 1.0 / (derivative * derivative + 2.0 * self.damping_ratio * derivative + 1.0)
         removed: FloatArray = np.fft.irfft(mode * self._force(wanted, derivative), wanted.size)
         return wanted + removed
