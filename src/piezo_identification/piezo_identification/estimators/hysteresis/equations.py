@@ -180,13 +180,13 @@ def equations_of_folds(
     """
     if folds is None:
         folds = [np.zeros(segment.samples.size, dtype=int) for segment in segments]
-    histories = [everett_regression(segment.voltage_v, levels_v).history for segment in segments]
+    histories = [everett_regression(segment.voltage_v, levels_v, segment.samples).history
+                 for segment in segments]
     widths = [
-        1 + max(int(history.max()), 0) + segment.transients.shape[1]
+        1 + int(history.max(initial=0)) + segment.transients.shape[1]
         for segment, history in zip(segments, histories, strict=True)
     ]
-    if all((history[segment.samples] < 0).all()
-           for segment, history in zip(segments, histories, strict=True)):
+    if all((history < 0).all() for history in histories):
         raise ValueError(
             "no sample lies where the voltage has been before: record at least one reversal"
         )
@@ -196,8 +196,8 @@ def equations_of_folds(
     for each in equations:
         each.offset_columns = np.cumsum([0, *widths[:-1]])
     for segment, history, fold, width in zip(segments, histories, folds, widths, strict=True):
-        numbers = np.arange(1, history.max() + 1)
-        known = history[segment.samples] >= 0
+        numbers = np.arange(1, history.max(initial=0) + 1)
+        known = history >= 0
         samples, fold = segment.samples[known], fold[known]
         for start in range(0, samples.size, ROWS_AT_ONCE):
             block = samples[start : start + ROWS_AT_ONCE]
