@@ -17,20 +17,14 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 
 @dataclass(frozen=True)
 class ConversionSettings:
-    """Tolerances of the conversion of a system of python-control to a model.
-
-    Attributes
-    ----------
-    rounding : float
-        A root is taken as real if its imaginary part is below this fraction of its magnitude;
-        eigenvalue solvers leave rounding errors of this size.
-    response_tolerance : float
-        Largest relative deviation of the found model's response from that of the system, and of
-        the roots of a delay; a thousandth of what an identification attains.
-    """
+    """Tolerances of the conversion of a system of python-control to a model."""
 
     rounding: float = 1e-9
+    """A root is taken as real if its imaginary part is below this fraction of its magnitude;
+    eigenvalue solvers leave rounding errors of this size."""
     response_tolerance: float = 1e-6
+    """Largest relative deviation of the found model's response from that of the system, and of the
+    roots of a delay; a thousandth of what an identification attains."""
 
 
 SETTINGS = ConversionSettings()
@@ -43,21 +37,16 @@ IN_LINEAR = ("modes", "linear")
 
 
 class LinearParts(NamedTuple):
-    """Components of a system of python-control.
-
-    Attributes
-    ----------
-    gain : float
-        Gain that remains when creep has unit high-frequency gain and dynamics unit DC gain; it
-        belongs to the hysteresis.
-    delay_s : float
-        Delay of the Pade approximation in the system, in s; 0 without one.
-    """
+    """Components of a system of python-control."""
 
     creep: CreepDynamics
     dynamics: ElectricVibrationDynamics
+
     gain: float
+    """Gain that remains when creep has unit high-frequency gain and dynamics unit DC gain; it
+    belongs to the hysteresis."""
     delay_s: float
+    """Delay of the Pade approximation in the system, in s; 0 without one."""
 
 
 class LeftOut(UserWarning):

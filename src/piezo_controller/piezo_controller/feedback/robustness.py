@@ -21,19 +21,13 @@ FREQUENCIES = 100
 
 @dataclass(frozen=True)
 class Robustness:
-    """Robustness of a feedback.
-
-    Attributes
-    ----------
-    samples, unstable_samples : int
-        Number of loops with random errors, and of the unstable ones among them.
-    worst_peak_sensitivity : float
-        Peak at the worst errors found; infinite if the loop is unstable there.
-    """
+    """Robustness of a feedback."""
 
     samples: int
     unstable_samples: int
+    """Number of loops with random errors, and of the unstable ones among them."""
     worst_peak_sensitivity: float
+    """Peak at the worst errors found; infinite if the loop is unstable there."""
 
     @property
     def stable(self) -> bool:

@@ -60,36 +60,27 @@ InverseDesign = Callable[[control.StateSpace, float], PreviewInverse]
 
 @dataclass(frozen=True, eq=False)
 class StreamPlan:
-    """Voltages of the approach, and the source of those of the reference: a `TrackingPlan`.
-
-    Attributes
-    ----------
-    once_voltage_v : ndarray, shape (n,)
-        Down to the model's lowest voltage, which erases the memory of the hysteresis, and up to
-        the first value of the reference.
-    expected : Trajectory
-        Displacement to expect, from the run's first sample on.
-    samples : int
-        Number of samples of the reference that are played.
-    begin_sample : int
-        Sample at which the approach ends and the reference begins.
-    uncompensated : tuple of str
-        Effects of the model that are not compensated.
-    inverse : OnlineInverse
-        State of the inverse after `once_voltage_v`.
-    margin_samples : int
-        Samples of the reference that the inverse needs in advance.
-    """
+    """Voltages of the approach, and the source of those of the reference: a `TrackingPlan`."""
 
     once_voltage_v: FloatArray
+    """Down to the model's lowest voltage, which erases the memory of the hysteresis, and up to the
+    first value of the reference, (n,)."""
     expected: Trajectory
+    """Displacement to expect, from the run's first sample on."""
     reference: Trajectory
+
     samples: int
+    """Number of samples of the reference that are played."""
     begin_sample: int
+    """Sample at which the approach ends and the reference begins."""
     uncompensated: tuple[str, ...]
+    """Effects of the model that are not compensated."""
     inverse: OnlineInverse
+    """State of the inverse after `once_voltage_v`."""
     limits: "StreamLimits"
+
     margin_samples: int
+    """Samples of the reference that the inverse needs in advance."""
 
     streamed, open_ended = True, False
     iteration, note, degraded = 0, "", ""

@@ -45,46 +45,30 @@ MOST_ALIKE = 0.98
 
 @dataclass(frozen=True)
 class OrderTrial:
-    """A fit of one order.
-
-    Parameters
-    ----------
-    order : object
-        Orders of the fit: pairs of creep poles and zeros, or vibration modes.
-    parameters : int
-        Number of free parameters of the fit.
-    residual_rms : float
-        RMS residual in the unit of the fitted output.
-    information : float
-        Bayesian information criterion; the smallest is best.
-    refusal : str
-        Why the fit cannot be used whatever the criterion says; empty otherwise.
-    """
+    """A fit of one order."""
 
     order: Any
+    """Orders of the fit: pairs of creep poles and zeros, or vibration modes."""
     parameters: int
+    """Number of free parameters of the fit."""
     residual_rms: float
+    """RMS residual in the unit of the fitted output."""
     information: float
+    """Bayesian information criterion; the smallest is best."""
     refusal: str = ""
+    """Why the fit cannot be used whatever the criterion says; empty otherwise."""
 
 
 @dataclass(frozen=True)
 class DelayEstimate:
-    """Delay of a recording's displacement behind its voltage, in addition to the dynamics.
-
-    Parameters
-    ----------
-    delay_s : float
-        Negative if the displacement of a row is read after its voltage changes.
-    standard_deviation_s : float
-        Standard deviation of the delay, on which its significance depends.
-    sample_period_s : float
-        Sample period of the recording.
-    """
+    """Delay of a recording's displacement behind its voltage, in addition to the dynamics."""
 
     delay_s: float
+    """Negative if the displacement of a row is read after its voltage changes."""
     standard_deviation_s: float
+    """Standard deviation of the delay, on which its significance depends."""
     sample_period_s: float
+    """Sample period of the recording."""
 
     @property
     def samples(self) -> float:
@@ -113,43 +97,33 @@ class DelayEstimate:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A fitted model with its uncertainty and the trials that led to its order.
-
-    Parameters
-    ----------
-    standard_deviations : dict of str to float or tuple of float
-        Standard deviation of every physical parameter, with the names and shapes of the model's
-        fields. They follow from the sensitivities at the optimum and the variance of the residual,
-        which is valid for a white residual.
-    trials : tuple of OrderTrial
-        Every order that was fitted.
-    order_given : bool
-        True if the user specified this order.
-    start : str
-        Description of the initial state of the recording.
-    effects : tuple of Effect
-        Additional effects of the stage model: modes in addition to those of `model`, a sensor lag.
-    effect_deviations : tuple of dict
-        Standard deviations of the parameters of each effect, by their names.
-    delay : DelayEstimate, optional
-        None if no delay was fitted.
-    creep : CreepDynamics
-        For dynamics, creep in addition to the known one.
-    creep_deviations : dict
-        Standard deviations of its poles and zeros.
-    """
+    """A fitted model with its uncertainty and the trials that led to its order."""
 
     model: Any
+
     standard_deviations: dict[str, Any]
+    """Standard deviation of every physical parameter, with the names and shapes of the model's
+    fields. They follow from the sensitivities at the optimum and the variance of the residual,
+    which is valid for a white residual."""
     order: Any
+
     trials: tuple[OrderTrial, ...]
+    """Every order that was fitted."""
     order_given: bool = False
+    """True if the user specified this order."""
     start: str = ""
+    """Description of the initial state of the recording."""
     effects: tuple[Effect, ...] = ()
+    """Additional effects of the stage model: modes in addition to those of `model`, a sensor
+    lag."""
     effect_deviations: tuple[dict[str, float], ...] = ()
+    """Standard deviations of the parameters of each effect, by their names."""
     delay: DelayEstimate | None = None
+    """None if no delay was fitted."""
     creep: CreepDynamics = CreepDynamics()
+    """For dynamics, creep in addition to the known one."""
     creep_deviations: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    """Standard deviations of its poles and zeros."""
 
     @property
     def residual_rms(self) -> float:

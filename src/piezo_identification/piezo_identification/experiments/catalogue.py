@@ -39,31 +39,21 @@ thesis."""
 
 @dataclass(frozen=True)
 class Experiment:
-    """A voltage waveform with the purpose it serves.
-
-    Parameters
-    ----------
-    name : str
-        Name that selects the experiment.
-    voltage_v : ndarray, shape (N,) or (N, axes)
-        One run of the waveform, each value held for `sample_period_s`.
-    sample_period_s : float
-        Whole multiple of the sample clock's period.
-    repeats : int
-        How often the waveform is played.
-    description : str
-        One line for users.
-    settling_repeats : int
-        Number of repeats until the motion has settled. If it is not 0, the later repeats are equal
-        periods.
-    """
+    """A voltage waveform with the purpose it serves."""
 
     name: str
+    """Name that selects the experiment."""
     voltage_v: FloatArray = field(repr=False)
+    """One run of the waveform, each value held for `sample_period_s`, (N,) or (N, axes)."""
     sample_period_s: float
+    """Whole multiple of the sample clock's period."""
     repeats: int
+    """How often the waveform is played."""
     description: str
+    """One line for users."""
     settling_repeats: int = 0
+    """Number of repeats until the motion has settled. If it is not 0, the later repeats are equal
+    periods."""
 
     @property
     def duration_s(self) -> float:

@@ -19,24 +19,17 @@ from piezo_recorder.reading.recording import Recording
 
 @dataclass(frozen=True)
 class SplitSettings:
-    """How samples are selected, and which of them form the validation set.
-
-    Attributes
-    ----------
-    most_rows : int
-        Largest number of samples used, so that a fit to a million samples takes seconds.
-    stretches : int
-        Number of stretches per recording. Each is fitted or held out as a whole, because
-        neighbouring errors are correlated. From a longer recording, one chunk of each stretch is
-        used: this shows slow and fast errors alike, and a mode that a chirp crosses within a few
-        stretches.
-    held_out : int
-        One stretch out of this many is held out.
-    """
+    """How samples are selected, and which of them form the validation set."""
 
     most_rows: int = 30_000
+    """Largest number of samples used, so that a fit to a million samples takes seconds."""
     stretches: int = 120
+    """Number of stretches per recording. Each is fitted or held out as a whole, because
+    neighbouring errors are correlated. From a longer recording, one chunk of each stretch is used:
+    this shows slow and fast errors alike, and a mode that a chirp crosses within a few
+    stretches."""
     held_out: int = 3
+    """One stretch out of this many is held out."""
 
 
 SPLIT = SplitSettings()
@@ -46,33 +39,25 @@ Sensitivities = Callable[[SimulatedRecording, NDArray[np.intp]], FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """Simulated recordings, the rows of them that are used, and their regressors.
-
-    Attributes
-    ----------
-    rows : tuple of array of int
-        Indices of the samples used in each recording, r in total.
-    stretch : (r,) array of int
-        Number of the stretch that each row belongs to.
-    for_estimation : (r,) array of bool
-        Rows that may be fitted; the others are the validation set.
-    regressors : (r, m) array
-        Nuisance regressors of each recording, followed by the parameter sensitivities, in um.
-    nuisance_count : int
-        Number of nuisance regressors.
-    extent : Extent
-        Ranges that the recordings cover.
-    """
+    """Simulated recordings, the rows of them that are used, and their regressors."""
 
     model: StageModel
     recordings: tuple[Recording, ...]
     simulated: tuple[SimulatedRecording, ...]
+
     rows: tuple[NDArray[np.intp], ...]
+    """Indices of the samples used in each recording, r in total."""
     stretch: NDArray[np.intp]
+    """Number of the stretch that each row belongs to, (r,)."""
     for_estimation: BoolArray
+    """Rows that may be fitted, (r,); the others are the validation set."""
     regressors: FloatArray
+    """Nuisance regressors of each recording, followed by the parameter sensitivities, in um, (r,
+    m)."""
     nuisance_count: int
+    """Number of nuisance regressors."""
     extent: Extent
+    """Ranges that the recordings cover."""
 
     def masks(self) -> Iterator[BoolArray]:
         """Yield the mask of the rows of each recording, (r,)."""

@@ -46,22 +46,15 @@ from piezo_models.linear.dynamics_vector import (
 
 @dataclass(frozen=True)
 class FreeWidths:
-    """Prior widths of a joint fit: wide, because the recordings of the identification are refitted.
-
-    Attributes
-    ----------
-    logarithm : float
-        Width of the logarithm of a rate or size of the creep, or of a parameter of the dynamics.
-    factor : float
-        Width of a factor of the density.
-    reversible : float
-        Width of the reversible part at a knot of the voltage, relative to the mean gain of the
-        hysteresis.
-    """
+    """Prior widths of a joint fit: wide, as the recordings of the identification are refitted."""
 
     logarithm: float = 0.2
+    """Width of the logarithm of a rate or size of the creep, or of a parameter of the dynamics."""
     factor: float = 0.2
+    """Width of a factor of the density."""
     reversible: float = 0.05
+    """Width of the reversible part at a knot of the voltage, relative to the mean gain of the
+    hysteresis."""
     reversible_knots: int = 4
 
 

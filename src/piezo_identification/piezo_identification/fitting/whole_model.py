@@ -52,35 +52,27 @@ model only need small corrections."""
 
 @dataclass(frozen=True, eq=False)
 class WholeFit:
-    """A fitted model and its residuals on all recordings.
-
-    Attributes
-    ----------
-    model : StageModel
-        Model with its effects, but without its delay.
-    delay_s : float or None
-        Delay of the displacement relative to the rows as they were said to be read; negative if
-        they are read later still. None for a model without a delay.
-    left_um : list of ((n,) array, (m,) array)
-        Residuals of each recording on its fitted and on its held-out rows.
-    accuracy_um : (R,) array
-        Accuracy of a good model of each recording.
-    counts : (R,) array
-        Number of independent errors counted in each recording: the largest number that any fit of
-        the problem has reached so far.
-    free_changes : int
-        Number of changes of the hysteresis with a wide prior.
-    """
+    """A fitted model and its residuals on all recordings."""
 
     model: StageModel
+    """Model with its effects, but without its delay."""
     delay_s: float | None
+    """Delay of the displacement relative to the rows as they were said to be read; negative if they
+    are read later still. None for a model without a delay."""
     left_um: list[tuple[FloatArray, FloatArray]]
+    """Residuals of each recording on its fitted and on its held-out rows."""
     accuracy_um: FloatArray
+    """Accuracy of a good model of each recording, (R,)."""
     errors: JointErrors = field(repr=False)
     vector: FloatArray = field(repr=False)
+
     counts: FloatArray = field(repr=False)
+    """Number of independent errors counted in each recording, (R,): the largest number that any fit
+    of the problem has reached so far."""
     has_converged: bool = False
+
     free_changes: int = 0
+    """Number of changes of the hysteresis with a wide prior."""
 
     @property
     def numbers(self) -> int:

@@ -26,30 +26,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Measured and simulated displacement of the part in which the waveform is played.
-
-    Parameters
-    ----------
-    time_s, voltage_v, measured_um, simulated_um : ndarray, shape (N,)
-        Samples after the start has settled.
-    sample_index : ndarray of int, shape (N,)
-        Numbers of the samples in the recording.
-    past_v : (float, float) or ()
-        Voltages before the recording from `starting_past_v`.
-    outlier : ndarray of bool, shape (N,), optional
-        True for samples excluded from fits and errors; by default, none are.
-    reversed : bool
-        Whether the sign of the measured displacement was changed.
-    """
+    """Measured and simulated displacement of the part in which the waveform is played."""
 
     time_s: FloatArray
     voltage_v: FloatArray
     measured_um: FloatArray
     simulated_um: FloatArray
+    """Samples after the start has settled, (N,)."""
     sample_index: NDArray[np.int64]
+    """Numbers of the samples in the recording, (N,)."""
     past_v: PastVoltages = ()
+    """Voltages before the recording from `starting_past_v`."""
     outlier: NDArray[np.bool_] | None = None
+    """True for samples excluded from fits and errors, (N,); by default, none are."""
     reversed: bool = False
+    """Whether the sign of the measured displacement was changed."""
 
     def __repr__(self) -> str:
         return (f"<Prediction: {self.time_s.size} samples, e_y = {self.e_y_percent():.3g} % of "

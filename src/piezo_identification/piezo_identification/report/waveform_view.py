@@ -27,23 +27,18 @@ SHORT_S = 1.0
 
 @dataclass(frozen=True, eq=False)
 class WaveformView:
-    """The samples that show a recording.
-
-    Parameters
-    ----------
-    starts : ndarray of int
-        First samples of the periods whose mean is drawn; 0 alone if the voltage is not periodic.
-    samples : int
-        Number of samples in a period or, if the voltage is not periodic, in the recording.
-    jumps : ndarray of int
-        Samples at which the voltage changes its level.
-    """
+    """The samples that show a recording."""
 
     kind: Kind
+
     starts: NDArray[np.intp]
+    """First samples of the periods whose mean is drawn; 0 alone if the voltage is not periodic."""
     samples: int
+    """Number of samples in a period or, if the voltage is not periodic, in the recording."""
     sample_period_s: float
+
     jumps: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+    """Samples at which the voltage changes its level."""
 
     @property
     def periods(self) -> int:

@@ -37,27 +37,19 @@ PastVoltages = tuple[float, float] | tuple[()]
 
 @dataclass(frozen=True)
 class PastSearchSettings:
-    """Settings of the search for the voltages before a recording.
-
-    Attributes
-    ----------
-    searched_samples : int
-        Samples at the start of the recording that are simulated for each candidate. The past
-        affects the first turning points; more samples cost time and add no information.
-    grid_points : int
-        Number of highest and of lowest voltages tried in each round.
-    rounds : int
-        Number of grids, each around the best candidate of the one before. Three grids of six points
-        resolve a hundredth of the voltage range.
-    largest_error_ratio : float
-        Largest ratio of the errors with and without a past for which the past is accepted. Two more
-        parameters always reduce the error a little.
-    """
+    """Settings of the search for the voltages before a recording."""
 
     searched_samples: int = 200_000
+    """Samples at the start of the recording that are simulated for each candidate. The past affects
+    the first turning points; more samples cost time and add no information."""
     grid_points: int = 6
+    """Number of highest and of lowest voltages tried in each round."""
     rounds: int = 3
+    """Number of grids, each around the best candidate of the one before. Three grids of six points
+    resolve a hundredth of the voltage range."""
     largest_error_ratio: float = 0.9
+    """Largest ratio of the errors with and without a past for which the past is accepted. Two more
+    parameters always reduce the error a little."""
 
 
 SETTINGS = PastSearchSettings()

@@ -22,26 +22,19 @@ LEAK = 1e-4
 
 @dataclass(frozen=True)
 class Form:
-    """A form of feedback.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Names of its parameters.
-    bounds : tuple of (float, float)
-        Bounds of the search for each parameter; all positive.
-    start : tuple of float
-        Initial parameters of the search.
-    make : callable
-        Takes the model, normalised to nominal gain 1, and the parameters; returns the continuous
-        controller.
-    """
+    """A form of feedback."""
 
     title: str
+
     names: tuple[str, ...]
+    """Names of its parameters."""
     bounds: tuple[tuple[float, float], ...]
+    """Bounds of the search for each parameter; all positive."""
     start: tuple[float, ...]
+    """Initial parameters of the search."""
     make: Callable[[StageModel, FloatArray], control.StateSpace]
+    """Takes the model, normalised to nominal gain 1, and the parameters; returns the continuous
+    controller."""
 
     def controller(self, model: StageModel, numbers: Sequence[float] | FloatArray,
                    clock_period_s: float) -> control.StateSpace:

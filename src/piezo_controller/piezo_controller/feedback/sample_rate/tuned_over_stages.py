@@ -196,21 +196,16 @@ class TunedFamily:
 
 @dataclass(frozen=True)
 class Start:
-    """Initial parameters of the tuning; frequencies are ratios to that of the light mode.
-
-    Attributes
-    ----------
-    gain : float
-        Logarithm of the integral gain.
-    zeros, poles : tuple of (float, float)
-        Frequency and damping ratio of each pair.
-    """
+    """Initial parameters of the tuning; frequencies are ratios to that of the light mode."""
 
     gain: float
+    """Logarithm of the integral gain."""
     real_zeros: tuple[float, ...]
     real_poles: tuple[float, ...]
+
     zeros: tuple[tuple[float, float], ...]
     poles: tuple[tuple[float, float], ...]
+    """Frequency and damping ratio of each pair."""
 
 
 START = Start(

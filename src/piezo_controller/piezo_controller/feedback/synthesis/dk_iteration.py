@@ -34,23 +34,17 @@ Scaling: TypeAlias = "float | control.StateSpace"
 
 @dataclass(frozen=True)
 class RobustSynthesis:
-    """The best iterate.
-
-    Attributes
-    ----------
-    gamma : float
-        Norm of the closed loop with the scalings that the controller was designed for.
-    scalings : sequence of float or control.StateSpace
-        Scaling D of each scalar uncertainty.
-    history : list of float
-        Peak of the structured singular value after each synthesis. The first is without
-        scalings, the last is that of the controller.
-    """
+    """The best iterate."""
 
     controller: control.StateSpace
+
     gamma: float
+    """Norm of the closed loop with the scalings that the controller was designed for."""
     scalings: tuple[Scaling, ...]
+    """Scaling D of each scalar uncertainty."""
     history: list[float]
+    """Peak of the structured singular value after each synthesis. The first is without scalings,
+    the last is that of the controller."""
 
 
 def iterate(plant: control.StateSpace, scalars: int, dynamic: bool = False,

@@ -14,30 +14,20 @@ from piezo_identification.conditioning.waveforms import turning_points
 
 @dataclass(frozen=True)
 class ResidualTestSettings:
-    """Settings of the tests of a residual.
-
-    Attributes
-    ----------
-    band_99 : float
-        Standard deviations within which 99 % of a normal distribution lie.
-    most_lags : int
-        Largest shift of a residual in samples; slower errors show in the dependences.
-    bins : int
-        Number of bins, with equally many samples, for the mean of a residual.
-    segments : int
-        Number of segments of a recording whose spectra are averaged.
-    shortest_segment : int
-        Smallest number of samples of a segment.
-    whitening_order : int
-        Number of earlier samples used to predict an input to make it white.
-    """
+    """Settings of the tests of a residual."""
 
     band_99: float = 2.576
+    """Standard deviations within which 99 % of a normal distribution lie."""
     most_lags: int = 100
+    """Largest shift of a residual in samples; slower errors show in the dependences."""
     bins: int = 24
+    """Number of bins, with equally many samples, for the mean of a residual."""
     segments: int = 8
+    """Number of segments of a recording whose spectra are averaged."""
     shortest_segment: int = 256
+    """Smallest number of samples of a segment."""
     whitening_order: int = 6
+    """Number of earlier samples used to predict an input to make it white."""
 
 
 SETTINGS = ResidualTestSettings()
@@ -45,16 +35,12 @@ SETTINGS = ResidualTestSettings()
 
 @dataclass(frozen=True)
 class CorrelationTest:
-    """Correlation over lags, and the band that contains 99 % of it if there is none.
-
-    Attributes
-    ----------
-    lags : (n,) array of int
-    correlation : (n,) array
-    """
+    """Correlation over lags, and the band that contains 99 % of it if there is none."""
 
     lags: np.ndarray
+    """Shape (n,)."""
     correlation: np.ndarray
+    """Shape (n,)."""
     band: float
 
     @property
@@ -144,22 +130,17 @@ def _segment(samples: int) -> int:
 
 @dataclass(frozen=True)
 class ErrorResponse:
-    """The error of the model's displacement as a function of frequency.
-
-    Attributes
-    ----------
-    frequency_hz : (n,) array
-    gain : (n,) array of complex
-        Gain from the model's displacement to the residual; 0.1 if the stage moves by 10 % more.
-    coherence : (n,) array
-    limit : float
-        Coherence that 99 % of independent signals do not reach.
-    """
+    """The error of the model's displacement as a function of frequency."""
 
     frequency_hz: np.ndarray
+    """Shape (n,)."""
     gain: np.ndarray
+    """Gain from the model's displacement to the residual, (n,); 0.1 if the stage moves by 10 %
+    more."""
     coherence: np.ndarray
+    """Shape (n,)."""
     limit: float
+    """Coherence that 99 % of independent signals do not reach."""
 
 
 def error_response(residual_um: FloatArray, displacement_um: FloatArray,
@@ -187,24 +168,17 @@ def error_response(residual_um: FloatArray, displacement_um: FloatArray,
 
 @dataclass(frozen=True)
 class Dependence:
-    """Mean of the residual in bins of a quantity.
-
-    Attributes
-    ----------
-    quantity : str
-        Name of the quantity with its unit.
-    centre, mean_um, band_um : (n,) arrays
-        Centre, mean and band of each bin; 99 % of the means lie within the band if the residual
-        does not depend on the quantity.
-    share : float
-        Share of the residual's variance that the means explain, beyond chance.
-    """
+    """Mean of the residual in bins of a quantity."""
 
     quantity: str
+    """Name of the quantity with its unit."""
     centre: np.ndarray
     mean_um: np.ndarray
     band_um: np.ndarray
+    """Centre, mean and band of each bin, (n,); 99 % of the means lie within the band if the
+    residual does not depend on the quantity."""
     share: float
+    """Share of the residual's variance that the means explain, beyond chance."""
 
 
 def dependence(residual_um: FloatArray, values: FloatArray, quantity: str) -> Dependence:

@@ -28,19 +28,13 @@ from piezo_recorder.reading.recording import Recording
 
 @dataclass(frozen=True)
 class PlainSettings:
-    """When a simple model is worth a comparison of effects.
-
-    Attributes
-    ----------
-    most_left : float
-        Largest residual relative to that of the given model: hysteresis, creep and further modes
-        then explain less than half of the misfit.
-    steps : int
-        Largest number of steps of its fit.
-    """
+    """When a simple model is worth a comparison of effects."""
 
     most_left: float = 2.0
+    """Largest residual relative to that of the given model: hysteresis, creep and further modes
+    then explain less than half of the misfit."""
     steps: int = 20
+    """Largest number of steps of its fit."""
 
 
 SETTINGS = PlainSettings()

@@ -27,26 +27,19 @@ depends on the square of their difference, so that the derivative by it vanishes
 
 @dataclass(frozen=True)
 class ModeOrder:
-    """Numbers of components.
-
-    Parameters
-    ----------
-    modes : int
-        Modes in series (4.3).
-    antiresonances : int
-        Antiresonances between them.
-    beside : int
-        Modes in parallel, each of which contributes a part of the displacement.
-    is_coupled : bool
-        Whether the parallel modes also have parts proportional to their velocities. With no mode
-        in series, these are all proper dynamics behind a lag.
-    """
+    """Numbers of components."""
 
     modes: int
+    """Modes in series (4.3)."""
     antiresonances: int = 0
+    """Antiresonances between them."""
     beside: int = 0
+    """Modes in parallel, each of which contributes a part of the displacement."""
     sensor_lags: int = 0
+
     is_coupled: bool = False
+    """Whether the parallel modes also have parts proportional to their velocities. With no mode in
+    series, these are all proper dynamics behind a lag."""
 
     def __str__(self) -> str:
         text = f"{self.modes}"
