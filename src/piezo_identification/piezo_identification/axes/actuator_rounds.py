@@ -41,22 +41,16 @@ FURTHER_ROUND, ROUNDS = "hysteresis and creep once more beside the modes", 0.6
 
 @dataclass(frozen=True, eq=False)
 class FittedStage:
-    """Modes, and the hysteresis and creep of each axis in front of them.
-
-    Attributes
-    ----------
-    fit : CoupledFit
-    spectra : list of Spectrum
-        That were fitted.
-    model : CoupledModel
-    scale_off : (n,) array
-        Part by which slow recordings move more with each axis than fast ones.
-    """
+    """Modes, and the hysteresis and creep of each axis in front of them."""
 
     fit: CoupledFit
+
     spectra: list[Spectrum]
+    """That were fitted."""
     model: CoupledModel
+
     scale_off: FloatArray
+    """Part by which slow recordings move more with each axis than fast ones, (n,)."""
 
 
 def with_drive(model: CoupledModel, recording: AxesRecording) -> AxesRecording:

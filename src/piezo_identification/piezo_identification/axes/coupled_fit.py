@@ -31,25 +31,18 @@ LEAST_INFORMATION = 1e-30
 
 @dataclass(frozen=True, eq=False)
 class CoupledFit:
-    """Numbers of a coupled model with what they leave, and how well they are known.
-
-    Attributes
-    ----------
-    left : list of (K, n) array of complex
-        Motion that the model and transients do not explain, of each spectrum.
-    misfit : float
-        Sum of the squares of what is left over its deviation.
-    rows : int
-        Real numbers that were fitted.
-    transients : int
-        Numbers of the transients, which were projected out.
-    """
+    """Numbers of a coupled model with what they leave, and how well they are known."""
 
     numbers: CoupledNumbers
+
     left: list[ComplexArray]
+    """Motion that the model and transients do not explain, of each spectrum."""
     misfit: float
+    """Sum of the squares of what is left over its deviation."""
     rows: int
+    """Real numbers that were fitted."""
     transients: int
+    """Numbers of the transients, which were projected out."""
 
     @property
     def count(self) -> int:

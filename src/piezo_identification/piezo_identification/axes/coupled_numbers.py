@@ -24,35 +24,25 @@ longer than recordings last."""
 
 @dataclass(frozen=True, eq=False)
 class CoupledNumbers:
-    """Numbers of a coupled model, for n axes and m columns of `mode_basis`.
-
-    Attributes
-    ----------
-    steps : array of complex
-        Poles in the z plane, as `shared_poles.relocated` gives them.
-    gains : (m, n, n) array
-        Of the columns, by axis that moves and axis that is driven.
-    direct : (L, n, n) array
-    back : (P, m, n, n) array
-        Of the columns in the elongations of the softening, by power of the amplitude; P is 0 where
-        there is none.
-    back_gain : (P, n, n) array
-    reference_v : float
-        Amplitude at which nothing softens.
-    softening : (m,) array
-        1 for the columns that may act back, 0 for the others.
-    slowest : float
-        Least size of a pole's logarithm: what is slower is creep.
-    """
+    """Numbers of a coupled model, for n axes and m columns of `mode_basis`."""
 
     steps: ComplexArray
+    """Poles in the z plane, as `shared_poles.relocated` gives them."""
     gains: FloatArray
+    """Of the columns, by axis that moves and axis that is driven, (m, n, n)."""
     direct: FloatArray
+    """Shape (L, n, n)."""
     back: FloatArray
+    """Of the columns in the elongations of the softening, by power of the amplitude, (P, m, n, n);
+    P is 0 where there is none."""
     back_gain: FloatArray
+    """Shape (P, n, n)."""
     reference_v: float
+    """Amplitude at which nothing softens."""
     softening: FloatArray
+    """1 for the columns that may act back, 0 for the others, (m,)."""
     slowest: float = 0.0
+    """Least size of a pole's logarithm: what is slower is creep."""
 
     @property
     def logarithms(self) -> FloatArray:

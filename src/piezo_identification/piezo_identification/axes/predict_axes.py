@@ -24,20 +24,16 @@ SAME_PERIOD = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class AxesPrediction:
-    """Measured and simulated displacement of several axes.
-
-    Attributes
-    ----------
-    axes : tuple of str
-    time_s : (N,) array
-    voltage_v, measured_um, simulated_um : (N, n) array
-    """
+    """Measured and simulated displacement of several axes."""
 
     axes: tuple[str, ...]
+
     time_s: FloatArray
+    """Shape (N,)."""
     voltage_v: FloatArray
     measured_um: FloatArray
     simulated_um: FloatArray
+    """Shape (N, n)."""
 
     def e_y_percent(self) -> dict[str, float]:
         """Return the relative error (4.20) of each axis that moves, offset removed."""
@@ -67,21 +63,15 @@ class AxesPrediction:
 
 @dataclass(frozen=True)
 class Circumstances:
-    """What a recording does not say of itself.
-
-    Attributes
-    ----------
-    pasts : tuple of str
-        For each axis the way by which its first voltage was reached, one of
-        `piezo_models.hysteresis.pasts.PASTS`.
-    is_held : bool
-        The voltage of a row is held until the next one, whose displacement answers it. Else the
-        rows are samples of a voltage that goes on between them, as where a fast recording was
-        thinned; a displacement that is the mean over the row that is held is the same.
-    """
+    """What a recording does not say of itself."""
 
     pasts: tuple[str, ...]
+    """For each axis the way by which its first voltage was reached, one of
+    `piezo_models.hysteresis.pasts.PASTS`."""
     is_held: bool
+    """The voltage of a row is held until the next one, whose displacement answers it. Else the rows
+    are samples of a voltage that goes on between them, as where a fast recording was thinned; a
+    displacement that is the mean over the row that is held is the same."""
 
 
 def predict_several_axes(model: CoupledModel, recording: AxesRecording) -> AxesPrediction:

@@ -33,30 +33,21 @@ recording they tell the noise alone."""
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Drive and motion at lines, of a recording or of the response of a level to one axis.
-
-    Attributes
-    ----------
-    z : (K,) array of complex
-        On the unit circle: what turns a signal by a sample period.
-    drive, motion : (K, n) array of complex
-    weight : (K, n) array
-        One over the standard deviation of each motion.
-    amplitude_v : float
-        RMS of all voltages in the time domain.
-    transient : bool
-        The recording neither begins nor ends at rest, nor does it repeat.
-    ahead : int
-        Samples by which a motion was advanced at most: so many of its begin stand at its end.
-    """
+    """Drive and motion at lines, of a recording or of the response of a level to one axis."""
 
     z: ComplexArray
+    """On the unit circle, (K,): what turns a signal by a sample period."""
     drive: ComplexArray
     motion: ComplexArray
+    """Shape (K, n)."""
     weight: FloatArray
+    """One over the standard deviation of each motion, (K, n)."""
     amplitude_v: float
+    """RMS of all voltages in the time domain."""
     transient: bool
+    """The recording neither begins nor ends at rest, nor does it repeat."""
     ahead: int = 0
+    """Samples by which a motion was advanced at most: so many of its begin stand at its end."""
 
     @property
     def driven(self) -> tuple[int, ...]:

@@ -24,19 +24,13 @@ is valid between minus and plus this voltage."""
 
 @dataclass(frozen=True)
 class DensityOptions:
-    """Options for the density of the hysteresis; what is None is chosen from the data.
-
-    Parameters
-    ----------
-    grid : int, optional
-        Number of cells along each threshold.
-    smoothing_weight, translation_weight : float, optional
-        As in `piezo_identification.estimators.hysteresis.smoothed_density.smoothed_density`.
-    """
+    """Options for the density of the hysteresis; what is None is chosen from the data."""
 
     grid: int | None = None
+    """Number of cells along each threshold."""
     smoothing_weight: float | None = None
     translation_weight: float | None = None
+    """As in `piezo_identification.estimators.hysteresis.smoothed_density.smoothed_density`."""
 
     def keywords(self) -> dict[str, Any]:
         """Return the options as arguments of `density_fit.estimate_density`."""

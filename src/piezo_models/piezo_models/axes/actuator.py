@@ -15,19 +15,13 @@ from piezo_models.linear.dynamics import CreepDynamics
 
 @dataclass(frozen=True, eq=False)
 class Actuator:
-    """Convert the voltage of an axis to its drive, a voltage without hysteresis and creep.
-
-    Attributes
-    ----------
-    hysteresis : PreisachModel, optional
-        Its output over its mean slope is the voltage that it passes on. Over its whole range
-        this changes by as much as the voltage; beyond the range it follows the voltage.
-    creep : CreepDynamics
-        Creep of the drive, behind the hysteresis.
-    """
+    """Convert the voltage of an axis to its drive, a voltage without hysteresis and creep."""
 
     hysteresis: PreisachModel | None = None
+    """Its output over its mean slope is the voltage that it passes on. Over its whole range this
+    changes by as much as the voltage; beyond the range it follows the voltage."""
     creep: CreepDynamics = CreepDynamics()
+    """Creep of the drive, behind the hysteresis."""
 
     @property
     def slope_um_per_v(self) -> float:

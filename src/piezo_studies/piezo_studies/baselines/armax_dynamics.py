@@ -9,9 +9,9 @@ from scipy.signal import lfilter
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.estimators.dynamics.multisine import hysteresis_and_displacement
 from piezo_identification.estimators.dynamics.pole_search import dynamics_of_poles
-from piezo_identification.estimators.estimate import dynamics_vector, split_dynamics_vector
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_models.linear.dynamics_vector import dynamics_vector, split_dynamics_vector
 from piezo_recorder.reading.recording import Recording
 from piezo_studies.baselines.armax import Armax, fit_armax
 

@@ -106,17 +106,15 @@ def samples(duration_s: float) -> int:
     return round(duration_s * CLOCK.sample_rate_hz)
 
 
-def watch_unchanged(watched: WatchedStage, hours: float, seed: int = 0) -> list[Report]:
+def watch_unchanged(watched: WatchedStage, hours: float) -> list[Report]:
     """Track references in random order on a stage that does not change.
 
     Parameters
     ----------
     hours : float
         Simulated time; the last kinds of references are tracked only in its second half.
-    seed : int
-        Seed of the order.
     """
-    random, kinds = np.random.default_rng(seed), list(KINDS)
+    random, kinds = np.random.default_rng(0), list(KINDS)
     runs, reports = round(3600.0 * hours / RUN_S), []
     for number in range(runs):
         known = kinds if 2 * number >= runs else kinds[:-LATER_KINDS]

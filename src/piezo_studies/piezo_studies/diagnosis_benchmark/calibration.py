@@ -61,6 +61,23 @@ class Reliability:
                 f"{self.calibrated_most:.3f}")
 
 
+def bin_table(calibration):
+    """Return the table of how often statements came true, from a `Reliability.document`."""
+    return ["| probability of the first statement | cases | mean | true |", "|---|---|---|---|",
+            *(f"| {each['from']:.1f} to {each['to']:.1f} | {each['cases']} | "
+              f"{each['stated']:.2f} | {each['true']:.2f} |"
+              for each in calibration["bins"] if each["cases"])]
+
+
+def error_rows(calibration):
+    """Return the rows of the error and of a calibrated program's, from a `Reliability.document`."""
+    calibrated = calibration["of_a_calibrated_program"]
+    return [
+        f"| expected calibration error | {calibration['expected_calibration_error']:.3f} |",
+        f"| the same of a calibrated program, mean | {calibrated['mean']:.3f} |",
+        f"| in 95 of 100 of its runs at most | {calibrated['most']:.3f} |"]
+
+
 def is_true(result, label, strict=False):
     """Return whether a statement of a diagnosis is true in a case.
 

@@ -3,14 +3,14 @@
 
 import json
 
-from distributed import Client, LocalCluster, as_completed
+from distributed import as_completed
 
 from piezo_common.progress_line import ProgressLine
+from piezo_identification.diagnosis.many.many_recordings import cluster_client
 from piezo_studies.diagnosis_benchmark.calibration import calibrate
 from piezo_studies.diagnosis_benchmark.calibration_section import write_section
 from piezo_studies.diagnosis_benchmark.cases import draw_cases, draw_cases_all_along
 from piezo_studies.diagnosis_benchmark.coverage import coverage
-from piezo_studies.diagnosis_benchmark.kept_results import KeptResults
 from piezo_studies.diagnosis_benchmark.outcome import (
     as_text,
     refused,
@@ -18,8 +18,7 @@ from piezo_studies.diagnosis_benchmark.outcome import (
     without_experiments,
 )
 from piezo_studies.diagnosis_benchmark.run_case import clean_model, run_case
-
-CONNECT_S = 10
+from piezo_studies.kept_results import KeptResults
 
 
 def run_suite(client, count, seed, progress=None, all_along=False, experiments=0, first=None,
@@ -56,7 +55,7 @@ def run_suite(client, count, seed, progress=None, all_along=False, experiments=0
         case = running[future]
         results[case.number] = _result(case, future)
         if kept is not None:
-            kept.add(results[case.number])
+            kept.add(case.number, results[case.number])
         if progress is not None:
             progress(len(results))
     ordered = [results[case.number] for case in cases]
@@ -84,14 +83,7 @@ def diagnose_cases(options):
     def show(done):
         line.show("cases", done / asked)
 
-    try:
-        if options.scheduler:
-            client = Client(options.scheduler, timeout=CONNECT_S)
-        else:
-            client = Client(LocalCluster(threads_per_worker=1, dashboard_address=None))
-    except OSError as error:
-        raise ValueError(f"no scheduler at {options.scheduler}: {error}") from None
-    with client:
+    with cluster_client(options.scheduler) as client:
         options.output.mkdir(parents=True, exist_ok=True)
         document = run_suite(client, progress=show, first=options.first, count=options.cases,
                              seed=options.seed, all_along=options.all_along,

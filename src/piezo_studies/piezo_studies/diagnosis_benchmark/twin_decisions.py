@@ -26,7 +26,7 @@ OVER_NOISE = 6.0
 """Contribution to the first recording over the noise: clear, but not dominant."""
 
 
-def decide_twin(cause, clean, plant_seed, seed, budget=1, over_noise=OVER_NOISE):
+def decide_twin(cause, clean, plant_seed, seed, budget=1):
     """Record a plant with one effect in typical operation, and decide by proposed recordings.
 
     Parameters
@@ -36,8 +36,6 @@ def decide_twin(cause, clean, plant_seed, seed, budget=1, over_noise=OVER_NOISE)
     clean : (IdentifiedModel, tuple of Recording)
         Model and recordings of the plant without effects; see `run_case.clean_model`.
     plant_seed : sequence of int
-    over_noise : float
-        Contribution of the effect to the first recording, over the noise.
 
     Returns
     -------
@@ -47,7 +45,7 @@ def decide_twin(cause, clean, plant_seed, seed, budget=1, over_noise=OVER_NOISE)
     plant = draw_plant(plant_seed)
     experiment = records.tracking(np.random.default_rng(seed), TWINS[cause])
     voltage_v, _ = records.commanded(experiment)
-    drawn = draw_effect(cause, plant, voltage_v, records.surroundings(experiment, seed), over_noise,
+    drawn = draw_effect(cause, plant, voltage_v, records.surroundings(experiment, seed), OVER_NOISE,
                         seed, records.clock_samples(experiment))
     identified, identified_from = clean
     first = records.record(drawn.plant, experiment, seed)

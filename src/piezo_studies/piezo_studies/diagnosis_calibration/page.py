@@ -4,7 +4,12 @@
 from collections import Counter
 
 from piezo_common.picture_style import new_figure, to_png
-from piezo_studies.diagnosis_benchmark.calibration import calibrate, draw_reliability
+from piezo_studies.diagnosis_benchmark.calibration import (
+    bin_table,
+    calibrate,
+    draw_reliability,
+    error_rows,
+)
 from piezo_studies.diagnosis_benchmark.coverage import KNOWN, coverage
 from piezo_studies.diagnosis_benchmark.outcome import outcome
 from piezo_studies.diagnosis_calibration.study import figures
@@ -24,24 +29,16 @@ def section(seed, results):
         Results of `run_small_case`.
     """
     reliability, intervals = figures(results)
-    lines = [
-        f"{len(results)} cases of seed {seed}:", "",
-        "| probability of the first statement | cases | mean | true |", "|---|---|---|---|"]
-    lines += [
-        f"| {low:.1f} to {high:.1f} | {count} | {stated:.2f} | {true:.2f} |"
-        for low, high, stated, true, count in zip(
-            reliability.edges[:-1], reliability.edges[1:], reliability.stated, reliability.true,
-            reliability.counts, strict=True) if count]
+    calibration = reliability.document()
+    lines = [f"{len(results)} cases of seed {seed}:", "", *bin_table(calibration), "",
+             "| figure | value |", "|---|---|"]
     counts = Counter(outcome(result) for result in results)
-    lines += ["", "| figure | value |", "|---|---|"]
     lines += [f"| {group}: {what} | {count} |" for (group, what), count in sorted(counts.items())]
     strict = calibrate(results, strict=True).expected_calibration_error
     explained = coverage([each for each in results if each["verdict"] == "explained"])
     level = f"{100 * intervals['level']:.0f} % intervals"
     lines += [
-        f"| expected calibration error | {reliability.expected_calibration_error:.3f} |",
-        f"| the same of a calibrated program, mean | {reliability.calibrated_mean:.3f} |",
-        f"| in 95 of 100 of its runs at most | {reliability.calibrated_most:.3f} |",
+        *error_rows(calibration),
         f"| expected calibration error, strict | {strict:.3f} |",
         f"| {level} that contain the parameter | "
         f"{_told(intervals)} |",

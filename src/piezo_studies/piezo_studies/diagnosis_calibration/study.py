@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Runs of the study; every result is saved at once, so that a run can be resumed."""
 
-import json
 import time
 
 from piezo_models.model_file import load_model, save_model
@@ -10,20 +9,7 @@ from piezo_studies.diagnosis_benchmark.coverage import coverage
 from piezo_studies.diagnosis_benchmark.run_case import clean_model
 from piezo_studies.diagnosis_calibration.small_cases import PLANTS, draw_case
 from piezo_studies.diagnosis_calibration.small_runs import run_small_case
-
-
-def kept_results(path):
-    """Return the saved results by number of their case; None for a case that shows no effect.
-
-    Parameters
-    ----------
-    path : Path
-        File with one JSON document per line.
-    """
-    if not path.exists():
-        return {}
-    lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    return {entry["number"]: entry.get("result") for entry in lines}
+from piezo_studies.kept_results import KeptResults
 
 
 def run_study(seed, count, directory, seconds, report):
@@ -46,8 +32,8 @@ def run_study(seed, count, directory, seconds, report):
         Results of the completed cases.
     """
     directory.mkdir(parents=True, exist_ok=True)
-    path, models = directory / f"cases_{seed}.jsonl", {}
-    kept, begun = kept_results(path), time.process_time()
+    file, models = KeptResults(directory / f"cases_{seed}.jsonl"), {}
+    kept, begun = file.results(), time.process_time()
     for number in range(count):
         if number in kept:
             continue
@@ -57,8 +43,7 @@ def run_study(seed, count, directory, seconds, report):
         if plant not in models:
             models[plant] = model_of(directory, seed, plant)
         kept[number] = run_small_case(draw_case(number, seed), models[plant])
-        with path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps({"number": number, "result": kept[number]}) + "\n")
+        file.add(number, kept[number])
         report(len(kept))
     return [kept[number] for number in range(count) if kept.get(number) is not None]
 

@@ -24,7 +24,7 @@ from piezo_controller.feedback.sample_rate.tuned_over_stages import (
     Start,
     tuned_family,
 )
-from piezo_controller.feedback.synthesis.generalised_plant import hysteresis_gain_range
+from piezo_controller.feedback.synthesis.generalised_plant import nominal_hysteresis_gain
 from piezo_models.cascade import StageModel
 from piezo_studies.thesis.identified_stage import identified_stage
 
@@ -65,7 +65,7 @@ class Search:
             these = replace(demands, errors=replace(demands.errors, light_mode=error))
             loops = these.loops(model, clock_period_s, coarse=COARSE)
             self._problems.append(LoopProblem(loops, these, self.structure, first_mode_hz,
-                                              float(np.mean(hysteresis_gain_range(model)))))
+                                              nominal_hysteresis_gain(model)))
 
     def run(self, seed: int, starts: int, trials: int,
             tell: Callable[[str, FloatArray, float], None]) -> float:

@@ -8,15 +8,13 @@ from dataclasses import asdict, dataclass, replace
 from itertools import product
 from pathlib import Path
 
-import numpy as np
-
 from piezo_controller.feedback.controller_file import load_controller, save_controller
 from piezo_controller.feedback.feedback_design import FeedbackController, UnstableLoop
 from piezo_controller.feedback.sample_rate.classical_forms import FORMS
 from piezo_controller.feedback.sample_rate.demands import Demands
 from piezo_controller.feedback.sample_rate.fast_design import METHOD
 from piezo_controller.feedback.sample_rate.searched_designs import H_INFINITY, design_by
-from piezo_controller.feedback.synthesis.generalised_plant import hysteresis_gain_range
+from piezo_controller.feedback.synthesis.generalised_plant import nominal_hysteresis_gain
 from piezo_models.cascade import StageModel
 
 DEMANDS = Demands(noise_voltage_v=3.3, slow_sensitivity=4.0)
@@ -87,7 +85,7 @@ def _same_design(path: Path, model: StageModel, demands: Demands) -> FeedbackCon
     if not path.exists():
         return None
     controller = load_controller(path)
-    gain_um_per_v = float(np.mean(hysteresis_gain_range(model)))
+    gain_um_per_v = nominal_hysteresis_gain(model)
     same = (controller.report.get("demands") == json.loads(json.dumps(asdict(demands)))
             and controller.hysteresis_gain_um_per_v == gain_um_per_v)
     return controller if same else None

@@ -12,13 +12,15 @@ from piezo_identification.conditioning.waveforms import played
 from piezo_identification.estimators.estimate import (
     Estimate,
     OrderTrial,
-    dynamics_of_vector,
-    dynamics_vector,
     order_trial,
     parameter_covariance,
-    split_dynamics_vector,
 )
 from piezo_models.linear.dynamics import ElectricVibrationDynamics, simulate_linear, zoh
+from piezo_models.linear.dynamics_vector import (
+    dynamics_of_vector,
+    dynamics_vector,
+    split_dynamics_vector,
+)
 from piezo_recorder.reading.recording import Recording
 
 MOST_MODES = 3

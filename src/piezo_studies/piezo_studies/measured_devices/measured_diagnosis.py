@@ -89,19 +89,19 @@ def cantilever_without_vibration(directory):
         fitted, CreepDynamics(), ElectricVibrationDynamics(), level_count=50).model())
     rest = round(BEFORE_JUMP_S / recording.sample_period_s)
     ringing = recording.select((sample >= jump - rest) & (sample < jump + shown))
-    return _finding("cantilever", "static hysteresis", diagnose(static, [ringing]),
-                    "a third of the samples around the jump")
+    return finding_of("cantilever", "static hysteresis", diagnose(static, [ringing]),
+                      "a third of the samples around the jump")
 
 
 def nanopositioner_without_creep(directory):
     """Diagnose a model of only the resonances on the response from 1 Hz on."""
     measured = read_frequency_response(Path(directory) / NANOPOSITIONER).between(*BAND_HZ)
     fit = estimate_from_response(measured.between(*RESONANCES_HZ), RESONANCES).model
-    line = PreisachModel(-1.0, 1.0, np.zeros((1, 1)), 0.0, np.array([fit.gain]))
+    line = PreisachModel.line(-1.0, 1.0, fit.gain)
     model = StageModel(
         line, CreepDynamics(), fit.dynamics, effects=(*fit.beside, Delay(fit.delay_s)))
-    return _finding("nanopositioner", "resonances only", diagnose_response(model, measured),
-                    "a third of the frequencies")
+    return finding_of("nanopositioner", "resonances only", diagnose_response(model, measured),
+                      "a third of the frequencies")
 
 
 def scanner_without_asymmetry(directory):
@@ -114,8 +114,8 @@ def scanner_without_asymmetry(directory):
             smoothing_weight=SMOOTHING_WEIGHT, translation_weight=TRANSLATION_WEIGHT,
         ).model()
         diagnosis = diagnose(_static(symmetric(hysteresis)), [fitted], unseen)
-        finding = _finding(f"scanner, {names[0]} loops", "symmetric hysteresis", diagnosis,
-                           f"{names[1]} loops")
+        finding = finding_of(f"scanner, {names[0]} loops", "symmetric hysteresis", diagnosis,
+                             f"{names[1]} loops")
         yield replace(
             finding, refitted_percent=predict(_static(hysteresis), unseen).e_y_percent())
 
@@ -140,7 +140,8 @@ def _static(hysteresis):
     return StageModel(hysteresis, CreepDynamics(), ElectricVibrationDynamics())
 
 
-def _finding(data, poor_model, diagnosis, held_out):
+def finding_of(data, poor_model, diagnosis, held_out):
+    """Return what a diagnosis finds wanting of a poor model of some data."""
     return Finding(
         data, poor_model, diagnosis.verdict,
         tuple(entry["name"] for entry in diagnosis.effects), held_out,

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from piezo_identification import identify
-from piezo_identification.diagnosis.diagnose import Diagnosis, diagnose
+from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_identification.prediction import predict
 from piezo_identification.prediction.row_reading import read_as_identified
 from piezo_models.cascade import StageModel
@@ -20,7 +20,7 @@ from piezo_models.identified_model import IdentifiedModel
 from piezo_recorder.reading.reader import read_recording
 from piezo_recorder.reading.recording import Recording
 from piezo_studies.measured_devices.measured import Figure
-from piezo_studies.measured_devices.measured_diagnosis import Finding
+from piezo_studies.measured_devices.measured_diagnosis import Finding, finding_of
 
 CIRCUIT, ARROW = "circuit_cubic_spring/multisine.csv", "circuit_cubic_spring/arrow.csv"
 
@@ -70,7 +70,7 @@ def circuit(directory: Path) -> Benchmark:
             Figure("circuit", "RMS, diagnosed", "multisines", name, "mV", nonlinear_mv,
                    nonlinear_mv, after, "the best published"),
         ]
-    return Benchmark(figures, _finding("circuit", "linear", diagnosis, "the arrow"))
+    return Benchmark(figures, finding_of("circuit", "linear", diagnosis, "the arrow"))
 
 
 def bouc_wen(directory: Path) -> Benchmark:
@@ -104,7 +104,7 @@ def bouc_wen(directory: Path) -> Benchmark:
                    1.8, bounds[1], after, f"{0.01 * after * travel_um:.2g} um; the best published, "
                    "12 um with 217 parameters, is a black box, ours has the form of the equation"),
         ]
-    return Benchmark(figures, _finding("Bouc-Wen", "linear", diagnosis, "the test multisine"))
+    return Benchmark(figures, finding_of("Bouc-Wen", "linear", diagnosis, "the test multisine"))
 
 
 def _aligned(identified: IdentifiedModel, recording: Recording) -> Recording:
@@ -129,10 +129,3 @@ def _frequency_hz(model: StageModel) -> float:
     beside = [effect.frequency_rad_per_s for effect in model.effects
               if isinstance(effect, VibrationMode)]
     return min((*model.dynamics.mode_frequencies_rad_per_s, *beside)) / (2.0 * np.pi)
-
-
-def _finding(data: str, poor_model: str, diagnosis: Diagnosis, held_out: str) -> Finding:
-    return Finding(
-        data, poor_model, diagnosis.verdict,
-        tuple(entry["name"] for entry in diagnosis.effects), held_out,
-        diagnosis.before["e_y_percent"], diagnosis.after["e_y_percent"], left=diagnosis.left)

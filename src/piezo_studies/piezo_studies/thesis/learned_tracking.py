@@ -68,7 +68,7 @@ def study():
     return Study(rows)
 
 
-def learn(frequency_hz, amplitude_um, seed, part=MODEL_ERROR):
+def learn(frequency_hz, amplitude_um, seed):
     """Learn a harmonic from a wrong model on the simulated stage.
 
     Parameters
@@ -77,10 +77,8 @@ def learn(frequency_hz, amplitude_um, seed, part=MODEL_ERROR):
         Frequency and peak-to-peak amplitude.
     seed : int
         Seed of the model's errors and of the stage.
-    part : float
-        Relative error of the model's parameters.
     """
-    model = wrong_model(part, seed)
+    model = wrong_model(MODEL_ERROR, seed)
     controller = design_integral_feedback(model)
     reference = Reference("harmonic", (frequency_hz,), (amplitude_um,), (), CENTRE_UM)
     feedforward, learner = plan_learning(

@@ -28,36 +28,26 @@ HOLD = 1e6
 
 @dataclass(frozen=True, eq=False)
 class HysteresisSegment:
-    """Input and output of the hysteresis in a stretch without gaps.
-
-    Parameters
-    ----------
-    voltage_v, output_um : ndarray, shape (N,)
-    samples : ndarray of int
-        Increasing indices of the samples to fit.
-    transients : ndarray, shape (N, k)
-        Additional columns of the regression with free coefficients.
-    """
+    """Input and output of the hysteresis in a stretch without gaps."""
 
     voltage_v: FloatArray
     output_um: FloatArray
+    """Shape (N,)."""
     samples: NDArray[np.intp]
+    """Increasing indices of the samples to fit."""
     transients: FloatArray
+    """Additional columns of the regression with free coefficients, (N, k)."""
 
 
 @dataclass(frozen=True)
 class Penalties:
-    """Weights of the penalties of a density; see `smoothed_density`.
-
-    Parameters
-    ----------
-    is_reversible : bool
-        Whether there is a reversible part in addition to the density.
-    """
+    """Weights of the penalties of a density; see `smoothed_density`."""
 
     smoothing: float
     translation: float = 0.0
+
     is_reversible: bool = True
+    """Whether there is a reversible part in addition to the density."""
 
 
 class Equations:
