@@ -47,7 +47,8 @@ AT_END = 20
 """Samples at the end of a visit of a level that tell where it ended."""
 
 LONGEST_LOOK = 200
-"""Samples at the end of that rest, at most, that show whether the stage still rings."""
+"""Samples at the end of a rest, or from the first one on where there is none, that show at most
+whether the stage still rings."""
 
 STILL = 3.0
 """Times the sensor's noise up to which these samples, less the best parabola, show no ringing, and
@@ -154,17 +155,21 @@ def _first_kept(part: Recording) -> int:
     moved = np.flatnonzero(np.abs(voltage_v - voltage_v[0]) > 1e-3 * range_v)
     rest = int(moved[0]) if moved.size else voltage_v.size
     # Of a rest the end is enough: it may begin with what rings after an earlier step.
-    is_still = rest >= AT_REST and not _rings(part, slice(max(0, rest - LONGEST_LOOK), rest))
-    warm = rest - AT_REST if is_still else round(WARM_UP_S / part.sample_period_s)
+    end = rest if rest >= AT_REST else min(LONGEST_LOOK, voltage_v.size)
+    is_still = not _rings(part, slice(max(0, end - LONGEST_LOOK), end))
+    warm = max(0, rest - AT_REST) if is_still else round(WARM_UP_S / part.sample_period_s)
     near_v = NEAR_AN_EXTREME * range_v
     high = int(np.argmax(voltage_v >= voltage_v.max() - near_v))
     low = int(np.argmax(voltage_v <= voltage_v.min() + near_v))
     most = int(MOST_LEFT_OUT * voltage_v.size)
     first = min(warm, most)
     # The way to the second of them began where the past had left the stage. A first step of
-    # another height than the later ones leaves all that rings in motion.
+    # another height than the later ones leaves all that rings in motion; a smooth way does not.
     reached = max(high, low)
-    if reached + round(USUAL_SETTLING_S / part.sample_period_s) <= most:
+    has_steps = np.abs(np.diff(voltage_v[: reached + 1])).max(initial=0.0) > near_v
+    if not has_steps:
+        first = max(first, min(reached, most))
+    elif reached + round(USUAL_SETTLING_S / part.sample_period_s) <= most:
         settling_s = USUAL_SETTLING_S if _comes_back(part) else WARM_UP_S
         first = max(first, min(reached + round(settling_s / part.sample_period_s), most))
     return first
@@ -185,10 +190,11 @@ def _comes_back(part: Recording) -> bool:
     return bool(np.abs(np.mean(ends_um) - ends_um[0]) <= STILL * noise_um)
 
 
-def _rings(part: Recording, rest: slice) -> bool:
-    """Tell whether the displacement rings while the voltage rests, as after a step before."""
-    displacement_um = part.displacement_um[rest]
-    trend = np.vander(np.linspace(-1.0, 1.0, displacement_um.size), 3)
+def _rings(part: Recording, rows: slice) -> bool:
+    """Tell whether the displacement does more than to creep, and to follow a slow voltage."""
+    displacement_um = part.displacement_um[rows]
+    trend = np.column_stack([
+        np.vander(np.linspace(-1.0, 1.0, displacement_um.size), 3), part.voltage_v[rows]])
     left_um = displacement_um - trend @ np.linalg.lstsq(trend, displacement_um, rcond=None)[0]
     noise_um = noise_floor_um(part.displacement_um)
     return bool(np.std(left_um) > STILL * noise_um)
