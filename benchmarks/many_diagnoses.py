@@ -61,7 +61,7 @@ if whole.__name__ == "content" and whole.__module__ == many_recordings.__name__:
 def make_fleet(folder, count):
     """Write the model, the recordings and the table of a fleet; return the names of what hums."""
     folder.mkdir(parents=True)
-    line = StageModel(PreisachModel(0.0, 10.0, np.zeros((1, 1)), 0.0, np.array([2.0])),
+    line = StageModel(PreisachModel.line(0.0, 10.0, 2.0),
                       CreepDynamics(), ElectricVibrationDynamics())
     save_model(folder / "model.json", IdentifiedModel(line, (0.0, 10.0)))
     rng, time_s = np.random.default_rng(1), PERIOD_S * np.arange(ROWS)

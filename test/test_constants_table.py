@@ -29,6 +29,10 @@ class FitSettings:
     steps: int = 12
     calm: int = 2
     method: str = "newton"
+
+    rate_hz: float = 5.0
+    least: float = 0.1
+    """At which it is read, and what counts. Set on 3 drawn stages."""
 '''
 
 
@@ -51,4 +55,8 @@ def test_numbers_of_modules_and_settings_are_listed_with_unit_and_source(constan
         ("LONGEST_S", "`2.5`", "s", meaning, source),
         ("FACTOR", "`-3`", "1", meaning, source),
         ("FitSettings.steps", "`12`", "1", "", "Of a fit from each start (Smith 1999)."),
-        ("FitSettings.calm", "`2`", "1", "", "Of a fit from each start (Smith 1999).")]
+        ("FitSettings.calm", "`2`", "1", "", "Of a fit from each start (Smith 1999)."),
+        ("FitSettings.rate_hz", "`5.0`", "Hz", "At which it is read, and what counts.",
+         "Set on 3 drawn stages."),
+        ("FitSettings.least", "`0.1`", "1", "At which it is read, and what counts.",
+         "Set on 3 drawn stages.")]

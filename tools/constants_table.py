@@ -104,6 +104,15 @@ def _of_settings(node: ast.ClassDef) -> Iterator[Constant]:
     for names, told in re.findall(r"^(\w[\w, ]*) : [^\n]*\n((?:    .*\n?|\n(?=    ))*)",
                                   ast.get_docstring(node) or "", re.MULTILINE):
         entries |= dict.fromkeys(re.split(r",\s*", names), " ".join(told.split()))
+    above, end = list[str](), 0
+    for line in node.body:
+        # A text is of the fields directly above it, up to another text or an empty line.
+        above, end = above if line.lineno == end + 1 else [], line.end_lineno
+        if isinstance(line, ast.AnnAssign):
+            above.append(ast.unparse(line.target))
+        else:
+            entries |= dict.fromkeys(above, _docstring(line))
+            above = []
     for field in node.body:
         if isinstance(field, ast.AnnAssign) and field.value and _is_number(field.value):
             name = ast.unparse(field.target)

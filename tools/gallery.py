@@ -18,7 +18,7 @@ WIDTH, COLOURS = 960, 64
 """Of a picture: enough for a page of the site, at a third of the bytes."""
 
 OF_PAGES = {
-    "loops": ("report.html", "Hysteresis loops"),
+    "loops": ("report.html", "Loops"),
     "density": ("report.html", "Density"),
     "response": ("report.html", "Frequency response"),
     "tracking_500_hz": ("report.html", "Tracking at 500 Hz"),

@@ -88,85 +88,55 @@ class Tracking(_Run):
 
 @dataclass(frozen=True)
 class Identification(_ModelFile):
-    """A stage that was identified; accepted wherever a model file is.
-
-    Attributes
-    ----------
-    path : Path
-        Path of the model file.
-    errors : dict of str to float
-        Errors on data that was not fitted.
-    recordings : tuple of Path
-        Recordings of the experiments.
-    adequacy : str
-        "adequate" if the residual of every component is at most the noise of its recording, else
-        "inadequate"; empty if that was not tested.
-    components : dict of str to dict
-        Adequacy of each component, as in the model file.
-    """
+    """A stage that was identified; accepted wherever a model file is."""
 
     path: Path
+    """Path of the model file."""
     errors: dict[str, float]
+    """Errors on data that was not fitted."""
     recordings: tuple[Path, ...]
+    """Recordings of the experiments."""
     adequacy: str = ""
+    """One of "adequate" if the residual of every component is at most the noise of its recording,
+    else "inadequate"; empty if that was not tested."""
     components: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """Adequacy of each component, as in the model file."""
 
 
 @dataclass(frozen=True)
 class Diagnosis(_ModelFile):
-    """What a model lacks; accepted wherever a model file is, as the extended model.
-
-    Attributes
-    ----------
-    verdict : str
-        ``none``, ``explained`` or ``unexplained``.
-    sentence : str
-        The verdict in words.
-    effects : tuple of str
-        Effects that the model lacks, the strongest first.
-    path : Path
-        Path of the extended model.
-    report : Path
-        Path of the HTML report.
-    details : dict
-        Content of ``verdict.json``.
-    decision : str
-        Conclusion from the experiments that were played; empty if none was requested.
-    experiments : tuple of Path
-        Recordings of these experiments.
-    """
+    """What a model lacks; accepted wherever a model file is, as the extended model."""
 
     verdict: str
+    """``none``, ``explained`` or ``unexplained``."""
     sentence: str
+    """The verdict in words."""
     effects: tuple[str, ...]
+    """Effects that the model lacks, the strongest first."""
     path: Path
+    """Path of the extended model."""
     report: Path
+    """Path of the HTML report."""
     details: dict[str, Any]
+    """Content of ``verdict.json``."""
     decision: str = ""
+    """Conclusion from the experiments that were played; empty if none was requested."""
     experiments: tuple[Path, ...] = ()
+    """Recordings of these experiments."""
 
 
 @dataclass(frozen=True)
 class OfferedModel(_AtPath):
-    """A model that the monitor offers; accepted wherever a model file is.
-
-    Attributes
-    ----------
-    path : Path
-        Path of the extended model.
-    model : Path
-        Path of the model that it extends.
-    sentence : str
-        Description of the change of the stage.
-    since_s : float
-        Time of the sample clock at which the change began.
-    before_rms_um, after_rms_um : float
-        RMS residual since then with the model and with the extended model.
-    """
+    """A model that the monitor offers; accepted wherever a model file is."""
 
     path: Path
+    """Path of the extended model."""
     model: Path
+    """Path of the model that it extends."""
     sentence: str
+    """Description of the change of the stage."""
     since_s: float
+    """Time of the sample clock at which the change began."""
     before_rms_um: float
     after_rms_um: float
+    """RMS residual since then with the model and with the extended model."""

@@ -19,21 +19,16 @@ PERIOD_FILE, BEGIN_FILE = "path.csv", "begin.csv"
 
 @dataclass(frozen=True, eq=False)
 class StoredScan:
-    """The voltages of a planned path, and its positions.
-
-    Attributes
-    ----------
-    begin_voltage_v : (B, n) array
-        Voltages of the way into the path.
-    voltage_v, position_um : (N, n) array
-        Voltages and positions of one period.
-    """
+    """The voltages of a planned path, and its positions."""
 
     axes: tuple[str, ...]
     sample_period_s: float
+
     begin_voltage_v: FloatArray
+    """Voltages of the way into the path, (B, n)."""
     voltage_v: FloatArray
     position_um: FloatArray
+    """Voltages and positions of one period, (N, n)."""
 
     def repeated_v(self, periods: int) -> FloatArray:
         """Return the voltages of the way into the path and of some periods of it, (T, n)."""

@@ -92,15 +92,10 @@ SEARCH = 0.9
 
 @dataclass
 class Part:
-    """A part of the work.
-
-    Attributes
-    ----------
-    was_cut : bool
-        True if it ended early.
-    """
+    """A part of the work."""
 
     was_cut: bool = False
+    """True if it ended early."""
 
 
 @contextmanager

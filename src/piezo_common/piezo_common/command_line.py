@@ -27,34 +27,28 @@ class Command:
 
     Its module imports only what is necessary to read options: the libraries of the work take
     seconds to import, and help or a mistyped option or path should not wait for them.
-
-    Attributes
-    ----------
-    add_options : callable
-        Adds the options to a parser.
-    work : str
-        ``module:function``, imported and called with the parsed options. It returns the exit
-        status, or None for 0.
-    inputs : tuple of str
-        Names of the options that are input files.
-    check : callable, optional
-        Raises ValueError for options that cannot be combined, before the work is imported.
-    interrupted : str
-        What remains after Ctrl-C, as a part of a sentence.
     """
 
     name: str
     description: str
-    add_options: Callable[[argparse.ArgumentParser], None]
-    work: str
-    epilog: str = ""
-    inputs: tuple[str, ...] = ()
-    check: Callable[[argparse.Namespace], None] | None = None
-    interrupted: str = "nothing was written"
 
-    def parser(self, prog: str = "") -> argparse.ArgumentParser:
+    add_options: Callable[[argparse.ArgumentParser], None]
+    """Adds the options to a parser."""
+    work: str
+    """``module:function``, imported and called with the parsed options. It returns the exit status,
+    or None for 0."""
+    epilog: str = ""
+
+    inputs: tuple[str, ...] = ()
+    """Names of the options that are input files."""
+    check: Callable[[argparse.Namespace], None] | None = None
+    """Raises ValueError for options that cannot be combined, before the work is imported."""
+    interrupted: str = "nothing was written"
+    """What remains after Ctrl-C, as a part of a sentence."""
+
+    def parser(self) -> argparse.ArgumentParser:
         """Return the parser of the command under its own name."""
-        return self.fill(argparse.ArgumentParser(prog=prog or self.name))
+        return self.fill(argparse.ArgumentParser(prog=self.name))
 
     def fill(self, parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
         """Set up a parser, for example of a subcommand, for this command; return it."""

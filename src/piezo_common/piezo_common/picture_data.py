@@ -25,18 +25,12 @@ MOST_CELLS = 20_000
 
 @dataclass(frozen=True, eq=False)
 class Numbers:
-    """The numbers of one line, area or map of a picture.
-
-    Attributes
-    ----------
-    name : str
-        Label in the legend; empty without one.
-    columns : dict of str to ndarray
-        Values by the labels of the axes, with their units.
-    """
+    """The numbers of one line, area or map of a picture."""
 
     name: str
+    """Label in the legend; empty without one."""
     columns: dict[str, FloatArray]
+    """Values by the labels of the axes, with their units."""
 
 
 def picture_csv(figure: Figure) -> str:

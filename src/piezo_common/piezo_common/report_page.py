@@ -84,42 +84,31 @@ figcaption { font-size: .9em; max-width: 38rem; }
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture with a caption of one sentence.
-
-    Attributes
-    ----------
-    name : str
-        Alternative text of the picture.
-    tall, wide : bool
-        A tall picture takes the height of two others, a wide one the whole width.
-    data : str
-        Numbers of its curves as CSV; empty for none.
-    closer : dict or None
-        Interactive version for Bokeh, as `interactive_item` returns it.
-    """
+    """A picture with a caption of one sentence."""
 
     name: str
+    """Alternative text of the picture."""
     caption: str
     png: bytes
+
     tall: bool = False
     wide: bool = False
+    """A tall picture takes the height of two others, a wide one the whole width."""
     data: str = ""
+    """Numbers of its curves as CSV; empty for none."""
     closer: dict[str, Any] | None = None
+    """Interactive version for Bokeh, as `interactive_item` returns it."""
 
 
 @dataclass(frozen=True)
 class Section:
-    """A section of the page; text in backquotes is shown as code.
-
-    Attributes
-    ----------
-    table : list of list of str
-        Head row, then the other rows; empty for none.
-    """
+    """A section of the page; text in backquotes is shown as code."""
 
     title: str
     paragraphs: Sequence[str] = ()
+
     table: Sequence[Sequence[str]] = ()
+    """Head row, then the other rows; empty for none."""
     pictures: Sequence[Picture] = ()
 
 

@@ -29,22 +29,16 @@ DEVIATION = "std. dev."
 
 @dataclass(frozen=True, repr=False, eq=False)
 class SummaryTable:
-    """A table with a title.
-
-    Attributes
-    ----------
-    title : str
-        Title of one line.
-    rows : list of tuple of str, float or None
-        Rows with as many cells as heads.
-    notes : tuple of str
-        Sentences below the table.
-    """
+    """A table with a title."""
 
     title: str
+    """Title of one line."""
     heads: tuple[str, ...]
+
     rows: list[tuple[Cell, ...]]
+    """Rows with as many cells as heads."""
     notes: tuple[str, ...] = ()
+    """Sentences below the table."""
 
     def __repr__(self) -> str:
         cells = [self.heads, *self._texts()]

@@ -64,26 +64,20 @@ class StageMemory:
 
 @dataclass(frozen=True, eq=False)
 class StageModel:
-    """Cascade of hysteresis, creep, and electric and vibration dynamics, Fig. 4.3.
-
-    Parameters
-    ----------
-    hysteretic_creep : HystereticCreep, optional
-        Added to the output of the hysteresis. Simulations include it; inversions omit it, and
-        the feedback corrects its slow motion.
-    effects : tuple of piezo_models.effects.effect.Effect
-        Further effects; those at the same place act in this order.
-    first_rise : FirstRise, optional
-        Displacement that a stage lacks until it has risen to its highest voltage once; without
-        effect for a stage that was cycled, which is the default of a memory.
-    """
+    """Cascade of hysteresis, creep, and electric and vibration dynamics, Fig. 4.3."""
 
     hysteresis: PreisachModel
     creep: CreepDynamics
     dynamics: ElectricVibrationDynamics
+
     hysteretic_creep: HystereticCreep | None = None
+    """Added to the output of the hysteresis. Simulations include it; inversions omit it, and the
+    feedback corrects its slow motion."""
     effects: tuple[Effect, ...] = ()
+    """Further effects; those at the same place act in this order."""
     first_rise: FirstRise | None = None
+    """Displacement that a stage lacks until it has risen to its highest voltage once; without
+    effect for a stage that was cycled, which is the default of a memory."""
 
     def __repr__(self) -> str:
         return text_of_model(self)

@@ -17,20 +17,14 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 
 @dataclass(frozen=True)
 class ConversionSettings:
-    """Tolerances of the conversion of a system of python-control to a model.
-
-    Attributes
-    ----------
-    rounding : float
-        A root is taken as real if its imaginary part is below this fraction of its magnitude;
-        eigenvalue solvers leave rounding errors of this size.
-    response_tolerance : float
-        Largest relative deviation of the found model's response from that of the system, and of
-        the roots of a delay; a thousandth of what an identification attains.
-    """
+    """Tolerances of the conversion of a system of python-control to a model."""
 
     rounding: float = 1e-9
+    """A root is taken as real if its imaginary part is below this fraction of its magnitude;
+    eigenvalue solvers leave rounding errors of this size."""
     response_tolerance: float = 1e-6
+    """Largest relative deviation of the found model's response from that of the system, and of the
+    roots of a delay; a thousandth of what an identification attains."""
 
 
 SETTINGS = ConversionSettings()
@@ -43,21 +37,16 @@ IN_LINEAR = ("modes", "linear")
 
 
 class LinearParts(NamedTuple):
-    """Components of a system of python-control.
-
-    Attributes
-    ----------
-    gain : float
-        Gain that remains when creep has unit high-frequency gain and dynamics unit DC gain; it
-        belongs to the hysteresis.
-    delay_s : float
-        Delay of the Pade approximation in the system, in s; 0 without one.
-    """
+    """Components of a system of python-control."""
 
     creep: CreepDynamics
     dynamics: ElectricVibrationDynamics
+
     gain: float
+    """Gain that remains when creep has unit high-frequency gain and dynamics unit DC gain; it
+    belongs to the hysteresis."""
     delay_s: float
+    """Delay of the Pade approximation in the system, in s; 0 without one."""
 
 
 class LeftOut(UserWarning):
@@ -86,7 +75,7 @@ def to_control(model: StageModel, sample_period_s: float | None = None, lags: bo
     Examples
     --------
     >>> from piezo_models import PreisachModel
-    >>> line = PreisachModel(0.0, 10.0, np.zeros((1, 1)), 0.0, np.array([2.0]))
+    >>> line = PreisachModel.line(0.0, 10.0, 2.0)
     >>> dynamics = ElectricVibrationDynamics(1e-3, (1257.0,), (0.02,))
     >>> stage = StageModel(line, CreepDynamics(), dynamics)
     >>> to_control(stage).poles().round(1)
@@ -123,15 +112,11 @@ def with_linear_part(model: StageModel, system: control.StateSpace | control.Tra
         If `from_control` rejects the system.
     """
     parts = from_control(system)
-    hysteresis = model.hysteresis
-    scaled = replace(hysteresis, offset_um=parts.gain * hysteresis.offset_um,
-                     density_um_per_v2=parts.gain * hysteresis.density_um_per_v2,
-                     reversible_um_per_v=parts.gain * hysteresis.reversible_um_per_v)
     delay = (Delay(parts.delay_s),) if parts.delay_s else ()
     stays = tuple(effect for effect in model.effects if effect.place not in IN_LINEAR
                   and not (delay and isinstance(effect, Delay)))
-    return replace(model, hysteresis=scaled, creep=parts.creep, dynamics=parts.dynamics,
-                   effects=(*stays, *delay))
+    return replace(model, hysteresis=model.hysteresis.scaled(parts.gain), creep=parts.creep,
+                   dynamics=parts.dynamics, effects=(*stays, *delay))
 
 
 def from_control(system: control.StateSpace | control.TransferFunction) -> LinearParts:

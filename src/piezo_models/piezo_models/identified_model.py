@@ -21,49 +21,35 @@ if TYPE_CHECKING:
 
 @dataclass
 class IdentifiedModel:
-    """A stage model with the results of its identification.
-
-    Parameters
-    ----------
-    voltage_range_v : (float, float)
-        Lowest and highest voltage of the identification in V.
-    sample_periods_s : dict of str to float
-        Sample period of each experiment, by its name.
-    errors : dict of str to float, or to such a dict
-        Errors on data that was not fitted; the names contain the units.
-    recordings : list of {"path": str, "sha256": str}
-        Recordings that the model was identified from.
-    created : str
-        Time of creation, ISO 8601; now by default.
-    uncertainties : dict of str to dict
-        Standard deviations under "creep" and "dynamics", with the names and shapes of the model's
-        parameters; under "effects" a list with one dict for each effect.
-    rows : dict of str to dict
-        For each recording, the instant at which its rows are read and the remaining delay:
-        `read_at_samples`, `delay_s` (missing if it cannot be determined) and
-        `standard_deviation_s`.
-    visited : ndarray of bool, shape (L, L), optional
-        Cells of the density that the recordings determine; lower triangular. The density in the
-        other cells is extrapolated. None if this is not known.
-    adequacy : dict of str to dict
-        For each component (creep, dynamics, hysteresis) whether its residual exceeds the noise of
-        the recording that it was estimated from; see `model_document.AdequacyPart`. Empty if this
-        is not known.
-    unfinished : str
-        Why the identification ended early, and what it did not try; empty if it was completed.
-    """
+    """A stage model with the results of its identification."""
 
     model: StageModel
+
     voltage_range_v: tuple[float, float]
+    """Lowest and highest voltage of the identification in V."""
     sample_periods_s: dict[str, float] = field(default_factory=dict)
+    """Sample period of each experiment, by its name."""
     errors: dict[str, Any] = field(default_factory=dict)
+    """Errors on data that was not fitted; the names contain the units."""
     recordings: list[dict[str, str]] = field(default_factory=list)
+    """Recordings that the model was identified from."""
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+    """Time of creation, ISO 8601; now by default."""
     uncertainties: dict[str, Any] = field(default_factory=dict)
+    """Standard deviations under "creep" and "dynamics", with the names and shapes of the model's
+    parameters; under "effects" a list with one dict for each effect."""
     rows: dict[str, dict[str, float]] = field(default_factory=dict)
+    """For each recording, the instant at which its rows are read and the remaining delay:
+    `read_at_samples`, `delay_s` (missing if it cannot be determined) and `standard_deviation_s`."""
     visited: NDArray[np.bool_] | None = None
+    """Cells of the density that the recordings determine, (L, L); lower triangular. The density in
+    the other cells is extrapolated. None if this is not known."""
     adequacy: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """For each component (creep, dynamics, hysteresis) whether its residual exceeds the noise of
+    the recording that it was estimated from; see `model_document.AdequacyPart`. Empty if this is
+    not known."""
     unfinished: str = ""
+    """Why the identification ended early, and what it did not try; empty if it was completed."""
 
     def __repr__(self) -> str:
         return f"<IdentifiedModel of {self.created}: {self.model!r}>"

@@ -34,10 +34,9 @@ def save_model(path: str | PathLike[str], identified: IdentifiedModel) -> None:
 
     Examples
     --------
-    >>> import numpy as np
     >>> from piezo_models import (
     ...     CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel)
-    >>> line = PreisachModel(0.0, 10.0, np.zeros((1, 1)), 0.0, np.array([2.0]))
+    >>> line = PreisachModel.line(0.0, 10.0, 2.0)
     >>> stage = StageModel(line, CreepDynamics(), ElectricVibrationDynamics())
     >>> save_model("line.json", IdentifiedModel(stage, voltage_range_v=(0.0, 10.0)))
     >>> load_model("line.json").voltage_range_v

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Pictures of a model: its Preisach plane, its loops and its frequency response."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,17 +52,12 @@ def draw_model(model: "StageModel", visited: NDArray[np.bool_] | None = None) ->
 
 
 def density_on(axes: "Axes", hysteresis: PreisachModel,
-               visited: NDArray[np.bool_] | None = None) -> Any:
+               visited: NDArray[np.bool_] | None = None) -> None:
     """Draw the density of the relays over their thresholds; unvisited cells are hatched.
 
     Parameters
     ----------
     visited : ndarray of bool, shape (L, L), optional
-
-    Returns
-    -------
-    matplotlib.collections.QuadMesh
-        The mesh that was drawn, for example for a colour bar.
     """
     levels_v, density = hysteresis.levels_v, hysteresis.density_um_per_v2
     below = np.tril(np.ones(density.shape, dtype=bool))
@@ -79,7 +74,6 @@ def density_on(axes: "Axes", hysteresis: PreisachModel,
     label(axes, "relay switches off at (V)", "relay switches on at (V)",
           "Preisach plane" if visited is None else "Preisach plane, hatched: not visited")
     axes.grid(False)
-    return drawn
 
 
 def loops_on(axes: "Axes", hysteresis: PreisachModel) -> None:

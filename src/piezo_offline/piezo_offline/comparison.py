@@ -78,7 +78,7 @@ def compare(model_a: AnyModel, model_b: AnyModel, data: Any, *,
     >>> import numpy as np
     >>> from piezo_models import (
     ...     CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel)
-    >>> line = PreisachModel(0.0, 10.0, np.zeros((1, 1)), 0.0, np.array([2.0]))
+    >>> line = PreisachModel.line(0.0, 10.0, 2.0)
     >>> stiff, soft = (StageModel(line, CreepDynamics(), ElectricVibrationDynamics(lag_s))
     ...                for lag_s in (0.0, 5e-3))
     >>> time_s = 1e-3 * np.arange(500)

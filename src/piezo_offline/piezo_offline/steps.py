@@ -349,7 +349,7 @@ def design(
     --------
     >>> from piezo_models import (
     ...     CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel)
-    >>> line = PreisachModel(0.0, 10.0, np.zeros((1, 1)), 0.0, np.array([2.0]))
+    >>> line = PreisachModel.line(0.0, 10.0, 2.0)
     >>> stage = StageModel(line, CreepDynamics(), ElectricVibrationDynamics(1e-3))
     >>> controller = design(stage, method="pi")
     >>> controller.report["method"], controller.report["order"]

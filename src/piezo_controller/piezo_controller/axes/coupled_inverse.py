@@ -34,23 +34,16 @@ which they end; each that helps is kept."""
 
 
 class Inverted(NamedTuple):
-    """Voltages of a path, each for a sample period, and what of it they leave out.
-
-    Attributes
-    ----------
-    voltage_v : (N, n) array
-    drive_v : (N, n) array
-        Of the modes, behind hysteresis and creep.
-    missed_um : (N, n) array
-        Part of the path that the limit of the gain leaves out.
-    amplitude_v : float
-        RMS of the drive about the operating point, at which the model softened.
-    """
+    """Voltages of a path, each for a sample period, and what of it they leave out."""
 
     voltage_v: FloatArray
+    """Shape (N, n)."""
     drive_v: FloatArray
+    """Of the modes, behind hysteresis and creep, (N, n)."""
     missed_um: FloatArray
+    """Part of the path that the limit of the gain leaves out, (N, n)."""
     amplitude_v: float
+    """RMS of the drive about the operating point, at which the model softened."""
 
 
 def invert_path(position_um: FloatArray, model: CoupledModel, inverse: str = "coupled",

@@ -57,31 +57,22 @@ class UnreachablePath(UnreachableReference):
 
 @dataclass(frozen=True, eq=False)
 class PathPlan:
-    """Voltages of one period of a path, to be repeated.
-
-    Attributes
-    ----------
-    path : ScanPath
-        Of all axes of the model; those that it does not move stay at the operating point.
-    model : CoupledModel
-    voltage_v : (N, n) array
-        Each held for a sample period.
-    left_out_um : (n,) array
-        RMS of what the limit of the gain takes from the path.
-    amplitude_v : float
-        RMS of the voltages about the operating point, at which a model that softens was inverted.
-    gain_limit : float
-    identified : IdentifiedAxes, optional
-        Knows how far the model may be off.
-    """
+    """Voltages of one period of a path, to be repeated."""
 
     path: ScanPath
+    """Of all axes of the model; those that it does not move stay at the operating point."""
     model: CoupledModel
+
     voltage_v: FloatArray
+    """Each held for a sample period, (N, n)."""
     left_out_um: FloatArray
+    """RMS of what the limit of the gain takes from the path, (n,)."""
     amplitude_v: float
+    """RMS of the voltages about the operating point, at which a model that softens was inverted."""
     gain_limit: float
+
     identified: IdentifiedAxes | None = None
+    """Knows how far the model may be off."""
 
     def __repr__(self) -> str:
         return f"<PathPlan: {self.path}, {len(self.voltage_v)} samples>"

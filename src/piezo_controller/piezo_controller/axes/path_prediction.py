@@ -21,26 +21,19 @@ SILENT = 1e-15
 
 @dataclass(frozen=True, eq=False)
 class PathPrediction:
-    """What axes do while a path is repeated, after a gentle beginning from rest.
-
-    Attributes
-    ----------
-    path : ScanPath
-    displacement_um : dict of str to (N, n) array
-        In one period, by inverse: ``none``, ``diagonal``, ``coupled``.
-    error_percent : dict of str to (n,) array
-        RMS error (2.32), of an axis' travel; of the largest travel where an axis rests. Beside the
-        inverses, ``uncertain`` is that of the coupled one to expect (RMS) with the deviations of
-        the model; NaN where they are not known.
-    coupling_db : dict of str to (n, n) array
-        RMS motion of the axis of the row while the path moves that of the column alone, over the
-        motion asked for, by the same names; NaN where the path does not move that axis.
-    """
+    """What axes do while a path is repeated, after a gentle beginning from rest."""
 
     path: ScanPath
+
     displacement_um: dict[str, FloatArray]
+    """In one period, by inverse: ``none``, ``diagonal``, ``coupled``."""
     error_percent: dict[str, FloatArray]
+    """RMS error (2.32), of an axis' travel; of the largest travel where an axis rests. Beside the
+    inverses, ``uncertain`` is that of the coupled one to expect (RMS) with the deviations of the
+    model; NaN where they are not known."""
     coupling_db: dict[str, FloatArray]
+    """RMS motion of the axis of the row while the path moves that of the column alone, over the
+    motion asked for, by the same names; NaN where the path does not move that axis."""
 
     def summary(self, title: str, notes: Sequence[str] = ()) -> SummaryTable:
         """Return errors and cross-coupling by inverse as a table."""

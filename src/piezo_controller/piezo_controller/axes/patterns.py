@@ -44,68 +44,46 @@ STEPS_A_TURN = 64
 
 @dataclass(frozen=True)
 class ScanPattern:
-    """A pattern, field by field.
-
-    Attributes
-    ----------
-    kind : str
-        One of `PATTERNS`.
-    size_um : (float, float)
-        Of the image: fast and slow axis, or the two diameters.
-    centre_um : (float, float)
-    rate_hz : float
-        Lines a second of a raster; turns of a spiral (at its fastest), of a rosette through its
-        centre and of a cycloid; of the first axis of a Lissajous figure; points or frames.
-    lines : int
-        Of a raster; turns of a spiral from centre to rim and of a cycloid along its way; periods
-        of the first axis of a Lissajous figure, of which the other has one less; lobes of a
-        rosette.
-    pixels : int, optional
-        Of a line, or of a turn; as many as lines by default, if there are samples enough.
-    both_directions : bool
-        Lines of a raster go forward and backward.
-    flyback_s : float, optional
-        From the end of a line to the beginning of the next.
-    frame_flyback_s : float, optional
-        From the last line to the first.
-    linear_velocity : bool
-        A spiral at constant speed, in place of constant angular velocity.
-    points_um : (K, m) array_like
-        Of the kind ``points``.
-    file : str or Path
-        CSV with the columns ``x_displacement_um,y_displacement_um``: points, or with ``time_s``
-        one period.
-    """
+    """A pattern, field by field."""
 
     kind: str = "raster"
+    """One of `PATTERNS`."""
     size_um: tuple[float, float] = (10.0, 10.0)
+    """Of the image: fast and slow axis, or the two diameters."""
     centre_um: tuple[float, ...] = (0.0, 0.0)
+
     rate_hz: float = 10.0
+    """Lines a second of a raster; turns of a spiral (at its fastest), of a rosette through its
+    centre and of a cycloid; of the first axis of a Lissajous figure; points or frames."""
     lines: int = 64
+    """Of a raster; turns of a spiral from centre to rim and of a cycloid along its way; periods of
+    the first axis of a Lissajous figure, of which the other has one less; lobes of a rosette."""
     pixels: int | None = None
+    """Of a line, or of a turn; as many as lines by default, if there are samples enough."""
     both_directions: bool = False
+    """Lines of a raster go forward and backward."""
     flyback_s: float | None = None
+    """From the end of a line to the beginning of the next."""
     frame_flyback_s: float | None = None
+    """From the last line to the first."""
     linear_velocity: bool = False
+    """A spiral at constant speed, in place of constant angular velocity."""
     points_um: ArrayLike | None = None
+    """Of the kind ``points``, (K, m)."""
     file: str | Path | None = None
+    """CSV with the columns ``x_displacement_um,y_displacement_um``: points, or with ``time_s`` one
+    period."""
 
 
 class Drawn(NamedTuple):
-    """A pattern about its centre; times are counted in samples.
-
-    Attributes
-    ----------
-    position_um : (N, 2) array
-    frames : array
-        When frames begin.
-    rows : (K, 3) array
-        Begin and end of each line, and 1 or -1 for its direction.
-    """
+    """A pattern about its centre; times are counted in samples."""
 
     position_um: FloatArray
+    """Shape (N, 2)."""
     frames: FloatArray
+    """When frames begin."""
     rows: FloatArray
+    """Begin and end of each line, and 1 or -1 for its direction, (K, 3)."""
 
 
 def scan_path(pattern: ScanPattern, sample_period_s: float,

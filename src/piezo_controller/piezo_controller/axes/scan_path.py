@@ -33,22 +33,6 @@ class Mark(IntFlag):
 class ScanPath:
     """One period of a path; the sample after the last is the first again.
 
-    Attributes
-    ----------
-    kind : str
-        Of its pattern, such as ``raster``.
-    axes : tuple of str
-        That it moves.
-    sample_period_s : float
-    position_um : (N, m) array
-    marks : (N,) array of int
-        Bits of `Mark`.
-    rate_hz : float
-        Lines, turns, points or periods a second, as the kind counts them.
-    size_um : (m,) array
-        Of the image along each axis; turns go beyond it.
-    centre_um : (m,) array
-
     Raises
     ------
     InvalidReference
@@ -56,13 +40,21 @@ class ScanPath:
     """
 
     kind: str
+    """Of its pattern, such as ``raster``."""
     axes: tuple[str, ...]
+    """That it moves."""
     sample_period_s: float
+
     position_um: FloatArray
+    """Shape (N, m)."""
     marks: NDArray[np.int64]
+    """Bits of `Mark`, (N,)."""
     rate_hz: float
+    """Lines, turns, points or periods a second, as the kind counts them."""
     size_um: FloatArray
+    """Of the image along each axis, (m,); turns go beyond it."""
     centre_um: FloatArray
+    """Shape (m,)."""
 
     def __post_init__(self) -> None:
         if self.position_um.ndim != 2 or self.position_um.shape[1] != len(self.axes):

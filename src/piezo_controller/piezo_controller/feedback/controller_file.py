@@ -89,11 +89,10 @@ def save_controller(path: str | Path, controller: FeedbackController) -> None:
     Examples
     --------
     >>> import control
-    >>> import numpy as np
     >>> from piezo_controller.feedback.feedback_design import feedback_from_control
     >>> from piezo_models import (
     ...     CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel)
-    >>> line = PreisachModel(0.0, 10.0, np.zeros((1, 1)), 0.0, np.array([2.0]))
+    >>> line = PreisachModel.line(0.0, 10.0, 2.0)
     >>> stage = StageModel(line, CreepDynamics(), ElectricVibrationDynamics(1e-3))
     >>> integrator = control.tf([0.05, 0.0], [1.0, -1.0], 1e-3)
     >>> save_controller("integrator.json", feedback_from_control(integrator, stage))

@@ -54,30 +54,21 @@ class UnstableLoop(ValueError):
 
 @dataclass(frozen=True)
 class FeedbackController:
-    """State space of the feedback, and the properties of the loop it closes.
-
-    Attributes
-    ----------
-    A, B, C, D : ndarray
-        From the mean tracking error of the last tick (um) to the voltage of the next (V).
-    sample_period_s : float
-        Period of the tick (s).
-    report : dict
-        Numbers and texts that describe the loop, see `design_feedback`.
-    weights : dict
-        Weights that it was designed with, in the layout of the weights file; empty for PID.
-    model_sha256 : str
-        Hash of the model file that it was designed for; empty if the model came from no file.
-    """
+    """State space of the feedback, and the properties of the loop it closes."""
 
     A: np.ndarray
     B: np.ndarray
     C: np.ndarray
     D: np.ndarray
+    """From the mean tracking error of the last tick (um) to the voltage of the next (V)."""
     sample_period_s: float
+    """Period of the tick (s)."""
     report: dict
+    """Numbers and texts that describe the loop, see `design_feedback`."""
     weights: dict
+    """Weights that it was designed with, in the layout of the weights file; empty for PID."""
     model_sha256: str = ""
+    """Hash of the model file that it was designed for; empty if the model came from no file."""
 
     def __repr__(self) -> str:
         return text_of_controller(self)

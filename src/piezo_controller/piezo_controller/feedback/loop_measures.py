@@ -18,25 +18,17 @@ LEAST_CROSSING = 1e-12
 
 @dataclass(frozen=True)
 class Margins:
-    """Distances of a loop from instability, and the frequencies at which they occur.
-
-    Attributes
-    ----------
-    gain : float or None
-        Factor by which the gain may rise; None if the loop does not cross the real axis
-        between -1 and 0.
-    gain_hz : float or None
-        Frequency of that crossing.
-    phase_deg : float or None
-        Angle by which the phase may fall; None if the loop does not cross the unit circle.
-    phase_hz : float or None
-        Frequency of that crossing.
-    """
+    """Distances of a loop from instability, and the frequencies at which they occur."""
 
     gain: float | None = None
+    """Factor by which the gain may rise; None if the loop does not cross the real axis between -1
+    and 0."""
     gain_hz: float | None = None
+    """Frequency of that crossing."""
     phase_deg: float | None = None
+    """Angle by which the phase may fall; None if the loop does not cross the unit circle."""
     phase_hz: float | None = None
+    """Frequency of that crossing."""
 
 
 def loop_responses(plant: control.StateSpace, controller: control.StateSpace,

@@ -10,27 +10,19 @@ ON_THE_BOUND = 0.05
 
 @dataclass(frozen=True)
 class LoopRules:
-    """Bounds within which the feedback is designed.
-
-    Attributes
-    ----------
-    lowest_bandwidth_hz, highest_bandwidth_hz : float
-        Bandwidth of the feedback, (5.9).
-    lowest_rate_hz, highest_rate_hz : float
-        Rate of the feedback, (5.10).
-    samples_per_tick : int
-        Samples per tick at the chosen rate.
-    performance_hz, robustness_hz : float
-        ``omega_p`` and ``omega_s`` of (5.11) at that rate.
-    """
+    """Bounds within which the feedback is designed."""
 
     lowest_bandwidth_hz: float
     highest_bandwidth_hz: float
+    """Bandwidth of the feedback, (5.9)."""
     lowest_rate_hz: float
     highest_rate_hz: float
+    """Rate of the feedback, (5.10)."""
     samples_per_tick: int
+    """Samples per tick at the chosen rate."""
     performance_hz: float
     robustness_hz: float
+    """``omega_p`` and ``omega_s`` of (5.11) at that rate."""
 
 
 def choose_rates(ultimate_hz: float, clock_hz: float, computing_s: float,

@@ -2,7 +2,6 @@
 """Robustness of a feedback against errors of the model: random errors, and the worst case."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import control
 import numpy as np
@@ -12,30 +11,23 @@ from piezo_controller.feedback.synthesis.generalised_plant import design_plant
 from piezo_controller.feedback.synthesis.h_infinity import is_stable
 from piezo_models.cascade import StageModel
 from piezo_models.linear.creep_errors import with_creep_errors
+from piezo_models.linear.dynamics_vector import dynamics_of_vector, dynamics_vector
 
 SAMPLES = 200
 SWEEPS = 2
 PARAMETER_ERROR = 0.05
 FREQUENCIES = 100
-DYNAMICS = ("time_constant_s", "mode_frequencies_rad_per_s", "damping_ratios",
-            "antiresonance_frequencies_rad_per_s", "antiresonance_damping_ratios")
 
 
 @dataclass(frozen=True)
 class Robustness:
-    """Robustness of a feedback.
-
-    Attributes
-    ----------
-    samples, unstable_samples : int
-        Number of loops with random errors, and of the unstable ones among them.
-    worst_peak_sensitivity : float
-        Peak at the worst errors found; infinite if the loop is unstable there.
-    """
+    """Robustness of a feedback."""
 
     samples: int
     unstable_samples: int
+    """Number of loops with random errors, and of the unstable ones among them."""
     worst_peak_sensitivity: float
+    """Peak at the worst errors found; infinite if the loop is unstable there."""
 
     @property
     def stable(self) -> bool:
@@ -117,17 +109,16 @@ def _plant(model: StageModel, errors: FloatArray, tick_s: float, clock_period_s:
 
 
 def _parameters(model: StageModel) -> int:
-    return 2 * len(model.creep.poles_rad_per_s) + sum(
-        np.size(getattr(model.dynamics, name)) for name in DYNAMICS)
+    return 2 * len(model.creep.poles_rad_per_s) + dynamics_vector(model.dynamics).size
 
 
 def with_errors(model: StageModel, errors: FloatArray) -> StageModel:
     """Return the model with relative errors in the parameters of its linear dynamics."""
-    first = 2 * len(model.creep.poles_rad_per_s)
-    fields: dict[str, Any] = {}
-    creep = with_creep_errors(model.creep, errors[:first])
-    for name in DYNAMICS:
-        values = np.asarray(getattr(model.dynamics, name), dtype=float)
-        fields[name] = values * (1 + np.reshape(errors[first:first + values.size], values.shape))
-        first += values.size
-    return replace(model, creep=creep, dynamics=replace(model.dynamics, **fields))
+    dynamics = model.dynamics
+    of_creep = 2 * len(model.creep.poles_rad_per_s)
+    return replace(
+        model, creep=with_creep_errors(model.creep, errors[:of_creep]),
+        dynamics=dynamics_of_vector(
+            dynamics_vector(dynamics) * (1 + errors[of_creep:]),
+            len(dynamics.mode_frequencies_rad_per_s),
+            len(dynamics.antiresonance_frequencies_rad_per_s)))

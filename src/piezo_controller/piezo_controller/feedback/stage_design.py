@@ -21,21 +21,17 @@ from piezo_models.cascade import StageModel
 
 @dataclass(frozen=True)
 class StageDesign:
-    """A controller, and the choices that led to it.
-
-    Attributes
-    ----------
-    weights : DesignWeights
-        Weights at the controller's tick, for the given bandwidth of the disturbances.
-    clock_period_s : float
-        Period of the stage's sample clock (s).
-    """
+    """A controller, and the choices that led to it."""
 
     controller: FeedbackController
+
     weights: DesignWeights
+    """Weights at the controller's tick, for the given bandwidth of the disturbances."""
     rules: LoopRules
     samples_per_tick: int
+
     clock_period_s: float
+    """Period of the stage's sample clock (s)."""
 
 
 def design_for_stage(

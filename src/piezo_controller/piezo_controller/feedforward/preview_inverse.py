@@ -39,18 +39,13 @@ ZERO_REFINEMENTS = 2
 
 @dataclass(frozen=True, eq=False)
 class PreviewInverse:
-    """A filter from the reference to the input of the dynamics.
-
-    Attributes
-    ----------
-    numerator, denominator : ndarray
-    preview_samples : int
-        Samples of the reference that it needs beyond the sample of its output.
-    """
+    """A filter from the reference to the input of the dynamics."""
 
     numerator: FloatArray
     denominator: FloatArray
+
     preview_samples: int
+    """Samples of the reference that it needs beyond the sample of its output."""
 
     def response(self, frequency_hz: ArrayLike, sample_period_s: float) -> ComplexArray:
         """Return the complex response, with the preview counted as an advance."""

@@ -44,6 +44,7 @@ from piezo_controller.references.trajectory import KeptTrajectory, Trajectory
 from piezo_models.cascade import StageModel
 from piezo_models.effects.amplifier_lag import lag_behind_hysteresis
 from piezo_models.hysteresis.preisach import PreisachMemory
+from piezo_models.linear.connections import inverse
 from piezo_models.linear.dynamics import continue_linear, equilibrium_state, zoh, zoh_response
 
 REST_S = 0.02
@@ -59,36 +60,27 @@ InverseDesign = Callable[[control.StateSpace, float], PreviewInverse]
 
 @dataclass(frozen=True, eq=False)
 class StreamPlan:
-    """Voltages of the approach, and the source of those of the reference: a `TrackingPlan`.
-
-    Attributes
-    ----------
-    once_voltage_v : ndarray, shape (n,)
-        Down to the model's lowest voltage, which erases the memory of the hysteresis, and up to
-        the first value of the reference.
-    expected : Trajectory
-        Displacement to expect, from the run's first sample on.
-    samples : int
-        Number of samples of the reference that are played.
-    begin_sample : int
-        Sample at which the approach ends and the reference begins.
-    uncompensated : tuple of str
-        Effects of the model that are not compensated.
-    inverse : OnlineInverse
-        State of the inverse after `once_voltage_v`.
-    margin_samples : int
-        Samples of the reference that the inverse needs in advance.
-    """
+    """Voltages of the approach, and the source of those of the reference: a `TrackingPlan`."""
 
     once_voltage_v: FloatArray
+    """Down to the model's lowest voltage, which erases the memory of the hysteresis, and up to the
+    first value of the reference, (n,)."""
     expected: Trajectory
+    """Displacement to expect, from the run's first sample on."""
     reference: Trajectory
+
     samples: int
+    """Number of samples of the reference that are played."""
     begin_sample: int
+    """Sample at which the approach ends and the reference begins."""
     uncompensated: tuple[str, ...]
+    """Effects of the model that are not compensated."""
     inverse: OnlineInverse
+    """State of the inverse after `once_voltage_v`."""
     limits: "StreamLimits"
+
     margin_samples: int
+    """Samples of the reference that the inverse needs in advance."""
 
     streamed, open_ended = True, False
     iteration, note, degraded = 0, "", ""
@@ -277,7 +269,7 @@ class StreamPlanner:
         rest_um = slow_um[-1]
         level_um = self.model.sensed(np.full(ALIGNMENT_SAMPLES, rest_um), self.sample_period_s)[-1]
         return once_v, slow_um, level_um, OnlineInverse(
-            self.model, self.preview, _inverse(self.sampled_slow), self.sample_period_s,
+            self.model, self.preview, inverse(self.sampled_slow), self.sample_period_s,
             self.preview.state(rest_um), slow_state, memory,
             np.full(2 * EFFECT_MARGIN_SAMPLES, level_um))
 
@@ -379,9 +371,3 @@ class _Scaled(Trajectory):
 
     def _scaled(self, displacement_um: FloatArray) -> FloatArray:
         return self._centre_um + self._scale * (displacement_um - self._centre_um)
-
-
-def _inverse(system: control.StateSpace) -> control.StateSpace:
-    """Return the inverse, in the same states, of a discrete system with direct feedthrough."""
-    a, b, c, d = system.A, system.B, system.C, system.D
-    return control.ss(a - b @ c / d, b / d, -c / d, 1 / d, system.dt)

@@ -52,21 +52,17 @@ class LearnedDocument(Document):
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """A correction, and the conditions that it was learned for.
-
-    Attributes
-    ----------
-    correction_um : (P,) array
-        One period of the correction, which is added to the reference before the inversion (um).
-    error_rms_um : float
-        Smallest rms error of the harmonics that were learned (um).
-    """
+    """A correction, and the conditions that it was learned for."""
 
     reference: Reference
     model_sha256: str
     sample_rate_hz: float
+
     correction_um: FloatArray
+    """One period of the correction, which is added to the reference before the inversion (um),
+    (P,)."""
     error_rms_um: float
+    """Smallest rms error of the harmonics that were learned (um)."""
     iterations: int
 
 

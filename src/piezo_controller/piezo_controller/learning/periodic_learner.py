@@ -38,18 +38,12 @@ NEGLIGIBLE_CONTENT = 1e-3
 
 @dataclass(frozen=True)
 class Measured:
-    """Error of the mean period.
-
-    Attributes
-    ----------
-    harmonics_um : (H,) array of complex
-        Reference minus displacement; the phase is that of a cosine from the period's start.
-    noise_um : float
-        Standard deviation of each harmonic (of real and imaginary part together).
-    """
+    """Error of the mean period."""
 
     harmonics_um: ComplexArray
+    """Reference minus displacement, (H,); the phase is that of a cosine from the period's start."""
     noise_um: float
+    """Standard deviation of each harmonic (of real and imaginary part together)."""
 
     @property
     def rms_um(self) -> float:

@@ -30,43 +30,32 @@ class NoPeriod(InvalidReference):
 
 @dataclass(frozen=True)
 class Reference:
-    """A trajectory, field by field as in ``piezo_interfaces/Reference``.
-
-    Attributes
-    ----------
-    kind : str
-        ``harmonic``, ``multi_frequency`` (sum of sines, (4.21)), ``triangle``, ``raster``,
-        ``random`` or ``file``, or a kind of another package.
-    frequency_hz, amplitude_um, phase_rad : tuple of float
-        Frequency, peak-to-peak amplitude and phase (0 if omitted) of each sine
-        ``amplitude_um / 2 * sin(2 pi frequency_hz t + phase_rad)``. For a raster the line rate and
-        the range of the axis. For a random reference the edges of its band (the lower one is 0 if
-        only one is given) and its range, which it approaches but never exceeds. Empty for ``file``.
-    centre_um : float
-        Mean displacement (um); for ``file`` it is added to the file's displacement.
-    file : str
-        CSV with the columns ``time_s,displacement_um``: one period at the sample rate.
-    once : bool
-        Whether a file is the whole trajectory rather than one period; its last value is then held.
-    axis : str
-        Axis of a raster: ``fast``, whose lines are straight over the range and turn beyond it, or
-        ``slow``, which steps from line to line and flies back after the last.
-    lines : int
-        Number of lines in a frame of a raster.
-    seed : int
-        Seed of a random reference.
-    """
+    """A trajectory, field by field as in ``piezo_interfaces/Reference``."""
 
     kind: str
+    """``harmonic``, ``multi_frequency`` (sum of sines, (4.21)), ``triangle``, ``raster``,
+    ``random`` or ``file``, or a kind of another package."""
     frequency_hz: tuple[float, ...] = ()
     amplitude_um: tuple[float, ...] = ()
     phase_rad: tuple[float, ...] = ()
+    """Frequency, peak-to-peak amplitude and phase (0 if omitted) of each sine ``amplitude_um / 2 *
+    sin(2 pi frequency_hz t + phase_rad)``. For a raster the line rate and the range of the axis.
+    For a random reference the edges of its band (the lower one is 0 if only one is given) and its
+    range, which it approaches but never exceeds. Empty for ``file``."""
     centre_um: float = 0.0
+    """Mean displacement (um); for ``file`` it is added to the file's displacement."""
     file: str = ""
+    """CSV with the columns ``time_s,displacement_um``: one period at the sample rate."""
     once: bool = False
+    """Whether a file is the whole trajectory rather than one period; its last value is then
+    held."""
     axis: str = "fast"
+    """Axis of a raster: ``fast``, whose lines are straight over the range and turn beyond it, or
+    ``slow``, which steps from line to line and flies back after the last."""
     lines: int = 512
+    """Number of lines in a frame of a raster."""
     seed: int = 0
+    """Seed of a random reference."""
 
 
 class ReferenceKind(Protocol):

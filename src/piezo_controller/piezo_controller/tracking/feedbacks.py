@@ -22,7 +22,7 @@ from piezo_controller.feedback.feedback_design import (
 )
 from piezo_controller.feedback.multirate_feedback import MultirateFeedback
 from piezo_controller.feedback.onboard_law import answers_samples, onboard_law
-from piezo_controller.feedback.synthesis.generalised_plant import hysteresis_gain_range
+from piezo_controller.feedback.synthesis.generalised_plant import nominal_hysteresis_gain
 from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_controller.feedforward.periodic import FeedforwardPlan
 from piezo_controller.learning.fast_sensitivity import fast_sensitivity
@@ -46,34 +46,25 @@ class Feedback(Protocol):
 
 @dataclass(frozen=True)
 class FeedbackSettings:
-    """Which feedback the modes use.
-
-    Attributes
-    ----------
-    max_feedback_v : float
-        Largest voltage of a feedback that acts together with a feedforward, of either sign (V);
-        the stage's own limit applies where it is lower.
-    weights : str
-        Weights of the design: a file, the name of weights of the package, or empty for the default.
-    controller_file : str
-        File of the controller of the composite modes; empty to design it for the model.
-    place : str
-        One of `PLACES`: where the feedback of the composite modes enters. With a streamed
-        feedforward it is always behind the inverse.
-    loop : str
-        One of `LOOPS`: ``onboard`` where the stage evaluates the feedback by itself, ``remote``
-        where it is answered block by block. A streamed or learned feedforward requires ``remote``.
-    max_error_um : float
-        Largest error for a law on board, see `FeedbackLaw`. PID and PI have no such limit, as they
-        must provide the whole travel.
-    """
+    """Which feedback the modes use."""
 
     max_feedback_v: float = 20.0
+    """Largest voltage of a feedback that acts together with a feedforward, of either sign (V); the
+    stage's own limit applies where it is lower."""
     weights: str = ""
+    """Weights of the design: a file, the name of weights of the package, or empty for the
+    default."""
     controller_file: str = ""
+    """File of the controller of the composite modes; empty to design it for the model."""
     place: str = PLACES[0]
+    """One of `PLACES`: where the feedback of the composite modes enters. With a streamed
+    feedforward it is always behind the inverse."""
     loop: str = LOOPS[0]
+    """One of `LOOPS`: ``onboard`` where the stage evaluates the feedback by itself, ``remote``
+    where it is answered block by block. A streamed or learned feedforward requires ``remote``."""
     max_error_um: float = 4.0
+    """Largest error for a law on board, see `FeedbackLaw`. PID and PI have no such limit, as they
+    must provide the whole travel."""
 
 
 class Feedbacks:
@@ -206,7 +197,7 @@ class Feedbacks:
                 "with --delay-ticks 1")
         if "hysteresis_gain_um_per_v" not in controller.report:
             # A controller of another tool: it stabilises the model, so also at this gain.
-            nominal = float(np.mean(hysteresis_gain_range(model)))
+            nominal = nominal_hysteresis_gain(model)
             controller = replace(controller, report={
                 **controller.report, "hysteresis_gain_um_per_v": nominal})
         return controller

@@ -41,40 +41,27 @@ WITHOUT_INVERSE = "open_loop", "pid", "pi"
 
 @dataclass(frozen=True)
 class TrackRequest:
-    """The contents of a goal of ``controller/track``.
-
-    Attributes
-    ----------
-    mode : str
-        One of `tracking_modes.MODES`.
-    model, model_sha256 : str
-        Path of the model's file, and the hash of its text.
-    references : sequence of Reference
-        References in the order in which they are followed.
-    durations_s : sequence of float
-        Duration of each reference.
-    tolerance_um : float
-        Tolerance of the rms error, see `TrackingRun`.
-    inversion : str
-        Method of the inverse, see `plan_references`.
-    learned : str
-        File of a learned feedforward; empty to derive its name from the request, in `directory`.
-    iterations : int
-        Largest number of iterations of the learning; 0 for `LEARNING_ITERATIONS`.
-    directory : str
-        Directory of learned feedforwards.
-    """
+    """The contents of a goal of ``controller/track``."""
 
     mode: str
+    """One of `tracking_modes.MODES`."""
     model: str
     model_sha256: str
+    """Path of the model's file, and the hash of its text."""
     references: Sequence[Reference]
+    """References in the order in which they are followed."""
     durations_s: Sequence[float]
+    """Duration of each reference."""
     tolerance_um: float = 0.0
+    """Tolerance of the rms error, see `TrackingRun`."""
     inversion: str = ""
+    """Method of the inverse, see `plan_references`."""
     learned: str = ""
+    """File of a learned feedforward; empty to derive its name from the request, in `directory`."""
     iterations: int = 0
+    """Largest number of iterations of the learning; 0 for `LEARNING_ITERATIONS`."""
     directory: str = "."
+    """Directory of learned feedforwards."""
 
 
 class Steps(Protocol):
@@ -123,21 +110,16 @@ class Learning:
 
 @dataclass(frozen=True, eq=False)
 class PreparedRun:
-    """A run that is ready to be played by the stage.
-
-    Attributes
-    ----------
-    learning : Learning or None
-        Only in the mode ``learning``.
-    law : FeedbackLaw or None
-        Law that the stage evaluates, instead of a feedback that answers block by block.
-    """
+    """A run that is ready to be played by the stage."""
 
     plan: TrackingPlan
     feedback: Feedback | None
     run: TrackingRun
+
     learning: Learning | None = None
+    """Only in the mode ``learning``."""
     law: FeedbackLaw | None = None
+    """Law that the stage evaluates, instead of a feedback that answers block by block."""
 
     def ticks(self, samples_per_tick: int) -> int:
         """Return the number of ticks to play; 0 if the length is not known in advance."""

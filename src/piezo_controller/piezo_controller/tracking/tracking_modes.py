@@ -24,20 +24,16 @@ FEEDBACK_METHODS = {"pid": "pid", "pi": "pi", "composite": "h_infinity",
 
 @dataclass(frozen=True)
 class StageClock:
-    """Limits and clock of the stage that a plan is made for.
-
-    Attributes
-    ----------
-    max_feedback_v : float
-        Largest feedback voltage that the stage accepts, of either sign (V).
-    """
+    """Limits and clock of the stage that a plan is made for."""
 
     voltage_range_v: tuple[float, float] = (-20.0, 120.0)
     slew_limit_v_per_s: float = 2e6
     rest_voltage_v: float = 0.0
     sample_rate_hz: float = 40000.0
     samples_per_tick: int = 40
+
     max_feedback_v: float = math.inf
+    """Largest feedback voltage that the stage accepts, of either sign (V)."""
 
     @property
     def sample_period_s(self) -> float:

@@ -27,33 +27,23 @@ SLOW_HZ = 5.0
 
 @dataclass(frozen=True)
 class ComponentAdequacy:
-    """How well a component fits the recording that it was estimated from.
-
-    Parameters
-    ----------
-    residual_rms_um, noise_rms_um, ratio : float
-        RMS of the residual, RMS of the noise in the same samples, and their ratio; of the mean
-        period if the voltage is periodic.
-    verdict : str
-        `ADEQUATE` or `INADEQUATE`.
-    error_percent : float
-        Relative error e_y (4.20) on the data that were fitted.
-    noise_from : str
-        Source of the noise estimate.
-    left : str
-        Size and location of the systematic error; empty if adequate.
-    advice : str
-        Recommended action; empty if adequate.
-    """
+    """How well a component fits the recording that it was estimated from."""
 
     residual_rms_um: float
     noise_rms_um: float
     ratio: float
+    """RMS of the residual, RMS of the noise in the same samples, and their ratio; of the mean
+    period if the voltage is periodic."""
     verdict: str
+    """`ADEQUATE` or `INADEQUATE`."""
     error_percent: float
+    """Relative error e_y (4.20) on the data that were fitted."""
     noise_from: str
+    """Source of the noise estimate."""
     left: str = ""
+    """Size and location of the systematic error; empty if adequate."""
     advice: str = ""
+    """Recommended action; empty if adequate."""
 
 
 def adequacy_of(

@@ -47,32 +47,25 @@ WITH_FREE_GAIN = ("creep", "dynamics")
 
 @dataclass(frozen=True, eq=False)
 class ComponentResidual:
-    """Samples of a recording, and the residual of the model.
-
-    Parameters
-    ----------
-    time_s, voltage_v, measured_um, residual_um : ndarray, shape (N,)
-        Time, voltage, measured displacement and residual. For a frequency response, the time is an
-        index, and the displacement holds real and imaginary parts, scaled to the model's travel.
-    good : ndarray of bool, shape (N,)
-        False for outliers, and for samples after a step that the component excludes.
-    period : int or None
-        Period of the voltage in samples; None if it is not periodic.
-    steps : ndarray of int
-        Samples at which a square wave changes its level; empty for any other input.
-    frequency_hz : ndarray, shape (N,), optional
-        Frequencies of a frequency response.
-    """
+    """Samples of a recording, and the residual of the model."""
 
     path: str
+
     time_s: FloatArray
     voltage_v: FloatArray
     measured_um: FloatArray
     residual_um: FloatArray
+    """Time, voltage, measured displacement and residual, (N,). For a frequency response, the time
+    is an index, and the displacement holds real and imaginary parts, scaled to the model's
+    travel."""
     good: BoolArray
+    """False for outliers, and for samples after a step that the component excludes, (N,)."""
     period: int | None
+    """Period of the voltage in samples; None if it is not periodic."""
     steps: NDArray[np.intp]
+    """Samples at which a square wave changes its level; empty for any other input."""
     frequency_hz: FloatArray | None = None
+    """Frequencies of a frequency response, (N,)."""
 
     @property
     def sample_period_s(self) -> float:

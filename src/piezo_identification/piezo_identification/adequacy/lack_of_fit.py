@@ -13,43 +13,30 @@ from piezo_identification.conditioning.sensor_noise import noise_floor_um
 
 @dataclass(frozen=True)
 class LackOfFitSettings:
-    """Settings of the test.
-
-    Attributes
-    ----------
-    significance : float
-        Probability of a false lack of fit from noise alone, for each length of the means.
-    growth : int
-        Factor between the tested lengths of the means.
-    fewest_means : int
-        Fewest means of one length for which that length is tested.
-    fewest_at_rest : int
-        Fewest samples of a rest from which the noise is estimated.
-    at_rest_at_most : float
-        Largest fraction of a recording at rest for which the rests give the noise. A square wave
-        rests throughout, so its rests would hide the errors of the model.
-    fewest_for_a_spectrum : int
-        Fewest samples for which the noise is estimated from the highest frequencies; below it,
-        second differences are used.
-    drift_order : int
-        Degree of the polynomial that is removed as drift from repeats or from a rest.
-    tolerance : float
-        Fraction of the travel below which a systematic error is negligible: rounding, the grid of
-        the density and errors of other components are as large.
-    of_noise : float
-        Fraction of the noise of a sample below which a systematic error is negligible. It adds an
-        eighth to the RMS error of a sample, although it may be significant.
-    """
+    """Settings of the test."""
 
     significance: float = 1e-4
+    """Probability of a false lack of fit from noise alone, for each length of the means."""
     growth: int = 4
+    """Factor between the tested lengths of the means."""
     fewest_means: int = 24
+    """Fewest means of one length for which that length is tested."""
     fewest_at_rest: int = 200
+    """Fewest samples of a rest from which the noise is estimated."""
     at_rest_at_most: float = 0.5
+    """Largest fraction of a recording at rest for which the rests give the noise. A square wave
+    rests throughout, so its rests would hide the errors of the model."""
     fewest_for_a_spectrum: int = 1024
+    """Fewest samples for which the noise is estimated from the highest frequencies; below it,
+    second differences are used."""
     drift_order: int = 2
+    """Degree of the polynomial that is removed as drift from repeats or from a rest."""
     tolerance: float = 2e-5
+    """Fraction of the travel below which a systematic error is negligible: rounding, the grid of
+    the density and errors of other components are as large."""
     of_noise: float = 0.5
+    """Fraction of the noise of a sample below which a systematic error is negligible. It adds an
+    eighth to the RMS error of a sample, although it may be significant."""
 
 
 SETTINGS = LackOfFitSettings()
@@ -57,30 +44,22 @@ SETTINGS = LackOfFitSettings()
 
 @dataclass(frozen=True, eq=False)
 class LackOfFit:
-    """The residual on a recording compared with the noise.
-
-    Parameters
-    ----------
-    residual_rms_um, noise_rms_um : float
-        RMS of residual and noise in the same samples; of the mean period if the voltage is
-        periodic.
-    systematic_rms_um : float
-        RMS of the residual beyond the noise: the largest for the tested lengths of the means.
-    significant : bool
-        Whether noise alone is very unlikely to give this residual.
-    noise_from : str
-        Source of the noise estimate: repeats, rests or the sensor's band.
-    sequence_um : ndarray, shape (M,)
-        The residual, or its mean period.
-    """
+    """The residual on a recording compared with the noise."""
 
     residual_rms_um: float
     noise_rms_um: float
+    """RMS of residual and noise in the same samples; of the mean period if the voltage is
+    periodic."""
     systematic_rms_um: float
+    """RMS of the residual beyond the noise: the largest for the tested lengths of the means."""
     tolerance_um: float
+
     significant: bool
+    """Whether noise alone is very unlikely to give this residual."""
     noise_from: str
+    """Source of the noise estimate: repeats, rests or the sensor's band."""
     sequence_um: FloatArray
+    """The residual, or its mean period, (M,)."""
 
     @property
     def ratio(self) -> float:

@@ -28,34 +28,23 @@ from piezo_recorder.reading.recording import Recording
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """Tolerances for drift, noise and unknown creep in loops.
-
-    Attributes
-    ----------
-    smallest_reversal : float
-        Smallest reversal between branches, as a fraction of the voltage range.
-    long_branch : float
-        Shortest branch whose shape is tested, as a fraction of the voltage range.
-    bins : int
-        Number of bins of a branch in which samples are averaged.
-    against : float
-        Largest movement against the voltage, as a fraction of the displacement range.
-    clockwise : float
-        Largest distance of a falling branch below a rising one, as a fraction of the displacement
-        range.
-    open_loop : float
-        Largest gap of a minor loop, as a fraction of its swing.
-    fewest_minor_loops : int
-        Fewest minor loops for which closing is tested.
-    """
+    """Tolerances for drift, noise and unknown creep in loops."""
 
     smallest_reversal: float = 0.02
+    """Smallest reversal between branches, as a fraction of the voltage range."""
     long_branch: float = 0.2
+    """Shortest branch whose shape is tested, as a fraction of the voltage range."""
     bins: int = 40
+    """Number of bins of a branch in which samples are averaged."""
     against: float = 0.05
+    """Largest movement against the voltage, as a fraction of the displacement range."""
     clockwise: float = 0.01
+    """Largest distance of a falling branch below a rising one, as a fraction of the displacement
+    range."""
     open_loop: float = 0.25
+    """Largest gap of a minor loop, as a fraction of its swing."""
     fewest_minor_loops: int = 3
+    """Fewest minor loops for which closing is tested."""
 
 
 SETTINGS = LoopSettings()
@@ -63,16 +52,11 @@ SETTINGS = LoopSettings()
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """The motion between two reversals, averaged in bins of the voltage.
-
-    Parameters
-    ----------
-    voltage_v, output_um : ndarray, shape (B,)
-        Voltage and output in the order of time.
-    """
+    """The motion between two reversals, averaged in bins of the voltage."""
 
     voltage_v: FloatArray
     output_um: FloatArray
+    """Voltage and output in the order of time, (B,)."""
 
     @property
     def rises(self) -> bool:
@@ -90,19 +74,15 @@ class Branch:
 
 @dataclass(frozen=True, eq=False)
 class Loops:
-    """Samples of a recording between reversals of its voltage.
-
-    Parameters
-    ----------
-    voltage_v, output_um : ndarray, shape (N,)
-    points : ndarray of int
-        Samples at which the voltage reverses, and the first and last sample.
-    """
+    """Samples of a recording between reversals of its voltage."""
 
     path: str
+
     voltage_v: FloatArray
     output_um: FloatArray
+    """Shape (N,)."""
     points: NDArray[np.intp]
+    """Samples at which the voltage reverses, and the first and last sample."""
 
     @property
     def branches(self) -> list[Branch]:

@@ -25,18 +25,12 @@ LOPSIDED = 2.0
 
 @dataclass(frozen=True)
 class ResidualLocation:
-    """The location of most of a residual.
-
-    Parameters
-    ----------
-    band_hz : (float, float)
-        Band that contains the middle half of its power.
-    words : str
-        Description of frequency, time and voltage.
-    """
+    """The location of most of a residual."""
 
     band_hz: tuple[float, float]
+    """Band that contains the middle half of its power."""
     words: str
+    """Description of frequency, time and voltage."""
 
 
 def residual_location(residual: ComponentResidual, fit: LackOfFit) -> ResidualLocation:

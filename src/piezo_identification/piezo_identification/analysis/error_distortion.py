@@ -20,17 +20,12 @@ from piezo_models.effects import Effect
 
 @dataclass(frozen=True)
 class EvidenceSettings:
-    """Threshold at which distortion excludes causes.
-
-    Attributes
-    ----------
-    absent : float
-        Fraction of the linear error below which distortion counts as absent. A spring or sensor
-        with a curved characteristic has distortion of at least a tenth of its linear error over
-        the quarter of the range that the experiment uses; play has more.
-    """
+    """Threshold at which distortion excludes causes."""
 
     absent: float = 0.02
+    """Fraction of the linear error below which distortion counts as absent. A spring or sensor with
+    a curved characteristic has distortion of at least a tenth of its linear error over the quarter
+    of the range that the experiment uses; play has more."""
 
 
 SETTINGS = EvidenceSettings()
@@ -41,16 +36,11 @@ NEGLIGIBLE = 1e-3
 
 @dataclass(frozen=True)
 class ErrorDistortion:
-    """The response of a stage to an odd multisine, and the error of a model.
-
-    Attributes
-    ----------
-    answer, error : NonlinearDistortion
-        Distortion of the measured displacement, and of measured minus simulated displacement.
-    """
+    """The response of a stage to an odd multisine, and the error of a model."""
 
     answer: NonlinearDistortion
     error: NonlinearDistortion
+    """Distortion of the measured displacement, and of measured minus simulated displacement."""
 
     def shown(self) -> frozenset[str]:
         """Return those of "linear", "even" and "odd" that the error contains significantly."""

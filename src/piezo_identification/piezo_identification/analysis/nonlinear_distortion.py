@@ -29,28 +29,20 @@ FEWEST_PERIODS = 2
 
 @dataclass(frozen=True)
 class NonlinearDistortion:
-    """The response of a stage to a repeated odd multisine at each line.
-
-    Parameters
-    ----------
-    frequency_hz : ndarray, shape (L,)
-        Frequencies of all lines up to the highest excited one, without 0.
-    is_excited, is_even : ndarray of bool, shape (L,)
-    amplitude_um : ndarray, shape (L,)
-        Amplitude of the mean period; at lines that are not excited, the linear response to the
-        input at that line is subtracted.
-    noise_um : ndarray, shape (L,)
-        Standard deviation of the amplitude of one period.
-    periods : int
-        Number of averaged periods.
-    """
+    """The response of a stage to a repeated odd multisine at each line."""
 
     frequency_hz: FloatArray
+    """Frequencies of all lines up to the highest excited one, without 0, (L,)."""
     is_excited: BoolArray
     is_even: BoolArray
+    """Shape (L,)."""
     amplitude_um: FloatArray
+    """Amplitude of the mean period, (L,); at lines that are not excited, the linear response to the
+    input at that line is subtracted."""
     noise_um: FloatArray
+    """Standard deviation of the amplitude of one period, (L,)."""
     periods: int
+    """Number of averaged periods."""
 
     @property
     def is_odd_detection(self) -> BoolArray:

@@ -7,24 +7,27 @@ from dataclasses import replace
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.axes.predict_axes import circumstances_of, predict_several_axes
+from piezo_identification.axes.predict_axes import (
+    circumstances_of,
+    predict_several_axes,
+    rows_apart,
+)
 from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
 from piezo_identification.estimators.hysteresis.density_fit import estimate_density
-from piezo_identification.estimators.hysteresis.play_fit import PlaySum
 from piezo_models.axes.actuator import Actuator
 from piezo_models.axes.coupled import CoupledModel
+from piezo_models.axes.identified_axes import LIGHT
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.axes import AxesRecording
-from piezo_recorder.reading.memory import recording_of
 from piezo_recorder.reading.recording import Recording
+from piezo_recorder.sample_block import Flag
 
 ROUGH_LEVELS, ROUGH_SMOOTHING = 8, 1e-7
 """Levels and smoothing of a hysteresis that only tells how much of a step is passed on."""
 
-STRAIGHT = PlaySum(np.zeros(2), np.zeros(3), np.zeros(0), np.zeros(0), 0.0)
-"""From which plays are sought where a coarse density was not smoothed about any: fast motion passes
-the small loops, in which plays are finer than cells."""
+MOST_ROWS = 20_000
+"""Rows of loops that are fitted: four for each cell of 100 along both thresholds."""
 
 
 def estimate_actuators(model: CoupledModel, creep: Sequence[AxesRecording],
@@ -67,15 +70,17 @@ def _estimated(model: CoupledModel, axis: int, steps: Sequence[AxesRecording],
                ) -> tuple[Actuator, DensityEstimate | None]:
     if not loops or not steps:
         return Actuator(), None
+    ringing = None
     if not model.actuators:
+        ringing = _ringing(model)
         # What rings after a step is as large as what the hysteresis passes on of it.
         model = _with_actuator(model, axis, Actuator())
         rough = _density(model, axis, loops, ROUGH_LEVELS, smoothing=ROUGH_SMOOTHING)
         model = _with_actuator(model, axis, Actuator(rough.model()))
-    creep = _creep([_alone(model, axis, each) for each in steps])
+    creep = _creep([_alone(model, axis, each) for each in steps], ringing)
     model = _with_actuator(model, axis, replace(model.actuators[axis], creep=creep))
-    if near is not None and not near.is_line:
-        near = replace(near, plays=near.plays or STRAIGHT)
+    if near is not None and near.plays is None:
+        near = None  # cells of the first round are too few to choose by
     density = _density(model, axis, loops, levels, near)
     return Actuator(None if density.is_line else density.model(), creep), density
 
@@ -86,9 +91,19 @@ def _with_actuator(model: CoupledModel, axis: int, actuator: Actuator) -> Couple
     return replace(model, actuators=tuple(actuators))
 
 
-def _creep(steps: Sequence[Recording]) -> CreepDynamics:
+def _ringing(model: CoupledModel) -> ElectricVibrationDynamics:
+    """Return the light modes as those of one axis."""
+    poles = model.poles_rad_per_s
+    light = poles[(poles.imag > 0.0) & (-poles.real < LIGHT * np.abs(poles))]
+    return ElectricVibrationDynamics(
+        0.0, tuple(np.abs(light)), tuple(-light.real / np.abs(light)))
+
+
+def _creep(steps: Sequence[Recording],
+           ringing: ElectricVibrationDynamics | None) -> CreepDynamics:
+    """Return the creep that steps show, ringing after each of them being left out where given."""
     try:
-        found: CreepDynamics = estimate_slow_creep(steps).model
+        found: CreepDynamics = estimate_slow_creep(steps, ringing).model
     except ValueError:  # too fast or too short to show any
         return CreepDynamics()
     return found
@@ -99,11 +114,15 @@ def _density(model: CoupledModel, axis: int, loops: Sequence[AxesRecording], lev
              ) -> DensityEstimate:
     return estimate_density(
         [_alone(model, axis, each) for each in loops], model.actuators[axis].creep,
-        ElectricVibrationDynamics(), most_levels=levels, smoothing_weight=smoothing, near=near)
+        ElectricVibrationDynamics(), most_levels=levels, smoothing_weight=smoothing, near=near,
+        most_rows=MOST_ROWS)
 
 
 def _alone(model: CoupledModel, axis: int, recording: AxesRecording) -> Recording:
-    """Return the recording of one axis, without what its modes and other axes do."""
+    """Return the recording of one axis, without what its modes and other axes do.
+
+    What is left answers the voltage of the same row, as means over the row that is held do.
+    """
     bare = replace(model, actuators=tuple(
         replace(each, creep=CreepDynamics()) for each in model.actuators))
     prediction = predict_several_axes(bare, recording)
@@ -114,6 +133,8 @@ def _alone(model: CoupledModel, axis: int, recording: AxesRecording) -> Recordin
     at_once_um: FloatArray = left_um + gain * passed_v[:, axis]
     of_axes = np.linalg.lstsq(passed_v, at_once_um - at_once_um.mean(), rcond=None)[0]
     of_axes[axis] = 0.0
-    return recording_of({
-        "time_s": prediction.time_s, "voltage_v": recording.voltage_v[:, axis],
-        "displacement_um": at_once_um - passed_v @ of_axes}, name=recording.name)
+    at = np.arange(len(at_once_um))
+    return Recording(
+        recording.name, 1.0 / model.sample_period_s, round(rows_apart(model, recording)) * at,
+        np.full(at.size, recording.sample_period_s), recording.voltage_v[:, axis],
+        at_once_um - passed_v @ of_axes, np.full(at.size, Flag.PLAYING))

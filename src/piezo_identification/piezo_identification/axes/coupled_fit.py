@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_common.budget import is_time_up
 from piezo_identification.axes.coupled_numbers import CoupledNumbers, Linearised
 from piezo_identification.axes.shared_poles import delays, mode_basis, transient_basis
 from piezo_identification.axes.spectra import Spectrum
@@ -30,26 +31,18 @@ LEAST_INFORMATION = 1e-30
 
 @dataclass(frozen=True, eq=False)
 class CoupledFit:
-    """Numbers of a coupled model with what they leave, and how well they are known.
-
-    Attributes
-    ----------
-    left : list of (K, n) array of complex
-        Motion that the model and transients do not explain, of each spectrum.
-    misfit : float
-        Sum of the squares of what is left over its deviation, and of the numbers of hysteresis and
-        creep over the widths of their prior.
-    rows : int
-        Real numbers that were fitted.
-    transients : int
-        Numbers of the transients, which were projected out.
-    """
+    """Numbers of a coupled model with what they leave, and how well they are known."""
 
     numbers: CoupledNumbers
+
     left: list[ComplexArray]
+    """Motion that the model and transients do not explain, of each spectrum."""
     misfit: float
+    """Sum of the squares of what is left over its deviation."""
     rows: int
+    """Real numbers that were fitted."""
     transients: int
+    """Numbers of the transients, which were projected out."""
 
     @property
     def count(self) -> int:
@@ -88,7 +81,7 @@ def equations_of_gains(
     """
     parts = []
     for spectrum in spectra:
-        basis = mode_basis(spectrum.z, steps, spectrum.held)
+        basis = mode_basis(spectrum.z, steps)
         whole = np.hstack([basis, delays(spectrum.z, taps)])
         own = (whole[:, :, None] * spectrum.drive[:, None, :]).reshape(len(whole), -1)
         motions = spectrum.motion[:, output, None] * spectrum.z[:, None] ** late
@@ -144,17 +137,20 @@ def refined(numbers: CoupledNumbers, spectra: Sequence[Spectrum], steps: int) ->
     Parameters
     ----------
     steps : int
-        At most so many; with 0 the start is only judged.
+        At most so many, and fewer where the time of the block around is over; with 0 the start is
+        only judged.
     """
     left = _left(numbers, spectra)
-    misfit, damping = _misfit(numbers, spectra, left), FIRST_DAMPING
+    misfit, damping = _misfit(spectra, left), FIRST_DAMPING
     amplitudes_v = {each.amplitude_v for each in spectra} if len(numbers.back) else set()
     for _ in range(steps):
+        if is_time_up():
+            break
         normal = _Normal(numbers, spectra, left)
         while True:
             tried = normal.stepped(damping)
             left_then = _left(tried, spectra)
-            then = _misfit(tried, spectra, left_then) if all(
+            then = _misfit(spectra, left_then) if all(
                 tried.is_stable(each) for each in amplitudes_v) else np.inf
             if then < misfit or damping > LARGEST_DAMPING:
                 break
@@ -166,7 +162,7 @@ def refined(numbers: CoupledNumbers, spectra: Sequence[Spectrum], steps: int) ->
         if gained < ENOUGH:
             break
     rows = 2 * sum(spectrum.motion.size for spectrum in spectra)
-    transients = sum(spectrum.motion.shape[1] * _transients(numbers, spectrum).shape[1]
+    transients = sum(spectrum.motion.shape[1] * transient_basis(spectrum, numbers.steps).shape[1]
                      for spectrum in spectra if spectrum.transient)
     return CoupledFit(numbers, left, misfit, rows, transients)
 
@@ -175,16 +171,9 @@ def covariances(fit: CoupledFit, spectra: Sequence[Spectrum]) -> list[FloatArray
     """Return for each motion the covariance of its own numbers, with the shared ones behind them.
 
     It is scaled by the misfit where that is more than the deviations of the spectra make expected.
-    What a hysteresis lacks errs alike throughout a recording; so by how much the recordings pull
-    the numbers apart is added there (Liang and Zeger 1986).
     """
     scale = max(1.0, fit.misfit / (0.5 * max(fit.rows - fit.count, 1)))
-    normal = _Normal(fit.numbers, spectra, fit.left)
-    known = [scale * each for each in normal.covariances()]
-    if fit.numbers.actuators.changes.size:
-        known = [each + more for each, more in zip(
-            known, normal.covariances_of_recordings(), strict=True)]
-    return known
+    return [scale * each for each in _Normal(fit.numbers, spectra, fit.left).covariances()]
 
 
 class _Normal:
@@ -197,25 +186,18 @@ class _Normal:
         own = numbers.own().shape[1]
         self.squares = np.zeros((n, own + shared, own + shared))
         self.products = np.zeros((n, own + shared))
-        expected, narrow = numbers.actuators.prior()
-        prior = slice(own + shared - expected.size, own + shared)
-        self.squares[0, prior, prior] = 0.5 * np.diag(narrow**2)
-        self.products[0, prior] = -0.5 * narrow * expected
-        self.pulls: list[FloatArray] = []
         rows = n * sum(2 * each.z.size for each in spectra)
         together = max(1, int(rows / (ROWS_PER_NUMBER * (n * own + shared))))
         for spectrum, rest in zip(spectra, left, strict=True):
-            before = self.products.copy()
             if spectrum.transient:
                 self._add_recording(spectrum, rest)
             else:
                 self._add_thinned(spectrum, rest, together)
-            self.pulls.append(self.products - before)
 
     def _add_recording(self, spectrum: Spectrum, rest: ComplexArray) -> None:
         at = Linearised(self.numbers, spectrum)
         of_own, of_shared = at.own_slopes(), at.shared_slopes()
-        basis = _transients(self.numbers, spectrum)
+        basis = transient_basis(spectrum, self.numbers.steps)
         for output in range(rest.shape[1]):
             rows = _cleared(spectrum, basis, output, np.hstack(
                 [of_own, of_shared[output], rest[:, output, None]]))
@@ -240,29 +222,16 @@ class _Normal:
 
     def stepped(self, damping: float) -> CoupledNumbers:
         """Return the numbers after a damped step."""
-        room = np.full(self.numbers.shared().size, -np.inf)
-        actuators = self.numbers.actuators
-        room[room.size - actuators.vector().size:] = actuators.lowest() - actuators.vector()
-        own_steps, step = self._solved(self._eliminated(damping), self.products, room)
-        return self.numbers.with_numbers(self.numbers.shared() + step,
-                                         self.numbers.own() + own_steps)
-
-    def _solved(self, eliminated: tuple[list[FloatArray], FloatArray], products: FloatArray,
-                least: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the own numbers (n, count) and the shared ones that solve the equations.
-
-        Parameters
-        ----------
-        least : (shared,) array
-            Of the shared ones.
-        """
-        (inverses, border), count = eliminated, self.numbers.own().shape[1]
-        each_of = list(zip(inverses, products, self.squares, strict=True))
+        inverses, border = self._eliminated(damping)
+        count = self.numbers.own().shape[1]
+        each_of = list(zip(inverses, self.products, self.squares, strict=True))
         pull = sum(product[count:] - square[:count, count:].T @ inverse @ product[:count]
                    for inverse, product, square in each_of)
-        step = _bounded_solution(border, pull, least)
-        return np.array([inverse @ (product[:count] - square[:count, count:] @ step)
-                         for inverse, product, square in each_of]), step
+        step = np.linalg.lstsq(border, pull, rcond=1e-12)[0]
+        own_steps = np.array([inverse @ (product[:count] - square[:count, count:] @ step)
+                              for inverse, product, square in each_of])
+        return self.numbers.with_numbers(self.numbers.shared() + step,
+                                         self.numbers.own() + own_steps)
 
     def _eliminated(self, damping: float) -> tuple[list[FloatArray], FloatArray]:
         """Return inverses of the blocks, and the matrix of the shared numbers that remains."""
@@ -277,16 +246,6 @@ class _Normal:
         total = sum(np.diag(square)[count:] for square in self.squares)
         return inverses, border + damping * np.diag(total)
 
-    def covariances_of_recordings(self) -> list[FloatArray]:
-        """Return the covariances by how far each recording would move the numbers."""
-        eliminated = self._eliminated(0.0)
-        free = np.full(self.numbers.shared().size, -np.inf)
-        moved = [self._solved(eliminated, pull, free) for pull in self.pulls]
-        whole = [np.array([np.concatenate([own[output], shared]) for own, shared in moved])
-                 for output in range(len(self.squares))]
-        more = len(moved) / max(len(moved) - 1, 1)
-        return [more * each.T @ each for each in whole]
-
     def covariances(self) -> list[FloatArray]:
         """Return the covariance of each motion's own numbers with the shared ones."""
         inverses, border = self._eliminated(0.0)
@@ -299,20 +258,6 @@ class _Normal:
             covariances.append(np.block([
                 [0.5 * inverse - across @ through.T, across], [across.T, of_shared]]))
         return covariances
-
-
-def _bounded_solution(square: FloatArray, right: FloatArray, least: FloatArray) -> FloatArray:
-    """Return the solution of normal equations of which those below their least are held there."""
-    held = np.zeros(right.size, dtype=bool)
-    while True:
-        solution = np.where(held, least, 0.0)
-        solution[~held] = np.linalg.lstsq(
-            square[np.ix_(~held, ~held)], right[~held] - square[np.ix_(~held, held)] @ least[held],
-            rcond=1e-12)[0]
-        below = ~held & (solution < least)
-        if not below.any():
-            return solution
-        held |= below
 
 
 def _inverse(square: FloatArray, damping: float) -> FloatArray:
@@ -330,7 +275,7 @@ def _left(numbers: CoupledNumbers, spectra: Sequence[Spectrum]) -> list[ComplexA
     for spectrum, motion in zip(spectra, numbers.motions(spectra), strict=True):
         rest = spectrum.motion - motion
         if spectrum.transient:
-            basis = _transients(numbers, spectrum)
+            basis = transient_basis(spectrum, numbers.steps)
             for output in range(rest.shape[1]):
                 cleared = _cleared(spectrum, basis, output, rest[:, output, None])[:, 0]
                 half = cleared.size // 2
@@ -340,17 +285,9 @@ def _left(numbers: CoupledNumbers, spectra: Sequence[Spectrum]) -> list[ComplexA
     return left
 
 
-def _misfit(numbers: CoupledNumbers, spectra: Sequence[Spectrum],
-            left: Sequence[ComplexArray]) -> float:
-    # A complex error of unit deviation has half of its square in each real row.
-    return 0.5 * float(np.sum(numbers.actuators.prior()[0] ** 2)) + float(sum(
-        np.sum(np.abs(spectrum.weight * rest) ** 2)
-        for spectrum, rest in zip(spectra, left, strict=True)))
-
-
-def _transients(numbers: CoupledNumbers, spectrum: Spectrum) -> ComplexArray:
-    """Return what is free beside the motion under the voltages of a recording, (K, columns)."""
-    return transient_basis(spectrum, numbers.steps, numbers.actuators.kept())
+def _misfit(spectra: Sequence[Spectrum], left: Sequence[ComplexArray]) -> float:
+    return float(sum(np.sum(np.abs(spectrum.weight * rest) ** 2)
+                     for spectrum, rest in zip(spectra, left, strict=True)))
 
 
 def _cleared(spectrum: Spectrum, transients: ComplexArray, output: int,

@@ -2,13 +2,12 @@
 """The numbers of a coupled model as a fit takes them, and how motions depend on them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 
 from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
-from piezo_identification.axes.actuator_numbers import ActuatorNumbers, Driven
 from piezo_identification.axes.shared_poles import (
     LEAST_STEP,
     delays,
@@ -25,38 +24,25 @@ longer than recordings last."""
 
 @dataclass(frozen=True, eq=False)
 class CoupledNumbers:
-    """Numbers of a coupled model, for n axes and m columns of `mode_basis`.
-
-    Attributes
-    ----------
-    steps : array of complex
-        Poles in the z plane, as `shared_poles.relocated` gives them.
-    gains : (m, n, n) array
-        Of the columns, by axis that moves and axis that is driven.
-    direct : (L, n, n) array
-    back : (P, m, n, n) array
-        Of the columns in the elongations of the softening, by power of the amplitude; P is 0 where
-        there is none.
-    back_gain : (P, n, n) array
-    reference_v : float
-        Amplitude at which nothing softens.
-    softening : (m,) array
-        1 for the columns that may act back, 0 for the others.
-    actuators : ActuatorNumbers
-        Of hysteresis and creep in front of the modes.
-    slowest : float
-        Least size of a pole's logarithm: what is slower is creep.
-    """
+    """Numbers of a coupled model, for n axes and m columns of `mode_basis`."""
 
     steps: ComplexArray
+    """Poles in the z plane, as `shared_poles.relocated` gives them."""
     gains: FloatArray
+    """Of the columns, by axis that moves and axis that is driven, (m, n, n)."""
     direct: FloatArray
+    """Shape (L, n, n)."""
     back: FloatArray
+    """Of the columns in the elongations of the softening, by power of the amplitude, (P, m, n, n);
+    P is 0 where there is none."""
     back_gain: FloatArray
+    """Shape (P, n, n)."""
     reference_v: float
+    """Amplitude at which nothing softens."""
     softening: FloatArray
-    actuators: ActuatorNumbers = field(default_factory=ActuatorNumbers)
+    """1 for the columns that may act back, 0 for the others, (m,)."""
     slowest: float = 0.0
+    """Least size of a pole's logarithm: what is slower is creep."""
 
     @property
     def logarithms(self) -> FloatArray:
@@ -68,8 +54,7 @@ class CoupledNumbers:
 
     def shared(self) -> FloatArray:
         """Return the numbers on which all motions depend."""
-        return np.concatenate([self.logarithms, self.back.ravel(), self.back_gain.ravel(),
-                               self.actuators.vector()])
+        return np.concatenate([self.logarithms, self.back.ravel(), self.back_gain.ravel()])
 
     def own(self) -> FloatArray:
         """Return the numbers of each motion, (n, count)."""
@@ -92,12 +77,10 @@ class CoupledNumbers:
         logarithms = logarithms * np.maximum(1.0, self.slowest / np.abs(logarithms))
         steps = np.exp(logarithms)
         moved = own.reshape(n, -1, n).transpose(1, 0, 2)
-        back, gain, actuators = np.split(shared[m:], np.cumsum([
-            self.back.size, self.back_gain.size]))
+        back, gain = np.split(shared[m:], [self.back.size])
         return replace(self, steps=steps, gains=moved[:m], direct=moved[m:],
                        back=back.reshape(self.back.shape),
-                       back_gain=gain.reshape(self.back_gain.shape),
-                       actuators=self.actuators.with_vector(actuators))
+                       back_gain=gain.reshape(self.back_gain.shape))
 
     def with_poles(self, kept: BoolArray) -> Self:
         """Return the model with some of its poles alone, (poles,)."""
@@ -131,10 +114,8 @@ class Linearised:
     def __init__(self, numbers: CoupledNumbers, spectrum: Spectrum, lines: slice = slice(None),
                  ) -> None:
         self.numbers, n = numbers, spectrum.drive.shape[1]
-        self.z, self.held = spectrum.z[lines], spectrum.held
-        self.driven = Driven(numbers.actuators, spectrum, lines)
-        self.drive = self.driven.drive
-        self.basis = mode_basis(self.z, numbers.steps, self.held)
+        self.z, self.drive = spectrum.z[lines], spectrum.drive[lines]
+        self.basis = mode_basis(self.z, numbers.steps)
         self.strengths = numbers.strengths(spectrum.amplitude_v)
         self.taps = delays(self.z, len(numbers.direct))
         self.modal = np.tensordot(self.basis, numbers.gains, 1)
@@ -165,16 +146,12 @@ class Linearised:
                              optimize=True)
         of_modes += np.einsum("kq,mqj,kj->km", through, self.gains_back, self.force, optimize=True)
         of_poles = np.einsum(
-            "pkm,km->p", slopes_of_basis(self.z, self.numbers.steps, self.held), of_modes,
+            "pkm,km->p", slopes_of_basis(self.z, self.numbers.steps), of_modes,
             optimize=True)
         of_back = np.einsum("s,kq,m,km,kj->smqj", self.strengths, through,
                             self.numbers.softening, self.basis, self.force, optimize=True)
         of_gain = np.einsum("s,kq,kj->sqj", self.strengths, through, self.drive, optimize=True)
-        axes, slopes = self.driven.slopes()
-        of_actuators = np.einsum("ki,kip,kp->p", pull.conj(), self.response[:, :, axes], slopes,
-                                 optimize=True)
-        return own, np.real(np.concatenate([
-            of_poles, of_back.ravel(), of_gain.ravel(), of_actuators]))
+        return own, np.real(np.concatenate([of_poles, of_back.ravel(), of_gain.ravel()]))
 
     def own_slopes(self) -> ComplexArray:
         """Return the slopes of a motion over its own numbers, (K, count): alike for all."""
@@ -184,7 +161,7 @@ class Linearised:
 
     def shared_slopes(self) -> ComplexArray:
         """Return the slopes of all motions over the shared numbers, (n, K, count)."""
-        slopes = slopes_of_basis(self.z, self.numbers.steps, self.held)
+        slopes = slopes_of_basis(self.z, self.numbers.steps)
         through = -self.modal @ self.closing
         changed = np.einsum("pkm,mij,kj->ikp", slopes, self.numbers.gains, self.force,
                             optimize=True)
@@ -194,7 +171,5 @@ class Linearised:
         of_modes = np.einsum("s,kiq,m,km,kj->iksmqj", self.strengths, through,
                              self.numbers.softening, self.basis, self.force, optimize=True)
         of_gain = np.einsum("s,kiq,kj->iksqj", self.strengths, through, self.drive, optimize=True)
-        axes, of_drive = self.driven.slopes()
-        of_actuators = self.response.transpose(1, 0, 2)[:, :, axes] * of_drive
         return np.concatenate([changed, of_modes.reshape(n, lines, -1),
-                               of_gain.reshape(n, lines, -1), of_actuators], axis=2)
+                               of_gain.reshape(n, lines, -1)], axis=2)

@@ -1,63 +1,35 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Identify one coupled model from recordings of two or three axes."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_common.budget import Budget
-from piezo_identification.axes.actuator_numbers import ActuatorNumbers
-from piezo_identification.axes.all_together import (
-    FINAL_STEPS,
-    JUDGED_STEPS,
+from piezo_common.budget import Budget, spending
+from piezo_identification.axes.actuator_rounds import (
+    FittedStage,
     coupled_model,
-    fitted_together,
+    in_rounds,
     residues_of,
-    reweighted_fit,
 )
-from piezo_identification.axes.coupled_fit import (
-    CoupledFit,
-    covariances,
-    refined,
-    softened_numbers,
-)
-from piezo_identification.axes.coupled_numbers import CoupledNumbers, Linearised
-from piezo_identification.axes.order_search import evidence_of, growing
+from piezo_identification.axes.coupled_fit import covariances
+from piezo_identification.axes.coupled_numbers import Linearised
+from piezo_identification.axes.modes_fit import Note, Progress, fitted_modes
 from piezo_identification.axes.predict_axes import SAME_PERIOD, errors_percent
-from piezo_identification.axes.sensor_delays import latencies, sensor_delays
-from piezo_identification.axes.spectra import (
-    Spectrum,
-    levels_of,
-    spectra_of_level,
-)
+from piezo_identification.axes.sensor_delays import sensor_delays
+from piezo_identification.axes.spectra import Spectrum, levels_of
 from piezo_models.axes.coupled import CoupledModel, Softening
 from piezo_models.axes.identified_axes import Coupling, IdentifiedAxes
 from piezo_recorder.reading.axes import AxesRecording
 from piezo_recorder.reading.recording import RecordingError
-
-MOST_PAIRS = 40
-"""Pairs of poles at which the search for the order ends in any case."""
-
-WORSE_IN_A_ROW = 2
-"""Orders without more evidence after which the search for the order ends."""
-
-MOST_POWERS = 2
-"""Powers of the amplitude: domain walls give the first (Rayleigh), their saturation the second."""
-
-RIDGES = (0.0, 1e-2)
-"""Of the starts of the softening: none, and one that leaves out what the levels tell to less than a
-tenth. With many modes the first is unstable, and is reduced to little."""
 
 MEMORIES_S = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Time constants of the running RMS that are compared, three to a decade."""
 
 COUPLING_FREQUENCIES = 20
 """Frequencies at which the model file tells the response, beside those of the modes."""
-
-Note = Callable[[str], object]
-Progress = Callable[[str, float], object]
 
 
 def identify_several_axes(
@@ -94,54 +66,38 @@ def identify_several_axes(
     RecordingError
         If the recordings do not belong together or leave an axis at rest.
     """
-    recordings = [*dynamics, *creep, *hysteresis]
-    _check(recordings, dynamics, validation)
     budget = budget or Budget()
+    with spending(budget):
+        identified = _identify({"dynamics": dynamics, "creep": creep, "hysteresis": hysteresis},
+                               validation, pairs, note, progress)
+    return replace(identified, unfinished=budget.sentence())
+
+
+def _identify(
+    by_experiment: Mapping[str, Sequence[AxesRecording]], validation: Sequence[AxesRecording],
+    pairs: int | None, note: Note, progress: Progress,
+) -> IdentifiedAxes:
+    recordings = [each for listed in by_experiment.values() for each in listed]
+    dynamics = by_experiment["dynamics"]
+    _check(recordings, dynamics, validation)
     shortest_s = min(each.sample_period_s for each in recordings)
     fast = list(dynamics) or [each for each in recordings if _is_of_period(each, shortest_s)]
-    fit, spectra, late = _fitted_modes(fast, pairs, note, progress, budget)
-    together = None
-    if creep or hysteresis:
-        together = fitted_together(
-            fit, late, {"dynamics": dynamics, "creep": creep, "hysteresis": hysteresis}, fast, note,
-            progress, budget, is_open=pairs is None)
+    fit, spectra, late = fitted_modes(fast, pairs, note, progress)
+    whole = None
+    if by_experiment["creep"] or by_experiment["hysteresis"]:
+        whole = in_rounds(fit, late, by_experiment, fast, pairs, note, progress)
         alike = [each for each in recordings if _is_of_period(each, fast[0].sample_period_s)]
-        if together is None and len(alike) > len(fast):
+        if whole is None and len(alike) > len(fast):
             fast = alike
-            fit, spectra, late = _fitted_modes(fast, pairs, note, progress, budget)
-    fit, spectra, model = together or (fit, spectra, coupled_model(fit.numbers, late, fast))
+            fit, spectra, late = fitted_modes(fast, pairs, note, progress)
     progress("memory", 0.9)
-    return _identified(fit, spectra, model, fast, recordings, validation, budget)
+    whole = whole or FittedStage(fit, spectra, coupled_model(fit.numbers, late, fast),
+                                 np.zeros(len(fast[0].axes)))
+    return _identified(whole, fast, recordings, validation)
 
 
 def _is_of_period(recording: AxesRecording, sample_period_s: float) -> bool:
     return abs(recording.sample_period_s / sample_period_s - 1.0) <= SAME_PERIOD
-
-
-def _fitted_modes(
-    recordings: Sequence[AxesRecording], pairs: int | None, note: Note, progress: Progress,
-    budget: Budget,
-) -> tuple[CoupledFit, list[Spectrum], np.ndarray]:
-    """Return modes and softening of fast recordings, and the latencies of the sensors."""
-    progress("spectra", 0.0)
-    levels = [spectra_of_level(level) for level in levels_of(recordings)]
-    reference = _reference(levels)
-    note(f"{len(recordings)} recordings of {', '.join(recordings[0].axes)} at "
-         f"{len(levels)} levels, RMS " + ", ".join(
-             f"{level[0].amplitude_v:.3g}" for level in levels) + " V")
-    start = _ordered(reference, pairs, progress, budget)
-    late = latencies(reference, start)
-    if late.any():
-        levels = [[each.advanced(late) for each in level] for level in levels]
-        reference = [each.advanced(late) for each in reference]
-        start = _ordered(reference, pairs, progress, budget)
-    fit, everything = _best_fit(reference, levels, start, note, progress, budget)
-    if not all(_is_response(level) for level in levels):
-        fit, everything = reweighted_fit(fit, everything, is_open=pairs is None)
-    upper = fit.numbers.steps.imag > 0.0
-    note(f"{np.count_nonzero(upper)} modes and {np.count_nonzero(~upper)} real poles, shared by "
-         "all axes")
-    return fit, everything, late
 
 
 def _check(recordings: Sequence[AxesRecording], dynamics: Sequence[AxesRecording],
@@ -163,74 +119,11 @@ def _check(recordings: Sequence[AxesRecording], dynamics: Sequence[AxesRecording
             raise RecordingError(f"no recording moves the axis {axis}: add one that does")
 
 
-def _reference(levels: list[list[Spectrum]]) -> list[Spectrum]:
-    """Return the spectra of the middle level that has responses, or of all where none has."""
-    responses = [level for level in levels if _is_response(level)]
-    if responses:
-        return responses[len(responses) // 2]
-    return [spectrum for level in levels for spectrum in level]
-
-
-def _is_response(level: Sequence[Spectrum]) -> bool:
-    """Tell whether the spectra of a level are its responses to each axis alone."""
-    n = level[0].drive.shape[1]
-    return len(level) == n and all(
-        not each.transient and each.driven == (axis,) and np.all(each.drive[:, axis] == 1.0)
-        for axis, each in enumerate(level))
-
-
-def _ordered(reference: Sequence[Spectrum], pairs: int | None, progress: Progress,
-             budget: Budget) -> CoupledFit:
-    """Return the linear fit of the order with most evidence, or of a given one."""
-    if pairs is not None:
-        *_, best = growing(reference, pairs)
-        return best
-    fits = growing(reference, MOST_PAIRS)
-    best, worse = next(fits), 0
-    for number, fit in enumerate(fits, start=1):
-        progress(f"{fit.numbers.steps.size} poles", min(0.5, 0.03 * number))
-        gains_evidence = evidence_of(fit) > evidence_of(best)
-        best, worse = (fit, 0) if gains_evidence else (best, worse + 1)
-        if worse == WORSE_IN_A_ROW:
-            break
-        if budget.is_spent(0.5):
-            budget.not_tried.append(f"more than {fit.numbers.steps.size} poles")
-            break
-    return best
-
-
-def _best_fit(
-    reference: Sequence[Spectrum], levels: Sequence[Sequence[Spectrum]], start: CoupledFit,
-    note: Note, progress: Progress, budget: Budget,
-) -> tuple[CoupledFit, list[Spectrum]]:
-    """Return the fit with most evidence of those that soften and the one that does not."""
-    progress("refinement", 0.5)
-    linear = refined(start.numbers, reference, JUDGED_STEPS)
-    others = [level for level in levels if _is_response(level) and level[0] is not reference[0]]
-    everything = [spectrum for level in levels for spectrum in level]
-    if not others:
-        return refined(linear.numbers, everything, FINAL_STEPS), everything
-    fits = [refined(linear.numbers, everything, JUDGED_STEPS)]
-    for powers in range(1, min(MOST_POWERS, len(others)) + 1):
-        if budget.is_spent(0.8):
-            budget.not_tried.append(f"softening with {powers} powers of the amplitude")
-            break
-        progress(f"softening, {powers} powers of the amplitude", 0.5 + 0.1 * powers)
-        fits += [refined(softened_numbers(linear.numbers, others, powers, ridge), everything,
-                         JUDGED_STEPS) for ridge in RIDGES]
-    best = max(fits, key=evidence_of)
-    powers = len(best.numbers.back)
-    note("nothing softens with the amplitude" if not powers else
-         f"stiffness, damping and gain depend on the amplitude, {powers} powers of it")
-    progress("refinement", 0.7)
-    return refined(best.numbers, everything, FINAL_STEPS), everything
-
-
 def _identified(
-    fit: CoupledFit, spectra: Sequence[Spectrum], model: CoupledModel,
-    fast: Sequence[AxesRecording], recordings: Sequence[AxesRecording],
-    validation: Sequence[AxesRecording], budget: Budget,
+    found: FittedStage, fast: Sequence[AxesRecording], recordings: Sequence[AxesRecording],
+    validation: Sequence[AxesRecording],
 ) -> IdentifiedAxes:
+    fit, spectra, model = found.fit, found.spectra, found.model
     numbers, period_s, n = fit.numbers, model.sample_period_s, len(model.axes)
     if len(numbers.back):
         amplitudes_v = [spectrum.amplitude_v for spectrum in spectra]
@@ -251,10 +144,9 @@ def _identified(
         model, np.array([[min(each.voltage_v[:, axis].min() for each in recordings),
                           max(each.voltage_v[:, axis].max() for each in recordings)]
                          for axis in range(n)]),
-        _coupling(numbers, known, model), pole_deviations, residue_deviations, delays_s,
+        _coupling(found, known), pole_deviations, residue_deviations, delays_s,
         delay_deviations_s, errors_percent(model, validation) if validation else {},
-        [{"path": each.name, "sha256": each.sha256} for each in recordings],
-        unfinished=budget.sentence())
+        [{"path": each.name, "sha256": each.sha256} for each in recordings])
 
 
 def _with_memory(model: CoupledModel, recordings: Sequence[AxesRecording]) -> CoupledModel:
@@ -268,9 +160,9 @@ def _with_memory(model: CoupledModel, recordings: Sequence[AxesRecording]) -> Co
         for error in errors_percent(candidate, [each]).values()))
 
 
-def _coupling(numbers: CoupledNumbers, known: Sequence[FloatArray],
-              model: CoupledModel) -> Coupling:
+def _coupling(found: FittedStage, known: Sequence[FloatArray]) -> Coupling:
     """Return the response at some frequencies with its deviations."""
+    numbers, model = found.fit.numbers, found.model
     n, nyquist_hz = len(model.axes), 0.5 / model.sample_period_s
     of_modes = np.abs(model.poles_rad_per_s[model.poles_rad_per_s.imag > 0.0]) / (2.0 * np.pi)
     lowest_hz = min(1e-3 * nyquist_hz, of_modes.min(initial=nyquist_hz) / 10.0)
@@ -283,7 +175,7 @@ def _coupling(numbers: CoupledNumbers, known: Sequence[FloatArray],
         alone = Spectrum(z, np.tile(np.eye(n)[axis], (z.size, 1)).astype(complex),
                          np.zeros((z.size, n), complex), np.ones((z.size, n)),
                          numbers.reference_v, transient=False)
-        at = Linearised(replace(numbers, actuators=ActuatorNumbers()), alone)
+        at = Linearised(numbers, alone)
         own, shared = at.own_slopes(), at.shared_slopes()
         for output, covariance in enumerate(known):
             late = z[:, None] ** -int(model.latency_samples[output])
@@ -291,7 +183,10 @@ def _coupling(numbers: CoupledNumbers, known: Sequence[FloatArray],
             covariance = covariance[: slopes.shape[1], : slopes.shape[1]]
             deviation[:, output, axis] = (
                 _spread(slopes.real, covariance) + 1j * _spread(slopes.imag, covariance))
-    return Coupling(frequency_hz, model.response(frequency_hz), deviation)
+    response = model.response(frequency_hz)
+    off = response * found.scale_off
+    return Coupling(frequency_hz, response, np.hypot(deviation.real, off.real)
+                    + 1j * np.hypot(deviation.imag, off.imag))
 
 
 def _spread(slopes: FloatArray, covariance: FloatArray) -> FloatArray:

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_common.budget import is_time_up
 from piezo_identification.axes.coupled_fit import CoupledFit, covariances, linear_numbers, refined
 from piezo_identification.axes.shared_poles import FIRST_DAMPING, relocated
 from piezo_identification.axes.spectra import Spectrum, smoothed
@@ -79,7 +80,7 @@ def without_weak_poles(fit: CoupledFit, spectra: Sequence[Spectrum], steps: int)
     The order is first sought with deviations that no refined model has left yet, and poles stand in
     for what was not known. All are compared by the same deviations.
     """
-    while fit.numbers.steps.size > 1:
+    while fit.numbers.steps.size > 1 and not is_time_up():
         found = significances(fit, spectra)
         if found.min() > occam_penalty(None, np.ones(fit.count), fit.rows, fit.rows):
             break  # more than all numbers cost

@@ -21,27 +21,19 @@ if TYPE_CHECKING:
 SAME_PERIOD = 1e-4
 """Relative difference of sample periods up to which they are one: a clock's tolerance."""
 
-PARTS = 16
-"""Parts of a slow row in which a voltage that goes on is simulated, at least: by a part of the
-last, turning points are off."""
-
 
 @dataclass(frozen=True, eq=False)
 class AxesPrediction:
-    """Measured and simulated displacement of several axes.
-
-    Attributes
-    ----------
-    axes : tuple of str
-    time_s : (N,) array
-    voltage_v, measured_um, simulated_um : (N, n) array
-    """
+    """Measured and simulated displacement of several axes."""
 
     axes: tuple[str, ...]
+
     time_s: FloatArray
+    """Shape (N,)."""
     voltage_v: FloatArray
     measured_um: FloatArray
     simulated_um: FloatArray
+    """Shape (N, n)."""
 
     def e_y_percent(self) -> dict[str, float]:
         """Return the relative error (4.20) of each axis that moves, offset removed."""
@@ -71,21 +63,15 @@ class AxesPrediction:
 
 @dataclass(frozen=True)
 class Circumstances:
-    """What a recording does not say of itself.
-
-    Attributes
-    ----------
-    pasts : tuple of str
-        For each axis the way by which its first voltage was reached, one of
-        `piezo_models.hysteresis.pasts.PASTS`.
-    is_held : bool
-        The voltage of a row is held until the next one, whose displacement answers it. Else the
-        rows are samples of a voltage that goes on between them, as where a fast recording was
-        thinned; a displacement that is the mean over the row that is held is the same.
-    """
+    """What a recording does not say of itself."""
 
     pasts: tuple[str, ...]
+    """For each axis the way by which its first voltage was reached, one of
+    `piezo_models.hysteresis.pasts.PASTS`."""
     is_held: bool
+    """The voltage of a row is held until the next one, whose displacement answers it. Else the rows
+    are samples of a voltage that goes on between them, as where a fast recording was thinned; a
+    displacement that is the mean over the row that is held is the same."""
 
 
 def predict_several_axes(model: CoupledModel, recording: AxesRecording) -> AxesPrediction:
@@ -147,27 +133,16 @@ def rows_apart(model: CoupledModel, recording: AxesRecording) -> float:
 
 
 def simulated_um(model: CoupledModel, recording: AxesRecording,
-                  circumstances: Circumstances) -> FloatArray:
+                 circumstances: Circumstances) -> FloatArray:
     """Return the displacement that a model simulates at the rows of a recording, (N, n)."""
     rows = rows_apart(model, recording)
     voltage_v, periods = recording.voltage_v, recording.periods or 1
     if recording.periods:
         voltage_v = voltage_v.reshape(periods, -1, len(model.axes)).mean(axis=0)
-    if circumstances.is_held:
-        model = model if rows == 1.0 else model.at_period(recording.sample_period_s)
-        displacement_um = model.simulate(voltage_v, bool(recording.periods), circumstances.pasts)
-    else:
-        whole = max(1, round(rows))
-        parts = next((each for each in range(PARTS, whole) if whole % each == 0), whole)
-        begin = np.arange(len(voltage_v), dtype=float)
-        # The mean of the samples of each part.
-        middle = np.arange(parts * (len(voltage_v) - 1)) / parts + 0.5 * (1 / parts - 1 / whole)
-        parts_v = np.column_stack([np.interp(np.append(middle, begin[-1]), begin, column)
-                                   for column in voltage_v.T])
-        model = model if parts == whole else model.at_period(
-            model.sample_period_s * whole / parts)
-        displacement_um = model.simulate(
-            parts_v, bool(recording.periods), circumstances.pasts)[::parts]
+    if rows != 1.0:
+        model = model.at_period(recording.sample_period_s, not circumstances.is_held)
+    displacement_um = model.simulate(voltage_v, bool(recording.periods), circumstances.pasts,
+                                     not circumstances.is_held)
     return np.tile(displacement_um, (periods, 1))
 
 

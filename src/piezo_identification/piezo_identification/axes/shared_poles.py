@@ -15,13 +15,11 @@ moves poles by more than their width at once."""
 ITERATIONS = 10
 """Relocations of the poles; those of the sharp ones stand still after four or five."""
 
-NOTHING = np.zeros(0)
-
 LEAST_STEP = 1e-3
 """Least real pole: what decays faster than to a thousandth in a sample is the direct part."""
 
 
-def mode_basis(z: ComplexArray, steps: ComplexArray, held: float = 1.0) -> ComplexArray:
+def mode_basis(z: ComplexArray, steps: ComplexArray) -> ComplexArray:
     """Return the responses whose real multiples are those of modes, (K, 2 pairs + real poles).
 
     Parameters
@@ -29,33 +27,22 @@ def mode_basis(z: ComplexArray, steps: ComplexArray, held: float = 1.0) -> Compl
     z : (K,) array of complex
     steps : (m,) array of complex
         Poles in the z plane, those of pairs first, by their upper one.
-    held : float
-        Sample periods for which each voltage is held; where they are several, the modes are at
-        rest by the next row.
     """
     pairs = steps[steps.imag > 0.0]
     columns = np.empty((z.size, 2 * pairs.size + np.count_nonzero(steps.imag == 0.0)), complex)
-    upper, lower = (_of_pole(z[:, None], each, held) for each in (pairs, pairs.conj()))
+    upper, lower = (1.0 / (z[:, None] - each) for each in (pairs, pairs.conj()))
     columns[:, 0:2 * pairs.size:2] = upper + lower
     columns[:, 1:2 * pairs.size:2] = 1j * (upper - lower)
-    columns[:, 2 * pairs.size:] = _of_pole(z[:, None], steps[steps.imag == 0.0], held)
+    columns[:, 2 * pairs.size:] = 1.0 / (z[:, None] - steps[steps.imag == 0.0])
     return columns
 
 
-def _of_pole(z: ComplexArray, steps: ComplexArray, held: float) -> ComplexArray:
-    """Return the response of a state that loses a factor in each sample.
-
-    Under voltages that are held for longer it is at rest by the next row.
-    """
-    return 1.0 / (z - steps) if held == 1.0 else 1.0 / (z * (1.0 - steps))
+def _slope_of_pole(z: ComplexArray, step: complex) -> ComplexArray:
+    """Return the derivative of the response of a pole by its logarithm."""
+    return step / (z - step) ** 2
 
 
-def _slope_of_pole(z: ComplexArray, step: complex, held: float) -> ComplexArray:
-    """Return the derivative of `_of_pole` by the logarithm of the factor."""
-    return step / (z - step) ** 2 if held == 1.0 else step / (z * (1.0 - step) ** 2)
-
-
-def slopes_of_basis(z: ComplexArray, steps: ComplexArray, held: float = 1.0) -> ComplexArray:
+def slopes_of_basis(z: ComplexArray, steps: ComplexArray) -> ComplexArray:
     """Return the derivatives of `mode_basis`, (numbers, K, columns).
 
     The numbers are, of each pair, the real and the imaginary part of the pole's logarithm, and of
@@ -65,12 +52,12 @@ def slopes_of_basis(z: ComplexArray, steps: ComplexArray, held: float = 1.0) -> 
     columns = 2 * pairs.size + real.size
     slopes = np.zeros((columns, z.size, columns), dtype=complex)
     for at, step in enumerate(pairs):
-        upper, lower = (_slope_of_pole(z, each, held) for each in (step, step.conj()))
+        upper, lower = (_slope_of_pole(z, each) for each in (step, step.conj()))
         total, difference = upper + lower, 1j * (upper - lower)
         slopes[2 * at, :, 2 * at], slopes[2 * at, :, 2 * at + 1] = total, difference
         slopes[2 * at + 1, :, 2 * at], slopes[2 * at + 1, :, 2 * at + 1] = difference, -total
     for at, step in enumerate(real, start=2 * pairs.size):
-        slopes[at, :, at] = _slope_of_pole(z, step, held)
+        slopes[at, :, at] = _slope_of_pole(z, step)
     return slopes
 
 
@@ -146,24 +133,10 @@ def _condition(group: Sequence[Spectrum], output: int, steps: ComplexArray, taps
     return triangle[first:last, first:last], triangle[first:last, last]
 
 
-def transient_basis(spectrum: Spectrum, steps: ComplexArray,
-                    kept: FloatArray = NOTHING) -> ComplexArray:
-    """Return the spectra of what is left from before a recording and beyond it.
-
-    Parameters
-    ----------
-    steps : (m,) array of complex
-        Poles in the z plane.
-    kept : (q,) array
-        Factors by which the creep of all axes decays in a sample of the model.
-    """
-    z = spectrum.row_z
-    columns = [1.0 / (z[:, None] - kept**spectrum.rows),
-               z[:, None] ** np.arange(spectrum.ahead + 1)]
-    if spectrum.held == 1.0:
-        between = steps**spectrum.rows
-        columns.insert(0, mode_basis(z, np.where(between.imag < 0.0, between.conj(), between)))
-    return np.hstack(columns)
+def transient_basis(spectrum: Spectrum, steps: ComplexArray) -> ComplexArray:
+    """Return the spectra of what is left from before a recording and beyond it."""
+    z = spectrum.z
+    return np.hstack([mode_basis(z, steps), z[:, None] ** np.arange(spectrum.ahead + 1)])
 
 
 def real_form(steps: ComplexArray) -> tuple[FloatArray, FloatArray]:

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What recordings of several axes tell at the lines of their spectra."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
 from piezo_recorder.reading.axes import AxesRecording
 
 SMOOTHED_LINES = 31
@@ -33,43 +33,21 @@ recording they tell the noise alone."""
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Drive and motion at lines, of a recording or of the response of a level to one axis.
-
-    Attributes
-    ----------
-    z : (K,) array of complex
-        On the unit circle: what turns a signal by the time for which a voltage is held.
-    drive, motion : (K, n) array of complex
-    weight : (K, n) array
-        One over the standard deviation of each motion.
-    amplitude_v : float
-        RMS of all voltages in the time domain.
-    transient : bool
-        The recording neither begins nor ends at rest, nor does it repeat.
-    ahead : int
-        Samples by which a motion was advanced at most: so many of its begin stand at its end.
-    held, rows : float
-        Sample periods of the model for which each voltage is held, and between two rows. They
-        differ where rows are samples of a voltage that goes on between them.
-    pieces : (K, p) array of complex, optional
-        What small changes of the hysteresis add to the drive of an axis.
-    """
+    """Drive and motion at lines, of a recording or of the response of a level to one axis."""
 
     z: ComplexArray
+    """On the unit circle, (K,): what turns a signal by a sample period."""
     drive: ComplexArray
     motion: ComplexArray
+    """Shape (K, n)."""
     weight: FloatArray
+    """One over the standard deviation of each motion, (K, n)."""
     amplitude_v: float
+    """RMS of all voltages in the time domain."""
     transient: bool
+    """The recording neither begins nor ends at rest, nor does it repeat."""
     ahead: int = 0
-    held: float = 1.0
-    rows: float = 1.0
-    pieces: ComplexArray | None = None
-
-    @property
-    def row_z(self) -> ComplexArray:
-        """Return what turns a signal by the time between two rows."""
-        return np.exp(1j * np.angle(self.z) * (self.rows / self.held))
+    """Samples by which a motion was advanced at most: so many of its begin stand at its end."""
 
     @property
     def driven(self) -> tuple[int, ...]:
@@ -78,9 +56,8 @@ class Spectrum:
 
     def advanced(self, samples: np.ndarray) -> "Spectrum":
         """Return the spectrum with each sensor's latency taken off, in samples."""
-        held = np.round(samples / self.held)
-        return replace(self, motion=self.motion * self.z[:, None] ** held,
-                       ahead=int(np.ceil(np.max(held) * self.held / self.rows)))
+        return replace(self, motion=self.motion * self.z[:, None] ** samples,
+                       ahead=int(np.max(samples)))
 
 
 def levels_of(recordings: Sequence[AxesRecording]) -> list[list[AxesRecording]]:
@@ -108,7 +85,7 @@ def spectra_of_level(recordings: Sequence[AxesRecording]) -> list[Spectrum]:
                 and each.voltage_v.shape == first.voltage_v.shape for each in recordings)
     if alike and len(recordings) > n:
         return _linear_approximation(recordings)
-    return [spectrum_of(each) for each in recordings]
+    return [_spectrum_of(each) for each in recordings]
 
 
 def smoothed(power: FloatArray) -> FloatArray:
@@ -124,31 +101,14 @@ def reweighted(spectrum: Spectrum, left: ComplexArray) -> Spectrum:
     return replace(spectrum, weight=1.0 / np.maximum(deviation, np.finfo(float).tiny))
 
 
-def spectrum_of(recording: AxesRecording, rows: float = 1.0, is_held: bool = True,
-                pieces_v: Iterable[FloatArray] = ()) -> Spectrum:
-    """Return the spectrum of a recording, with the deviations that neighbouring lines show.
-
-    Parameters
-    ----------
-    rows : float
-        Sample periods of the model between two rows.
-    is_held : bool
-        The voltage is held meanwhile.
-    pieces_v : iterable of (N,) array
-        What small changes of the hysteresis add to the drive of an axis.
-    """
-    z, lines, (drive, motion) = _lines(recording)
+def _spectrum_of(recording: AxesRecording) -> Spectrum:
+    """Return the spectrum of a recording, with the deviations that neighbouring lines show."""
+    z, _, (drive, motion) = _lines(recording)
     drive, motion = drive.mean(axis=0), motion.mean(axis=0)
     kept = np.sort(np.argsort(np.linalg.norm(drive, axis=1))[-MOST_LINES:])
-    periods = recording.periods or 1
-    pieces = [np.fft.rfft(each.reshape(periods, -1).mean(axis=0))[lines[kept]]
-              for each in pieces_v]
-    held = rows if is_held else 1.0
     spectrum = Spectrum(
-        np.exp(1j * np.angle(z[kept]) * (held / rows)), drive[kept], motion[kept],
-        np.ones((kept.size, motion.shape[1])), recording.amplitude_v,
-        transient=not recording.periods, held=held, rows=rows,
-        pieces=np.column_stack(pieces) if pieces else None)
+        z[kept], drive[kept], motion[kept], np.ones((kept.size, motion.shape[1])),
+        recording.amplitude_v, transient=not recording.periods)
     return reweighted(spectrum, _rough_part(spectrum))
 
 
@@ -185,9 +145,16 @@ def _lines(recording: AxesRecording) -> tuple[ComplexArray, np.ndarray, list[Com
                for signal in (recording.voltage_v, recording.displacement_um)]
     lines = np.arange(1, (samples + 1) // 2)
     if recording.periods:
-        size = np.abs(spectra[0][:, lines]).max(axis=(0, 2))
-        lines = lines[size > EXCITED * size.max()]
+        lines = lines[played_lines(spectra[0].mean(axis=0))[lines]]
     return np.exp(2j * np.pi * lines / samples), lines, [each[:, lines] for each in spectra]
+
+
+def played_lines(voltage: ComplexArray) -> BoolArray:
+    """Tell which lines of the spectrum of a periodic voltage, (K, n), are played; 0 is not."""
+    size = np.abs(voltage).max(axis=1)
+    size[0] = 0.0
+    played: BoolArray = size > EXCITED * size.max()
+    return played
 
 
 def _linear_approximation(recordings: Sequence[AxesRecording]) -> list[Spectrum]:

@@ -18,23 +18,16 @@ LATE_EDGE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class GeneratorEdges:
-    """Edges of a generator, and their remaining uncertainty.
-
-    Parameters
-    ----------
-    early : ndarray, shape (N,)
-        Time from each change of the level to the sample that shows it, in sample periods; 0 where
-        the level does not change.
-    directions : ndarray, shape (N, 3)
-        Derivatives of `early` by period and duty, without effect on its mean, and by the time of
-        all edges, which is indistinguishable from a delay.
-    phase_room : float
-        Shift of all edges that the samples allow, in sample periods, either way.
-    """
+    """Edges of a generator, and their remaining uncertainty."""
 
     early: FloatArray
+    """Time from each change of the level to the sample that shows it, in sample periods, (N,); 0
+    where the level does not change."""
     directions: FloatArray
+    """Derivatives of `early` by period and duty, without effect on its mean, and by the time of all
+    edges, which is indistinguishable from a delay, (N, 3)."""
     phase_room: float
+    """Shift of all edges that the samples allow, in sample periods, either way."""
 
 
 def generator_edges(wave: SquareWave) -> GeneratorEdges | None:

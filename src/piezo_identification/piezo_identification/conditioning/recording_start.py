@@ -16,27 +16,19 @@ from piezo_recorder.reading.recording import Recording
 
 @dataclass(frozen=True)
 class StartSettings:
-    """Settings for the start of a recording.
-
-    Attributes
-    ----------
-    significant : float
-        Standard deviations above which a change of the displacement at the start is motion.
-    first_samples, fewest_samples : int
-        Most and fewest samples at the start, while the voltage rests, from which motion is
-        estimated.
-    least_motion : float
-        Fraction of the displacement's span below which motion at the start is negligible.
-    fewest_steps : int
-        Fewest steps between two levels that form a square wave within other voltages; fewer steps
-        never return to a level.
-    """
+    """Settings for the start of a recording."""
 
     significant: float = 5.0
+    """Standard deviations above which a change of the displacement at the start is motion."""
     first_samples: int = 200
     fewest_samples: int = 8
+    """Most and fewest samples at the start, while the voltage rests, from which motion is
+    estimated."""
     least_motion: float = 1e-3
+    """Fraction of the displacement's span below which motion at the start is negligible."""
     fewest_steps: int = 2
+    """Fewest steps between two levels that form a square wave within other voltages; fewer steps
+    never return to a level."""
 
 
 SETTINGS = StartSettings()

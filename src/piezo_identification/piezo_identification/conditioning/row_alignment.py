@@ -51,23 +51,17 @@ WHOLE = 1e-9
 
 @dataclass(frozen=True)
 class RowDelay:
-    """The delay of the displacement of a recording after its voltage.
-
-    Parameters
-    ----------
-    read_at_samples : float
-        Time at which the displacement of a row is read, in sample periods after its voltage
-        changes; it was corrected in the recording.
-    delay_s : float
-        Remaining delay of the displacement, in addition to dynamics and delay of the model.
-    sample_period_s : float
-        Sample period of the recording.
-    """
+    """The delay of the displacement of a recording after its voltage."""
 
     read_at_samples: float
+    """Time at which the displacement of a row is read, in sample periods after its voltage changes;
+    it was corrected in the recording."""
     delay_s: float
+    """Remaining delay of the displacement, in addition to dynamics and delay of the model."""
     standard_deviation_s: float
+
     sample_period_s: float
+    """Sample period of the recording."""
 
     @property
     def is_identifiable(self) -> bool:

@@ -14,34 +14,24 @@ from piezo_identification.conditioning.segment_spectra import spectra_of_segment
 
 @dataclass(frozen=True)
 class NoiseSettings:
-    """Settings of the noise estimates.
-
-    Attributes
-    ----------
-    high_bands : int
-        Number of bands in the upper half of the spectrum; the quietest gives the noise.
-    segment : int
-        Samples of a segment for the spectrum; short segments allow a median over many.
-    energy_tolerance, span_tolerance : float
-        Largest difference between repeats as fractions of the voltage's energy and span, for
-        rounding.
-    fewest_at_rest : int
-        Fewest samples of a rest.
-    drift_order : int
-        Degree of the polynomial that is removed as drift between repeats.
-    over_sampled : float
-        Noise estimate from the quietest band over the RMS displacement, below which the band
-        shows the sensor's noise. A model error in proportion to the motion then adds at most a
-        hundredth of its power to the band.
-    """
+    """Settings of the noise estimates."""
 
     high_bands: int = 4
+    """Number of bands in the upper half of the spectrum; the quietest gives the noise."""
     segment: int = 256
+    """Samples of a segment for the spectrum; short segments allow a median over many."""
     energy_tolerance: float = 1e-6
     span_tolerance: float = 1e-6
+    """Largest difference between repeats as fractions of the voltage's energy and span, for
+    rounding."""
     fewest_at_rest: int = 200
+    """Fewest samples of a rest."""
     drift_order: int = 2
+    """Degree of the polynomial that is removed as drift between repeats."""
     over_sampled: float = 0.1
+    """Noise estimate from the quietest band over the RMS displacement, below which the band shows
+    the sensor's noise. A model error in proportion to the motion then adds at most a hundredth of
+    its power to the band."""
 
 
 SETTINGS = NoiseSettings()

@@ -33,15 +33,10 @@ decays."""
 
 @dataclass(frozen=True)
 class SlowDynamics(ElectricVibrationDynamics):
-    """Electric and vibration dynamics with further parallel modes that have to settle.
-
-    Parameters
-    ----------
-    beside : tuple of VibrationMode
-        Parallel modes; the participation of each is taken from the modes in series.
-    """
+    """Electric and vibration dynamics with further parallel modes that have to settle."""
 
     beside: tuple[VibrationMode, ...] = ()
+    """Parallel modes; the participation of each is taken from the modes in series."""
 
     @property
     def is_static(self) -> bool:

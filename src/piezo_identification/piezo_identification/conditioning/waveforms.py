@@ -13,24 +13,17 @@ from piezo_recorder.reading.recording import Recording
 
 @dataclass(frozen=True)
 class WaveformSettings:
-    """Settings for the classification of voltages.
-
-    Attributes
-    ----------
-    level_tolerance : float
-        Largest deviation of a square wave from its two levels, as a fraction of the swing; it
-        allows noise and resolution of the converter.
-    slow_branch_s : float
-        A branch between two reversals that takes longer shows hysteresis, a shorter one dynamics.
-        The slowest modes and lags of a stage decay in this time.
-    smallest_reversal : float
-        Smallest reversal that is not noise, as a fraction of the voltage range, where branches are
-        classified by their duration.
-    """
+    """Settings for the classification of voltages."""
 
     level_tolerance: float = 0.01
+    """Largest deviation of a square wave from its two levels, as a fraction of the swing; it allows
+    noise and resolution of the converter."""
     slow_branch_s: float = 0.05
+    """A branch between two reversals that takes longer shows hysteresis, a shorter one dynamics.
+    The slowest modes and lags of a stage decay in this time."""
     smallest_reversal: float = 1e-3
+    """Smallest reversal that is not noise, as a fraction of the voltage range, where branches are
+    classified by their duration."""
 
 
 SETTINGS = WaveformSettings()
@@ -82,18 +75,12 @@ def samples_per_mean(recording: Recording) -> int:
 
 @dataclass(frozen=True)
 class SquareWave:
-    """A voltage that takes two levels.
-
-    Parameters
-    ----------
-    level : ndarray, shape (N,)
-        0 at the lower voltage, 1 at the upper one.
-    steps : ndarray of int
-        Samples at which the level changes, one at least.
-    """
+    """A voltage that takes two levels."""
 
     level: FloatArray
+    """0 at the lower voltage, 1 at the upper one, (N,)."""
     steps: NDArray[np.intp]
+    """Samples at which the level changes, one at least."""
 
 
 def two_levels(recording: Recording) -> SquareWave | None:

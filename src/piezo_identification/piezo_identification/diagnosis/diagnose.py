@@ -79,16 +79,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class VerdictSettings:
-    """Thresholds of the verdict.
-
-    Attributes
-    ----------
-    guess : float
-        Largest part of the power of the lack of fit that may remain before the effects found are
-        regarded as guesses.
-    """
+    """Thresholds of the verdict."""
 
     guess: float = 0.5
+    """Largest part of the power of the lack of fit that may remain before the effects found are
+    regarded as guesses."""
 
 
 SETTINGS = VerdictSettings()
@@ -105,40 +100,26 @@ SHARE_ALONE = 0.4
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Diagnosis(Verdict):
-    """A verdict with its evidence; the effects come with standard deviations, strongest first.
-
-    Attributes
-    ----------
-    selection : Selection
-        The comparison of effects that led to the verdict.
-    noise : KnownNoise
-        Noise with which the remaining error was compared.
-    stated_um : float
-        RMS of the known error of the model.
-    """
+    """A verdict with its evidence; the effects come with standard deviations, strongest first."""
 
     selection: Selection
+    """The comparison of effects that led to the verdict."""
     noise: KnownNoise = field(default=KnownNoise(), kw_only=True)
+    """Noise with which the remaining error was compared."""
     stated_um: float = field(default=0.0, kw_only=True)
+    """RMS of the known error of the model."""
 
 
 @dataclass(frozen=True)
 class Conditioned:
-    """Recordings with the sign and the rows of the model, and their outliers marked.
-
-    Attributes
-    ----------
-    recordings : list of Recording
-        Recordings to diagnose.
-    holdout : Recording or None
-        Recording on which the errors are measured.
-    faults : list of RecordingFault
-        Faults that were corrected in them.
-    """
+    """Recordings with the sign and the rows of the model, and their outliers marked."""
 
     recordings: list[Recording]
+    """Recordings to diagnose."""
     holdout: Recording | None
+    """Recording on which the errors are measured."""
     faults: list[RecordingFault]
+    """Faults that were corrected in them."""
 
     @property
     def reversed(self) -> list[str]:
@@ -148,34 +129,24 @@ class Conditioned:
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """Decision on the effects that a comparison selected.
-
-    Attributes
-    ----------
-    verdict : str
-        "none", "explained" or "unexplained".
-    fit : Fit
-        Fit with the effects that are named.
-    refused : dict of str to Undecided
-        Effects that the held-out data refuse, and why.
-    came : Came
-        When the effects appeared, as far as the recordings of the identification show.
-    probabilities : dict of str to float
-        Probabilities from which the verdict follows.
-    remains : str
-        Sentence on the remaining error relative to the noise, and the source of the noise.
-    predicted : Ceiling or None
-        Predictable part of the remaining error; None if not yet computed.
-    """
+    """Decision on the effects that a comparison selected."""
 
     verdict: str
+    """One of "none", "explained" or "unexplained"."""
     fit: Fit
+    """Fit with the effects that are named."""
     outliers: FoundOutliers | None
+
     refused: dict[str, Undecided]
+    """Effects that the held-out data refuse, and why."""
     came: Came
+    """When the effects appeared, as far as the recordings of the identification show."""
     probabilities: dict[str, float]
+    """Probabilities from which the verdict follows."""
     remains: str
+    """Sentence on the remaining error relative to the noise, and the source of the noise."""
     predicted: "Ceiling | None" = None
+    """Predictable part of the remaining error; None if not yet computed."""
 
 
 def diagnose(model: StageModel, recordings: Sequence[Recording],

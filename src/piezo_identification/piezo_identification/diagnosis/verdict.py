@@ -27,70 +27,51 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Verdict:
-    """What a model lacks, and how much the effects found improve it.
-
-    Attributes
-    ----------
-    verdict : str
-        "none", "explained" or "unexplained".
-    effects : list of dict
-        Name, parameters and error reduction of each effect.
-    model : StageModel
-        Model extended by the effects; the given one if there are none.
-    before, after : dict
-        `rms_um` and `e_y_percent` on held-out data.
-    holdout : dict
-        Source of the held-out data, and number of samples.
-    not_decidable : dict of str to str
-        Effects that the data can neither show nor exclude, and why.
-    reasons : dict of str to Reason
-        Kind of reason for each of them.
-    not_told_from : dict of str to str
-        Those that the data cannot distinguish from a named effect, and that effect.
-    left : str
-        Sentence on the residual if it is more than noise, or the noise is unknown; otherwise empty.
-    reversed : list of str
-        Recordings whose sign was changed, because the sensor has the opposite direction.
-    left_out : list of str
-        Sentences on the samples that were excluded as outliers.
-    ceiling : dict of str to float or None
-        Part of the residual that a learner without knowledge of stages predicts; None if the
-        residual is compatible with known noise, or if not computed. See `evidence.ceiling.Ceiling`.
-    probabilities : dict of str to float
-        Probability of each relevant set of effects (names joined by +), of `none` and of
-        `something_else`, in descending order; they sum to one. Empty if not computed.
-    identified_from : dict
-        `recordings` of the identification that were also used, and in `not_asked` what could not be
-        determined without the others; empty if none were used.
-    recording_faults : list of dict
-        Faults of the recordings: `name` (`wrong_sign`, `misaligned_rows`), `recording`, `sentence`,
-        `remedy` and related numbers. See `evidence.recording_faults`.
-    next_experiment : dict or None
-        The recording that would decide between the remaining explanations, and what each of them
-        predicts; None if it was not designed. See `experiment_design.propose.Proposal`.
-    not_tried : str
-        Why the comparison ended early, and what it has not tried; empty if it was completed.
-    """
+    """What a model lacks, and how much the effects found improve it."""
 
     verdict: str
+    """One of "none", "explained" or "unexplained"."""
     effects: list[dict[str, Any]]
+    """Name, parameters and error reduction of each effect."""
     model: StageModel
+    """Model extended by the effects; the given one if there are none."""
     before: dict[str, float]
     after: dict[str, float]
+    """`rms_um` and `e_y_percent` on held-out data."""
     noise_floor_um: float
+
     holdout: dict[str, object]
+    """Source of the held-out data, and number of samples."""
     not_decidable: dict[str, str]
+    """Effects that the data can neither show nor exclude, and why."""
     left: str
+    """Sentence on the residual if it is more than noise, or the noise is unknown; otherwise
+    empty."""
     reversed: list[str]
+    """Recordings whose sign was changed, because the sensor has the opposite direction."""
     left_out: list[str]
+    """Sentences on the samples that were excluded as outliers."""
     ceiling: dict[str, float] | None
+    """Part of the residual that a learner without knowledge of stages predicts; None if the
+    residual is compatible with known noise, or if not computed. See `evidence.ceiling.Ceiling`."""
     reasons: dict[str, Reason] = field(default_factory=dict, kw_only=True)
+    """Kind of reason for each of them."""
     not_told_from: dict[str, str] = field(default_factory=dict, kw_only=True)
+    """Those that the data cannot distinguish from a named effect, and that effect."""
     probabilities: dict[str, float] = field(default_factory=dict, kw_only=True)
+    """Probability of each relevant set of effects (names joined by +), of `none` and of
+    `something_else`, in descending order; they sum to one. Empty if not computed."""
     identified_from: dict[str, object] = field(default_factory=dict, kw_only=True)
+    """`recordings` of the identification that were also used, and in `not_asked` what could not be
+    determined without the others; empty if none were used."""
     recording_faults: list[dict[str, object]] = field(default_factory=list, kw_only=True)
+    """Faults of the recordings: `name` (`wrong_sign`, `misaligned_rows`), `recording`, `sentence`,
+    `remedy` and related numbers. See `evidence.recording_faults`."""
     next_experiment: dict[str, Any] | None = field(default=None, kw_only=True)
+    """The recording that would decide between the remaining explanations, and what each of them
+    predicts; None if it was not designed. See `experiment_design.propose.Proposal`."""
     not_tried: str = field(default="", kw_only=True)
+    """Why the comparison ended early, and what it has not tried; empty if it was completed."""
 
     def __repr__(self) -> str:
         return text_of_verdict(self)

@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.row_alignment import MOST_UNCERTAIN
 from piezo_models.cascade import StageModel
 from piezo_models.effects.effect import Effect
-from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_models.linear.dynamics import CreepDynamics
 
 SHOWN = 12
 """Number of trials shown in a table of orders."""
@@ -45,46 +45,30 @@ MOST_ALIKE = 0.98
 
 @dataclass(frozen=True)
 class OrderTrial:
-    """A fit of one order.
-
-    Parameters
-    ----------
-    order : object
-        Orders of the fit: pairs of creep poles and zeros, or vibration modes.
-    parameters : int
-        Number of free parameters of the fit.
-    residual_rms : float
-        RMS residual in the unit of the fitted output.
-    information : float
-        Bayesian information criterion; the smallest is best.
-    refusal : str
-        Why the fit cannot be used whatever the criterion says; empty otherwise.
-    """
+    """A fit of one order."""
 
     order: Any
+    """Orders of the fit: pairs of creep poles and zeros, or vibration modes."""
     parameters: int
+    """Number of free parameters of the fit."""
     residual_rms: float
+    """RMS residual in the unit of the fitted output."""
     information: float
+    """Bayesian information criterion; the smallest is best."""
     refusal: str = ""
+    """Why the fit cannot be used whatever the criterion says; empty otherwise."""
 
 
 @dataclass(frozen=True)
 class DelayEstimate:
-    """Delay of a recording's displacement behind its voltage, in addition to the dynamics.
-
-    Parameters
-    ----------
-    delay_s : float
-        Negative if the displacement of a row is read after its voltage changes.
-    standard_deviation_s : float
-        Standard deviation of the delay, on which its significance depends.
-    sample_period_s : float
-        Sample period of the recording.
-    """
+    """Delay of a recording's displacement behind its voltage, in addition to the dynamics."""
 
     delay_s: float
+    """Negative if the displacement of a row is read after its voltage changes."""
     standard_deviation_s: float
+    """Standard deviation of the delay, on which its significance depends."""
     sample_period_s: float
+    """Sample period of the recording."""
 
     @property
     def samples(self) -> float:
@@ -113,43 +97,33 @@ class DelayEstimate:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A fitted model with its uncertainty and the trials that led to its order.
-
-    Parameters
-    ----------
-    standard_deviations : dict of str to float or tuple of float
-        Standard deviation of every physical parameter, with the names and shapes of the model's
-        fields. They follow from the sensitivities at the optimum and the variance of the residual,
-        which is valid for a white residual.
-    trials : tuple of OrderTrial
-        Every order that was fitted.
-    order_given : bool
-        True if the user specified this order.
-    start : str
-        Description of the initial state of the recording.
-    effects : tuple of Effect
-        Additional effects of the stage model: modes in addition to those of `model`, a sensor lag.
-    effect_deviations : tuple of dict
-        Standard deviations of the parameters of each effect, by their names.
-    delay : DelayEstimate, optional
-        None if no delay was fitted.
-    creep : CreepDynamics
-        For dynamics, creep in addition to the known one.
-    creep_deviations : dict
-        Standard deviations of its poles and zeros.
-    """
+    """A fitted model with its uncertainty and the trials that led to its order."""
 
     model: Any
+
     standard_deviations: dict[str, Any]
+    """Standard deviation of every physical parameter, with the names and shapes of the model's
+    fields. They follow from the sensitivities at the optimum and the variance of the residual,
+    which is valid for a white residual."""
     order: Any
+
     trials: tuple[OrderTrial, ...]
+    """Every order that was fitted."""
     order_given: bool = False
+    """True if the user specified this order."""
     start: str = ""
+    """Description of the initial state of the recording."""
     effects: tuple[Effect, ...] = ()
+    """Additional effects of the stage model: modes in addition to those of `model`, a sensor
+    lag."""
     effect_deviations: tuple[dict[str, float], ...] = ()
+    """Standard deviations of the parameters of each effect, by their names."""
     delay: DelayEstimate | None = None
+    """None if no delay was fitted."""
     creep: CreepDynamics = CreepDynamics()
+    """For dynamics, creep in addition to the known one."""
     creep_deviations: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    """Standard deviations of its poles and zeros."""
 
     @property
     def residual_rms(self) -> float:
@@ -180,7 +154,7 @@ class Estimate:
 
 def order_trial(
     order: object, residual: FloatArray, parameters: int, refusal: str = "",
-    signal: FloatArray | None = None, independent: float | None = None,
+    signal: FloatArray | None = None,
 ) -> OrderTrial:
     """Rate a fit by its residual: the Bayesian information criterion N ln(mean square) + P ln N.
 
@@ -191,13 +165,11 @@ def order_trial(
     signal : ndarray, optional
         Fitted signal, in the unit of the residual. An exact fit leaves only rounding, which does
         not justify more parameters.
-    independent : float, optional
-        Number of independent errors; by default all.
     """
     mean_square = np.mean(residual**2)
     least = 0.0 if signal is None else finest_power(signal)
-    rows = residual.size if independent is None else independent
-    information = rows * np.log(mean_square + least) + parameters * np.log(rows)
+    information = (residual.size * np.log(mean_square + least)
+                   + parameters * np.log(residual.size))
     return OrderTrial(order, parameters, float(np.sqrt(mean_square)), float(information), refusal)
 
 
@@ -332,36 +304,6 @@ def unidentified_parameters(
             unidentified += [f"{part} {name} {index + 1}" if value.size > 1 else f"{part} {name}"
                        for index in wide]
     return unidentified
-
-
-def dynamics_vector(dynamics: ElectricVibrationDynamics) -> FloatArray:
-    """Parameters of electric and vibration dynamics in one vector, all positive."""
-    return np.array([
-        dynamics.time_constant_s, *dynamics.mode_frequencies_rad_per_s, *dynamics.damping_ratios,
-        *dynamics.antiresonance_frequencies_rad_per_s, *dynamics.antiresonance_damping_ratios,
-    ])
-
-
-def split_dynamics_vector(
-    vector: ArrayLike, mode_count: int, antiresonance_count: int = 0,
-) -> dict[str, Any]:
-    """Fields of `ElectricVibrationDynamics` by name, from a vector in their order."""
-    edges = np.cumsum([1, mode_count, mode_count, antiresonance_count])
-    parts = np.split(np.asarray(vector, dtype=float), edges)
-    names = ("mode_frequencies_rad_per_s", "damping_ratios",
-             "antiresonance_frequencies_rad_per_s", "antiresonance_damping_ratios")
-    return {"time_constant_s": float(parts[0][0])} | {
-        name: tuple(part.tolist()) for name, part in zip(names, parts[1:], strict=True)
-    }
-
-
-def dynamics_of_vector(
-    vector: ArrayLike, mode_count: int, antiresonance_count: int = 0,
-) -> ElectricVibrationDynamics:
-    """Inverse of `dynamics_vector`."""
-    return ElectricVibrationDynamics(
-        **split_dynamics_vector(vector, mode_count, antiresonance_count)
-    )
 
 
 def creep_of_partial_fractions(

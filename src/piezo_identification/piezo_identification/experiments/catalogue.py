@@ -39,31 +39,21 @@ thesis."""
 
 @dataclass(frozen=True)
 class Experiment:
-    """A voltage waveform with the purpose it serves.
-
-    Parameters
-    ----------
-    name : str
-        Name that selects the experiment.
-    voltage_v : ndarray, shape (N,) or (N, axes)
-        One run of the waveform, each value held for `sample_period_s`.
-    sample_period_s : float
-        Whole multiple of the sample clock's period.
-    repeats : int
-        How often the waveform is played.
-    description : str
-        One line for users.
-    settling_repeats : int
-        Number of repeats until the motion has settled. If it is not 0, the later repeats are equal
-        periods.
-    """
+    """A voltage waveform with the purpose it serves."""
 
     name: str
+    """Name that selects the experiment."""
     voltage_v: FloatArray = field(repr=False)
+    """One run of the waveform, each value held for `sample_period_s`, (N,) or (N, axes)."""
     sample_period_s: float
+    """Whole multiple of the sample clock's period."""
     repeats: int
+    """How often the waveform is played."""
     description: str
+    """One line for users."""
     settling_repeats: int = 0
+    """Number of repeats until the motion has settled. If it is not 0, the later repeats are equal
+    periods."""
 
     @property
     def duration_s(self) -> float:
@@ -88,8 +78,6 @@ def creep(
 
     Parameters
     ----------
-    limits : StageLimits
-        What the stage allows.
     period_s, sample_period_s : float
         Period of the square wave and time for which each value is held.
     periods : int
@@ -117,8 +105,6 @@ def dynamics(
 
     Parameters
     ----------
-    limits : StageLimits
-        What the stage allows.
     period_s, duration_s : float
         Period of the square wave and duration of the experiment.
     swing_v : float, optional
@@ -148,8 +134,6 @@ def hysteresis(
 
     Parameters
     ----------
-    limits : StageLimits
-        What the stage allows.
     level_count : int
         Number of harmonics L; the levels are L + 1 with level 0.
     harmonic_period_s, sample_period_s : float
@@ -181,8 +165,6 @@ def validation(
 
     Parameters
     ----------
-    limits : StageLimits
-        What the stage allows.
     arc_s : float
         Time from one turning point to the next.
     tones_s : float
@@ -213,8 +195,6 @@ def multisine(
 
     Parameters
     ----------
-    limits : StageLimits
-        What the stage allows.
     arc_s, tones_s : float
         Durations of the climb and of the tones.
     tones : sequence of (float, float)
@@ -241,8 +221,6 @@ def diagnostic(limits: StageLimits = USUAL_LIMITS, repeats: int = 4) -> Experime
 
     Parameters
     ----------
-    limits : StageLimits
-        What the stage allows.
     repeats : int
         How often the waveform is played.
 
@@ -266,8 +244,6 @@ def distortion(
 
     Parameters
     ----------
-    limits : StageLimits
-        What the stage allows.
     swing : float
         Largest deviation from the middle as a fraction of the voltage range; the slew limit can
         reduce it.
@@ -313,8 +289,6 @@ def named_experiment(
     ----------
     name : str
         Name of an experiment of this module or of another package.
-    limits : StageLimits
-        What the stage allows.
     parameters : dict of str to object, optional
         Parameters that differ from the defaults.
 

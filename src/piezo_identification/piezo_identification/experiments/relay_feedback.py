@@ -30,37 +30,26 @@ HARMONICS = (1, 3, 5)
 
 @dataclass(frozen=True)
 class RelayExperiment:
-    """Slow arcs to the working voltage, and then a relay in feedback.
-
-    Parameters
-    ----------
-    name : str
-        Name that selects the experiment.
-    feedforward_v : ndarray, shape (N,)
-        Voltage played at the sample clock before the relay starts; its last value is then held.
-    lowest_sample : int
-        Sample at which the feedforward reaches the lowest voltage.
-    cycle : slice
-        Samples of the slow cycle with the relay's amplitude around the working voltage.
-    amplitude_v : float
-        Amplitude of the relay.
-    samples_per_tick : int
-        Samples that the relay averages, and for which it holds its output.
-    sample_period_s, duration_s : float
-        Period of the sample clock; duration of the experiment.
-    description : str
-        One line for users.
-    """
+    """Slow arcs to the working voltage, and then a relay in feedback."""
 
     name: str
+    """Name that selects the experiment."""
     feedforward_v: FloatArray = field(repr=False)
+    """Voltage played at the sample clock before the relay starts, (N,); its last value is then
+    held."""
     lowest_sample: int
+    """Sample at which the feedforward reaches the lowest voltage."""
     cycle: slice
+    """Samples of the slow cycle with the relay's amplitude around the working voltage."""
     amplitude_v: float
+    """Amplitude of the relay."""
     samples_per_tick: int
+    """Samples that the relay averages, and for which it holds its output."""
     sample_period_s: float
     duration_s: float
+    """Period of the sample clock; duration of the experiment."""
     description: str
+    """One line for users."""
 
     @property
     def ticks(self) -> int:
@@ -184,39 +173,27 @@ class RelayRun:
 
 @dataclass(frozen=True)
 class RelayOscillation:
-    """The oscillation of a relay experiment.
-
-    Parameters
-    ----------
-    frequency_hz : float
-        Frequency of the loop with its delay.
-    shortest_ticks, longest_ticks : int
-        Shortest and longest period in ticks; the relay switches only at whole ticks.
-    harmonics_hz : ndarray, shape (K,)
-        Frequencies of the odd harmonics.
-    response_um_per_v : ndarray of complex, shape (K,)
-        Frequency response of the stage alone at the harmonics.
-    loop_gain_v_per_um : float
-        Ultimate gain at this amplitude, at which the loop just oscillates.
-    cycle_gain_um_per_v : float
-        Gain of the hysteresis in the slow cycle of the same amplitude.
-    largest_gain_um_per_v : float
-        Largest secant gain of the hysteresis from the lowest voltage (3.16), over the voltages of
-        the cycle.
-    delay_s, tick_s : float
-        Declared delay and feedback period of the loop.
-    """
+    """The oscillation of a relay experiment."""
 
     frequency_hz: float
+    """Frequency of the loop with its delay."""
     shortest_ticks: int
     longest_ticks: int
+    """Shortest and longest period in ticks; the relay switches only at whole ticks."""
     harmonics_hz: FloatArray
+    """Frequencies of the odd harmonics, (K,)."""
     response_um_per_v: ComplexArray
+    """Frequency response of the stage alone at the harmonics, (K,)."""
     loop_gain_v_per_um: float
+    """Ultimate gain at this amplitude, at which the loop just oscillates."""
     cycle_gain_um_per_v: float
+    """Gain of the hysteresis in the slow cycle of the same amplitude."""
     largest_gain_um_per_v: float
+    """Largest secant gain of the hysteresis from the lowest voltage (3.16), over the voltages of
+    the cycle."""
     delay_s: float
     tick_s: float
+    """Declared delay and feedback period of the loop."""
 
     @property
     def gain_margin(self) -> float:

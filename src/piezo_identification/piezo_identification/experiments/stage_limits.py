@@ -10,32 +10,22 @@ from piezo_common.arrays import FloatArray
 
 @dataclass(frozen=True)
 class StageLimits:
-    """Limits of a stage.
-
-    Parameters
-    ----------
-    voltage_min_v, voltage_max_v : float
-        Range of the amplifier.
-    slew_limit_v_per_s : float
-        Largest rate of change of the voltage.
-    sample_rate_hz : float
-        Sample clock of the stage.
-    rest_voltage_v : float
-        Voltage of the stage at rest.
-    samples_per_tick : int
-        Samples of one feedback period.
-    displacement_min_um, displacement_max_um : float
-        Range of valid sensor readings.
-    """
+    """Limits of a stage."""
 
     voltage_min_v: float = -20.0
     voltage_max_v: float = 120.0
+    """Range of the amplifier."""
     slew_limit_v_per_s: float = 2e6
+    """Largest rate of change of the voltage."""
     sample_rate_hz: float = 40_000.0
+    """Sample clock of the stage."""
     rest_voltage_v: float = 0.0
+    """Voltage of the stage at rest."""
     samples_per_tick: int = 40
+    """Samples of one feedback period."""
     displacement_min_um: float = -np.inf
     displacement_max_um: float = np.inf
+    """Range of valid sensor readings."""
 
     @property
     def span_v(self) -> float:

@@ -19,24 +19,17 @@ from piezo_recorder.reading.recording import Recording
 
 @dataclass(frozen=True)
 class SplitSettings:
-    """How samples are selected, and which of them form the validation set.
-
-    Attributes
-    ----------
-    most_rows : int
-        Largest number of samples used, so that a fit to a million samples takes seconds.
-    stretches : int
-        Number of stretches per recording. Each is fitted or held out as a whole, because
-        neighbouring errors are correlated. From a longer recording, one chunk of each stretch is
-        used: this shows slow and fast errors alike, and a mode that a chirp crosses within a few
-        stretches.
-    held_out : int
-        One stretch out of this many is held out.
-    """
+    """How samples are selected, and which of them form the validation set."""
 
     most_rows: int = 30_000
+    """Largest number of samples used, so that a fit to a million samples takes seconds."""
     stretches: int = 120
+    """Number of stretches per recording. Each is fitted or held out as a whole, because
+    neighbouring errors are correlated. From a longer recording, one chunk of each stretch is used:
+    this shows slow and fast errors alike, and a mode that a chirp crosses within a few
+    stretches."""
     held_out: int = 3
+    """One stretch out of this many is held out."""
 
 
 SPLIT = SplitSettings()
@@ -46,33 +39,25 @@ Sensitivities = Callable[[SimulatedRecording, NDArray[np.intp]], FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """Simulated recordings, the rows of them that are used, and their regressors.
-
-    Attributes
-    ----------
-    rows : tuple of array of int
-        Indices of the samples used in each recording, r in total.
-    stretch : (r,) array of int
-        Number of the stretch that each row belongs to.
-    for_estimation : (r,) array of bool
-        Rows that may be fitted; the others are the validation set.
-    regressors : (r, m) array
-        Nuisance regressors of each recording, followed by the parameter sensitivities, in um.
-    nuisance_count : int
-        Number of nuisance regressors.
-    extent : Extent
-        Ranges that the recordings cover.
-    """
+    """Simulated recordings, the rows of them that are used, and their regressors."""
 
     model: StageModel
     recordings: tuple[Recording, ...]
     simulated: tuple[SimulatedRecording, ...]
+
     rows: tuple[NDArray[np.intp], ...]
+    """Indices of the samples used in each recording, r in total."""
     stretch: NDArray[np.intp]
+    """Number of the stretch that each row belongs to, (r,)."""
     for_estimation: BoolArray
+    """Rows that may be fitted, (r,); the others are the validation set."""
     regressors: FloatArray
+    """Nuisance regressors of each recording, followed by the parameter sensitivities, in um, (r,
+    m)."""
     nuisance_count: int
+    """Number of nuisance regressors."""
     extent: Extent
+    """Ranges that the recordings cover."""
 
     def masks(self) -> Iterator[BoolArray]:
         """Yield the mask of the rows of each recording, (r,)."""
@@ -102,8 +87,7 @@ class Dataset:
 
 def simulate_recordings(model: StageModel, recordings: Sequence[Recording],
                         past_v: tuple[float, ...] | None = None,
-                        sensitivities: Sensitivities = parameter_sensitivities,
-                        undivided: int = 0) -> Dataset:
+                        sensitivities: Sensitivities = parameter_sensitivities) -> Dataset:
     """Simulate recordings, and split their samples into rows to fit and a validation set.
 
     Parameters
@@ -115,9 +99,6 @@ def simulate_recordings(model: StageModel, recordings: Sequence[Recording],
         `starting_past_v`.
     sensitivities : callable
         Returns the change of the displacement with each free parameter.
-    undivided : int
-        Number of recordings, counted from the first, that use `SplitSettings.most_rows` each. The
-        others share that number. By default, all share it.
 
     Raises
     ------
@@ -126,7 +107,7 @@ def simulate_recordings(model: StageModel, recordings: Sequence[Recording],
     """
     simulated = side_by_side(
         lambda recording: SimulatedRecording(model, recording, past_v), recordings)
-    return dataset_of(simulated, recordings, sensitivities, undivided)
+    return dataset_of(simulated, recordings, sensitivities)
 
 
 def dataset_of(simulated: Sequence[SimulatedRecording], recordings: Sequence[Recording],
@@ -140,8 +121,11 @@ def dataset_of(simulated: Sequence[SimulatedRecording], recordings: Sequence[Rec
         At least one recording; all simulated with the same model.
     recordings : sequence of Recording
         The measured recordings, in the same order.
-    sensitivities, undivided
+    sensitivities : callable
         As in `simulate_recordings`.
+    undivided : int
+        Number of recordings, counted from the first, that use `SplitSettings.most_rows` each. The
+        others share that number. By default, all share it.
     """
     simulated, model = tuple(simulated), simulated[0].model
     rows, stretch, for_estimation = _split(simulated, undivided)

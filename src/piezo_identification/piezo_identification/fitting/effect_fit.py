@@ -16,27 +16,18 @@ from piezo_models.effects import Effect, Evidence, Extent, fitted_values, with_f
 
 @dataclass(frozen=True)
 class FitSettings:
-    """Limits on the fit of effects.
-
-    Attributes
-    ----------
-    evaluations : int
-        Largest number of residual evaluations, without those for the derivatives.
-    quick_evaluations : int
-        The same limit for a fit whose result will be refined by another fit.
-    relative_change : float
-        A fit ends when the sum of squares changes by less than this fraction.
-    guesses : int
-        Largest number of initial guesses of one effect that are fitted.
-    worst_guess : float
-        Largest sum of squares of a guess that is fitted, as a multiple of that of the best guess.
-    """
+    """Limits on the fit of effects."""
 
     evaluations: int = 15
+    """Largest number of residual evaluations, without those for the derivatives."""
     quick_evaluations: int = 6
+    """The same limit for a fit whose result will be refined by another fit."""
     relative_change: float = 1e-5
+    """A fit ends when the sum of squares changes by less than this fraction."""
     guesses: int = 3
+    """Largest number of initial guesses of one effect that are fitted."""
     worst_guess: float = 1.5
+    """Largest sum of squares of a guess that is fitted, as a multiple of that of the best guess."""
 
 
 SETTINGS = FitSettings()

@@ -19,12 +19,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.estimators.estimate import (
-    dynamics_of_vector,
-    dynamics_vector,
-    propagated,
-    split_dynamics_vector,
-)
+from piezo_identification.estimators.estimate import propagated
 from piezo_identification.fitting.sensitivities import (
     factor_surfaces,
     sensitivity_systems,
@@ -42,26 +37,24 @@ from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.connections import in_parallel, in_series, matrices_of, scaled
 from piezo_models.linear.creep_errors import creep_error_map
 from piezo_models.linear.dynamics import CreepDynamics
+from piezo_models.linear.dynamics_vector import (
+    dynamics_of_vector,
+    dynamics_vector,
+    split_dynamics_vector,
+)
 
 
 @dataclass(frozen=True)
 class FreeWidths:
-    """Prior widths of a joint fit: wide, because the recordings of the identification are refitted.
-
-    Attributes
-    ----------
-    logarithm : float
-        Width of the logarithm of a rate or size of the creep, or of a parameter of the dynamics.
-    factor : float
-        Width of a factor of the density.
-    reversible : float
-        Width of the reversible part at a knot of the voltage, relative to the mean gain of the
-        hysteresis.
-    """
+    """Prior widths of a joint fit: wide, as the recordings of the identification are refitted."""
 
     logarithm: float = 0.2
+    """Width of the logarithm of a rate or size of the creep, or of a parameter of the dynamics."""
     factor: float = 0.2
+    """Width of a factor of the density."""
     reversible: float = 0.05
+    """Width of the reversible part at a knot of the voltage, relative to the mean gain of the
+    hysteresis."""
     reversible_knots: int = 4
 
 

@@ -43,18 +43,13 @@ from piezo_models.effects import Effect, fitted_values, with_fitted_values
 
 @dataclass(frozen=True)
 class ErrorSettings:
-    """Limits of steps.
-
-    Attributes
-    ----------
-    longest : float
-        Largest change of a model parameter in one step, in prior widths.
-    derivative_step : float
-        Step of the numerical derivative by a parameter of an effect; relative for values above one.
-    """
+    """Limits of steps."""
 
     longest: float = 5.0
+    """Largest change of a model parameter in one step, in prior widths."""
     derivative_step: float = 1e-7
+    """Step of the numerical derivative by a parameter of an effect; relative for values above
+    one."""
 
 
 SETTINGS = ErrorSettings()

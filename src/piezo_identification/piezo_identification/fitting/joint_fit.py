@@ -29,23 +29,16 @@ from piezo_recorder.reading.recording import Recording
 
 @dataclass(frozen=True)
 class JointSettings:
-    """Limits of a joint fit.
-
-    Attributes
-    ----------
-    steps : int
-        Largest number of steps of a fit, each with its own derivatives.
-    worthwhile : float
-        Smallest predicted gain of log-evidence for a step; half of it is a factor of 1.3 in a
-        probability.
-    kept_samples : int
-        Largest total number of samples for which the outputs of some 40 pieces of the hysteresis
-        are cached: 0.6 GB.
-    """
+    """Limits of a joint fit."""
 
     steps: int = 2
+    """Largest number of steps of a fit, each with its own derivatives."""
     worthwhile: float = 0.5
+    """Smallest predicted gain of log-evidence for a step; half of it is a factor of 1.3 in a
+    probability."""
     kept_samples: int = 2_000_000
+    """Largest total number of samples for which the outputs of some 40 pieces of the hysteresis are
+    cached: 0.6 GB."""
 
 
 SETTINGS = JointSettings()
@@ -53,45 +46,30 @@ SETTINGS = JointSettings()
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """A model and effects that were estimated together.
-
-    Attributes
-    ----------
-    regression : Regression
-        Regression with the model's parameters as estimated together with the effects.
-    effects : tuple of piezo_models.effects.effect.Effect
-        Effects in all recordings, except those in `later`.
-    later : frozenset of str
-        Names of the effects that are in the new recordings only.
-    covariance : (p, p) array or None
-        Covariance of the fitted values of the effects.
-    has_converged : bool
-        True if another step would gain too little evidence.
-    changes : (m,) array
-        Changes relative to the model of the problem; see `free_parameters.changed_model`.
-    gain : float
-        Log-evidence gained by the last step.
-    against : float
-        Minimised function at the result; see `joint_errors.JointErrors.value`.
-    recurrence_count : int
-        Number of parameters of recurring effects specific to recordings of the identification.
-    problem : JointProblem or None
-        Problem in which the fit can be continued.
-    columns_of_effects : (r, p) array or None
-        Derivatives of the displacement by the fitted values of the effects, in um.
-    """
+    """A model and effects that were estimated together."""
 
     regression: Regression
+    """Regression with the model's parameters as estimated together with the effects."""
     effects: tuple[Effect, ...]
+    """Effects in all recordings, except those in `later`."""
     later: frozenset[str]
+    """Names of the effects that are in the new recordings only."""
     covariance: FloatArray | None = None
+    """Covariance of the fitted values of the effects, (p, p)."""
     has_converged: bool = True
+    """True if another step would gain too little evidence."""
     changes: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """Changes relative to the model of the problem, (m,); see `free_parameters.changed_model`."""
     gain: float = 0.0
+    """Log-evidence gained by the last step."""
     against: float = np.inf
+    """Minimised function at the result; see `joint_errors.JointErrors.value`."""
     recurrence_count: int = 0
+    """Number of parameters of recurring effects specific to recordings of the identification."""
     problem: "JointProblem | None" = field(default=None, repr=False)
+    """Problem in which the fit can be continued."""
     columns_of_effects: FloatArray | None = None
+    """Derivatives of the displacement by the fitted values of the effects, in um, (r, p)."""
 
     @property
     def model(self) -> StageModel:

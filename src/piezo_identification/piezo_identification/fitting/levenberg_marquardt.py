@@ -43,22 +43,16 @@ class Objective(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """Result of a minimisation.
-
-    Attributes
-    ----------
-    value : float
-        Value of the function at `vector`.
-    gain : float
-        Gain of the last step, or the predicted gain of the next step if that is not worthwhile.
-    has_converged : bool
-        True if no step is predicted to be worthwhile.
-    """
+    """Result of a minimisation."""
 
     vector: FloatArray
+
     value: float
+    """Value of the function at `vector`."""
     gain: float
+    """Gain of the last step, or the predicted gain of the next step if that is not worthwhile."""
     has_converged: bool
+    """True if no step is predicted to be worthwhile."""
 
 
 def descend(objective: Objective, vector: FloatArray, steps: int, worthwhile: float) -> Descent:

@@ -23,18 +23,12 @@ WIDEST = 2.3
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Errors of an alternative on one recording.
-
-    Attributes
-    ----------
-    left_um : (n,) array
-        Residual on held-out rows.
-    stretch : (n,) array of int
-        Number of the stretch that each row belongs to.
-    """
+    """Errors of an alternative on one recording."""
 
     left_um: FloatArray
+    """Residual on held-out rows, (n,)."""
     stretch: NDArray[np.intp]
+    """Number of the stretch that each row belongs to, (n,)."""
 
     @cached_property
     def mean_square_um2(self) -> float:
@@ -50,25 +44,17 @@ class HeldOut:
 
 @dataclass(frozen=True, eq=False)
 class Remainder:
-    """Remaining error of one recording.
-
-    Attributes
-    ----------
-    name : str
-        Name of the recording.
-    held_out : HeldOut
-        Residual of samples that were not fitted.
-    period_s : float
-        Sample period.
-    travel_um, motion_um : float
-        Peak-to-peak and RMS values of the measured displacement.
-    """
+    """Remaining error of one recording."""
 
     name: str
+    """Name of the recording."""
     held_out: HeldOut
+    """Residual of samples that were not fitted."""
     period_s: float
+    """Sample period."""
     travel_um: float
     motion_um: float
+    """Peak-to-peak and RMS values of the measured displacement."""
 
 
 def held_out_of(fit: JointFit) -> list[HeldOut]:

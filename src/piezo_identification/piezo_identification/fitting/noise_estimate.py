@@ -21,18 +21,12 @@ MOST_SAMPLES = 50_000
 
 @dataclass(frozen=True, eq=False)
 class NoiseEstimate:
-    """Noise and outliers of each recording, estimated with some effects in the model.
-
-    Attributes
-    ----------
-    noise_um : tuple of float
-        Standard deviation of the sensor noise.
-    outliers : tuple of (N,) array of bool
-        Samples that were marked before or that stand out in the residual.
-    """
+    """Noise and outliers of each recording, estimated with some effects in the model."""
 
     noise_um: tuple[float, ...]
+    """Standard deviation of the sensor noise."""
     outliers: tuple[BoolArray, ...]
+    """Samples that were marked before or that stand out in the residual."""
 
 
 def estimate_noise(dataset: Dataset, effects: Sequence[Effect] = (),

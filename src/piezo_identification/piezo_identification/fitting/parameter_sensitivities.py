@@ -20,31 +20,23 @@ from piezo_models.linear.creep_errors import creep_error_map
 
 @dataclass(frozen=True)
 class PriorWidths:
-    """Prior widths of the parameters of an identified model, as logarithms.
-
-    Attributes
-    ----------
-    dynamics_and_density : float
-        Width of the time constant, the modes, and the surface that multiplies the density.
-    creep : float
-        Width of the rates and sizes of the creep: a recording covers few of its time constants.
-    reversible : float
-        Width of the reversible part of the gain, which only small loops distinguish from the rest.
-    middle_knots, span_knots : int
-        Knots of the surface that multiplies the density: few, so that it stays smooth.
-    near_diagonal : tuple of (float, float)
-        Further factors of the density near its diagonal: the span over which each decays, relative
-        to the voltage range, and its width. Small spans are the least certain, because an
-        identification crosses them on its way to large ones. Chosen on seed 304 of
-        `piezo_studies.diagnosis_calibration`.
-    """
+    """Prior widths of the parameters of an identified model, as logarithms."""
 
     dynamics_and_density: float = 0.005
+    """Width of the time constant, the modes, and the surface that multiplies the density."""
     creep: float = 0.05
+    """Width of the rates and sizes of the creep: a recording covers few of its time constants."""
     reversible: float = 0.02
+    """Width of the reversible part of the gain, which only small loops distinguish from the
+    rest."""
     middle_knots: int = 3
     span_knots: int = 4
+    """Knots of the surface that multiplies the density: few, so that it stays smooth."""
     near_diagonal: tuple[tuple[float, float], ...] = ((0.005, 0.2), (0.015, 0.05), (0.05, 0.02))
+    """Further factors of the density near its diagonal: the span over which each decays, relative
+    to the voltage range, and its width. Small spans are the least certain, because an
+    identification crosses them on its way to large ones. Chosen on seed 304 of
+    `piezo_studies.diagnosis_calibration`."""
 
 
 WIDTHS = PriorWidths()

@@ -22,23 +22,16 @@ from piezo_models.effects.outliers import Outliers
 
 @dataclass(frozen=True)
 class RegressionSettings:
-    """Weights of the regression.
-
-    Attributes
-    ----------
-    prior_share : float
-        Cost of a parameter change by its prior width, as a fraction of the unexplained energy
-        beyond the noise. Even large errors are then explained only with plausible changes.
-    least_share : float
-        Smallest unexplained energy that is assumed, as a fraction of the noise energy.
-    model_tolerance : float
-        Accuracy of a good model, as a fraction of the travel: smaller errors do not justify an
-        effect.
-    """
+    """Weights of the regression."""
 
     prior_share: float = 0.02
+    """Cost of a parameter change by its prior width, as a fraction of the unexplained energy beyond
+    the noise. Even large errors are then explained only with plausible changes."""
     least_share: float = 0.05
+    """Smallest unexplained energy that is assumed, as a fraction of the noise energy."""
     model_tolerance: float = 1e-4
+    """Accuracy of a good model, as a fraction of the travel: smaller errors do not justify an
+    effect."""
 
 
 SETTINGS = RegressionSettings()
@@ -52,26 +45,19 @@ def accuracies_um(dataset: Dataset) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Fitted effects and the residual with them.
-
-    Attributes
-    ----------
-    residual : (r,) array
-        Part of `difference` that the regressors do not explain.
-    difference : (r,) array
-        Measured minus simulated displacement at all rows, divided by the tolerance of its
-        recording.
-    coefficients : (m,) array
-        Coefficients of the regressors.
-    covariance : (p, p) array or None
-        Covariance of the fitted values of the effects.
-    """
+    """Fitted effects and the residual with them."""
 
     effects: tuple[Effect, ...]
+
     residual: FloatArray
+    """Part of `difference` that the regressors do not explain, (r,)."""
     difference: FloatArray
+    """Measured minus simulated displacement at all rows, divided by the tolerance of its recording,
+    (r,)."""
     coefficients: FloatArray
+    """Coefficients of the regressors, (m,)."""
     covariance: FloatArray | None = None
+    """Covariance of the fitted values of the effects, (p, p)."""
 
     @property
     def parameter_count(self) -> int:
@@ -86,24 +72,18 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """A weighted regression on the estimation rows of a data set.
-
-    Attributes
-    ----------
-    tolerance_um : (r,) array
-        Combined noise and accuracy of a good model.
-    estimation, validation : (r,) array of bool
-        Rows without outliers that are fitted, and those of the validation set.
-    prior : (p, m) array
-        Rows that contain the prior of the parameters.
-    """
+    """A weighted regression on the estimation rows of a data set."""
 
     dataset: Dataset
     noise: NoiseEstimate
+
     tolerance_um: FloatArray
+    """Combined noise and accuracy of a good model, (r,)."""
     estimation: BoolArray
     validation: BoolArray
+    """Rows without outliers that are fitted, and those of the validation set, (r,)."""
     prior: FloatArray
+    """Rows that contain the prior of the parameters, (p, m)."""
 
     @property
     def weighted(self) -> FloatArray:

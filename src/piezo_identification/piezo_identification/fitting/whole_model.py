@@ -52,35 +52,27 @@ model only need small corrections."""
 
 @dataclass(frozen=True, eq=False)
 class WholeFit:
-    """A fitted model and its residuals on all recordings.
-
-    Attributes
-    ----------
-    model : StageModel
-        Model with its effects, but without its delay.
-    delay_s : float or None
-        Delay of the displacement relative to the rows as they were said to be read; negative if
-        they are read later still. None for a model without a delay.
-    left_um : list of ((n,) array, (m,) array)
-        Residuals of each recording on its fitted and on its held-out rows.
-    accuracy_um : (R,) array
-        Accuracy of a good model of each recording.
-    counts : (R,) array
-        Number of independent errors counted in each recording: the largest number that any fit of
-        the problem has reached so far.
-    free_changes : int
-        Number of changes of the hysteresis with a wide prior.
-    """
+    """A fitted model and its residuals on all recordings."""
 
     model: StageModel
+    """Model with its effects, but without its delay."""
     delay_s: float | None
+    """Delay of the displacement relative to the rows as they were said to be read; negative if they
+    are read later still. None for a model without a delay."""
     left_um: list[tuple[FloatArray, FloatArray]]
+    """Residuals of each recording on its fitted and on its held-out rows."""
     accuracy_um: FloatArray
+    """Accuracy of a good model of each recording, (R,)."""
     errors: JointErrors = field(repr=False)
     vector: FloatArray = field(repr=False)
+
     counts: FloatArray = field(repr=False)
+    """Number of independent errors counted in each recording, (R,): the largest number that any fit
+    of the problem has reached so far."""
     has_converged: bool = False
+
     free_changes: int = 0
+    """Number of changes of the hysteresis with a wide prior."""
 
     @property
     def numbers(self) -> int:
@@ -209,8 +201,7 @@ class WholeModel:
     def with_line(self) -> "WholeModel":
         """Return the problem with the best-fitting line in place of its hysteresis."""
         loops = self._given.hysteresis
-        unit = PreisachModel(
-            loops.voltage_min_v, loops.voltage_max_v, np.zeros((1, 1)), 0.0, np.ones(1))
+        unit = PreisachModel.line(loops.voltage_min_v, loops.voltage_max_v, 1.0)
         model = replace(self._given, hysteresis=unit)
         pairs = [(part.with_model(model).simulate(), part.measured_um)
                  for part in self._dataset.simulated]
@@ -219,8 +210,8 @@ class WholeModel:
         gain_um_per_v = max(float(moved @ measured / (moved @ moved)), LEAST_GAIN)
         offset_um = np.mean([measured.mean() - gain_um_per_v * moved.mean()
                              for moved, measured in pairs])
-        return self.with_hysteresis(replace(
-            unit, offset_um=float(offset_um), reversible_um_per_v=np.array([gain_um_per_v])),
+        return self.with_hysteresis(PreisachModel.line(
+            loops.voltage_min_v, loops.voltage_max_v, gain_um_per_v, float(offset_um)),
             BESIDE_ROUGH)
 
     def about_here(self) -> None:

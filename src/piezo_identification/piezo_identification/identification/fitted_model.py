@@ -15,19 +15,14 @@ from piezo_models.hysteresis.first_rise import FirstRise
 
 @dataclass(frozen=True)
 class FittedModel:
-    """A model with the standard deviations of its parameters, before its errors are measured.
-
-    Parameters
-    ----------
-    uncertainties : dict of str to dict
-        Standard deviations of creep and dynamics, as far as they were estimated.
-    visited : ndarray of bool, shape (n, n)
-        Cells of the Preisach plane that the data determine.
-    """
+    """A model with the standard deviations of its parameters, before its errors are measured."""
 
     model: StageModel
+
     uncertainties: dict[str, Any]
+    """Standard deviations of creep and dynamics, as far as they were estimated."""
     visited: NDArray[np.bool_]
+    """Cells of the Preisach plane that the data determine, (n, n)."""
 
 
 def fitted_model(linear: LinearDynamics, density: DensityEstimate,

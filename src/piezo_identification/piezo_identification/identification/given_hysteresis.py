@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.hysteresis.density_estimate import (
     LINE_OF_RESPONSE,
     DensityEstimate,
@@ -24,19 +23,13 @@ is valid between minus and plus this voltage."""
 
 @dataclass(frozen=True)
 class DensityOptions:
-    """Options for the density of the hysteresis; what is None is chosen from the data.
-
-    Parameters
-    ----------
-    grid : int, optional
-        Number of cells along each threshold.
-    smoothing_weight, translation_weight : float, optional
-        As in `piezo_identification.estimators.hysteresis.smoothed_density.smoothed_density`.
-    """
+    """Options for the density of the hysteresis; what is None is chosen from the data."""
 
     grid: int | None = None
+    """Number of cells along each threshold."""
     smoothing_weight: float | None = None
     translation_weight: float | None = None
+    """As in `piezo_identification.estimators.hysteresis.smoothed_density.smoothed_density`."""
 
     def keywords(self) -> dict[str, Any]:
         """Return the options as arguments of `density_fit.estimate_density`."""
@@ -70,18 +63,15 @@ def estimate_hysteresis_of(
         data for name in ("creep", "dynamics") for data in of_kind(recordings, name)
         if isinstance(data, Recording)]
     if not shown:
-        return _line_of_response(of_kind(recordings, "dynamics")[0], linear)
+        return _line_of_response(linear)
     return estimate_density(
         shown, linear.creep, linear.slow_dynamics, delay_s=linear.slow_delay_s,
         **options.keywords())
 
 
-def _line_of_response(measured: FrequencyResponse, linear: LinearDynamics) -> DensityEstimate:
-    gain = float(linear.estimates["dynamics"].model.gain)
-    if gain <= 0.0:
-        raise ValueError(
-            f"{measured.path} has the gain {gain:.6g} at low frequency, so the displacement falls "
-            "where the voltage rises: reverse its sign")
+def _line_of_response(linear: LinearDynamics) -> DensityEstimate:
+    # Of a sensor that counts the other way, the model's displacement rises with the voltage.
+    gain = abs(float(linear.estimates["dynamics"].model.gain))
     return DensityEstimate(
         LINE_OF_RESPONSE, np.array([-ANY_VOLTAGE_V, ANY_VOLTAGE_V]), np.zeros((1, 1)),
         -gain * ANY_VOLTAGE_V, np.ones((1, 1), dtype=bool),

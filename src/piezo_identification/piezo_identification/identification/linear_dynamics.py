@@ -66,36 +66,26 @@ SECOND_PASS = 0.3
 
 @dataclass(frozen=True)
 class LinearDynamics:
-    """Estimated linear part of the model, which follows the hysteresis, and effects.
-
-    Parameters
-    ----------
-    delay_s : float
-        Delay of the stage in addition to the dynamics.
-    effects : tuple of Effect
-        Lag ahead of the hysteresis, modes in addition to those of the dynamics, and sensor lag.
-    read_at_samples : float
-        Estimated instant at which the rows of the dynamics recording are read, in sample periods
-        after their voltage.
-    creep_read_at_samples : float
-        The same instant for the creep recording, which may come from another logger.
-    estimates : dict of str to Estimate
-        Estimates by experiment: creep, dynamics.
-    uncertainties : dict of str to dict
-        Standard deviations of creep and dynamics, as far as they were estimated.
-    effect_deviations : tuple of dict
-        Standard deviations of the parameters of all effects that `all_effects` returns.
-    """
+    """Estimated linear part of the model, which follows the hysteresis, and effects."""
 
     creep: CreepDynamics = CreepDynamics()
     dynamics: ElectricVibrationDynamics = ElectricVibrationDynamics()
+
     delay_s: float = 0.0
+    """Delay of the stage in addition to the dynamics."""
     effects: tuple[Effect, ...] = ()
+    """Lag ahead of the hysteresis, modes in addition to those of the dynamics, and sensor lag."""
     read_at_samples: float = 0.0
+    """Estimated instant at which the rows of the dynamics recording are read, in sample periods
+    after their voltage."""
     creep_read_at_samples: float = 0.0
+    """The same instant for the creep recording, which may come from another logger."""
     estimates: dict[str, Estimate] = field(default_factory=dict)
+    """Estimates by experiment: creep, dynamics."""
     uncertainties: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """Standard deviations of creep and dynamics, as far as they were estimated."""
     effect_deviations: tuple[dict[str, float], ...] = ()
+    """Standard deviations of the parameters of all effects that `all_effects` returns."""
 
     @property
     def all_effects(self) -> tuple[Effect, ...]:

@@ -26,21 +26,14 @@ logarithm of that error. They keep a single block from indicating a change."""
 
 @dataclass(frozen=True)
 class Change:
-    """The evidence for a change.
-
-    Attributes
-    ----------
-    blocks : int
-        Number of blocks since the most likely beginning.
-    factor : float
-        Most likely factor by which the error has grown.
-    logarithm : float
-        Logarithm of the Bayes factor.
-    """
+    """The evidence for a change."""
 
     blocks: int
+    """Number of blocks since the most likely beginning."""
     factor: float
+    """Most likely factor by which the error has grown."""
     logarithm: float
+    """Logarithm of the Bayes factor."""
 
 
 class ChangeEvidence:

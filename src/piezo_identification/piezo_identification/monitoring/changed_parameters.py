@@ -21,25 +21,17 @@ from piezo_recorder.reading.recording import Recording
 
 @dataclass(frozen=True)
 class ChangeSettings:
-    """Settings of the search for changed parameters.
-
-    Attributes
-    ----------
-    stretches : int
-        Number of stretches of the recording; every third is held out.
-    most_groups : int
-        Most groups of parameters that may have changed at once.
-    significant : float
-        Smallest mean improvement on the held-out stretches for which a group is accepted, in
-        standard deviations.
-    largest_logarithm : float
-        Largest change of the logarithm of a parameter.
-    """
+    """Settings of the search for changed parameters."""
 
     stretches: int = 30
+    """Number of stretches of the recording; every third is held out."""
     most_groups: int = 2
+    """Most groups of parameters that may have changed at once."""
     significant: float = 5.0
+    """Smallest mean improvement on the held-out stretches for which a group is accepted, in
+    standard deviations."""
     largest_logarithm: float = 0.5
+    """Largest change of the logarithm of a parameter."""
 
 
 SETTINGS = ChangeSettings()
@@ -47,22 +39,15 @@ SETTINGS = ChangeSettings()
 
 @dataclass(frozen=True, eq=False)
 class ChangedParameters:
-    """The changed parameters of a model.
-
-    Attributes
-    ----------
-    model : StageModel
-        Model with the changed parameters; the given model if no change is significant.
-    changes : dict of str to (float, float)
-        Value before and after the change by parameter name, which ends in the unit.
-    before_rms_um, after_rms_um : float
-        RMS of the residual on the held-out stretches.
-    """
+    """The changed parameters of a model."""
 
     model: StageModel
+    """Model with the changed parameters; the given model if no change is significant."""
     changes: dict[str, tuple[float, float]]
+    """Value before and after the change by parameter name, which ends in the unit."""
     before_rms_um: float
     after_rms_um: float
+    """RMS of the residual on the held-out stretches."""
 
     @property
     def sentence(self) -> str:
@@ -151,13 +136,9 @@ def _changed(model: StageModel, logarithms: dict[str, float]) -> StageModel:
     """Return the model with some parameters multiplied by the exponentials of `logarithms`."""
     factor = {name: float(np.exp(logarithms.get(name, 0.0))) for name in _values(model)}
     dynamics, hysteresis = model.dynamics, model.hysteresis
-    gain = factor["gain_um_per_v"]
     modes = range(1, len(dynamics.damping_ratios) + 1)
-    if gain != 1.0:
-        hysteresis = replace(
-            hysteresis, density_um_per_v2=gain * hysteresis.density_um_per_v2,
-            reversible_um_per_v=gain * hysteresis.reversible_um_per_v,
-            offset_um=gain * hysteresis.offset_um)
+    if factor["gain_um_per_v"] != 1.0:
+        hysteresis = hysteresis.scaled(factor["gain_um_per_v"])
     return replace(model, hysteresis=hysteresis, dynamics=replace(
         dynamics, time_constant_s=dynamics.time_constant_s * factor["time_constant_s"],
         mode_frequencies_rad_per_s=tuple(

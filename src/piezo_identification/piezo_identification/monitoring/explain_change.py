@@ -25,23 +25,16 @@ RESULT = "change.json"
 
 @dataclass(frozen=True)
 class ChangeExplanation:
-    """The explanation of a change, as far as one was found.
-
-    Attributes
-    ----------
-    sentence : str
-        Description for users.
-    extended_model : str
-        Path of the model that explains the change; empty if there is none.
-    before_rms_um, after_rms_um : float
-        RMS of the residual on held-out samples without and with the extended model; equal if
-        there is none.
-    """
+    """The explanation of a change, as far as one was found."""
 
     sentence: str
+    """Description for users."""
     extended_model: str = ""
+    """Path of the model that explains the change; empty if there is none."""
     before_rms_um: float = 0.0
     after_rms_um: float = 0.0
+    """RMS of the residual on held-out samples without and with the extended model; equal if there
+    is none."""
 
 
 def explain_change(model: str | Path, recording: str | Path, directory: str | Path,

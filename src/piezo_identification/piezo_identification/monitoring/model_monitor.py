@@ -42,24 +42,16 @@ HOURS_BETWEEN_CHANGES = 1.0
 
 @dataclass(frozen=True)
 class MonitorSettings:
-    """Settings of the monitor.
-
-    Attributes
-    ----------
-    block_s : float
-        Duration of a block. A few periods of the reference make the blocks similar.
-    learning_blocks : int
-        Blocks of a kind of motion from which its usual error is learned; older ones fade.
-    false_alarms_per_hour : float
-        Highest rate of false alarms while nothing has changed.
-    alike : float
-        Largest relative difference in motion between blocks of one kind.
-    """
+    """Settings of the monitor."""
 
     block_s: float = 0.2
+    """Duration of a block. A few periods of the reference make the blocks similar."""
     learning_blocks: int = 100
+    """Blocks of a kind of motion from which its usual error is learned; older ones fade."""
     false_alarms_per_hour: float = 0.01
+    """Highest rate of false alarms while nothing has changed."""
     alike: float = 0.1
+    """Largest relative difference in motion between blocks of one kind."""
 
     @property
     def threshold(self) -> float:
@@ -74,31 +66,21 @@ class MonitorSettings:
 
 @dataclass(frozen=True)
 class Suspicion:
-    """A reported change.
-
-    Attributes
-    ----------
-    statistic : str
-        Largest component of the error: a key of `STATISTICS`.
-    at_s : float
-        Time of the report since the first sample.
-    since_s : float
-        Estimated time at which the change began.
-    usual_rms_um, rms_um : float
-        RMS error of the model that is usual for this motion, and that of the last block.
-    probability : float
-        Probability (0 to 1) that the error has grown.
-    band_hz : (float, float)
-        Frequency band with most of the error.
-    """
+    """A reported change."""
 
     statistic: str
+    """Largest component of the error: a key of `STATISTICS`."""
     at_s: float
+    """Time of the report since the first sample."""
     since_s: float
+    """Estimated time at which the change began."""
     usual_rms_um: float
     rms_um: float
+    """RMS error of the model that is usual for this motion, and that of the last block."""
     probability: float
+    """Probability (0 to 1) that the error has grown."""
     band_hz: tuple[float, float]
+    """Frequency band with most of the error."""
 
     def sentence(self) -> str:
         """Describe the change in one sentence."""

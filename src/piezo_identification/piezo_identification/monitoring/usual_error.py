@@ -43,21 +43,14 @@ STEPS = 3
 
 @dataclass(frozen=True)
 class KnownError:
-    """Prior knowledge of the error of a model.
-
-    Attributes
-    ----------
-    part_of_motion : float
-        RMS of the error over that of the motion.
-    noise_um : float
-        RMS noise of the sensor.
-    spread : float
-        Standard deviation of the logarithms of both.
-    """
+    """Prior knowledge of the error of a model."""
 
     part_of_motion: float = 3e-3
+    """RMS of the error over that of the motion."""
     noise_um: float = 0.01
+    """RMS noise of the sensor."""
     spread: float = 3.0
+    """Standard deviation of the logarithms of both."""
 
 
 def known_error(identified: IdentifiedModel) -> KnownError:
@@ -89,17 +82,12 @@ def _stated_percent(errors: Mapping[str, Any]) -> Iterator[float]:
 
 @dataclass(eq=False)
 class _Kind:
-    """A kind of motion with count, mean and sum of squares of the logarithms of its errors.
-
-    Attributes
-    ----------
-    features : ndarray, shape (F,)
-    motion_um : ndarray, shape (B,)
-        RMS of the motion in each band.
-    """
+    """A kind of motion with count, mean and sum of squares of the logarithms of its errors."""
 
     features: FloatArray
+    """Shape (F,)."""
     motion_um: FloatArray
+    """RMS of the motion in each band, (B,)."""
     blocks: float = 0.0
     mean: float = 0.0
     squares: float = 0.0

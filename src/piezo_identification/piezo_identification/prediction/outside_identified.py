@@ -22,25 +22,18 @@ BEYOND = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class OutsideIdentified:
-    """Samples at which a model has not been identified.
-
-    Parameters
-    ----------
-    beyond : ndarray of bool, shape (N,)
-        True where the voltage is outside the range of the model, whose hysteresis is constant
-        there.
-    unvisited : ndarray of bool, shape (N,)
-        True where the output depends on cells of the Preisach plane that no recording determined.
-    deviation_um : ndarray, shape (N,)
-        Standard deviation of the displacement from these two causes; 0 without a cause.
-    voltage_range_v : (float, float)
-        Voltage range of the model.
-    """
+    """Samples at which a model has not been identified."""
 
     beyond: BoolArray
+    """True where the voltage is outside the range of the model, whose hysteresis is constant there,
+    (N,)."""
     unvisited: BoolArray
+    """True where the output depends on cells of the Preisach plane that no recording determined,
+    (N,)."""
     deviation_um: FloatArray
+    """Standard deviation of the displacement from these two causes, (N,); 0 without a cause."""
     voltage_range_v: tuple[float, float]
+    """Voltage range of the model."""
 
     @property
     def outside(self) -> BoolArray:

@@ -26,30 +26,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Measured and simulated displacement of the part in which the waveform is played.
-
-    Parameters
-    ----------
-    time_s, voltage_v, measured_um, simulated_um : ndarray, shape (N,)
-        Samples after the start has settled.
-    sample_index : ndarray of int, shape (N,)
-        Numbers of the samples in the recording.
-    past_v : (float, float) or ()
-        Voltages before the recording from `starting_past_v`.
-    outlier : ndarray of bool, shape (N,), optional
-        True for samples excluded from fits and errors; by default, none are.
-    reversed : bool
-        Whether the sign of the measured displacement was changed.
-    """
+    """Measured and simulated displacement of the part in which the waveform is played."""
 
     time_s: FloatArray
     voltage_v: FloatArray
     measured_um: FloatArray
     simulated_um: FloatArray
+    """Samples after the start has settled, (N,)."""
     sample_index: NDArray[np.int64]
+    """Numbers of the samples in the recording, (N,)."""
     past_v: PastVoltages = ()
+    """Voltages before the recording from `starting_past_v`."""
     outlier: NDArray[np.bool_] | None = None
+    """True for samples excluded from fits and errors, (N,); by default, none are."""
     reversed: bool = False
+    """Whether the sign of the measured displacement was changed."""
 
     def __repr__(self) -> str:
         return (f"<Prediction: {self.time_s.size} samples, e_y = {self.e_y_percent():.3g} % of "
@@ -57,9 +48,24 @@ class Prediction:
 
     def plot(self) -> "Figure":
         """Draw measured and simulated displacement over time, and their difference."""
-        from piezo_identification.prediction.prediction_pictures import displacement_figure
+        from piezo_common.picture_style import (
+            DIFFERENCE,
+            MEASURED,
+            MODELLED,
+            WIDE_IN,
+            label,
+            new_figure,
+        )
 
-        return displacement_figure(self)
+        figure = new_figure(5.0, WIDE_IN)
+        above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+        above.plot(self.time_s, self.measured_um, **MEASURED)
+        above.plot(self.time_s, self.simulated_um, **MODELLED)
+        above.legend(loc="upper right")
+        label(above, y="displacement (um)", title=f"e_y = {self.e_y_percent():.3g} %")
+        below.plot(self.time_s, 1e3 * (self.measured_um - self.simulated_um), **DIFFERENCE)
+        label(below, "time (s)", "difference (nm)")
+        return figure
 
     @property
     def good(self) -> NDArray[np.bool_]:

@@ -49,19 +49,13 @@ SETTLED_PART = 2e-3
 
 @dataclass(frozen=True)
 class RecordingCheck:
-    """Measured properties of a recording, each computed when it is first used.
-
-    Parameters
-    ----------
-    whole : Recording
-        The part in which a waveform is played.
-    given : Recording, optional
-        The recording including the omitted rows before and after that part; by default, there are
-        none.
-    """
+    """Measured properties of a recording, each computed when it is first used."""
 
     whole: Recording
+    """The part in which a waveform is played."""
     given: Recording | None = None
+    """The recording including the omitted rows before and after that part; by default, there are
+    none."""
 
     @cached_property
     def recording(self) -> Recording:

@@ -27,55 +27,38 @@ EXPERIMENTS = ("hysteresis", "creep", "dynamics", "validation")
 
 @dataclass(frozen=True)
 class Needs:
-    """Requirements of the experiments on a recording.
-
-    Attributes
-    ----------
-    hold_s : float
-        Shortest hold of a level that shows creep; the fast creep of stages takes seconds.
-    rows_per_hold : int
-        Fewest rows in a hold from which creep can be estimated.
-    held_share : float
-        Smallest fraction of a recording at held levels for which ramps between them are accepted;
-        a slow sine stays at its ends for less.
-    slow_branch_s : float
-        Shortest time between reversals for which the creep in the loops can be estimated.
-    rows_per_branch : int
-        Fewest rows between reversals for which fast cycles show loops, if the dynamics are known.
-    rows_per_ringing : float
-        Fewest rows in a period of ringing; with fewer, it may be an alias of a faster one.
-    followed : float
-        Fraction of a step that the displacement has completed in the first row after it, above
-        which the rows are too slow to show the dynamics.
-    steep_s, steep : float
-        Cycles count as steps if they cross the fraction `steep` of their swing within `steep_s`.
-    spectra : int
-        Number of stretches of a broadband recording to estimate its frequency response.
-    coherent : float
-        Smallest coherence of a line that is used.
-    departs : float
-        Smallest relative deviation from the response at the lowest frequency that indicates
-        dynamics; creep causes less within a recording.
-    well_visited : float
-        Visited fraction of the Preisach plane for which a density is well known.
-    range_over_noise : float
-        Smallest range of the displacement over its noise for a suitable recording.
-    """
+    """Requirements of the experiments on a recording."""
 
     hold_s: float = 2.0
+    """Shortest hold of a level that shows creep; the fast creep of stages takes seconds."""
     rows_per_hold: int = 20
+    """Fewest rows in a hold from which creep can be estimated."""
     held_share: float = 0.3
+    """Smallest fraction of a recording at held levels for which ramps between them are accepted; a
+    slow sine stays at its ends for less."""
     slow_branch_s: float = 10.0
+    """Shortest time between reversals for which the creep in the loops can be estimated."""
     rows_per_branch: int = 20
+    """Fewest rows between reversals for which fast cycles show loops, if the dynamics are known."""
     rows_per_ringing: float = 5.0
+    """Fewest rows in a period of ringing; with fewer, it may be an alias of a faster one."""
     followed: float = 0.9
+    """Fraction of a step that the displacement has completed in the first row after it, above which
+    the rows are too slow to show the dynamics."""
     steep_s: float = 2e-3
     steep: float = 0.5
+    """Cycles count as steps if they cross the fraction `steep` of their swing within `steep_s`."""
     spectra: int = 8
+    """Number of stretches of a broadband recording to estimate its frequency response."""
     coherent: float = 0.8
+    """Smallest coherence of a line that is used."""
     departs: float = 0.4
+    """Smallest relative deviation from the response at the lowest frequency that indicates
+    dynamics; creep causes less within a recording."""
     well_visited: float = 0.5
+    """Visited fraction of the Preisach plane for which a density is well known."""
     range_over_noise: float = 30.0
+    """Smallest range of the displacement over its noise for a suitable recording."""
 
 
 NEEDS = Needs()
@@ -83,18 +66,12 @@ NEEDS = Needs()
 
 @dataclass(frozen=True)
 class Suitability:
-    """Suitability of a recording for an experiment.
-
-    Attributes
-    ----------
-    verdict : str
-        ``yes``, ``partly`` or ``no``.
-    reason : str
-        Reason for the verdict.
-    """
+    """Suitability of a recording for an experiment."""
 
     verdict: str
+    """``yes``, ``partly`` or ``no``."""
     reason: str
+    """Reason for the verdict."""
 
 
 def suitability(check: RecordingCheck) -> dict[str, Suitability]:
@@ -133,18 +110,12 @@ def suitability_for(check: RecordingCheck, experiment: str) -> Suitability:
 
 @dataclass(frozen=True)
 class Misfit:
-    """A recording that is unsuitable for the experiment it was given for.
-
-    Attributes
-    ----------
-    sentence : str
-        Path of the recording and the reason.
-    made_for : tuple of str
-        Experiments, other than the validation, for which it is suitable.
-    """
+    """A recording that is unsuitable for the experiment it was given for."""
 
     sentence: str
+    """Path of the recording and the reason."""
     made_for: tuple[str, ...]
+    """Experiments, other than the validation, for which it is suitable."""
 
 
 def misfits(given: Recordings | FrequencyResponse, experiment: str) -> Iterator[Misfit]:

@@ -43,78 +43,57 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True)
 class KindSettings:
-    """Thresholds that distinguish the kinds of waveform.
-
-    Attributes
-    ----------
-    constant : float
-        Largest swing of a constant voltage, as a fraction of the largest voltage.
-    level_width : float
-        Width of a level, as a fraction of the swing.
-    held : float
-        Smallest fraction of unchanged samples for a voltage with levels.
-    widest_level, widest_group : float
-        Largest width of adjoining voltages that form one level, and that form levels at all, as
-        fractions of the swing.
-    reversal : float
-        Smallest reversal that is not noise, as a fraction of the swing.
-    even_slope : float
-        Largest spread of the slopes over their median for a voltage made of ramps.
-    slopes_per_branch : int
-        Number of slopes evaluated between two reversals.
-    one_tone : float
-        Smallest fraction of the energy in one line of the spectrum for a sine.
-    even_branches : float
-        Largest spread of the times between reversals over their median for regular cycles.
-    full_cycle : float
-        Smallest median distance between reversals for cycles, as a fraction of the swing; in noise
-        it is far shorter.
-    random_branches : float
-        Smallest spread of the times between reversals over their median for which motion over the
-        whole swing is noise of two levels.
-    most_cycles : int
-        Most reversals for which such motion may be irregular cycles instead.
-    steady_order, grown : float
-        Smallest rank correlation of the amplitudes with their order, and smallest ratio of the
-        first and last amplitude, for an amplitude that grows or shrinks.
-    jump, jump_over_usual, jump_over_others : float
-        Smallest change between two samples that is a jump: as a fraction of the swing, as a
-        multiple of the 99 % quantile, and as a multiple of the largest other change.
-    chirp_order, chirp_ratio : float
-        Smallest rank correlation of the times between reversals with their order, and smallest
-        ratio of the first and last of these times, and of the slopes between them, for a chirp.
-    repeated : float
-        Smallest autocorrelation of a periodic voltage.
-    sparse : float
-        Largest fraction of the lines of the band that hold 95 % of the energy for a multisine.
-    most_samples : int
-        Number of samples used for spectra; longer recordings are cut.
-    """
+    """Thresholds that distinguish the kinds of waveform."""
 
     constant: float = 1e-3
+    """Largest swing of a constant voltage, as a fraction of the largest voltage."""
     level_width: float = 0.02
+    """Width of a level, as a fraction of the swing."""
     held: float = 0.8
+    """Smallest fraction of unchanged samples for a voltage with levels."""
     widest_level: float = 0.06
     widest_group: float = 0.5
+    """Largest width of adjoining voltages that form one level, and that form levels at all, as
+    fractions of the swing."""
     most_levels: int = 100
+
     reversal: float = 0.02
+    """Smallest reversal that is not noise, as a fraction of the swing."""
     even_slope: float = 0.2
+    """Largest spread of the slopes over their median for a voltage made of ramps."""
     slopes_per_branch: int = 20
+    """Number of slopes evaluated between two reversals."""
     one_tone: float = 0.9
+    """Smallest fraction of the energy in one line of the spectrum for a sine."""
     even_branches: float = 0.15
+    """Largest spread of the times between reversals over their median for regular cycles."""
     full_cycle: float = 0.6
+    """Smallest median distance between reversals for cycles, as a fraction of the swing; in noise
+    it is far shorter."""
     random_branches: float = 1.0
+    """Smallest spread of the times between reversals over their median for which motion over the
+    whole swing is noise of two levels."""
     most_cycles: int = 50
+    """Most reversals for which such motion may be irregular cycles instead."""
     steady_order: float = 0.9
     grown: float = 1.3
+    """Smallest rank correlation of the amplitudes with their order, and smallest ratio of the first
+    and last amplitude, for an amplitude that grows or shrinks."""
     jump: float = 0.05
     jump_over_usual: float = 5.0
     jump_over_others: float = 2.0
+    """Smallest change between two samples that is a jump: as a fraction of the swing, as a multiple
+    of the 99 % quantile, and as a multiple of the largest other change."""
     chirp_order: float = 0.9
     chirp_ratio: float = 3.0
+    """Smallest rank correlation of the times between reversals with their order, and smallest ratio
+    of the first and last of these times, and of the slopes between them, for a chirp."""
     repeated: float = 0.97
+    """Smallest autocorrelation of a periodic voltage."""
     sparse: float = 0.3
+    """Largest fraction of the lines of the band that hold 95 % of the energy for a multisine."""
     most_samples: int = 1 << 20
+    """Number of samples used for spectra; longer recordings are cut."""
 
 
 SETTINGS = KindSettings()
@@ -122,25 +101,18 @@ SETTINGS = KindSettings()
 
 @dataclass(frozen=True)
 class Waveform:
-    """The kind of a voltage.
-
-    Attributes
-    ----------
-    text : str
-        Description as part of a sentence.
-    jumps : ndarray of int
-        Samples at which the voltage changes its level, or jumps during slow motion.
-    branch_s : float
-        Median time between reversals or jumps; infinite if there are none.
-    period : int
-        Period in samples; 0 if the voltage is not periodic.
-    """
+    """The kind of a voltage."""
 
     kind: Kind
+
     text: str
+    """Description as part of a sentence."""
     jumps: np.ndarray
+    """Samples at which the voltage changes its level, or jumps during slow motion."""
     branch_s: float = np.inf
+    """Median time between reversals or jumps; infinite if there are none."""
     period: int = 0
+    """Period in samples; 0 if the voltage is not periodic."""
 
 
 def waveform_of(voltage_v: FloatArray, period_s: float) -> Waveform:

@@ -22,15 +22,10 @@ from piezo_models.identified_model import IdentifiedModel
 
 @dataclass(frozen=True, eq=False)
 class ComponentEvidence:
-    """A recording with the fit of the component that was estimated from it.
-
-    Parameters
-    ----------
-    name : str
-        Name of the recording: creep, dynamics or hysteresis, numbered if there are several.
-    """
+    """A recording with the fit of the component that was estimated from it."""
 
     name: str
+    """Name of the recording: creep, dynamics or hysteresis, numbered if there are several."""
     residual: ComponentResidual
     fit: LackOfFit
 

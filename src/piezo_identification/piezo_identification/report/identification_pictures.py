@@ -4,10 +4,8 @@
 from collections.abc import Iterator
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from piezo_common.arrays import BoolArray
 from piezo_common.picture_style import (
     BLACK,
     MEASURED,
@@ -20,8 +18,8 @@ from piezo_common.report_page import Picture, pictured
 from piezo_identification.report import signal_pictures as signals
 from piezo_identification.report.component_evidence import ComponentEvidence
 from piezo_identification.report.response_band import measured_response, shown_frequencies
-from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.identified_model import IdentifiedModel
+from piezo_models.model_pictures import density_on
 from piezo_models.model_summary import visited_fraction
 from piezo_models.response_band import draw_bode
 
@@ -32,19 +30,25 @@ FIT_HEIGHT_IN = 6.4
 def component_pictures(evidence: ComponentEvidence) -> Iterator[Picture]:
     """Yield the fit of a component with its recording, and its residual over time and frequency."""
     name = evidence.name
+    yield fit_picture(evidence)
     if evidence.is_response:
-        yield pictured(f"Fit of the {name}", _response(evidence), "Measured frequency response at "
-                       "the travel of the model, what was fitted to it, and what is left.",
-                       closer=True)
         return
-    shown, caption = _fit(evidence)
-    yield pictured(f"Fit of the {name}", shown, caption, tall=True, closer=True)
     yield pictured(f"What is left of the {name} over time", _over_time(evidence),
                    "Measured minus fitted displacement of all samples; dotted, twice the noise, "
                    "between which 95 % of it lies.", closer=True)
     yield pictured(f"What is left of the {name} over frequency", _over_frequency(evidence),
                    "Density of what is left, and of the measured displacement; dotted, white noise "
                    f"as large as that told by {evidence.fit.noise_from}.", closer=True)
+
+
+def fit_picture(evidence: ComponentEvidence) -> Picture:
+    """Return the fit of a component beside its recording."""
+    name = f"Fit of the {evidence.name}"
+    if evidence.is_response:
+        return pictured(name, _response(evidence), "Measured frequency response at the travel of "
+                        "the model, what was fitted to it, and what is left.", closer=True)
+    shown, caption = _fit(evidence)
+    return pictured(name, shown, caption, tall=True, closer=True)
 
 
 def _fit(evidence: ComponentEvidence) -> tuple[Figure, str]:
@@ -113,7 +117,7 @@ def bode_picture(identified: IdentifiedModel, evidence: ComponentEvidence | None
     period_s = None if evidence is None or evidence.is_response else (
         evidence.residual.sample_period_s)
     measured_hz = None if measured is None else measured[0]
-    frequency_hz = shown_frequencies(identified, period_s, measured_hz)
+    frequency_hz = shown_frequencies(identified.model, period_s, measured_hz)
     draw_bode(gain, phase, identified, frequency_hz, measured)
     return pictured(
         "Frequency response", figure, "From the output of the hysteresis to the displacement. The "
@@ -125,7 +129,8 @@ def density_picture(identified: IdentifiedModel) -> Picture:
     """Return a figure of the density of the hysteresis, with unvisited cells hatched."""
     figure = new_figure(4.6)
     axes = figure.subplots()
-    draw_density(axes, identified.model.hysteresis, identified.visited)
+    density_on(axes, identified.model.hysteresis, identified.visited)
+    axes.set_aspect("equal")
     visited = identified.visited
     told = ""
     if visited is not None:
@@ -134,29 +139,3 @@ def density_picture(identified: IdentifiedModel) -> Picture:
             "; in the hatched rest the density is a continuation.")
     return pictured("Density", figure, "Density of the relays over the voltages at which they "
                     f"switch.{told}", tall=True, closer=True)
-
-
-def draw_density(axes: Axes, hysteresis: PreisachModel, visited: BoolArray | None = None) -> None:
-    """Draw the density of a Preisach model over the thresholds, unvisited cells hatched.
-
-    Parameters
-    ----------
-    visited : ndarray of bool, shape (L, L), optional
-        True for cells that a recording visited.
-    """
-    levels_v = hysteresis.levels_v
-    above = np.triu(np.ones(hysteresis.density_um_per_v2.shape, dtype=bool), 1)
-    density = np.ma.array(1e3 * hysteresis.density_um_per_v2, mask=above)
-    image = axes.pcolormesh(levels_v, levels_v, density, cmap="cividis")
-    axes.figure.colorbar(image, ax=axes, label="density (nm/V²)")
-    if visited is not None and np.any(np.tril(~visited)):
-        centres_v = 0.5 * (levels_v[1:] + levels_v[:-1])
-        unvisited = np.where(above | visited, 0.0, 1.0)
-        hatched = axes.contourf(centres_v, centres_v, unvisited, levels=(0.5, 1.5), colors="none",
-                                hatches=["////"])
-        hatched.set_edgecolor("white")
-        hatched.set_linewidth(0.0)
-    axes.plot(levels_v[[0, -1]], levels_v[[0, -1]], color=BLACK, linewidth=0.8)
-    axes.set_aspect("equal")
-    label(axes, "relay switches off at (V)", "relay switches on at (V)")
-    axes.grid(False)

@@ -8,7 +8,7 @@ from piezo_identification.adequacy.component_residual import ComponentResidual
 from piezo_identification.adequacy.lack_of_fit import LackOfFit
 from piezo_identification.analysis.gain_over_frequency import gain_of
 from piezo_models.cascade import StageModel
-from piezo_models.identified_model import IdentifiedModel
+from piezo_models.model_pictures import drawn_frequencies
 
 POINTS = 500
 
@@ -72,23 +72,18 @@ def _thinned(frequency_hz: FloatArray) -> IntArray:
     return np.asarray(np.unique(cells, return_index=True)[1], dtype=np.int_)
 
 
-def shown_frequencies(identified: IdentifiedModel, sample_period_s: float | None,
-                      measured_hz: FloatArray | None = None) -> FloatArray:
-    """Return the frequencies of a Bode diagram: from the slowest creep to above the fastest mode.
+def shown_frequencies(model: StageModel, sample_period_s: float | None,
+                      measured_hz: FloatArray | None) -> FloatArray:
+    """Return the frequencies of a Bode diagram of a model beside what was measured.
 
     Parameters
     ----------
     sample_period_s : float or None
         Sample period of the fast recording; half its sample rate is the highest frequency.
-    measured_hz : ndarray, optional
+    measured_hz : ndarray or None
         Measured frequencies that the range must include.
     """
-    model = identified.model
-    lag_s = model.dynamics.time_constant_s
-    rates = [*model.creep.poles_rad_per_s, *model.dynamics.mode_frequencies_rad_per_s,
-             *model.dynamics.antiresonance_frequencies_rad_per_s, *([1.0 / lag_s] if lag_s else [])]
-    corners = [rate / (2.0 * np.pi) for rate in rates] or [1.0]
-    low, high = 0.3 * min(corners), 3.0 * max(corners)
+    low, high = drawn_frequencies(model)[[0, -1]]
     if measured_hz is not None and measured_hz.size:
         low, high = min(low, measured_hz.min()), max(high, min(measured_hz.max(), 10.0 * high))
     if sample_period_s is not None:

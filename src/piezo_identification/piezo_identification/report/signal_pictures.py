@@ -43,7 +43,7 @@ ENVELOPE: dict[str, Any] = {"color": VERMILION, "linewidth": 0.5}
 
 
 def draw_measured(axes: Axes, view: WaveformView, measured: FloatArray,
-                  modelled: FloatArray | None = None) -> None:
+                   modelled: FloatArray) -> None:
     """Draw the mean period of a signal, or its envelope, together with that of a model.
 
     Parameters
@@ -51,22 +51,20 @@ def draw_measured(axes: Axes, view: WaveformView, measured: FloatArray,
     measured, modelled : ndarray, shape (N,)
         Displacement in um.
     """
-    axes.plot(*outline(view.time, view.mean(measured)),
-              **(ALONE if modelled is None else MEASURED))
-    if modelled is not None:
-        axes.plot(*outline(view.time, view.mean(modelled)), **MODELLED)
-        axes.legend(loc="best")
+    axes.plot(*outline(view.time, view.mean(measured)), **MEASURED)
+    axes.plot(*outline(view.time, view.mean(modelled)), **MODELLED)
+    axes.legend(loc="best")
     label(axes, view.time_label, "displacement (um)", view.title)
 
 
 def draw_difference(axes: Axes, view: WaveformView, difference_um: FloatArray,
-                    noise_um: float | None = None, deviation_um: FloatArray | None = None) -> None:
+                    noise_um: float | None, deviation_um: FloatArray | None = None) -> None:
     """Draw the residual of a model with bands of two standard deviations of noise and model.
 
     Parameters
     ----------
     difference_um : ndarray, shape (N,)
-    noise_um : float, optional
+    noise_um : float or None
         Standard deviation of a single sample; it is reduced for a mean period.
     deviation_um : ndarray, shape (N,), optional
         Standard deviation of the modelled displacement; not drawn if it is 0 throughout.
@@ -109,18 +107,18 @@ def draw_loops(axes: Axes, voltage_v: FloatArray, measured: FloatArray,
 
 
 def draw_loop_difference(axes: Axes, voltage_v: FloatArray, difference_um: FloatArray,
-                         noise_um: float | None = None) -> None:
+                          noise_um: float) -> None:
     """Draw the residual of a model over the voltage.
 
     Parameters
     ----------
     voltage_v, difference_um : ndarray, shape (N,)
-    noise_um : float, optional
+    noise_um : float
         Standard deviation of a sample.
     """
     every = slice(None, None, max(1, voltage_v.size // MOST_POINTS))
     axes.plot(voltage_v[every], NANOMETRES * difference_um[every], **DIFFERENCE)
-    if noise_um is not None and np.isfinite(noise_um):
+    if np.isfinite(noise_um):
         draw_noise(axes, noise_um)
     label(axes, "voltage (V)", "left (nm)")
 

@@ -27,23 +27,18 @@ SHORT_S = 1.0
 
 @dataclass(frozen=True, eq=False)
 class WaveformView:
-    """The samples that show a recording.
-
-    Parameters
-    ----------
-    starts : ndarray of int
-        First samples of the periods whose mean is drawn; 0 alone if the voltage is not periodic.
-    samples : int
-        Number of samples in a period or, if the voltage is not periodic, in the recording.
-    jumps : ndarray of int
-        Samples at which the voltage changes its level.
-    """
+    """The samples that show a recording."""
 
     kind: Kind
+
     starts: NDArray[np.intp]
+    """First samples of the periods whose mean is drawn; 0 alone if the voltage is not periodic."""
     samples: int
+    """Number of samples in a period or, if the voltage is not periodic, in the recording."""
     sample_period_s: float
+
     jumps: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+    """Samples at which the voltage changes its level."""
 
     @property
     def periods(self) -> int:
@@ -87,17 +82,8 @@ class WaveformView:
 
     def mean(self, values: FloatArray) -> FloatArray:
         """Return the mean period of a signal, or the whole signal if there are no periods."""
-        return np.asarray(np.mean(self._folded(values), axis=0))
-
-    def scatter(self, values: FloatArray) -> float:
-        """Return the standard deviation of samples about the mean period; nan without periods."""
-        if not self.is_mean:
-            return float("nan")
-        folded = self._folded(values)
-        return float(np.sqrt(np.mean(np.var(folded, axis=0, ddof=1))))
-
-    def _folded(self, values: FloatArray) -> FloatArray:
-        return np.stack([values[start : start + self.samples] for start in self.starts])
+        return np.asarray(np.mean(
+            [values[start : start + self.samples] for start in self.starts], axis=0))
 
 
 def view_of(voltage_v: FloatArray, sample_period_s: float,

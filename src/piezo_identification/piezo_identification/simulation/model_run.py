@@ -16,6 +16,7 @@ from piezo_identification.conditioning.waveforms import (
     samples_per_mean,
     with_voltage_before,
 )
+from piezo_identification.simulation.nuisance import offset_and_decays
 from piezo_identification.simulation.recorded_voltage import in_parts
 from piezo_identification.simulation.sampled_response import (
     behind_lags,
@@ -36,27 +37,19 @@ PastVoltages = tuple[float, float] | tuple[()]
 
 @dataclass(frozen=True)
 class PastSearchSettings:
-    """Settings of the search for the voltages before a recording.
-
-    Attributes
-    ----------
-    searched_samples : int
-        Samples at the start of the recording that are simulated for each candidate. The past
-        affects the first turning points; more samples cost time and add no information.
-    grid_points : int
-        Number of highest and of lowest voltages tried in each round.
-    rounds : int
-        Number of grids, each around the best candidate of the one before. Three grids of six points
-        resolve a hundredth of the voltage range.
-    largest_error_ratio : float
-        Largest ratio of the errors with and without a past for which the past is accepted. Two more
-        parameters always reduce the error a little.
-    """
+    """Settings of the search for the voltages before a recording."""
 
     searched_samples: int = 200_000
+    """Samples at the start of the recording that are simulated for each candidate. The past affects
+    the first turning points; more samples cost time and add no information."""
     grid_points: int = 6
+    """Number of highest and of lowest voltages tried in each round."""
     rounds: int = 3
+    """Number of grids, each around the best candidate of the one before. Three grids of six points
+    resolve a hundredth of the voltage range."""
     largest_error_ratio: float = 0.9
+    """Largest ratio of the errors with and without a past for which the past is accepted. Two more
+    parameters always reduce the error a little."""
 
 
 SETTINGS = PastSearchSettings()
@@ -138,13 +131,10 @@ class ModelRun:
         time_s = self.part.time_s
         self.settled = np.arange(
             first_settled(model.dynamics, time_s, model.effects), time_s.size)
-        rates_rad_per_s = list(model.creep.poles_rad_per_s)
-        if model.hysteretic_creep is not None:
-            rates_rad_per_s += [1.0 / tau for tau in set(model.hysteretic_creep.time_constants_s)]
         time_s = time_s[self.settled]
         self.good = good_samples(self.part)[self.settled]
         self._nuisance = np.column_stack([
-            np.ones(time_s.size), *(np.exp(-rate * time_s) for rate in rates_rad_per_s),
+            offset_and_decays(model, time_s),
             *(self._ringing(time_s) if np.ptp(recording.voltage_v[:AT_REST]) else ()),
         ])
         self._span_of: tuple[BoolArray, FloatArray] | None = None

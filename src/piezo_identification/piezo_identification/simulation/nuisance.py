@@ -1,31 +1,29 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Nuisance parameters of a recording for any model: its offset and its initial creep."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 
-
-def nuisance_regressors(part: SimulatedRecording, rows: NDArray[np.intp]) -> FloatArray:
-    """Return the regressors of offset and initial creep.
-
-    Parameters
-    ----------
-    rows : (n,) array of int
-        Samples at which they are computed.
-
-    Returns
-    -------
-    (n, 1 + creep pairs) array
-    """
-    time_s = part.time_s[rows]
-    return np.column_stack([np.exp(-p * time_s) for p in _nuisance_rates(part.model)])
+if TYPE_CHECKING:
+    from piezo_identification.simulation.simulated_recording import SimulatedRecording
 
 
-def nuisance_signal(part: SimulatedRecording, sizes: FloatArray) -> FloatArray:
+def offset_and_decays(model: StageModel, time_s: FloatArray) -> FloatArray:
+    """Return the regressors of offset and initial creep at some times, (n, 1 + creep pairs)."""
+    return np.column_stack([np.exp(-rate * time_s) for rate in _nuisance_rates(model)])
+
+
+def nuisance_regressors(part: "SimulatedRecording", rows: NDArray[np.intp]) -> FloatArray:
+    """Return the regressors of offset and initial creep at some samples, (n, 1 + creep pairs)."""
+    return offset_and_decays(part.model, part.time_s[rows])
+
+
+def nuisance_signal(part: "SimulatedRecording", sizes: FloatArray) -> FloatArray:
     """Return the sum of the nuisance regressors times their sizes at all samples, (N,).
 
     Parameters

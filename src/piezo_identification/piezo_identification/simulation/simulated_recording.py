@@ -38,23 +38,16 @@ from piezo_recorder.reading.recording import Recording
 
 @dataclass(frozen=True)
 class SimulationSettings:
-    """Settings of the simulation of a recording.
-
-    Attributes
-    ----------
-    fewest_samples : int
-        Fewest samples of a recording: a third is held out, and a dozen effects are fitted.
-    kept_outputs : int
-        Number of cached outputs of the linear part, in addition to the first, and of cached signals
-        between later effects. A fit varies one effect at a time and needs the last few again;
-        several fits may run in parallel.
-    kept_inputs : int
-        Number of cached inputs of the linear part with effects on the voltage.
-    """
+    """Settings of the simulation of a recording."""
 
     fewest_samples: int = 500
+    """Fewest samples of a recording: a third is held out, and a dozen effects are fitted."""
     kept_outputs: int = 6
+    """Number of cached outputs of the linear part, in addition to the first, and of cached signals
+    between later effects. A fit varies one effect at a time and needs the last few again; several
+    fits may run in parallel."""
     kept_inputs: int = 3
+    """Number of cached inputs of the linear part with effects on the voltage."""
 
 
 KEPT = 32

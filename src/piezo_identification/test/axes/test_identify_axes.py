@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from piezo_common.budget import Budget
 from piezo_identification.axes.identify_axes import identify_several_axes
 from piezo_identification.axes.predict_axes import predict_several_axes
 from piezo_recorder.reading.recording import RecordingError
@@ -80,6 +81,13 @@ def test_delays_of_the_sensors_are_found(identified):
     wanted_s = np.array(flexure.LATE) * flexure.PERIOD_S
     assert np.all(np.abs(identified.delays_s - wanted_s) < 4.0 * identified.delay_deviations_s)
     assert np.all(identified.delay_deviations_s < 0.2 * flexure.PERIOD_S)
+
+
+def test_a_budget_ends_the_search_with_the_best_so_far(recordings):
+    found = identify_several_axes(recordings, budget=Budget(1e-3))
+    assert "not tried: more than 4 poles" in found.unfinished
+    assert "further refinement" in found.unfinished
+    assert found.model.poles_rad_per_s.size
 
 
 def test_an_axis_that_rests_throughout_is_refused(recordings):

@@ -8,8 +8,9 @@ import pytest
 from matplotlib.image import imread
 
 from piezo_common.picture_style import new_figure, to_png
-from piezo_identification.report.identification_pictures import draw_density, visited_fraction
 from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.model_pictures import density_on
+from piezo_models.model_summary import visited_fraction
 
 CELLS = 40
 
@@ -18,7 +19,7 @@ def pixels(visited):
     density = np.tril(np.full((CELLS, CELLS), 0.004))
     figure = new_figure()
     axes = figure.subplots()
-    draw_density(axes, PreisachModel(0.0, 100.0, density, 0.0), visited)
+    density_on(axes, PreisachModel(0.0, 100.0, density, 0.0), visited)
     image = imread(io.BytesIO(to_png(figure, 100)), format="png")[..., :3]
     places = axes.transData.transform([(20.0, 90.0), (40.0, 50.0)]).astype(int)
     return [image[image.shape[0] - y - 8 : image.shape[0] - y + 8, x - 8 : x + 8]

@@ -22,7 +22,8 @@ def test_the_picture_of_the_validation_has_the_error_that_its_table_has(
     monkeypatch.setattr(identification_report, "prediction_pictures",
                         lambda prediction: drawn.append(prediction) or [])
     identified = IdentifiedModel(
-        plant, (-20.0, 120.0), errors=errors, visited=np.ones((1, 1), dtype=bool),
+        plant, (-20.0, 120.0), errors=errors,
+        visited=np.ones(plant.hysteresis.density_um_per_v2.shape, dtype=bool),
         rows={"validation": {"read_at_samples": 1.0, "standard_deviation_s": 1e-7}})
     identification_page(identified, {"validation": read_late}, Path("model.json"))
     assert drawn[0].e_y_percent() == pytest.approx(errors["e_y_percent"], rel=1e-3)

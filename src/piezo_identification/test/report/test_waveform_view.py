@@ -22,7 +22,6 @@ def test_a_fast_square_wave_of_seconds_is_drawn_as_its_mean_period():
     mean_um = view.mean(shape_um + noise_um)
     assert np.std(mean_um - view.mean(shape_um)) == pytest.approx(
         0.1 / np.sqrt(view.periods), rel=0.2)
-    assert view.scatter(shape_um + noise_um) == pytest.approx(0.1, rel=0.05)
 
 
 def test_a_generator_that_steps_a_sample_off_now_and_then_keeps_its_period():

@@ -15,19 +15,13 @@ from piezo_models.linear.dynamics import CreepDynamics
 
 @dataclass(frozen=True, eq=False)
 class Actuator:
-    """Convert the voltage of an axis to its drive, a voltage without hysteresis and creep.
-
-    Attributes
-    ----------
-    hysteresis : PreisachModel, optional
-        Its output over its mean slope is the voltage that it passes on. Over its whole range
-        this changes by as much as the voltage; beyond the range it follows the voltage.
-    creep : CreepDynamics
-        Creep of the drive, behind the hysteresis.
-    """
+    """Convert the voltage of an axis to its drive, a voltage without hysteresis and creep."""
 
     hysteresis: PreisachModel | None = None
+    """Its output over its mean slope is the voltage that it passes on. Over its whole range this
+    changes by as much as the voltage; beyond the range it follows the voltage."""
     creep: CreepDynamics = CreepDynamics()
+    """Creep of the drive, behind the hysteresis."""
 
     @property
     def slope_um_per_v(self) -> float:
@@ -62,18 +56,29 @@ class Actuator:
                 + voltage_v - self._within(voltage_v))
 
     def drive_v(self, voltage_v: FloatArray, sample_period_s: float, periodic: bool = False,
-                past: str = PASTS[0]) -> FloatArray:
-        """Return the drive of the modes under a voltage; creep has settled at its beginning."""
+                past: str = PASTS[0], goes_on: bool = False) -> FloatArray:
+        """Return the drive of the modes under a voltage; creep has settled at its beginning.
+
+        Parameters
+        ----------
+        voltage_v, periodic, past
+            As for `passed_v`.
+        goes_on : bool
+            True if the voltage changes linearly between samples; else it is held, and the drive is
+            that at the end of the sample.
+        """
         passed_v = self.passed_v(voltage_v, periodic, past)
         drive_v = passed_v.copy()
         for gain, rate in zip(self.creep_gains, self.creep.poles_rad_per_s, strict=True):
             kept = np.exp(-rate * sample_period_s)
-            before_v = passed_v[0]
+            behind = (1.0 - kept) / (rate * sample_period_s) - kept if goes_on else 0.0
+            follows, last_v = [1.0 - kept - behind, behind], passed_v[-1 if periodic else 0]
+            crept_v = last_v
             if periodic:
-                decayed_v = lfilter([1.0 - kept], [1.0, -kept], passed_v)
-                before_v = decayed_v[-1] / (1.0 - kept ** passed_v.size)
-            drive_v += gain * lfilter([1.0 - kept], [1.0, -kept], passed_v,
-                                      zi=[kept * before_v])[0]
+                decayed_v, _ = lfilter(follows, [1.0, -kept], passed_v, zi=[behind * last_v])
+                crept_v = decayed_v[-1] / (1.0 - kept ** passed_v.size)
+            drive_v += gain * lfilter(follows, [1.0, -kept], passed_v,
+                                      zi=[kept * crept_v + behind * last_v])[0]
         return drive_v
 
     @property

@@ -192,7 +192,7 @@ class CoupledModel:
                 np.tensordot(strengths, self.softening.gain, 1))
 
     def simulate(self, voltage_v: ArrayLike, periodic: bool = False,
-                 pasts: Sequence[str] = ()) -> FloatArray:
+                 pasts: Sequence[str] = (), goes_on: bool = False) -> FloatArray:
         """Return the displacement under a voltage.
 
         Parameters
@@ -203,6 +203,9 @@ class CoupledModel:
             True if the voltage has been repeated until the motion is periodic.
         pasts : sequence of str, optional
             How each axis reached its first voltage; see `drive_v`.
+        goes_on : bool
+            True if the voltage changes linearly between samples instead of being held; the model
+            is then one of `at_period` for such voltages.
 
         Returns
         -------
@@ -214,7 +217,7 @@ class CoupledModel:
         ValueError
             If the voltage has a wrong shape or is not finite.
         """
-        drive_v = self.drive_v(voltage_v, periodic, pasts) - self.operating_voltage_v
+        drive_v = self.drive_v(voltage_v, periodic, pasts, goes_on) - self.operating_voltage_v
         motion_um = self._run(drive_v, periodic) + sum(
             _delayed(drive_v, age, periodic) @ tap.T
             for age, tap in enumerate(self.direct_um_per_v))
@@ -224,12 +227,12 @@ class CoupledModel:
         return late_um + self.operating_displacement_um
 
     def drive_v(self, voltage_v: ArrayLike, periodic: bool = False,
-                pasts: Sequence[str] = ()) -> FloatArray:
+                pasts: Sequence[str] = (), goes_on: bool = False) -> FloatArray:
         """Return the drive of the modes under a voltage, (N, n), after hysteresis and creep.
 
         Parameters
         ----------
-        voltage_v, periodic
+        voltage_v, periodic, goes_on
             As for `simulate`.
         pasts : sequence of str, optional
             How each axis reached its first voltage, one of
@@ -249,7 +252,7 @@ class CoupledModel:
         if not self.actuators:
             return voltages_v
         return np.column_stack([
-            actuator.drive_v(column, self.sample_period_s, periodic, past)
+            actuator.drive_v(column, self.sample_period_s, periodic, past, goes_on)
             for actuator, column, past in zip(
                 self.actuators, np.ascontiguousarray(voltages_v.T),
                 pasts or PASTS[:1] * len(self.axes), strict=True)])
@@ -286,40 +289,54 @@ class CoupledModel:
             self.to_control(amplitude_v), self.axes, self.operating_voltage_v,
             self.operating_displacement_um), actuators=self.actuators)
 
-    def at_period(self, sample_period_s: float) -> Self:
-        """Return the model for voltages that are held for longer than its own sample period.
+    def at_period(self, sample_period_s: float, goes_on: bool = False) -> Self:
+        """Return the model for voltages whose samples are further apart than its own.
 
         A sensor delay shorter than the new period is included in the response within a sample.
-        """
-        held, late = sample_period_s / self.sample_period_s, self.latency_samples[None, :, None]
-        steps = np.exp(self.poles_rad_per_s * self.sample_period_s)[:, None, None]
-        lasting, within = np.abs(steps) ** held > SHORTEST_MEMORY**2, late < held
-        reached = 1.0 / (1.0 - steps)
-        states = np.where(lasting, reached * (1.0 - steps**held), 0.0)
-        # The state one latency earlier follows from that at the previous row.
-        seen = np.where(within & lasting, steps ** -np.where(lasting, late, 0), 1.0) * states
-        missed = np.where(within, reached * (1.0 - steps ** np.maximum(held - late, 0.0)) - seen,
-                          0.0)
-        more = np.einsum("k,kij->ij", self._multiples, (missed * self.residues_um_per_v).real)
-        taps = np.zeros((max(2, len(self.direct_um_per_v)), *more.shape))
-        taps[: len(self.direct_um_per_v)] = self.direct_um_per_v
-        taps[1] += more
-        softening = self.softening and replace(
-            self.softening, elongations=states * self.softening.elongations)
-        return replace(
-            self, sample_period_s=sample_period_s, residues_um_per_v=seen * self.residues_um_per_v,
-            direct_um_per_v=taps, softening=softening, latency_samples=np.where(
-                within.ravel(), 0, np.round(self.latency_samples / held)).astype(int))
 
-    def at_rest(self) -> Self:
-        """Return the model whose modes settle by the next sample."""
-        none = self.poles_rad_per_s[:0]
-        reached = self._modal(np.ones(1, dtype=complex), self.residues_um_per_v)[0].real
-        taps = np.zeros((max(2, len(self.direct_um_per_v)), *reached.shape))
-        taps[: len(self.direct_um_per_v)] = self.direct_um_per_v
-        taps[1] += reached
-        return replace(self, poles_rad_per_s=none, residues_um_per_v=self.residues_um_per_v[:0],
-                       direct_um_per_v=taps, softening=None)
+        Parameters
+        ----------
+        sample_period_s : float
+            New sample period in s.
+        goes_on : bool
+            True if the voltage changes linearly between samples; by default it is held (first-order
+            and zero-order hold; Franklin, Powell and Workman 1998, section 6.3).
+        """
+        held = sample_period_s / self.sample_period_s
+        within = self.latency_samples < held
+        late = np.where(within, self.latency_samples, 0)[None, :, None]
+        steps = np.exp(self.poles_rad_per_s * self.sample_period_s)[:, None, None]
+        kept = steps**held
+
+        def reached(samples: FloatArray | float) -> tuple[ComplexArray, ComplexArray]:
+            """Return the states after some samples of a step, and of a straight line."""
+            step = np.asarray((1.0 - steps**samples) / (1.0 - steps), dtype=complex)
+            line = np.asarray(goes_on * (samples - step) / (1.0 - steps) / held, dtype=complex)
+            return step, line
+
+        (step, line), (step_seen, line_seen) = reached(held), reached(held - late)
+        # What is left from before the last sample of the voltage, by the states at this one.
+        lasting = np.abs(kept) > SHORTEST_MEMORY**2
+        ago = np.where(lasting, steps ** -np.where(lasting, late, 0), 0.0)
+        states = step - (1.0 - kept) * line
+
+        def directly(*parts: ComplexArray) -> FloatArray:
+            return np.array([np.einsum("k,kij->ij", self._multiples, (
+                part * self.residues_um_per_v).real) for part in parts])
+
+        taps = directly(line_seen, step_seen - line_seen - ago * (step - line))
+        for age, tap in enumerate(self.direct_um_per_v):
+            before = np.minimum((late[0] + age) / held, 1.0) if goes_on else late[0] + age > 0
+            taps += np.array([(1.0 - before) * tap, before * tap])
+        softening = self.softening and replace(
+            self.softening, elongations=states * self.softening.elongations,
+            gain=self.softening.gain + np.einsum(
+                "k,pkij->pij", self._multiples, (line * self.softening.elongations).real))
+        return replace(
+            self, sample_period_s=sample_period_s,
+            residues_um_per_v=ago * states * self.residues_um_per_v, direct_um_per_v=taps,
+            softening=softening, latency_samples=np.where(
+                within, 0, np.round(self.latency_samples / held)).astype(int))
 
     def mode_near(self, frequency_hz: float, amplitude_v: float | None = None) -> complex:
         """Return the pole in rad/s of the highest resonance near a frequency.

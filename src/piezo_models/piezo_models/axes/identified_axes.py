@@ -22,20 +22,15 @@ LIGHT = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Coupling:
-    """The response from every axis to every axis at some frequencies, with standard deviations.
-
-    Attributes
-    ----------
-    frequency_hz : (F,) array
-    gain_um_per_v : (F, n, n) array of complex
-        Response by frequency, moving axis and driven axis; at the reference amplitude.
-    deviation_um_per_v : (F, n, n) array of complex
-        Standard deviations of the real parts (real) and the imaginary parts (imaginary).
-    """
+    """The response from every axis to every axis at some frequencies, with standard deviations."""
 
     frequency_hz: FloatArray
+    """Shape (F,)."""
     gain_um_per_v: ComplexArray
+    """Response by frequency, moving axis and driven axis, (F, n, n); at the reference amplitude."""
     deviation_um_per_v: ComplexArray
+    """Standard deviations of the real parts (real) and the imaginary parts (imaginary), (F, n,
+    n)."""
 
     def interval_90(self) -> tuple[ComplexArray, ComplexArray]:
         """Return the lower and upper ends of the 90 % intervals of real and imaginary parts."""
@@ -45,39 +40,30 @@ class Coupling:
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedAxes:
-    """A model of several axes with the results of its identification.
-
-    Attributes
-    ----------
-    voltage_range_v : (n, 2) array
-        Lowest and highest voltage of each axis in V.
-    pole_deviations_rad_per_s : (K,) array of complex
-        Standard deviations of the real parts (real) and the imaginary parts (imaginary).
-    residue_deviations_um_per_v : (K, n, n) array of complex
-        The same for the residues.
-    delays_s, delay_deviations_s : (n,) array
-        Delay of each sensor from the phases of the modes; `CoupledModel` uses whole samples.
-    errors : dict of str to dict
-        ``e_y_percent`` of each axis on data that was not fitted.
-    recordings : list of {"path": str, "sha256": str}
-        Recordings that the model was identified from.
-    created : str
-        Time of creation, ISO 8601.
-    unfinished : str
-        Why the identification ended early; empty if it was completed.
-    """
+    """A model of several axes with the results of its identification."""
 
     model: CoupledModel
+
     voltage_range_v: FloatArray
+    """Lowest and highest voltage of each axis in V, (n, 2)."""
     coupling: Coupling
+
     pole_deviations_rad_per_s: ComplexArray
+    """Standard deviations of the real parts (real) and the imaginary parts (imaginary), (K,)."""
     residue_deviations_um_per_v: ComplexArray
+    """The same for the residues, (K, n, n)."""
     delays_s: FloatArray
     delay_deviations_s: FloatArray
+    """Delay of each sensor from the phases of the modes, (n,); `CoupledModel` uses whole
+    samples."""
     errors: dict[str, dict[str, float]] = field(default_factory=dict)
+    """``e_y_percent`` of each axis on data that was not fitted."""
     recordings: Sequence[dict[str, str]] = ()
+    """Recordings that the model was identified from."""
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+    """Time of creation, ISO 8601."""
     unfinished: str = ""
+    """Why the identification ended early; empty if it was completed."""
 
     def __repr__(self) -> str:
         return f"<IdentifiedAxes of {self.created}: {self.model!r}>"

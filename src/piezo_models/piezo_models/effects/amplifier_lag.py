@@ -47,17 +47,13 @@ class SettledLag(Lag):
     """A lag of the voltage that acts as a linear system behind the hysteresis.
 
     The hysteresis does not store overshoot within the row.
-
-    Attributes
-    ----------
-    of : Lag
-        The lag in front of the hysteresis.
     """
 
     name: ClassVar[str] = "settled_lag"
     place: ClassVar[str] = "linear"
 
     of: Lag = field(kw_only=True)
+    """The lag in front of the hysteresis."""
 
     def __post_init__(self) -> None:
         """Check nothing, as the original lag was checked."""

@@ -2,15 +2,15 @@
 """Damping of a mode that grows with the amplitude of its vibration."""
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 from numba import njit
 
-from piezo_common.arrays import FloatArray
-from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, parameter
+from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_models.effects.effect import LEAST, MOST, Evidence, parameter
 from piezo_models.effects.filtering import filtered
-from piezo_models.effects.stiffening import UNRESOLVED
+from piezo_models.effects.swinging_mode import SwingingMode
 
 PHASE_STEP = 0.3
 """Largest angle in rad by which the mode turns in a step of the solution."""
@@ -64,7 +64,7 @@ def _damped(loads: FloatArray, state: FloatArray, viscous: float, quadratic: flo
 
 
 @dataclass(frozen=True)
-class AmplitudeDamping(Effect):
+class AmplitudeDamping(SwingingMode):
     """A mode is damped by the square of its speed, in addition to a change of its linear damping.
 
     With the displacement x of the linear model and the mode G of frequency w, the displacement y
@@ -83,45 +83,19 @@ class AmplitudeDamping(Effect):
     frequency_rad_per_s: float = parameter("rad/s", "fixed", LEAST, MOST)
     damping_ratio: float = parameter("1", "fixed", 0.0, MOST)
 
-    def apply(self, signal: FloatArray, sample_period_s: float,
-              rest: float | None = None) -> FloatArray:
-        """Return the solution of the equation of motion for the signal as its load."""
-        level = float(signal[0]) if rest is None else rest
-        return self._continued(signal, sample_period_s, np.array([0.0, 0.0, level, level]))[0]
+    def _at_rest(self, level: float) -> FloatArray:
+        return np.array([0.0, 0.0, level, level])
 
-    def advance(self, signal: FloatArray, sample_period_s: float,
-                past: Any = None) -> tuple[FloatArray, Any]:
-        """Continue the solution; the past is its state."""
-        level = float(signal[0])
-        return self._continued(signal, sample_period_s, np.array([0.0, 0.0, level, level])
-                               if past is None else past.copy())
-
-    def _continued(self, signal: FloatArray, sample_period_s: float,
-                   state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        phase = self.frequency_rad_per_s * sample_period_s
-        if phase >= UNRESOLVED:
-            return signal.copy(), state
+    def _swing(self, loads: FloatArray, state: FloatArray, phase: float) -> FloatArray:
         substeps = max(1, int(np.ceil(phase / PHASE_STEP)))
-        behind = _damped(
-            np.ascontiguousarray(signal, dtype=float), state, self.viscous,
-            self.quadratic / self.half_range_um, self.damping_ratio, phase / substeps, substeps)
-        return behind, state
+        return _damped(
+            loads, state, self.viscous, self.quadratic / self.half_range_um, self.damping_ratio,
+            phase / substeps, substeps)
 
-    def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
-        """Add what the damping of the wanted motion removes."""
-        s = 2j * np.pi * np.fft.rfftfreq(wanted.size, sample_period_s)
-        w = self.frequency_rad_per_s
-        speed_um = np.fft.irfft(s / w * np.fft.rfft(wanted), wanted.size)
-        force = (self.viscous + self.quadratic / self.half_range_um * np.abs(speed_um)) * speed_um
-        mode = w * w / (s * s + 2.0 * self.damping_ratio * w * s + w * w)
-        removed: FloatArray = np.fft.irfft(mode * np.fft.rfft(force), wanted.size)
-        return wanted + removed
-
-    def impossible(self, extent: Extent) -> str | None:
-        """Reject a mode whose small vibrations would grow."""
-        if 2.0 * self.damping_ratio + self.viscous < 0.0:
-            return "the mode would gain energy in small vibrations"
-        return None
+    def _force(self, wanted: FloatArray, derivative: ComplexArray) -> ComplexArray:
+        speed_um = np.fft.irfft(derivative * np.fft.rfft(wanted), wanted.size)
+        return np.fft.rfft(
+            (self.viscous + self.quadratic / self.half_range_um * np.abs(speed_um)) * speed_um)
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:

@@ -53,41 +53,30 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Evidence:
-    """Data of a model's error on a recording, from which an effect estimates its parameters.
-
-    Attributes
-    ----------
-    voltage_v : (N,) array
-    displacement_um : (N,) array
-        Displacement of the model.
-    residual_um : (N,) array
-        Measured minus simulated displacement, without what a retuned model explains.
-    noise_um : float
-        Standard deviation of the noise of a sample.
-    dynamics : ElectricVibrationDynamics
-        Dynamics of the model.
-    drive_um : (N,) array
-        Input of the modes, equal to the displacement if they followed at once.
-    reduction : callable
-        Given contributions, shape (N, n), returns the gains that fit them best to the residual
-        and the fraction of its energy that they remove. With `positive=True` no gain is negative.
-    visible : callable
-        Given a contribution, shape (N, 1), returns the fraction of its variation that neither
-        offset nor initial creep nor a retuned model can explain.
-    measured_um : (N,) array, optional
-        Displacement as the sensor measured it.
-    """
+    """Data of a model's error on a recording, from which an effect estimates its parameters."""
 
     sample_period_s: float
+
     voltage_v: FloatArray
+    """Shape (N,)."""
     displacement_um: FloatArray
+    """Displacement of the model, (N,)."""
     residual_um: FloatArray
+    """Measured minus simulated displacement, without what a retuned model explains, (N,)."""
     noise_um: float
+    """Standard deviation of the noise of a sample."""
     dynamics: ElectricVibrationDynamics
+    """Dynamics of the model."""
     drive_um: FloatArray
+    """Input of the modes, equal to the displacement if they followed at once, (N,)."""
     reduction: Callable[..., tuple[FloatArray, float]]
+    """Given contributions, shape (N, n), returns the gains that fit them best to the residual and
+    the fraction of its energy that they remove. With `positive=True` no gain is negative."""
     visible: Callable[[FloatArray], float]
+    """Given a contribution, shape (N, 1), returns the fraction of its variation that neither offset
+    nor initial creep nor a retuned model can explain."""
     measured_um: FloatArray | None = None
+    """Displacement as the sensor measured it, (N,)."""
 
     @property
     def time_s(self) -> FloatArray:
@@ -127,19 +116,13 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Extent:
-    """The extent of recordings, which bounds the physically possible parameters of an effect.
-
-    Attributes
-    ----------
-    travel_um : float
-        Largest minus smallest measured displacement.
-    lowest_v, highest_v : float
-        Lowest and highest voltage in V.
-    """
+    """The extent of recordings, which bounds the physically possible parameters of an effect."""
 
     travel_um: float
+    """Largest minus smallest measured displacement."""
     lowest_v: float
     highest_v: float
+    """Lowest and highest voltage in V."""
     duration_s: float
     sample_period_s: float
 
@@ -151,48 +134,35 @@ class Extent:
 
 @dataclass(frozen=True)
 class Effect(ABC):
-    """An effect with its parameters: a frozen dataclass whose fields are made by `parameter`.
-
-    Attributes
-    ----------
-    place : str
-        One of `PLACES`.
-    several : bool
-        True if a stage may have more than one.
-    follows_voltage : bool
-        False for disturbances that do not depend on the voltage.
-    of_the_stage : bool
-        False if the effect depends on when a recording begins: its parameters then hold for one
-        recording only.
-    recurs : bool
-        For effects that are not of the stage: if it persists, every recording has its own, a
-        combination of the signals of `recurrence`.
-    remembers : bool
-        False if every output sample depends only on the same input sample.
-    experiment : str
-        The experiment that shows the effect.
-    distortion : frozenset of str or None
-        Distortion of a multisine with odd lines: "odd" if the effect always has odd distortion,
-        both if it has "even" or "odd" one, empty if it is linear. None if it is not known.
-    indistinguishable_from : tuple of str
-        Names of effects that act alike on most recordings. If the diagnosis finds one of two, it
-        also tries the other in its place. It is enough if one names the other.
-    same_without_dynamics : tuple of str
-        Names of effects that have an equivalent form without dynamics. Their candidates have
-        another form, so a diagnosis that finds this effect lists them.
-    """
+    """An effect with its parameters: a frozen dataclass whose fields are made by `parameter`."""
 
     name: ClassVar[str]
+
     place: ClassVar[str]
+    """One of `PLACES`."""
     several: ClassVar[bool] = False
+    """True if a stage may have more than one."""
     follows_voltage: ClassVar[bool] = True
+    """False for disturbances that do not depend on the voltage."""
     of_the_stage: ClassVar[bool] = True
+    """False if the effect depends on when a recording begins: its parameters then hold for one
+    recording only."""
     recurs: ClassVar[bool] = False
+    """For effects that are not of the stage: if it persists, every recording has its own, a
+    combination of the signals of `recurrence`."""
     remembers: ClassVar[bool] = True
+    """False if every output sample depends only on the same input sample."""
     experiment: ClassVar[str]
+    """The experiment that shows the effect."""
     distortion: ClassVar[frozenset[str] | None] = None
+    """Distortion of a multisine with odd lines: "odd" if the effect always has odd distortion, both
+    if it has "even" or "odd" one, empty if it is linear. None if it is not known."""
     indistinguishable_from: ClassVar[tuple[str, ...]] = ()
+    """Names of effects that act alike on most recordings. If the diagnosis finds one of two, it
+    also tries the other in its place. It is enough if one names the other."""
     same_without_dynamics: ClassVar[tuple[str, ...]] = ()
+    """Names of effects that have an equivalent form without dynamics. Their candidates have another
+    form, so a diagnosis that finds this effect lists them."""
 
     @abstractmethod
     def apply(self, signal: FloatArray, sample_period_s: float,

@@ -5,15 +5,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
-from piezo_common.arrays import FloatArray
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_models.effects.bouc_wen_equation import NEW_STATE, force_under, substeps_of, swing
-from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, parameter
+from piezo_models.effects.effect import LEAST, MOST, Evidence, parameter
 from piezo_models.effects.filtering import filtered
-from piezo_models.effects.stiffening import UNRESOLVED
+from piezo_models.effects.swinging_mode import SwingingMode
 
 SCANNED_BETAS = (0.3, 1.0, 3.0)
 SCANNED_GAMMAS = (-1.0, -0.5, 0.0, 1.0)
@@ -33,7 +33,7 @@ mode leaves, or it is not fitted: each fit solves the equation of motion dozens 
 
 
 @dataclass(frozen=True)
-class HystereticSpring(Effect):
+class HystereticSpring(SwingingMode):
     """A spring with Bouc-Wen hysteresis, parallel to the linear spring of a mode.
 
     With the displacement x of the linear spring and the spring's mode G of frequency w, the
@@ -59,54 +59,27 @@ class HystereticSpring(Effect):
     frequency_rad_per_s: float = parameter("rad/s", "fixed", LEAST, MOST)
     damping_ratio: float = parameter("1", "fixed", 0.0, MOST)
 
-    def apply(self, signal: FloatArray, sample_period_s: float,
-              rest: float | None = None) -> FloatArray:
-        """Return the solution of the equation of motion for the signal as its load."""
-        return self._continued(signal, sample_period_s, self._at_rest(
-            float(signal[0]) if rest is None else rest))[0]
-
-    def advance(self, signal: FloatArray, sample_period_s: float,
-                past: Any = None) -> tuple[FloatArray, Any]:
-        """Continue the solution; the past is its state."""
-        return self._continued(signal, sample_period_s, self._at_rest(float(signal[0]))
-                               if past is None else past.copy())
-
-    def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
-        """Add what the force of the wanted motion removes, once the hysteresis repeats."""
-        away_um = wanted - self.centre_um
-        force = force_under(
-            np.tile(away_um, PERIODS_TO_REPEAT), self.half_range_um, self.stiffness, self.beta,
-            self.gamma, self.exponent)[-wanted.size :]
-        s = 2j * np.pi * np.fft.rfftfreq(wanted.size, sample_period_s)
-        w = self.frequency_rad_per_s
-        whole = (self.linear + self.viscous * s / w) * np.fft.rfft(away_um) + np.fft.rfft(force)
-        mode = w * w / (s * s + 2.0 * self.damping_ratio * w * s + w * w)
-        removed: FloatArray = np.fft.irfft(mode * whole, wanted.size)
-        return wanted + removed
-
     def _at_rest(self, level: float) -> FloatArray:
         state = np.zeros(NEW_STATE)
         state[0] = (level - self.centre_um) * self.linear / (1.0 + self.linear)
         state[3:6] = level
         return state
 
-    def _continued(self, signal: FloatArray, sample_period_s: float,
-                   state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        phase = self.frequency_rad_per_s * sample_period_s
-        if phase >= UNRESOLVED:
-            return signal.copy(), state
+    def _swing(self, loads: FloatArray, state: FloatArray, phase: float) -> FloatArray:
         parts = np.array([self.linear, self.viscous, self.stiffness, self.beta, self.gamma,
                           self.exponent])
         substeps = substeps_of(phase, parts)
-        behind = swing(np.ascontiguousarray(signal, dtype=float), state, self.centre_um,
-                       self.half_range_um, parts, self.damping_ratio, phase / substeps, substeps)
-        return behind, state
+        return swing(loads, state, self.centre_um, self.half_range_um, parts, self.damping_ratio,
+                     phase / substeps, substeps)
 
-    def impossible(self, extent: Extent) -> str | None:
-        """Reject a mode whose small vibrations would grow."""
-        if 2.0 * self.damping_ratio + self.viscous < 0.0:
-            return "the mode would gain energy in small vibrations"
-        return None
+    def _force(self, wanted: FloatArray, derivative: ComplexArray) -> ComplexArray:
+        """Return the spectrum of the force, once the hysteresis repeats."""
+        away_um = wanted - self.centre_um
+        hysteretic = force_under(
+            np.tile(away_um, PERIODS_TO_REPEAT), self.half_range_um, self.stiffness, self.beta,
+            self.gamma, self.exponent)[-wanted.size :]
+        return ((self.linear + self.viscous * derivative) * np.fft.rfft(away_um)
+                + np.fft.rfft(hysteretic))
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:

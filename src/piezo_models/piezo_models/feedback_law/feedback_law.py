@@ -19,17 +19,13 @@ class FeedbackLawError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class LinearBlock:
-    """A discrete linear system with one input and one output: x+ = A x + B u, y = C x + D u.
-
-    Attributes
-    ----------
-    a : ndarray, shape (n, n)
-    b, c : ndarray, shape (n,)
-    """
+    """A discrete linear system with one input and one output: x+ = A x + B u, y = C x + D u."""
 
     a: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    """Shape (n, n)."""
     b: FloatArray = field(default_factory=lambda: np.zeros(0))
     c: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """Shape (n,)."""
     d: float = 0.0
 
     @classmethod
@@ -69,35 +65,24 @@ class LinearBlock:
 
 @dataclass(frozen=True, eq=False)
 class InverseHysteresis:
-    """The inverse hysteresis that the sum of feedback and feedforward passes.
-
-    Attributes
-    ----------
-    gain_um_per_v : float
-        Factor from the voltage of the blocks to an output of the hysteresis, in um/V.
-    held : bool
-        True to add the mean of the inverse's output over a tick, instead of each sample.
-    """
+    """The inverse hysteresis that the sum of feedback and feedforward passes."""
 
     hysteresis: PreisachModel
+
     gain_um_per_v: float
+    """Factor from the voltage of the blocks to an output of the hysteresis, in um/V."""
     held: bool = False
+    """True to add the mean of the inverse's output over a tick, instead of each sample."""
 
 
 @dataclass(frozen=True, eq=False)
 class DeclaredPlant:
-    """The plant that the law was designed for.
-
-    Attributes
-    ----------
-    linear : LinearBlock
-        The stage behind its hysteresis (um per um), at the sample rate of the stage.
-    gains_um_per_v : ndarray, shape (k,)
-        Gains of the hysteresis in um/V at which the loop must be stable.
-    """
+    """The plant that the law was designed for."""
 
     linear: LinearBlock
+    """The stage behind its hysteresis (um per um), at the sample rate of the stage."""
     gains_um_per_v: FloatArray
+    """Gains of the hysteresis in um/V at which the loop must be stable, (k,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,30 +91,6 @@ class FeedbackLaw:
 
     The error is reference minus displacement. The sum of the voltages of both blocks is limited.
 
-    Attributes
-    ----------
-    tick : LinearBlock
-        Block at the tick's rate: from the mean error of a tick (um) to a voltage (V).
-    observer : ndarray, shape (n,)
-        Factors that correct the state of `tick` by the voltage that the limits cut (anti-windup).
-    once_um, period_um : ndarray, shape (N,), (M,)
-        Expected displacement of each sample of the run in um: `once_um` first, then `period_um`
-        repeatedly; without a period the last value is held.
-    start_sample : int
-        Sample of the run before which no tick is fed back.
-    delay_ticks : int
-        Ticks from the end of the measured tick to the tick in which the response acts.
-    sample : LinearBlock
-        Block at the sample rate: from the error of the previous sample (um) to a voltage (V).
-    inverse : InverseHysteresis, optional
-        Inverse hysteresis that the voltage passes; None to add it to the feedforward.
-    max_error_um : float
-        The stage must stop if the mean error of a tick exceeds the error before the feedback by
-        more than this, in um.
-    fade_samples : int
-        Samples over which the initial error is faded in. At first the law responds only to the
-        change of the error, so that its voltage starts at 0. With 0 it responds to all of it.
-
     Raises
     ------
     FeedbackLawError
@@ -137,17 +98,32 @@ class FeedbackLaw:
     """
 
     tick: LinearBlock
+    """Block at the tick's rate: from the mean error of a tick (um) to a voltage (V)."""
     observer: FloatArray
+    """Factors that correct the state of `tick` by the voltage that the limits cut (anti-windup),
+    (n,)."""
     max_feedback_v: float
+
     once_um: FloatArray
     period_um: FloatArray
+    """Expected displacement of each sample of the run in um, (N,): `once_um` first, then
+    `period_um` repeatedly; without a period the last value is held."""
     plant: DeclaredPlant
+
     start_sample: int = 0
+    """Sample of the run before which no tick is fed back."""
     delay_ticks: int = 0
+    """Ticks from the end of the measured tick to the tick in which the response acts."""
     sample: LinearBlock = field(default_factory=LinearBlock)
+    """Block at the sample rate: from the error of the previous sample (um) to a voltage (V)."""
     inverse: InverseHysteresis | None = None
+    """Inverse hysteresis that the voltage passes; None to add it to the feedforward."""
     max_error_um: float = np.inf
+    """The stage must stop if the mean error of a tick exceeds the error before the feedback by more
+    than this, in um."""
     fade_samples: int = 0
+    """Samples over which the initial error is faded in. At first the law responds only to the
+    change of the error, so that its voltage starts at 0. With 0 it responds to all of it."""
 
     def __post_init__(self) -> None:
         blocks = {"tick": self.tick, "sample": self.sample, "model": self.plant.linear}

@@ -22,14 +22,6 @@ CYCLED = float("inf")
 class FirstRise:
     """Displacement that irreversible relays add when the voltage first reaches a level.
 
-    Parameters
-    ----------
-    voltages_v : tuple of float
-        Increasing voltages, from the lowest voltage on.
-    remanence_um : tuple of float
-        Displacement that remains after a first rise to each voltage; starts at 0, does not
-        decrease, and is interpolated linearly.
-
     Raises
     ------
     ValueError
@@ -37,7 +29,10 @@ class FirstRise:
     """
 
     voltages_v: tuple[float, ...]
+    """Increasing voltages, from the lowest voltage on."""
     remanence_um: tuple[float, ...]
+    """Displacement that remains after a first rise to each voltage; starts at 0, does not decrease,
+    and is interpolated linearly."""
 
     def __post_init__(self) -> None:
         voltages_v, remanence_um = np.array(self.voltages_v), np.array(self.remanence_um)

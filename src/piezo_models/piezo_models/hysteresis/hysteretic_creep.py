@@ -24,18 +24,13 @@ class HystereticCreepMemory:
 
 @dataclass(frozen=True)
 class HystereticCreep:
-    """Sum of w x with tau dx/dt = play(voltage) - x, in parallel with the hysteresis (thesis 6.2).
-
-    Parameters
-    ----------
-    half_widths_v, time_constants_s, weights_um_per_v : sequence of float
-        One of each for an operator: half the width of its play, its time constant tau and its
-        weight w. The time constants must be long compared with a sample period.
-    """
+    """Sum of w x with tau dx/dt = play(voltage) - x, parallel to the hysteresis (thesis 6.2)."""
 
     half_widths_v: tuple[float, ...]
     time_constants_s: tuple[float, ...]
     weights_um_per_v: tuple[float, ...]
+    """One of each for an operator: half the width of its play, its time constant tau and its weight
+    w. The time constants must be long compared with a sample period."""
 
     def __post_init__(self) -> None:
         for name in ("half_widths_v", "time_constants_s", "weights_um_per_v"):

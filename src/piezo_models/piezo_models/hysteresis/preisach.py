@@ -9,6 +9,7 @@ over time and nothing drifts.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,19 +27,13 @@ from piezo_models.hysteresis.preisach_kernels import (
 
 @dataclass(frozen=True)
 class InversionSettings:
-    """Tolerances of the inverse of the hysteresis, as fractions of the output's span.
-
-    Attributes
-    ----------
-    range_tolerance : float
-        A target that exceeds the output range by less is limited to it as a rounding error.
-    rounding : float
-        Accuracy of a sum of Everett integrals, a few roundings of a double. No flat stretch is
-        crossed for a smaller remainder.
-    """
+    """Tolerances of the inverse of the hysteresis, as fractions of the output's span."""
 
     range_tolerance: float = 1e-9
+    """A target that exceeds the output range by less is limited to it as a rounding error."""
     rounding: float = 16 * float(np.finfo(float).eps)
+    """Accuracy of a sum of Everett integrals, a few roundings of a double. No flat stretch is
+    crossed for a smaller remainder."""
 
 
 INVERSION = InversionSettings()
@@ -76,20 +71,6 @@ class PreisachMemory:
 class PreisachModel:
     """Preisach hysteresis, eq. (2.1), whose density is constant on each cell of a uniform grid.
 
-    Parameters
-    ----------
-    voltage_min_v, voltage_max_v : float
-        Limits of the Preisach triangle. A voltage beyond them acts like the limit: all relays are
-        off below `voltage_min_v` and on above `voltage_max_v`.
-    density_um_per_v2 : (L, L) array
-        Row i is the cell of the upper threshold alpha, column j <= i that of the lower threshold
-        beta; zero above the diagonal. The cells on the diagonal are triangles.
-    offset_um : float
-        Output at negative saturation, where all relays are off.
-    reversible_um_per_v : (L,) array, optional
-        Density of the relays with equal thresholds, alpha = beta, on each cell of the diagonal:
-        the slope of the output that remains at a reversal. Zeros by default.
-
     Raises
     ------
     ValueError
@@ -99,9 +80,16 @@ class PreisachModel:
 
     voltage_min_v: float
     voltage_max_v: float
+    """Limits of the Preisach triangle. A voltage beyond them acts like the limit: all relays are
+    off below `voltage_min_v` and on above `voltage_max_v`."""
     density_um_per_v2: FloatArray
+    """Row i is the cell of the upper threshold alpha, column j <= i that of the lower threshold
+    beta, (L, L); zero above the diagonal. The cells on the diagonal are triangles."""
     offset_um: float = 0.0
+    """Output at negative saturation, where all relays are off."""
     reversible_um_per_v: FloatArray = None  # type: ignore[assignment]  # becomes zeros
+    """Density of the relays with equal thresholds, alpha = beta, on each cell of the diagonal,
+    (L,): the slope of the output that remains at a reversal. Zeros by default."""
 
     def __post_init__(self) -> None:
         density = np.array(self.density_um_per_v2, dtype=float)
@@ -136,6 +124,19 @@ class PreisachModel:
         object.__setattr__(self, "density_um_per_v2", density)
         object.__setattr__(self, "offset_um", float(self.offset_um))
         object.__setattr__(self, "reversible_um_per_v", reversible)
+
+    @classmethod
+    def line(cls, voltage_min_v: float, voltage_max_v: float, gain_um_per_v: float,
+             offset_um: float = 0.0) -> Self:
+        """Return a gain without hysteresis; the offset is its output at the lowest voltage."""
+        return cls(voltage_min_v, voltage_max_v, np.zeros((1, 1)), offset_um,
+                   np.array([gain_um_per_v]))
+
+    def scaled(self, factor: float) -> Self:
+        """Return the hysteresis with its output multiplied by a factor."""
+        return replace(self, density_um_per_v2=factor * self.density_um_per_v2,
+                       offset_um=factor * self.offset_um,
+                       reversible_um_per_v=factor * self.reversible_um_per_v)
 
     def __repr__(self) -> str:
         low_um, high_um = self.output_range_um

@@ -38,6 +38,13 @@ def scaled(gain: float, system: Matrices) -> Matrices:
     return a, gain * b, c, gain * d
 
 
+def inverse(system: control.StateSpace) -> control.StateSpace:
+    """Return the inverse of a system that passes its input on at once, in the same states."""
+    direct = np.linalg.inv(system.D)
+    return control.ss(system.A - system.B @ direct @ system.C, system.B @ direct,
+                      -direct @ system.C, direct, system.dt)
+
+
 def _passing_on() -> Matrices:
     return np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.ones((1, 1))
 

@@ -32,16 +32,11 @@ Section = tuple[Any, Any, Any, Any]
 
 @dataclass(frozen=True)
 class CreepDynamics:
-    """Creep, eq. (4.4), with unit high-frequency gain: the product of (s + z) / (s + p).
-
-    Parameters
-    ----------
-    poles_rad_per_s, zeros_rad_per_s : sequence of float
-        Positive poles p and zeros z, of equal number; empty for no creep.
-    """
+    """Creep, eq. (4.4), with unit high-frequency gain: the product of (s + z) / (s + p)."""
 
     poles_rad_per_s: tuple[float, ...] = ()
     zeros_rad_per_s: tuple[float, ...] = ()
+    """Positive poles p and zeros z, of equal number; empty for no creep."""
 
     def __post_init__(self) -> None:
         _set_positive(self, "poles_rad_per_s")
@@ -74,15 +69,6 @@ class CreepDynamics:
 class ElectricVibrationDynamics:
     """Electric lag and vibration modes, eq. (4.3), with unit DC gain.
 
-    Parameters
-    ----------
-    time_constant_s : float
-        Time constant of the electric lag, 1 / (tau s + 1); 0 for none.
-    mode_frequencies_rad_per_s, damping_ratios : sequence of float
-        One of each for every mode.
-    antiresonance_frequencies_rad_per_s, antiresonance_damping_ratios : sequence of float, optional
-        One of each for every pair of zeros; no more of them than modes.
-
     Notes
     -----
     With a lag, or more modes than antiresonances, the dynamics are strictly proper: a displacement
@@ -91,10 +77,13 @@ class ElectricVibrationDynamics:
     """
 
     time_constant_s: float = 0.0
+    """Time constant of the electric lag, 1 / (tau s + 1); 0 for none."""
     mode_frequencies_rad_per_s: tuple[float, ...] = ()
     damping_ratios: tuple[float, ...] = ()
+    """One of each for every mode."""
     antiresonance_frequencies_rad_per_s: tuple[float, ...] = ()
     antiresonance_damping_ratios: tuple[float, ...] = ()
+    """One of each for every pair of zeros; no more of them than modes."""
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.time_constant_s) and self.time_constant_s >= 0):

@@ -13,20 +13,14 @@ from piezo_models.linear.dynamics import zoh_response
 
 @dataclass(frozen=True)
 class PeriodicInversionSettings:
-    """Tolerances of the inversion for periodic references.
-
-    Attributes
-    ----------
-    negligible_content : float
-        Harmonics below this fraction of the largest one are rounding errors of the Fourier
-        transform.
-    smallest_gain : float
-        The reference is rejected if it has a harmonic at which the gain is below this fraction of
-        the DC gain: the inverse would amplify its rounding error more than a million times.
-    """
+    """Tolerances of the inversion for periodic references."""
 
     negligible_content: float = 1e-12
+    """Harmonics below this fraction of the largest one are rounding errors of the Fourier
+    transform."""
     smallest_gain: float = 1e-6
+    """The reference is rejected if it has a harmonic at which the gain is below this fraction of
+    the DC gain: the inverse would amplify its rounding error more than a million times."""
 
 
 SETTINGS = PeriodicInversionSettings()

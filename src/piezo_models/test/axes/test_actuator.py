@@ -74,11 +74,17 @@ def test_rows_of_held_voltages_are_those_of_the_fast_model(late):
                                fast.simulate(np.repeat(rows_v, 7, axis=0))[::7], atol=1e-12)
 
 
-def test_modes_at_rest_follow_in_the_next_row():
-    model = modes()
-    rested = model.at_rest().simulate(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 0.0]]))
-    np.testing.assert_allclose(rested[1], 0.0, atol=1e-12)
-    np.testing.assert_allclose(rested[2], model.response(0.0)[0, :, 0].real)
+@pytest.mark.parametrize("late", [(0, 0), (0, 3)])
+@pytest.mark.parametrize(("creep", "off"), [(CreepDynamics(), 1e-12), (CREEP, 1e-3)])
+def test_rows_of_voltages_that_go_on_are_those_of_the_fast_model(late, creep, off):
+    # Creep of held voltages is ahead by half a sample.
+    fast = replace(modes(), latency_samples=np.array(late), actuators=(Actuator(creep=creep),) * 2)
+    rows_v = np.vstack([np.zeros((3, 2)), np.random.default_rng(0).normal(size=(60, 2))])
+    samples = np.arange(62 * 70 + 1) / 70.0
+    fast_v = np.column_stack([np.interp(samples, np.arange(63.0), each) for each in rows_v.T])
+    slow = fast.at_period(70.0 * PERIOD_S, goes_on=True)
+    np.testing.assert_allclose(slow.simulate(rows_v, goes_on=True),
+                               fast.simulate(fast_v)[::70], atol=off)
 
 
 def test_as_many_actuators_as_axes_are_asked_for():

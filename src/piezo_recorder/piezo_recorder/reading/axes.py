@@ -43,35 +43,26 @@ _VOLTAGE = re.compile(r"([a-z][a-z0-9]*)_voltage_v")
 
 @dataclass(frozen=True, eq=False)
 class AxesRecording:
-    """Samples of two or three axes on one clock.
-
-    Attributes
-    ----------
-    path : str
-        Path of the file that was read.
-    axes : tuple of str
-        Names, in the order of the columns.
-    voltage_v, displacement_um : (N, n) array
-    periods : int
-        Number of equal periods of the voltage, measured after the stage had settled; 0 if it is
-        unknown.
-    title : str
-        Title that distinguishes several recordings of one file.
-    sha256 : str
-        Hash of the samples.
-    notes : tuple of str
-        Assumptions and corrections made while reading, for users.
-    """
+    """Samples of two or three axes on one clock."""
 
     path: str
+    """Path of the file that was read."""
     axes: tuple[str, ...]
+    """Names, in the order of the columns."""
     sample_period_s: float
+
     voltage_v: np.ndarray
     displacement_um: np.ndarray
+    """Shape (N, n)."""
     periods: int = 0
+    """Number of equal periods of the voltage, measured after the stage had settled; 0 if it is
+    unknown."""
     title: str = ""
+    """Title that distinguishes several recordings of one file."""
     sha256: str = ""
+    """Hash of the samples."""
     notes: tuple[str, ...] = ()
+    """Assumptions and corrections made while reading, for users."""
 
     def __repr__(self) -> str:
         return (f"<AxesRecording {self.name}: {len(self.voltage_v)} samples of "

@@ -12,61 +12,45 @@ from piezo_recorder.reading.recording import Recording
 
 @dataclass(frozen=True)
 class UsualStage:
-    """Bounds for any piezo stage; values beyond them mean a wrong unit or sensor.
-
-    Attributes
-    ----------
-    least_range_um, largest_range_um : float
-        Range of the displacement, from a shear tube to the longest amplified stage.
-    least_swing_v, largest_voltage_v : float
-        Swing and magnitude of the voltage; amplifiers for piezos end at 3 kV.
-    least_gain_um_per_v, largest_gain_um_per_v : float
-        Range over swing: a stack for 1 kV moves a few nm/V, a bender at 60 V some tens of um/V.
-    shortest_period_s : float
-        Sample period; no displacement sensor is faster.
-    fewest_rows : int
-        Number of rows below which a model cannot be fitted.
-    stuck_while : float
-        A sensor is clipped if it stays at its end while the voltage moves by this part of its
-        range.
-    quanta, shortest_clip, repeated : float, int, float
-        A sensor is clipped if at its end at least `shortest_clip` readings are equal while the
-        voltage moves by `quanta` steps of the sensor; only if elsewhere less than the part
-        `repeated` of the readings equals the one before, due to noise or motion.
-    stuck_samples : int
-        Equal samples at the end of a sensor's range, at a resting voltage, that may be chance.
-    stuck_ratio : float
-        Largest ratio of their number to that of equal samples elsewhere, which noise distinguishes.
-    coarse : float
-        Part of the displacement's range; a sensor with larger steps is coarse, not clipped.
-    ahead : float
-        Smallest area of a loop relative to its bounding box for which its sense counts; loops of
-        stages have 0.05 to 0.2.
-    follows : float
-        Smallest correlation of voltage and displacement for which the sense of a loop counts;
-        below it, modes may shift the phase by more than 90 degrees.
-    rows_ahead : int
-        Number of rows by which a logger may read the displacement later than the voltage.
-    """
+    """Bounds for any piezo stage; values beyond them mean a wrong unit or sensor."""
 
     least_range_um: float = 0.3
     largest_range_um: float = 3000.0
+    """Range of the displacement, from a shear tube to the longest amplified stage."""
     least_swing_v: float = 0.3
     largest_voltage_v: float = 3000.0
+    """Swing and magnitude of the voltage; amplifiers for piezos end at 3 kV."""
     least_gain_um_per_v: float = 0.002
     largest_gain_um_per_v: float = 40.0
+    """Range over swing: a stack for 1 kV moves a few nm/V, a bender at 60 V some tens of um/V."""
     shortest_period_s: float = 1e-7
+    """Sample period; no displacement sensor is faster."""
     fewest_rows: int = 20
+    """Number of rows below which a model cannot be fitted."""
     stuck_while: float = 0.03
+    """A sensor is clipped if it stays at its end while the voltage moves by this part of its
+    range."""
     quanta: float = 4.0
     shortest_clip: int = 5
     repeated: float = 0.3
+    """A sensor is clipped if at its end at least `shortest_clip` readings are equal while the
+    voltage moves by `quanta` steps of the sensor; only if elsewhere less than the part `repeated`
+    of the readings equals the one before, due to noise or motion."""
     stuck_samples: int = 8
+    """Equal samples at the end of a sensor's range, at a resting voltage, that may be chance."""
     stuck_ratio: float = 5.0
+    """Largest ratio of their number to that of equal samples elsewhere, which noise
+    distinguishes."""
     coarse: float = 3e-3
+    """Part of the displacement's range; a sensor with larger steps is coarse, not clipped."""
     ahead: float = 0.03
+    """Smallest area of a loop relative to its bounding box for which its sense counts; loops of
+    stages have 0.05 to 0.2."""
     follows: float = 0.9
+    """Smallest correlation of voltage and displacement for which the sense of a loop counts; below
+    it, modes may shift the phase by more than 90 degrees."""
     rows_ahead: int = 2
+    """Number of rows by which a logger may read the displacement later than the voltage."""
 
 
 USUAL = UsualStage()

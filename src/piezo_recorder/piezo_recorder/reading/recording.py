@@ -22,63 +22,43 @@ class RecordingError(ValueError):
 
 @dataclass(frozen=True)
 class Recording:
-    """Samples of a stage in the order of the sample clock.
-
-    Attributes
-    ----------
-    path : str
-        Path of the file that was read.
-    sample_rate_hz : float
-        Rate of the sample clock.
-    sample_index : ndarray, shape (N,), int64
-        Index of each sample on the sample clock.
-    sample_periods_s : ndarray, shape (N,)
-        Distance to the next sample; longer than the clock's period for a slow waveform.
-    voltage_v : ndarray, shape (N,)
-        Voltage that is applied from the sample on.
-    displacement_um : ndarray, shape (N,)
-        Displacement that is measured before the voltage acts.
-    flags : ndarray, shape (N,), uint32
-        `Flag` bits. A CSV file counts as a waveform that plays throughout.
-    gaps : list of (int, int)
-        First missing index of the sample clock, and number of missing samples.
-    reference_um : ndarray, shape (N,) or (0,)
-        Reference of a tracking run; NaN for samples without one, empty if none was recorded.
-    attachments : dict of str to bytes
-        Files that are stored in the recording.
-    columns : dict of str to ndarray, shape (N,)
-        Further columns of a table.
-    complete : bool
-        False if the recorder was killed before it closed the file.
-    notes : list of str
-        What was assumed, corrected or found implausible while reading, for users.
-    jitter_s : float
-        Standard deviation of the times of the rows from an even clock; 0 on the sample clock.
-    title : str
-        Title that distinguishes several recordings of one file; empty for a single one.
-    sha256 : str
-        Hash of samples that came from no file; empty if `path` is a file.
-    axes : tuple of str
-        Names of several axes: voltage and displacement then have the shape (N, axes).
-    """
+    """Samples of a stage in the order of the sample clock."""
 
     path: str
+    """Path of the file that was read."""
     sample_rate_hz: float
+    """Rate of the sample clock."""
     sample_index: np.ndarray
+    """Index of each sample on the sample clock, (N,)."""
     sample_periods_s: np.ndarray
+    """Distance to the next sample, (N,); longer than the clock's period for a slow waveform."""
     voltage_v: np.ndarray
+    """Voltage that is applied from the sample on, (N,)."""
     displacement_um: np.ndarray
+    """Displacement that is measured before the voltage acts, (N,)."""
     flags: np.ndarray
+    """`Flag` bits, (N,). A CSV file counts as a waveform that plays throughout."""
     gaps: list[tuple[int, int]] = field(default_factory=list)
+    """First missing index of the sample clock, and number of missing samples."""
     reference_um: np.ndarray = field(default_factory=lambda: np.empty(0))
+    """Reference of a tracking run, (N,) or (0,); NaN for samples without one, empty if none was
+    recorded."""
     attachments: dict[str, bytes] = field(default_factory=dict)
+    """Files that are stored in the recording."""
     columns: dict[str, np.ndarray] = field(default_factory=dict)
+    """Further columns of a table, (N,)."""
     complete: bool = True
+    """False if the recorder was killed before it closed the file."""
     notes: list[str] = field(default_factory=list)
+    """What was assumed, corrected or found implausible while reading, for users."""
     jitter_s: float = 0.0
+    """Standard deviation of the times of the rows from an even clock; 0 on the sample clock."""
     title: str = ""
+    """Title that distinguishes several recordings of one file; empty for a single one."""
     sha256: str = ""
+    """Hash of samples that came from no file; empty if `path` is a file."""
     axes: tuple[str, ...] = ()
+    """Names of several axes: voltage and displacement then have the shape (N, axes)."""
 
     def __repr__(self) -> str:
         return text_of(self)

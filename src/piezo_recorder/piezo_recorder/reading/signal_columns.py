@@ -45,21 +45,14 @@ EXAMPLE = "--columns time=NAME[s] voltage=NAME[V] displacement=NAME[um]"
 
 @dataclass(frozen=True)
 class SignalSource:
-    """Column of a signal.
-
-    Attributes
-    ----------
-    label : str
-        Label of the column.
-    scale : float
-        Value of one unit of the column in s, V or um.
-    note : str
-        Assumption to report; empty if there is none.
-    """
+    """Column of a signal."""
 
     label: str
+    """Label of the column."""
     scale: float
+    """Value of one unit of the column in s, V or um."""
     note: str = ""
+    """Assumption to report; empty if there is none."""
 
 
 def needed_columns(table: Table, said: ColumnsDocument) -> dict[str, SignalSource]:

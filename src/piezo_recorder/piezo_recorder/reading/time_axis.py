@@ -13,38 +13,27 @@ from piezo_recorder.reading.recording import RecordingError
 
 @dataclass(frozen=True)
 class TimeSettings:
-    """Thresholds for the interpretation of the times of rows.
-
-    Attributes
-    ----------
-    uniform : float
-        Part of a period: rows with a smaller deviation count as samples at their instants. In a
-        ramp the error is this part of the step from sample to sample.
-    gap_periods : float
-        A longer distance between rows is a gap; a shorter one is interpolated linearly.
-    longest_gap : float
-        Distance in periods above which a time is invalid rather than a gap.
-    even : float
-        Part of a period: if the spread of the distances is smaller, a distance of two periods is a
-        lost row; at this spread 1.5 periods are five standard deviations away.
-    most_gaps : float
-        Part of the rows that may end at a gap; with more there is no period.
-    anew : float
-        Part of a recording's duration: if the time falls to this part, it starts again.
-    most_repeated : float
-        Part of the rows that may repeat the row above by a fault of the logger.
-    most_ticks : int
-        Largest number of different distances, in ticks, for which times count as rounded to ticks.
-    """
+    """Thresholds for the interpretation of the times of rows."""
 
     uniform: float = 0.1
+    """Part of a period: rows with a smaller deviation count as samples at their instants. In a ramp
+    the error is this part of the step from sample to sample."""
     gap_periods: float = 3.0
+    """A longer distance between rows is a gap; a shorter one is interpolated linearly."""
     longest_gap: float = 1e10
+    """Distance in periods above which a time is invalid rather than a gap."""
     even: float = 0.1
+    """Part of a period: if the spread of the distances is smaller, a distance of two periods is a
+    lost row; at this spread 1.5 periods are five standard deviations away."""
     most_gaps: float = 0.05
+    """Part of the rows that may end at a gap; with more there is no period."""
     anew: float = 0.05
+    """Part of a recording's duration: if the time falls to this part, it starts again."""
     most_repeated: float = 0.05
+    """Part of the rows that may repeat the row above by a fault of the logger."""
     most_ticks: int = 12
+    """Largest number of different distances, in ticks, for which times count as rounded to
+    ticks."""
 
 
 SETTINGS = TimeSettings()
@@ -52,26 +41,19 @@ SETTINGS = TimeSettings()
 
 @dataclass(frozen=True)
 class TimeAxis:
-    """The samples that correspond to the rows.
-
-    Attributes
-    ----------
-    sample_index : ndarray, shape (N,), int64
-        Index of each sample on a clock of this period.
-    at_rows : ndarray, shape (N,), or None
-        Position of each sample among the rows, e.g. 2.5 half-way between rows 2 and 3; None if
-        the rows are the samples.
-    jitter_s : float
-        Standard deviation of the times of the rows from a clock of this period.
-    notes : list of str
-        What was done, for users, without the name of the file.
-    """
+    """The samples that correspond to the rows."""
 
     period_s: float
+
     sample_index: np.ndarray
+    """Index of each sample on a clock of this period, (N,)."""
     at_rows: FloatArray | None = None
+    """Position of each sample among the rows, e.g. 2.5 half-way between rows 2 and 3, (N,); None if
+    the rows are the samples."""
     jitter_s: float = 0.0
+    """Standard deviation of the times of the rows from a clock of this period."""
     notes: list[str] = field(default_factory=list)
+    """What was done, for users, without the name of the file."""
 
 
 def first_decrease(time_s: FloatArray) -> int | None:

@@ -19,18 +19,14 @@ UNEVEN = 1e-3
 
 
 class StoredWaveform(NamedTuple):
-    """A voltage to play.
-
-    Attributes
-    ----------
-    voltage_v : ndarray, shape (N,) or (N, axes)
-    axes : tuple of str
-        Names of several axes.
-    """
+    """A voltage to play."""
 
     voltage_v: FloatArray
+    """Shape (N,) or (N, axes)."""
     sample_period_s: float
+
     axes: tuple[str, ...] = ()
+    """Names of several axes."""
 
 
 def read_waveform(path: Path) -> StoredWaveform:

@@ -29,21 +29,14 @@ PACKAGED = Path(__file__).with_name("sample_block.json")
 
 @dataclass(frozen=True)
 class MessageDefinition:
-    """Information that a reader needs to decode a type that is not installed.
-
-    Attributes
-    ----------
-    type_name : str
-        Name, for instance ``std_msgs/msg/Header``.
-    text : str
-        The ``.msg`` file followed by those of every type it uses (schema encoding ``ros2msg``).
-    type_hash : str
-        RIHS01 hash of the type; empty if it is unknown.
-    """
+    """Information that a reader needs to decode a type that is not installed."""
 
     type_name: str
+    """Name, for instance ``std_msgs/msg/Header``."""
     text: str
+    """The ``.msg`` file followed by those of every type it uses (schema encoding ``ros2msg``)."""
     type_hash: str = ""
+    """RIHS01 hash of the type; empty if it is unknown."""
 
 
 def installed_definition(type_name: str) -> MessageDefinition:

@@ -127,16 +127,12 @@ class RecorderNews:
 
 @dataclass(frozen=True)
 class Attachment:
-    """A text to be stored in a recording.
-
-    Attributes
-    ----------
-    path : str
-        Path of a file with the text, if there is one; the recorder then reads it there.
-    """
+    """A text to be stored in a recording."""
 
     text: str
+
     path: str = ""
+    """Path of a file with the text, if there is one; the recorder then reads it there."""
 
     @property
     def sha256(self) -> str:

@@ -17,26 +17,19 @@ from piezo_sim.plant.plant_effect import Effect
 
 
 class Mechanism(NamedTuple):
-    """Matrices of n coordinates and m axes.
-
-    Attributes
-    ----------
-    mass, stiffness : ndarray, shape (n, n)
-        Symmetric and positive definite mass and stiffness matrices.
-    push : ndarray, shape (n, m)
-        Force on each coordinate per stroke.
-    position, reading : ndarray, shape (m, n)
-        Matrices from the coordinates to the position of each axis, and to its sensor's reading.
-    damping_ratios : ndarray, shape (n,)
-        Damping ratios of the modes, the lowest mode first.
-    """
+    """Matrices of n coordinates and m axes."""
 
     mass: FloatArray
     stiffness: FloatArray
+    """Symmetric and positive definite mass and stiffness matrices, (n, n)."""
     push: FloatArray
+    """Force on each coordinate per stroke, (n, m)."""
     position: FloatArray
     reading: FloatArray
+    """Matrices from the coordinates to the position of each axis, and to its sensor's reading, (m,
+    n)."""
     damping_ratios: FloatArray
+    """Damping ratios of the modes, the lowest mode first, (n,)."""
 
 
 @runtime_checkable

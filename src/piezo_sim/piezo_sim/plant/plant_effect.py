@@ -14,21 +14,14 @@ class PlantConfigError(ValueError):
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Properties of the plant that an effect needs.
-
-    Attributes
-    ----------
-    sample_period_s : float
-        Period of the sample clock in s.
-    rest_voltage_v : float
-        Voltage in V at which the stage has rested.
-    seed : int
-        Seed of all random numbers.
-    """
+    """Properties of the plant that an effect needs."""
 
     sample_period_s: float
+    """Period of the sample clock in s."""
     rest_voltage_v: float
+    """Voltage in V at which the stage has rested."""
     seed: int
+    """Seed of all random numbers."""
 
 
 class Runner(Protocol):

@@ -127,38 +127,25 @@ MECHANICS: dict[str, type[Mechanics]] = {kind.name: kind for kind in (XYFlexure,
 
 @dataclass(frozen=True)
 class PlantConfig:
-    """Effects of the plant, each section in the order of the signal.
-
-    Attributes
-    ----------
-    amplifier : tuple of piezo_sim.plant.plant_effect.Effect
-        Effects from the commanded voltage to the applied voltage, V.
-    stage : tuple of piezo_sim.plant.plant_effect.Effect
-        Effects from the applied voltage, V, to the true displacement, um.
-    sensor : tuple of piezo_sim.plant.plant_effect.Effect
-        Effects from the true displacement to the measured displacement, um.
-    """
+    """Effects of the plant, each section in the order of the signal."""
 
     amplifier: tuple[Effect, ...]
+    """Effects from the commanded voltage to the applied voltage, V."""
     stage: tuple[Effect, ...]
+    """Effects from the applied voltage, V, to the true displacement, um."""
     sensor: tuple[Effect, ...]
+    """Effects from the true displacement to the measured displacement, um."""
 
 
 @dataclass(frozen=True)
 class AxesPlantConfig:
-    """Effects of a plant of several axes.
-
-    Attributes
-    ----------
-    axes : dict of str to PlantConfig
-        Effects of each axis by name: `stage` ends at the free stroke of its actuator, `sensor`
-        starts at the motion that its sensor sees.
-    mechanics : piezo_sim.plant.mechanism.Mechanics
-        From the strokes of all axes to their positions, and to the motion that the sensors see.
-    """
+    """Effects of a plant of several axes."""
 
     axes: dict[str, PlantConfig]
+    """Effects of each axis by name: `stage` ends at the free stroke of its actuator, `sensor`
+    starts at the motion that its sensor sees."""
     mechanics: Mechanics
+    """From the strokes of all axes to their positions, and to the motion that the sensors see."""
 
 
 class PlantSections(Part):

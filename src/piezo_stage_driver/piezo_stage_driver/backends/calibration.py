@@ -25,27 +25,7 @@ class CalibrationError(ValueError):
 
 
 class AxisCalibration(Part):
-    """Conversion of one axis from volts at the card to volts at the stage and to um.
-
-    Attributes
-    ----------
-    output_channel, input_channel : str
-        Physical channels, such as ``Dev1/ao0``; both on the same device.
-    terminal_configuration : str
-        Configuration of the input: ``DEFAULT``, ``DIFF``, ``RSE``, ``NRSE`` or ``PSEUDO_DIFF``.
-    amplifier_gain : float
-        Volts at the stage per volt at the card.
-    amplifier_offset_v : float
-        Volts at the stage for 0 V at the card.
-    output_minimum_v, output_maximum_v : float
-        Range of the card's output.
-    sensor_um_per_v : float
-        Displacement per volt at the card.
-    sensor_offset_um : float
-        Displacement for 0 V at the card.
-    input_minimum_v, input_maximum_v : float
-        Range of the card's input.
-    """
+    """Conversion of one axis from volts at the card to volts at the stage and to um."""
 
     output_channel: str = entry("Physical channel of the card that drives the amplifier.")
     input_channel: str = entry("Physical channel of the card that reads the sensor.")
@@ -103,11 +83,8 @@ class AxisCalibration(Part):
 class Calibration(AxisCalibration, Document):
     """The calibration of a stage of one axis.
 
-    Attributes
-    ----------
-    lead_ticks : int
-        Ticks by which the output is written ahead: the tolerated delay of the computer, which
-        also delays every answer and every stop.
+    The output is written `lead_ticks` ahead. That is the tolerated delay of the computer, which
+    also delays every answer and every stop.
     """
 
     TITLE: ClassVar[str] = "calibration file"

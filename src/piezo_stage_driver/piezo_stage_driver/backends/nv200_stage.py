@@ -31,13 +31,7 @@ Answer = TypeVar("Answer")
 
 
 class Nv200Settings(Document):
-    """Settings of an NV200.
-
-    Attributes
-    ----------
-    interface, address : str
-        ``serial`` and a port, or ``telnet`` and an IP address.
-    """
+    """Settings of an NV200."""
 
     TITLE: ClassVar[str] = "settings of the backend nv200"
     SYNTAX: ClassVar[str] = "yaml"

@@ -35,21 +35,7 @@ Volts = TypeVar("Volts", float, np.ndarray)
 
 
 class PiSettings(Document):
-    """Settings of a controller.
-
-    Attributes
-    ----------
-    controller : str
-        Name of the controller in the library, such as ``E-727``.
-    interface, address : str
-        ``tcpip`` and a host, or ``usb`` and a serial number.
-    control_per_v, control_at_0_v : float
-        Control value of the open loop for one volt at the stage, and at 0 V.
-    displacement_um_per_unit : float
-        Displacement of one unit of the controller's position.
-    voltage_record_option : int
-        Option of the data recorder for the voltage of the output channel.
-    """
+    """Settings of a controller."""
 
     TITLE: ClassVar[str] = "settings of the backend pi_gcs"
     SYNTAX: ClassVar[str] = "yaml"

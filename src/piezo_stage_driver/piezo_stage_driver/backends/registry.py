@@ -13,29 +13,22 @@ GROUP = "piezo_stage_driver.backends"
 
 @dataclass(frozen=True)
 class BackendSettings:
-    """Settings that the stage node passes to a backend.
-
-    Attributes
-    ----------
-    file : str
-        File of the backend's own settings; empty if none was given.
-    ramp_rate_v_per_s : float
-        Rate at which a backend brings the amplifier to rest by itself (V/s).
-    exchange_timeout_s : float
-        Time that the node waits for one exchange (s).
-    own : callable
-        Returns the voltages and the ramp rate of an axis, see `of_axis`.
-    """
+    """Settings that the stage node passes to a backend."""
 
     file: str
+    """File of the backend's own settings; empty if none was given."""
     sample_rate_hz: float
     samples_per_tick: int
     minimum_voltage_v: float
     maximum_voltage_v: float
     rest_voltage_v: float
+
     ramp_rate_v_per_s: float
+    """Rate at which a backend brings the amplifier to rest by itself (V/s)."""
     exchange_timeout_s: float = 2.0
+    """Time that the node waits for one exchange (s)."""
     own: Callable[[str], Mapping[str, Any]] = field(default=lambda axis: {}, compare=False)
+    """Returns the voltages and the ramp rate of an axis, see `of_axis`."""
 
     def of_axis(self, axis: str) -> "BackendSettings":
         """Return the settings with the voltages and the ramp rate of one of several axes."""

@@ -32,16 +32,12 @@ FADE_S = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Replacement:
-    """A feedforward, and the law that goes with it, to switch to within a run.
-
-    Attributes
-    ----------
-    law : CheckedLaw or None
-        None without feedback.
-    """
+    """A feedforward, and the law that goes with it, to switch to within a run."""
 
     feedforward: Feedforward
+
     law: CheckedLaw | None
+    """None without feedback."""
 
 
 class StageCommands:

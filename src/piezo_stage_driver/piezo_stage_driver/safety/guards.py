@@ -67,21 +67,15 @@ class StopLatch:
 
 
 class Stretch(NamedTuple):
-    """Voltages and displacements since the last examination.
-
-    Attributes
-    ----------
-    voltage_v : ndarray, shape (ticks,)
-        Mean voltage over each tick.
-    displacement_um : ndarray, shape (n,)
-    lowest_um, highest_um : float
-        Extremes of the displacement.
-    """
+    """Voltages and displacements since the last examination."""
 
     voltage_v: np.ndarray
+    """Mean voltage over each tick, (ticks,)."""
     displacement_um: np.ndarray
+    """Shape (n,)."""
     lowest_um: float
     highest_um: float
+    """Extremes of the displacement."""
 
     @classmethod
     def of(cls, voltage_v: np.ndarray, displacement_um: np.ndarray,

@@ -47,19 +47,13 @@ class Limits(Protocol):
 
 @dataclass(frozen=True)
 class VoltageLimits:
-    """Range and slew rate that the stage enforces for every client.
-
-    Attributes
-    ----------
-    minimum_v, maximum_v : float
-        Range (V), both ends allowed.
-    slew_v_per_s : float
-        Largest change from one sample of the clock to the next, per sample period (V/s).
-    """
+    """Range and slew rate that the stage enforces for every client."""
 
     minimum_v: float
     maximum_v: float
+    """Range (V), both ends allowed."""
     slew_v_per_s: float
+    """Largest change from one sample of the clock to the next, per sample period (V/s)."""
 
     def __post_init__(self) -> None:
         if not self.minimum_v < self.maximum_v:
@@ -203,21 +197,14 @@ def _named(axis: str) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class FeedbackLimits:
-    """Limits of a single feedback answer of any client.
-
-    Attributes
-    ----------
-    maximum_v : float
-        An answer above this, of either sign, does not act (V).
-    maximum_step_v : float
-        Largest change of the feedback from one tick to the next (V).
-    patience : int
-        Largest number of consecutive limited answers; more stop the stage.
-    """
+    """Limits of a single feedback answer of any client."""
 
     maximum_v: float = math.inf
+    """An answer above this, of either sign, does not act (V)."""
     maximum_step_v: float = math.inf
+    """Largest change of the feedback from one tick to the next (V)."""
     patience: int = 3
+    """Largest number of consecutive limited answers; more stop the stage."""
 
     def apply(self, voltage_v: float, previous_v: float) -> tuple[float, bool]:
         """Return the feedback that an answer may cause, and whether it was limited.

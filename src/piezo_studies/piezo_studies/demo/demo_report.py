@@ -1,16 +1,22 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The report of the demo: what was measured, in sentences, tables and pictures."""
+"""The report of the demo: text, tables and figures of the results."""
 
 import shlex
 from dataclasses import dataclass
 
 from piezo_common.report_page import Section, pictured, render_page
 from piezo_identification.prediction import predict
+from piezo_identification.report.component_evidence import component_evidence
+from piezo_identification.report.identification_pictures import (
+    bode_picture,
+    density_picture,
+    fit_picture,
+)
+from piezo_identification.report.simulation_report import prediction_pictures
 from piezo_models.model_file import load_model
 from piezo_recorder.reading.reader import read_recording
-from piezo_studies.demo import identification_pictures, tracking_pictures
+from piezo_studies.demo import tracking_pictures
 from piezo_studies.demo.extended_model_section import extended_model_sections
-from piezo_studies.demo.square_wave_response import square_wave_response
 from piezo_studies.demo.summary import table_rows
 from piezo_studies.demo.tracked_run import read_tracked_run
 
@@ -25,7 +31,7 @@ def render_report(plant, command, sections):
     ----------
     plant : DemoPlant
     command : str
-        That made it all.
+        Command line of the demo.
     sections : sequence of Section
     """
     return render_page(TITLE, _introduction(plant, command), sections)
@@ -38,7 +44,7 @@ class DrawnRuns:
     Attributes
     ----------
     errors : dict of str to float
-        Of the model on unseen data, by name.
+        Errors of the model on unseen data, by name.
     """
 
     errors: dict
@@ -52,22 +58,23 @@ def draw_runs(errors, model, recordings, tracks, directory):
     Parameters
     ----------
     errors : dict of str to float
-        Of the model on unseen data, by name.
+        Errors of the model on unseen data, by name.
     recordings : sequence of path-like
-        Of `SHOWN_EXPERIMENTS`, in this order.
+        Recordings of `SHOWN_EXPERIMENTS`, in this order.
     tracks : sequence of path-like
+        Recordings of the runs.
     directory : path-like
-        Where the model and the recordings are.
+        Directory of the model and the recordings.
     """
     runs = [read_tracked_run(track) for track in tracks]
     read = dict(zip(SHOWN_EXPERIMENTS, map(read_recording, recordings), strict=True))
-    return drawn_runs(errors, load_model(model).model, read, runs, directory)
+    return drawn_runs(errors, load_model(model), read, runs, directory)
 
 
-def drawn_runs(errors, model, recordings, runs, directory):
+def drawn_runs(errors, identified, recordings, runs, directory):
     """Draw runs and recordings that have been read; see `draw_runs`."""
     return DrawnRuns(errors, runs, [
-        _identification_section(errors, model, recordings, directory),
+        _identification_section(errors, identified, recordings, directory),
         *(_frequency_section(frequency_hz, [run for run in runs
                                             if run.frequency_hz == frequency_hz])
           for frequency_hz in sorted({run.frequency_hz for run in runs})),
@@ -80,10 +87,10 @@ def report_sections(summary, drawn, extended):
     Parameters
     ----------
     summary : dict
-        Of `summary.summarise`.
+        Summary from `summary.summarise`.
     drawn : DrawnRuns
     extended : ExtendedModel
-        What came of the diagnosis.
+        Result of the diagnosis.
     """
     return [
         _errors_section(summary), *drawn.sections,
@@ -128,12 +135,9 @@ def _errors_section(summary):
                   "sensor's noise.", closer=True),))
 
 
-def _identification_section(errors, model, recordings, directory):
-    predictions = {name: predict(model, recording) for name, recording in recordings.items()}
-    dynamics = recordings["dynamics"]
-    measured = square_wave_response(model, dynamics)
-    period_s = 1.0 / measured[0][0]
-    sample_period_s = 1.0 / dynamics.sample_rate_hz
+def _identification_section(errors, identified, recordings, directory):
+    creep, dynamics = component_evidence(
+        identified, {name: recordings[name] for name in ("creep", "dynamics")})
     rows = [["error on unseen data", "%"],
             *([_words(name), f"{value:.3f}"] for name, value in errors.items())]
     return Section(
@@ -144,23 +148,9 @@ def _identification_section(errors, model, recordings, directory):
          "whole of it, its slow part (hysteresis) and its fast part (dynamics). The first again: "
          f"`{_first_again(directory)}`.",),
         rows,
-        (pictured("Hysteresis loops",
-                  identification_pictures.draw_loops(predictions["validation"]),
-                  "Loops that were not fitted, measured and modelled.", closer=True),
-         pictured("Density", identification_pictures.draw_density(model.hysteresis),
-                  "The identified density is largest at the diagonal: most relays switch off "
-                  "little below the voltage at which they switched on."),
-         pictured("Creep", identification_pictures.draw_creep(predictions["creep"]),
-                  "Creep after a step of the voltage, measured and modelled. The creep was fitted "
-                  "to this recording.", closer=True),
-         pictured("Step response",
-                  identification_pictures.draw_step_response(predictions["dynamics"], period_s),
-                  "Response to one period of the square wave to which the dynamics were fitted, "
-                  "measured and modelled.", closer=True),
-         pictured("Frequency response", identification_pictures.draw_frequency_response(
-                      model.linear(), sample_period_s, measured),
-                  "From the hysteresis' output to the displacement: the model, and the harmonics "
-                  "of the square wave that stand out of the noise.", closer=True)))
+        (*prediction_pictures(predict(identified.model, recordings["validation"])),
+         density_picture(identified), fit_picture(creep), fit_picture(dynamics),
+         bode_picture(identified, dynamics)))
 
 
 def _first_again(directory):

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Run the cases through Dask, print the confusion table and write it."""
+"""Run the cases with Dask, and print and write the confusion table."""
 
 import json
 
-from distributed import Client, LocalCluster, as_completed
+from distributed import as_completed
 
 from piezo_common.progress_line import ProgressLine
+from piezo_identification.diagnosis.many.many_recordings import cluster_client
 from piezo_studies.diagnosis_benchmark.calibration import calibrate
 from piezo_studies.diagnosis_benchmark.calibration_section import write_section
 from piezo_studies.diagnosis_benchmark.cases import draw_cases, draw_cases_all_along
 from piezo_studies.diagnosis_benchmark.coverage import coverage
-from piezo_studies.diagnosis_benchmark.kept_results import KeptResults
 from piezo_studies.diagnosis_benchmark.outcome import (
     as_text,
     refused,
@@ -18,29 +18,28 @@ from piezo_studies.diagnosis_benchmark.outcome import (
     without_experiments,
 )
 from piezo_studies.diagnosis_benchmark.run_case import clean_model, run_case
-
-CONNECT_S = 10
+from piezo_studies.kept_results import KeptResults
 
 
 def run_suite(client, count, seed, progress=None, all_along=False, experiments=0, first=None,
               kept=None):
-    """Run the suite; its result does not depend on where it runs.
+    """Run the suite; its result does not depend on the machine.
 
     Parameters
     ----------
     client : distributed.Client
     count, seed : int
-        Cases, and the seed of everything random.
+        Number of cases, and the seed of everything random.
     progress : callable, optional
         Called with the number of cases done.
     all_along : bool
-        Draw single effects alone that were there when the model was identified.
+        Draw only single effects that were present during the identification.
     experiments : int
-        So many proposed recordings may be made in each case.
+        Most proposed recordings in each case.
     first : int, optional
-        Only so many of the cases are run, in the order in which they are drawn; by default all.
+        Number of cases to run, in the order in which they are drawn; by default all.
     kept : KeptResults, optional
-        Where every result is kept at once, and from which the run goes on; by default nowhere.
+        Store in which results are saved at once, and from which the run is resumed.
     """
     cases = (draw_cases_all_along if all_along else draw_cases)(count, seed)[:first]
     there = {} if kept is None else kept.results()
@@ -56,7 +55,7 @@ def run_suite(client, count, seed, progress=None, all_along=False, experiments=0
         case = running[future]
         results[case.number] = _result(case, future)
         if kept is not None:
-            kept.add(results[case.number])
+            kept.add(case.number, results[case.number])
         if progress is not None:
             progress(len(results))
     ordered = [results[case.number] for case in cases]
@@ -68,14 +67,14 @@ def run_suite(client, count, seed, progress=None, all_along=False, experiments=0
 
 
 def _result(case, future):
-    """Return the result of a case; one that was refused stays in the table, with the reason."""
+    """Return the result of a case; a refused one is included with the reason."""
     if future.status == "finished":
         return future.result()
     return refused(case, future.exception())
 
 
 def diagnose_cases(options):
-    """Run the suite of the options; the exit status is 0 whatever the figures are."""
+    """Run the suite with the given options; the exit status is 0 whatever the figures are."""
     line = ProgressLine()
     asked = min(options.first or options.cases, options.cases)
     conditions = {"cases": options.cases, "seed": options.seed, "all_along": options.all_along,
@@ -84,14 +83,7 @@ def diagnose_cases(options):
     def show(done):
         line.show("cases", done / asked)
 
-    try:
-        if options.scheduler:
-            client = Client(options.scheduler, timeout=CONNECT_S)
-        else:
-            client = Client(LocalCluster(threads_per_worker=1, dashboard_address=None))
-    except OSError as error:
-        raise ValueError(f"no scheduler at {options.scheduler}: {error}") from None
-    with client:
+    with cluster_client(options.scheduler) as client:
         options.output.mkdir(parents=True, exist_ok=True)
         document = run_suite(client, progress=show, first=options.first, count=options.cases,
                              seed=options.seed, all_along=options.all_along,

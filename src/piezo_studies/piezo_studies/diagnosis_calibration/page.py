@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The section of docs/diagnosis.md that tells how far probabilities and intervals come true."""
+"""The section of docs/diagnosis.md on the calibration with small cases."""
 
 from collections import Counter
 
 from piezo_common.picture_style import new_figure, to_png
-from piezo_studies.diagnosis_benchmark.calibration import calibrate, draw_reliability
+from piezo_studies.diagnosis_benchmark.calibration import (
+    bin_table,
+    calibrate,
+    draw_reliability,
+    error_rows,
+)
 from piezo_studies.diagnosis_benchmark.coverage import KNOWN, coverage
 from piezo_studies.diagnosis_benchmark.outcome import outcome
 from piezo_studies.diagnosis_calibration.study import figures
@@ -21,27 +26,19 @@ def section(seed, results):
     Parameters
     ----------
     results : list of dict
-        As `run_small_case` returns them.
+        Results of `run_small_case`.
     """
     reliability, intervals = figures(results)
-    lines = [
-        f"{len(results)} cases of seed {seed}:", "",
-        "| probability of the first statement | cases | mean | true |", "|---|---|---|---|"]
-    lines += [
-        f"| {low:.1f} to {high:.1f} | {count} | {stated:.2f} | {true:.2f} |"
-        for low, high, stated, true, count in zip(
-            reliability.edges[:-1], reliability.edges[1:], reliability.stated, reliability.true,
-            reliability.counts, strict=True) if count]
+    calibration = reliability.document()
+    lines = [f"{len(results)} cases of seed {seed}:", "", *bin_table(calibration), "",
+             "| figure | value |", "|---|---|"]
     counts = Counter(outcome(result) for result in results)
-    lines += ["", "| figure | value |", "|---|---|"]
     lines += [f"| {group}: {what} | {count} |" for (group, what), count in sorted(counts.items())]
     strict = calibrate(results, strict=True).expected_calibration_error
     explained = coverage([each for each in results if each["verdict"] == "explained"])
     level = f"{100 * intervals['level']:.0f} % intervals"
     lines += [
-        f"| expected calibration error | {reliability.expected_calibration_error:.3f} |",
-        f"| the same of a calibrated program, mean | {reliability.calibrated_mean:.3f} |",
-        f"| in 95 of 100 of its runs at most | {reliability.calibrated_most:.3f} |",
+        *error_rows(calibration),
         f"| expected calibration error, strict | {strict:.3f} |",
         f"| {level} that contain the parameter | "
         f"{_told(intervals)} |",
@@ -67,7 +64,7 @@ def _with_cause(results, cause):
 
 
 def write_page(page, seed, results):
-    """Write the section of a page anew, and its picture; the other text of the page stays.
+    """Replace the section of a page and its figure; the other text of the page is unchanged.
 
     Parameters
     ----------

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Runs of the study: every result is kept at once, and a run goes on from those that are there."""
+"""Runs of the study; every result is saved at once, so that a run can be resumed."""
 
-import json
 import time
 
 from piezo_models.model_file import load_model, save_model
@@ -10,44 +9,31 @@ from piezo_studies.diagnosis_benchmark.coverage import coverage
 from piezo_studies.diagnosis_benchmark.run_case import clean_model
 from piezo_studies.diagnosis_calibration.small_cases import PLANTS, draw_case
 from piezo_studies.diagnosis_calibration.small_runs import run_small_case
-
-
-def kept_results(path):
-    """Return the results in a file, by the number of their case; None for a case that shows none.
-
-    Parameters
-    ----------
-    path : Path
-        One JSON document a line.
-    """
-    if not path.exists():
-        return {}
-    lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    return {entry["number"]: entry.get("result") for entry in lines}
+from piezo_studies.kept_results import KeptResults
 
 
 def run_study(seed, count, directory, seconds, report):
-    """Compute cases until there are enough, or until the time is over.
+    """Run cases until all are done or the time is over.
 
     Parameters
     ----------
     seed, count : int
-        Of the cases.
+        Seed and number of the cases.
     directory : Path
-        Of models and results.
+        Directory of models and results.
     seconds : float
-        Processor time after which no other case begins.
+        Processor time after which no further case is started.
     report : callable
-        Called with how many cases are done.
+        Called with the number of cases done.
 
     Returns
     -------
     list of dict
-        Results of the cases that are done.
+        Results of the completed cases.
     """
     directory.mkdir(parents=True, exist_ok=True)
-    path, models = directory / f"cases_{seed}.jsonl", {}
-    kept, begun = kept_results(path), time.process_time()
+    file, models = KeptResults(directory / f"cases_{seed}.jsonl"), {}
+    kept, begun = file.results(), time.process_time()
     for number in range(count):
         if number in kept:
             continue
@@ -57,8 +43,7 @@ def run_study(seed, count, directory, seconds, report):
         if plant not in models:
             models[plant] = model_of(directory, seed, plant)
         kept[number] = run_small_case(draw_case(number, seed), models[plant])
-        with path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps({"number": number, "result": kept[number]}) + "\n")
+        file.add(number, kept[number])
         report(len(kept))
     return [kept[number] for number in range(count) if kept.get(number) is not None]
 
@@ -74,13 +59,13 @@ def figures(results):
     -------
     Reliability
     dict
-        Of `coverage`.
+        Result of `coverage`.
     """
     return calibrate(results), coverage(results)
 
 
 def model_of(directory, seed, plant):
-    """Return the model of a plant without effects, identified once."""
+    """Return the model of a plant without effects; it is identified once and saved."""
     directory.mkdir(parents=True, exist_ok=True)
     path = directory / f"model_{seed}_{plant}.json"
     if not path.exists():

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Two benchmarks of oscillators with a nonlinear spring: linear model, diagnosis, errors unseen.
+"""Two benchmarks of nonlinear oscillators: linear model, diagnosis, and errors on unseen data.
 
-A circuit that behaves as a mass on a spring with a cubic part (Silverbox), and a mass on a spring
+They are a circuit that behaves like a mass on a cubic spring (Silverbox), and a mass on a spring
 with hysteresis (Bouc-Wen).
 """
 
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from piezo_identification import identify
-from piezo_identification.diagnosis.diagnose import Diagnosis, diagnose
+from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_identification.prediction import predict
 from piezo_identification.prediction.row_reading import read_as_identified
 from piezo_models.cascade import StageModel
@@ -20,7 +20,7 @@ from piezo_models.identified_model import IdentifiedModel
 from piezo_recorder.reading.reader import read_recording
 from piezo_recorder.reading.recording import Recording
 from piezo_studies.measured_devices.measured import Figure
-from piezo_studies.measured_devices.measured_diagnosis import Finding
+from piezo_studies.measured_devices.measured_diagnosis import Finding, finding_of
 
 CIRCUIT, ARROW = "circuit_cubic_spring/multisine.csv", "circuit_cubic_spring/arrow.csv"
 
@@ -29,18 +29,18 @@ BOUC_WEN, BOUC_WEN_MULTISINE, BOUC_WEN_SWEEP = (
     "bouc_wen/test_sweep.csv")
 
 FITTED_PART = 0.7
-"""Of a recording; the rest is predicted."""
+"""Fraction of a recording that is fitted; the rest is predicted."""
 
 NOISE_UM = 8.0
-"""RMS, of the training data of Bouc-Wen, as the benchmark prescribes."""
+"""RMS noise added to the training data of Bouc-Wen, as the benchmark prescribes."""
 
 MV_PER_UM = 1e3
-"""The files hold 1 V of the circuit as 1 um."""
+"""Conversion of displacements to voltages of the circuit: the files store 1 V as 1 um."""
 
 
 @dataclass(frozen=True, eq=False)
 class Benchmark:
-    """What came of an oscillator."""
+    """The results for an oscillator."""
 
     figures: list[Figure]
     finding: Finding
@@ -52,7 +52,7 @@ def circuit(directory: Path) -> Benchmark:
     Parameters
     ----------
     directory : path-like
-        Of the measured data.
+        Directory of the measured data.
     """
     multisine, arrow = (read_recording(Path(directory) / name) for name in (CIRCUIT, ARROW))
     fitted, unseen = divided(multisine)
@@ -70,7 +70,7 @@ def circuit(directory: Path) -> Benchmark:
             Figure("circuit", "RMS, diagnosed", "multisines", name, "mV", nonlinear_mv,
                    nonlinear_mv, after, "the best published"),
         ]
-    return Benchmark(figures, _finding("circuit", "linear", diagnosis, "the arrow"))
+    return Benchmark(figures, finding_of("circuit", "linear", diagnosis, "the arrow"))
 
 
 def bouc_wen(directory: Path) -> Benchmark:
@@ -81,7 +81,7 @@ def bouc_wen(directory: Path) -> Benchmark:
     Parameters
     ----------
     directory : path-like
-        Of the measured data.
+        Directory of the measured data.
     """
     train, multisine, sweep = (
         read_recording(Path(directory) / name)
@@ -104,7 +104,7 @@ def bouc_wen(directory: Path) -> Benchmark:
                    1.8, bounds[1], after, f"{0.01 * after * travel_um:.2g} um; the best published, "
                    "12 um with 217 parameters, is a black box, ours has the form of the equation"),
         ]
-    return Benchmark(figures, _finding("Bouc-Wen", "linear", diagnosis, "the test multisine"))
+    return Benchmark(figures, finding_of("Bouc-Wen", "linear", diagnosis, "the test multisine"))
 
 
 def _aligned(identified: IdentifiedModel, recording: Recording) -> Recording:
@@ -112,27 +112,20 @@ def _aligned(identified: IdentifiedModel, recording: Recording) -> Recording:
 
 
 def divided(whole: Recording) -> tuple[Recording, Recording]:
-    """Return the part of a recording that is fitted, and the rest."""
+    """Return the fitted part of a recording, and the rest."""
     sample = np.arange(whole.voltage_v.size)
     is_fitted = sample < FITTED_PART * sample.size
     return whole.select(is_fitted), whole.select(~is_fitted)
 
 
 def rms_um(model: StageModel, recording: Recording) -> float:
-    """Return the RMS error of a prediction, offset removed."""
+    """Return the RMS error of a prediction with the offset removed."""
     prediction = predict(model, recording)
     return float(np.std((prediction.measured_um - prediction.simulated_um)[prediction.good]))
 
 
 def _frequency_hz(model: StageModel) -> float:
-    """Return the frequency of the slowest mode, in series or beside others."""
+    """Return the frequency of the slowest mode, in series or in parallel."""
     beside = [effect.frequency_rad_per_s for effect in model.effects
               if isinstance(effect, VibrationMode)]
     return min((*model.dynamics.mode_frequencies_rad_per_s, *beside)) / (2.0 * np.pi)
-
-
-def _finding(data: str, poor_model: str, diagnosis: Diagnosis, held_out: str) -> Finding:
-    return Finding(
-        data, poor_model, diagnosis.verdict,
-        tuple(entry["name"] for entry in diagnosis.effects), held_out,
-        diagnosis.before["e_y_percent"], diagnosis.after["e_y_percent"], left=diagnosis.left)

@@ -2,14 +2,14 @@
 """Identify from every kind of recording, and print a table of what came out."""
 
 import argparse
-import json
 from dataclasses import asdict
 from pathlib import Path
 
+from piezo_studies.kept_results import KeptResults
 from piezo_studies.recording_kinds.trials import STAGES, Outcome, run, trials
 
 OUTCOMES = "outcomes.jsonl"
-"""File in the folder that holds what was run: an interrupted table goes on where it stopped."""
+"""File of the completed trials in the folder, from which an interrupted table is resumed."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -18,7 +18,7 @@ def main(arguments: list[str] | None = None) -> None:
     Parameters
     ----------
     arguments : list of str, optional
-        Those of the command line by default.
+        Arguments; by default those of the command line.
     """
     parser = argparse.ArgumentParser(prog="recording_kinds", description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("runs/recording-kinds"),
@@ -31,7 +31,8 @@ def main(arguments: list[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     options.output.mkdir(parents=True, exist_ok=True)
     print("| stage and recordings | error on unseen data | verdict | CPU |\n|---|---|---|---|")
-    kept, used_s = _kept(options.output / OUTCOMES), 0.0
+    file, used_s = KeptResults(options.output / OUTCOMES), 0.0
+    kept = {text: Outcome(**outcome) for text, outcome in file.results().items()}
     for trial in trials(tuple(options.stage)):
         text = str(trial)
         if options.only not in text or used_s > 60.0 * options.cpu_minutes:
@@ -39,19 +40,10 @@ def main(arguments: list[str] | None = None) -> None:
         if text not in kept:
             kept[text] = run(trial, options.output)
             used_s += kept[text].cpu_s
-            with (options.output / OUTCOMES).open("a", encoding="utf-8") as file:
-                file.write(json.dumps({"trial": text, **asdict(kept[text])}) + "\n")
+            file.add(text, asdict(kept[text]))
         outcome = kept[text]
         print(f"| {text} | {outcome.error_percent:.3g} % | {outcome.verdict} | "
               f"{outcome.cpu_s:.0f} s |", flush=True)
-
-
-def _kept(path: Path) -> dict[str, Outcome]:
-    """Outcomes of the trials that were run before, by their lines in the table."""
-    if not path.exists():
-        return {}
-    rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    return {row.pop("trial"): Outcome(**row) for row in rows}
 
 
 if __name__ == "__main__":

@@ -2,13 +2,13 @@
 import numpy as np
 import pytest
 
-from piezo_identification.estimators.estimate import dynamics_vector
 from piezo_models.linear.dynamics import (
     ElectricVibrationDynamics,
     simulate_linear,
     zoh,
     zoh_response,
 )
+from piezo_models.linear.dynamics_vector import dynamics_vector
 from piezo_studies.baselines.armax import _PredictionErrors, fit_armax
 from piezo_studies.baselines.armax_dynamics import dynamics_of_armax
 from piezo_studies.baselines.subspace import identify_subspace

@@ -13,14 +13,14 @@ from piezo_common.report_page import Picture, Section, render_page
 from piezo_models.cascade import StageModel
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.hysteresis.preisach import PreisachModel
-from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics, zoh_response
+from piezo_models.identified_model import IdentifiedModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 from piezo_studies.demo.demo_plant import demo_plant
 from piezo_studies.demo.demo_report import drawn_runs, render_report, report_sections
 from piezo_studies.demo.extended_model_section import ExtendedModel, drawn_models
 from piezo_studies.demo.operation_section import format_operation, operation_sections
-from piezo_studies.demo.square_wave_response import CLEARANCE, square_wave_response
 from piezo_studies.demo.summary import summarise, summarise_run
 from piezo_studies.demo.tracked_run import read_tracked_run
 from piezo_studies.demo.tracking_pictures import amplitude_spectrum
@@ -98,7 +98,8 @@ def drawn(model, recordings, tracking_recordings, tmp_path_factory, picture_faul
     pages = []
 
     def draw():
-        first = drawn_runs(summary["identification"], model, recordings, runs, directory)
+        first = drawn_runs(summary["identification"], IdentifiedModel(model, (-20.0, 120.0)),
+                           recordings, runs, directory)
         models = drawn_models(model, replace(model, effects=(MODE,)), recordings["validation"])
         extended = ExtendedModel("The model lacks a mode.", verdict, models, runs_after)
         pages.append(render_report(demo_plant("beam"), "demo --output <here>", [
@@ -174,8 +175,9 @@ def test_every_picture_is_in_the_report_and_can_be_decoded(report):
     pictures = {attributes["alt"]: attributes["src"] for tag, attributes in Page(report).tags
                 if tag == "img"}
     assert set(pictures) == {
-        "Errors over frequency", "Hysteresis loops", "Density", "Creep", "Step response",
-        "Frequency response", "Model error before and after", "Response before and after",
+        "Errors over frequency", "Displacement", "Loops", "What is left over frequency", "Density",
+        "Fit of the creep", "Fit of the dynamics", "Frequency response",
+        "Model error before and after", "Response before and after",
         "Tracking errors before and after",
         *(f"{what} at {frequency_hz:g} Hz" for frequency_hz in FREQUENCIES_HZ
           for what in ("Tracking", "Voltages", "Spectra"))}
@@ -208,21 +210,6 @@ def test_text_of_a_page_cannot_become_markup():
         "<u>", table=[["<s>"], ["1"]], pictures=[Picture('"<em>', "<q>", b"")])]))
     assert not {tag for tag, _ in page.tags} & {"b", "i", "u", "s", "em", "q"}
     assert "a <i> b" in page.text
-
-
-def test_the_square_wave_measures_the_response_of_the_model_that_answered(model, recordings):
-    frequency_hz, response = square_wave_response(model, recordings["dynamics"])
-    expected = zoh_response(model.linear(), frequency_hz, 1 / RATE_HZ)
-    assert frequency_hz[:3] == pytest.approx([50.0, 150.0, 250.0])
-    assert np.abs(response / expected - 1).max() < 4 / CLEARANCE
-    assert np.abs(response[:5] / expected[:5] - 1).max() < 0.01
-
-
-def test_harmonics_that_drown_in_noise_are_left_out(model):
-    quiet, loud = (square_wave_response(
-        model, measured(model, square_wave(800, 15), 1 / RATE_HZ, noise))[0][-1]
-        for noise in (1e-3, 1.0))
-    assert loud < 1000.0 < quiet
 
 
 def test_the_spectrum_gives_a_sine_its_amplitude():

@@ -11,9 +11,9 @@ from distributed import Client
 
 from piezo_studies.diagnosis_benchmark import run_suite as command
 from piezo_studies.diagnosis_benchmark.cases import draw_cases
-from piezo_studies.diagnosis_benchmark.kept_results import KeptResults
 from piezo_studies.diagnosis_benchmark.outcome import as_text, outcome, refused, summary
 from piezo_studies.diagnosis_benchmark.suite_command import main
+from piezo_studies.kept_results import KeptResults
 
 COUNT, SEED = 2, 190
 
@@ -170,7 +170,7 @@ def test_a_run_goes_on_from_what_is_kept_under_the_same_conditions(cluster, tmp_
 
 def test_cases_that_are_kept_beyond_those_asked_for_are_no_progress(cluster, tmp_path):
     kept, done = KeptResults(tmp_path / "cases.jsonl", {}), []
-    kept.add({"number": 4})
+    kept.add(4, {"number": 4})
     table = command.run_suite(cluster, 5, SEED, done.append, first=2, kept=kept)
     assert done == [1, 2] and len(table["results"]) == 2
 
@@ -184,6 +184,6 @@ def test_outcomes_before_the_experiments_are_told_beside_those_after_them(cluste
 
 
 def test_a_scheduler_that_is_not_there_is_told_in_one_line(capsys, monkeypatch):
-    monkeypatch.setattr("piezo_studies.diagnosis_benchmark.run_suite.CONNECT_S", 1)
+    monkeypatch.setattr("piezo_identification.diagnosis.many.many_recordings.CONNECT_S", 1)
     assert main(["--scheduler", "tcp://127.0.0.1:9"]) == 2
     assert "no scheduler at tcp://127.0.0.1:9" in capsys.readouterr().err

@@ -69,7 +69,7 @@ def test_a_run_goes_on_from_the_results_that_are_kept(tmp_path, monkeypatch):
     assert asked == [0, 1, 2, 3, 4]
     assert [result["number"] for result in results] == [0, 1, 3, 4]
     lines = (tmp_path / "cases_5.jsonl").read_text().splitlines()
-    assert [json.loads(line)["number"] for line in lines] == asked
+    assert [json.loads(line)["of"] for line in lines] == asked
 
 
 def test_the_page_tells_what_came_true(tmp_path):

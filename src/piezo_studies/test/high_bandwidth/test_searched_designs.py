@@ -17,7 +17,10 @@ from piezo_controller.feedback.sample_rate.light_mode_problem import (
 )
 from piezo_controller.feedback.sample_rate.perturbed_loops import ModelErrors, PerturbedLoops
 from piezo_controller.feedback.sample_rate.searched_designs import METHODS, design_by
-from piezo_controller.feedback.synthesis.generalised_plant import hysteresis_gain_range
+from piezo_controller.feedback.synthesis.generalised_plant import (
+    hysteresis_gain_range,
+    nominal_hysteresis_gain,
+)
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import (
@@ -71,7 +74,7 @@ def continuous_plant(model, gain_um_per_v, frequency_hz):
 
 def test_attenuation_and_bandwidth_are_those_of_the_formulas(model, inverse_pi, loops):
     figures = loops.measure(inverse_pi)
-    gain_um_per_v = np.mean(hysteresis_gain_range(model))
+    gain_um_per_v = nominal_hysteresis_gain(model)
 
     def loop(frequency_hz):
         points = np.exp(2j * np.pi * frequency_hz * CLOCK_PERIOD_S)
@@ -170,7 +173,7 @@ def test_a_stage_with_errors_keeps_a_disturbance_down(model, inverse_pi, gain, p
 
 def _closed_loop(stage, model, controller, disturbance_um):
     """Return the deviation from rest, sample by sample, with the feedback before the inverse."""
-    gain_um_per_v = np.mean(hysteresis_gain_range(model))
+    gain_um_per_v = nominal_hysteresis_gain(model)
     inverse, memory = model.memory(50.0).hysteresis, stage.memory(50.0)
     centre_um = inverse.hysteresis_um
     system = zoh(stage.linear(), CLOCK_PERIOD_S)

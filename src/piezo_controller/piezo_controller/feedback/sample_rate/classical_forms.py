@@ -13,7 +13,7 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_controller.feedback.sample_rate.perturbed_loops import light_mode
-from piezo_controller.feedback.synthesis.generalised_plant import hysteresis_gain_range
+from piezo_controller.feedback.synthesis.generalised_plant import nominal_hysteresis_gain
 from piezo_models.cascade import StageModel
 
 LEAK = 1e-4
@@ -22,31 +22,24 @@ LEAK = 1e-4
 
 @dataclass(frozen=True)
 class Form:
-    """A form of feedback.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Names of its parameters.
-    bounds : tuple of (float, float)
-        Bounds of the search for each parameter; all positive.
-    start : tuple of float
-        Initial parameters of the search.
-    make : callable
-        Takes the model, normalised to nominal gain 1, and the parameters; returns the continuous
-        controller.
-    """
+    """A form of feedback."""
 
     title: str
+
     names: tuple[str, ...]
+    """Names of its parameters."""
     bounds: tuple[tuple[float, float], ...]
+    """Bounds of the search for each parameter; all positive."""
     start: tuple[float, ...]
+    """Initial parameters of the search."""
     make: Callable[[StageModel, FloatArray], control.StateSpace]
+    """Takes the model, normalised to nominal gain 1, and the parameters; returns the continuous
+    controller."""
 
     def controller(self, model: StageModel, numbers: Sequence[float] | FloatArray,
                    clock_period_s: float) -> control.StateSpace:
         """Return the discrete controller from error (um) to voltage (V)."""
-        gain_um_per_v = float(np.mean(hysteresis_gain_range(model)))
+        gain_um_per_v = nominal_hysteresis_gain(model)
         continuous = self.make(model, np.asarray(numbers, dtype=float))
         return (continuous * (1 / gain_um_per_v)).sample(clock_period_s, method="bilinear")
 

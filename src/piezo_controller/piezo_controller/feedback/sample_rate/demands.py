@@ -16,42 +16,33 @@ from piezo_models.cascade import StageModel
 
 @dataclass(frozen=True)
 class Demands:
-    """Requirements and bounds of a loop.
-
-    Attributes
-    ----------
-    bandwidth_ratio : float
-        Bandwidth of the closed loop at -3 dB over the frequency of the first mode.
-    sensor_noise_um : float
-        Root mean square of the sensor's noise, which is white at the rate of the sample clock.
-    added_noise_um : float
-        Largest displacement that the noise may cause (um, rms).
-    noise_voltage_v : float
-        Largest voltage that the noise may cause (V, rms). Six times this is below the 4 V above
-        which the stage takes a growing amplitude for an oscillation.
-    worst_peak_sensitivity : float
-        Largest peak over all stages; designs are compared at this robustness.
-    slow_sensitivity : float
-        Largest sensitivity below half the lowest disturbance, over all stages; at most 1, so that
-        no slow error is amplified.
-    disturbance_tolerance : float
-        Relative error of the frequencies of the disturbances, over which they are attenuated; the
-        mains' frequency stays within 1 %.
-    of_every_stage : bool
-        Whether all stages within the model's errors must meet the requirements, or only the model.
-    """
+    """Requirements and bounds of a loop."""
 
     bandwidth_ratio: float = 1.2
+    """Bandwidth of the closed loop at -3 dB over the frequency of the first mode."""
     disturbance_hz: tuple[float, ...] = (50.0, 100.0)
     attenuation_db: tuple[float, ...] = (30.0, 20.0)
+
     sensor_noise_um: float = 0.009
+    """Root mean square of the sensor's noise, which is white at the rate of the sample clock."""
     added_noise_um: float = 0.009
+    """Largest displacement that the noise may cause (um, rms)."""
     noise_voltage_v: float = 0.5
+    """Largest voltage that the noise may cause (V, rms). Six times this is below the 4 V above
+    which the stage takes a growing amplitude for an oscillation."""
     worst_peak_sensitivity: float = 4.0
+    """Largest peak over all stages; designs are compared at this robustness."""
     slow_sensitivity: float = 1.0
+    """Largest sensitivity below half the lowest disturbance, over all stages; at most 1, so that no
+    slow error is amplified."""
     errors: ModelErrors = ModelErrors()
+
     disturbance_tolerance: float = 0.01
+    """Relative error of the frequencies of the disturbances, over which they are attenuated; the
+    mains' frequency stays within 1 %."""
     of_every_stage: bool = False
+    """Whether all stages within the model's errors must meet the requirements, or only the
+    model."""
 
     def loops(self, model: StageModel, clock_period_s: float,
               delay_ticks: int = 0, coarse: int = COARSE) -> PerturbedLoops:

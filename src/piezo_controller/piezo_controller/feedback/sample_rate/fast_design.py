@@ -5,7 +5,6 @@ It is the robust controller of fixed order, with resonances at the disturbances,
 largest margin to the requirements over all stages; see `tuned_over_stages`.
 """
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any
@@ -24,13 +23,10 @@ from piezo_controller.feedback.sample_rate.tuned_over_stages import tuned_family
 from piezo_models.cascade import StageModel
 
 METHOD = "fixed_order_resonant"
-FORMER_METHOD = "fixed_order"
-"""Earlier method without resonances, which had larger errors and tripped on small disturbances."""
 
 
 def design_at_sample_rate(model: StageModel, demands: Demands | None = None,
-                          method: str = METHOD, clock_period_s: float = 25e-6,
-                          model_sha256: str = "", effort: float = 1.0,
+                          clock_period_s: float = 25e-6, effort: float = 1.0,
                           seed: int = 0, delay_ticks: int = 0) -> FeedbackController:
     """Design a feedback that answers every sample.
 
@@ -38,10 +34,6 @@ def design_at_sample_rate(model: StageModel, demands: Demands | None = None,
     ----------
     model : piezo_models.cascade.StageModel
         Model with a mode, and without antiresonances.
-    method : str
-        `METHOD`. `FORMER_METHOD` gives the same design with a warning.
-    model_sha256 : str
-        Hash of the model's file, kept with the controller.
     effort : float
         Factor on the number of controllers that are tried.
     seed : int
@@ -60,21 +52,15 @@ def design_at_sample_rate(model: StageModel, demands: Demands | None = None,
     UnstableLoop
         If no controller was found that is stable with every stage.
     ValueError
-        If `method` is unknown, or the model has no mode or has antiresonances.
+        If the model has no mode or has antiresonances.
     """
-    if method == FORMER_METHOD:
-        warnings.warn(f"{FORMER_METHOD} is no more: {METHOD} is designed", DeprecationWarning,
-                      stacklevel=2)
-    elif method != METHOD:
-        raise ValueError(f"unknown method {method!r} of the feedback at the sample rate: use "
-                         f"{METHOD}")
     check_modes(model)
     demands = demands or Demands()
     loops = demands.loops(model, clock_period_s, delay_ticks)
     family = tuned_family(model, demands, clock_period_s)
     numbers = family.search(loops, demands, effort, seed)
     return measured_design(family.controller(numbers), model, demands, loops, METHOD,
-                           family.report(numbers), model_sha256, delay_ticks)
+                           family.report(numbers), delay_ticks=delay_ticks)
 
 
 def check_modes(model: StageModel) -> None:

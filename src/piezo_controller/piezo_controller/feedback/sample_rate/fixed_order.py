@@ -22,20 +22,15 @@ class FixedOrder:
     The parameters are the logarithm of the integral gain, the logarithms of the real zeros and
     poles, and for each pair the logarithm of its frequency and its damping ratio (for poles the
     logarithm of that). Each factor is 1 at zero frequency.
-
-    Attributes
-    ----------
-    real_zeros, real_poles, zero_pairs, pole_pairs : int
-        Number of each; the pole of the integration is not counted.
-    unit_rad_per_s : float
-        Unit of the frequencies.
     """
 
     real_zeros: int
     real_poles: int
     zero_pairs: int
     pole_pairs: int
+    """Number of each; the pole of the integration is not counted."""
     unit_rad_per_s: float
+    """Unit of the frequencies."""
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:

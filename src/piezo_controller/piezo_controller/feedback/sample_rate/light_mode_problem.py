@@ -26,37 +26,25 @@ STEEPNESS = 20.0
 
 @dataclass(frozen=True)
 class SampleRateWeights:
-    """Weights of the design, and its uncertainties.
-
-    Attributes
-    ----------
-    crossover_hz : float
-        Frequency below which the error of a disturbance is weighted by ``crossover / f``.
-    corner_hz : float
-        Frequency below which the weight rises with the square of that.
-    peak : float
-        Sensitivity that the weight allows at high frequencies.
-    control_gain : float
-        Allowed voltage, relative to the disturbance's voltage at the input of the stage.
-    roll_off_hz : float
-        Frequency above which less is allowed.
-    noise : float
-        Magnitude of the noise relative to the disturbance.
-    gain_uncertainty : float
-        The gain of the hysteresis lies within ``1 +- gain_uncertainty`` of its nominal value.
-    mode_uncertainty : float
-        The square of the light mode's frequency lies within ``1 +- mode_uncertainty`` of its
-        nominal value.
-    """
+    """Weights of the design, and its uncertainties."""
 
     crossover_hz: float
+    """Frequency below which the error of a disturbance is weighted by ``crossover / f``."""
     corner_hz: float
+    """Frequency below which the weight rises with the square of that."""
     peak: float
+    """Sensitivity that the weight allows at high frequencies."""
     control_gain: float
+    """Allowed voltage, relative to the disturbance's voltage at the input of the stage."""
     roll_off_hz: float
+    """Frequency above which less is allowed."""
     noise: float
+    """Magnitude of the noise relative to the disturbance."""
     gain_uncertainty: float
+    """The gain of the hysteresis lies within ``1 +- gain_uncertainty`` of its nominal value."""
     mode_uncertainty: float
+    """The square of the light mode's frequency lies within ``1 +- mode_uncertainty`` of its nominal
+    value."""
 
 
 def light_mode_problem(model: StageModel, weights: SampleRateWeights,

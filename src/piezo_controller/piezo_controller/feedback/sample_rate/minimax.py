@@ -23,23 +23,16 @@ EXCEEDED = 1e-6
 
 @dataclass(frozen=True)
 class Linearised:
-    """Functions and their derivatives at a vector of parameters.
-
-    Attributes
-    ----------
-    values, slopes : ndarray, shape (m,), (m, n)
-        Functions of which the largest is to be minimised.
-    bounds, bound_slopes : ndarray, shape (k,), (k, n)
-        Functions that may not exceed 0.
-    allowed : bool
-        Whether the parameters are admissible at all.
-    """
+    """Functions and their derivatives at a vector of parameters."""
 
     values: FloatArray
     slopes: FloatArray
+    """Functions of which the largest is to be minimised, (m,)."""
     bounds: FloatArray
     bound_slopes: FloatArray
+    """Functions that may not exceed 0, (k,)."""
     allowed: bool
+    """Whether the parameters are admissible at all."""
 
     @property
     def cost(self) -> float:

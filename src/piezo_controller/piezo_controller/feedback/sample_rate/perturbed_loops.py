@@ -15,6 +15,7 @@ from piezo_controller.feedback.robustness import with_errors
 from piezo_controller.feedback.synthesis.generalised_plant import (
     design_plant,
     hysteresis_gain_range,
+    nominal_hysteresis_gain,
 )
 from piezo_models.cascade import StageModel
 
@@ -40,55 +41,37 @@ ABOUT = np.linspace(-1.0, 1.0, 5)
 
 @dataclass(frozen=True)
 class ModelErrors:
-    """Relative errors of a model, of either sign.
-
-    Attributes
-    ----------
-    parameter : float
-        Error of every parameter of creep, lag and modes.
-    light_mode : float
-        Error of the frequency of the mode of least damping, which replaces `parameter` for it.
-    """
+    """Relative errors of a model, of either sign."""
 
     parameter: float = 0.05
+    """Error of every parameter of creep, lag and modes."""
     light_mode: float = 0.20
+    """Error of the frequency of the mode of least damping, which replaces `parameter` for it."""
 
 
 @dataclass(frozen=True)
 class LoopFigures:
-    """Performance of a feedback; `worst` is over all stages, the rest is for the model itself.
-
-    Attributes
-    ----------
-    unstable : int
-        Number of stages with which the loop is unstable.
-    largest_pole : float
-        Largest magnitude of a pole of any loop; below 1 if all are stable.
-    bandwidth_hz, worst_bandwidth_hz : float
-        Frequency at which the closed loop from reference to displacement first falls to -3 dB.
-    attenuation_db, worst_attenuation_db : tuple of float
-        Attenuation of a disturbance of the displacement, at the requested frequencies.
-    peak_sensitivity, worst_peak_sensitivity : float
-        Peak of the sensitivity; the worst is infinite if a loop is unstable.
-    worst_slow_sensitivity : float
-        Largest sensitivity below half the lowest disturbance.
-    noise_gain : float
-        Displacement that white noise of the sensor causes, rms over that of the noise.
-    noise_gain_v_per_um : float
-        Voltage that it causes, rms over that of the noise.
-    """
+    """Performance of a feedback; `worst` is over all stages, the rest is for the model itself."""
 
     unstable: int
+    """Number of stages with which the loop is unstable."""
     largest_pole: float
+    """Largest magnitude of a pole of any loop; below 1 if all are stable."""
     bandwidth_hz: float
     worst_bandwidth_hz: float
+    """Frequency at which the closed loop from reference to displacement first falls to -3 dB."""
     attenuation_db: tuple[float, ...]
     worst_attenuation_db: tuple[float, ...]
+    """Attenuation of a disturbance of the displacement, at the requested frequencies."""
     peak_sensitivity: float
     worst_peak_sensitivity: float
+    """Peak of the sensitivity; the worst is infinite if a loop is unstable."""
     worst_slow_sensitivity: float
+    """Largest sensitivity below half the lowest disturbance."""
     noise_gain: float
+    """Displacement that white noise of the sensor causes, rms over that of the noise."""
     noise_gain_v_per_um: float
+    """Voltage that it causes, rms over that of the noise."""
 
 
 class PerturbedLoops:
@@ -185,7 +168,7 @@ def _perturbed(model: StageModel, errors: ModelErrors, clock_period_s: float,
     def sampled(found: StageModel) -> control.StateSpace:
         return design_plant(found, clock_period_s, clock_period_s, delay_ticks=delay_ticks)[0]
 
-    nominal_gain = float(np.mean(hysteresis_gain_range(model)))
+    nominal_gain = nominal_hysteresis_gain(model)
     yield nominal_gain * sampled(model)
     pairs, modes = len(model.creep.poles_rad_per_s), len(model.dynamics.damping_ratios)
     light = light_mode(model)

@@ -14,7 +14,7 @@ from piezo_common.arrays import FloatArray
 from piezo_controller.feedback.sample_rate.classical_forms import FORMS
 from piezo_controller.feedback.synthesis.generalised_plant import (
     design_plant,
-    hysteresis_gain_range,
+    nominal_hysteresis_gain,
 )
 from piezo_models.cascade import StageModel
 
@@ -54,7 +54,7 @@ class Repetitive:
         self._angles = 2.0 * np.pi * self.frequencies_hz * clock_period_s
         plant, _ = design_plant(model, clock_period_s, clock_period_s, delay_ticks=delay_ticks)
         self._points = np.exp(1j * self._angles)
-        gain_um_per_v = float(np.mean(hysteresis_gain_range(model)))
+        gain_um_per_v = nominal_hysteresis_gain(model)
         self._responses = gain_um_per_v * plant(self._points, squeeze=False)[0, 0]
 
     def controller(self, numbers: FloatArray) -> control.StateSpace:

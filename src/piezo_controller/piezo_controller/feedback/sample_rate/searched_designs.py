@@ -33,7 +33,7 @@ from piezo_controller.feedback.sample_rate.light_mode_problem import (
 )
 from piezo_controller.feedback.sample_rate.perturbed_loops import PerturbedLoops, light_mode
 from piezo_controller.feedback.synthesis.dk_iteration import scale, tick_frequencies
-from piezo_controller.feedback.synthesis.generalised_plant import hysteresis_gain_range
+from piezo_controller.feedback.synthesis.generalised_plant import nominal_hysteresis_gain
 from piezo_controller.feedback.synthesis.h_infinity import NoController, close, synthesise
 from piezo_controller.feedback.synthesis.structured_singular_value import (
     sampled_response,
@@ -169,7 +169,7 @@ class _HInfinityFamily:
         self._delay_ticks = delay_ticks
         self._mode_hz = (model.dynamics.mode_frequencies_rad_per_s[light_mode(model)]
                          / (2 * np.pi))
-        self._gain_um_per_v = float(np.mean(hysteresis_gain_range(model)))
+        self._gain_um_per_v = nominal_hysteresis_gain(model)
 
     def _synthesised(self, numbers: FloatArray) -> tuple[
             SampleRateWeights, control.StateSpace, control.StateSpace, float]:

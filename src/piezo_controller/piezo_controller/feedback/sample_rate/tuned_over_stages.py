@@ -18,7 +18,7 @@ from piezo_controller.feedback.sample_rate.demands import Demands
 from piezo_controller.feedback.sample_rate.fixed_order import FixedOrder
 from piezo_controller.feedback.sample_rate.minimax import Linearised, lower_largest
 from piezo_controller.feedback.sample_rate.perturbed_loops import PerturbedLoops, light_mode
-from piezo_controller.feedback.synthesis.generalised_plant import hysteresis_gain_range
+from piezo_controller.feedback.synthesis.generalised_plant import nominal_hysteresis_gain
 from piezo_models.cascade import StageModel
 
 NEAR_DB = 4.0
@@ -149,7 +149,7 @@ class TunedFamily:
                  clock_period_s: float) -> None:
         self._model, self.structure, self.start = model, structure, start
         self._clock_period_s = clock_period_s
-        self._gain_um_per_v = float(np.mean(hysteresis_gain_range(model)))
+        self._gain_um_per_v = nominal_hysteresis_gain(model)
 
     def controller(self, numbers: FloatArray) -> control.StateSpace:
         """Return the controller for given parameters."""
@@ -196,21 +196,16 @@ class TunedFamily:
 
 @dataclass(frozen=True)
 class Start:
-    """Initial parameters of the tuning; frequencies are ratios to that of the light mode.
-
-    Attributes
-    ----------
-    gain : float
-        Logarithm of the integral gain.
-    zeros, poles : tuple of (float, float)
-        Frequency and damping ratio of each pair.
-    """
+    """Initial parameters of the tuning; frequencies are ratios to that of the light mode."""
 
     gain: float
+    """Logarithm of the integral gain."""
     real_zeros: tuple[float, ...]
     real_poles: tuple[float, ...]
+
     zeros: tuple[tuple[float, float], ...]
     poles: tuple[tuple[float, float], ...]
+    """Frequency and damping ratio of each pair."""
 
 
 START = Start(

@@ -16,6 +16,7 @@ from piezo_controller.feedback.synthesis.structured_singular_value import (
     sampled_response,
     structured_singular_values,
 )
+from piezo_models.linear.connections import inverse
 
 ITERATIONS = 3
 SEARCHED = 30
@@ -33,23 +34,17 @@ Scaling: TypeAlias = "float | control.StateSpace"
 
 @dataclass(frozen=True)
 class RobustSynthesis:
-    """The best iterate.
-
-    Attributes
-    ----------
-    gamma : float
-        Norm of the closed loop with the scalings that the controller was designed for.
-    scalings : sequence of float or control.StateSpace
-        Scaling D of each scalar uncertainty.
-    history : list of float
-        Peak of the structured singular value after each synthesis. The first is without
-        scalings, the last is that of the controller.
-    """
+    """The best iterate."""
 
     controller: control.StateSpace
+
     gamma: float
+    """Norm of the closed loop with the scalings that the controller was designed for."""
     scalings: tuple[Scaling, ...]
+    """Scaling D of each scalar uncertainty."""
     history: list[float]
+    """Peak of the structured singular value after each synthesis. The first is without scalings,
+    the last is that of the controller."""
 
 
 def iterate(plant: control.StateSpace, scalars: int, dynamic: bool = False,
@@ -217,12 +212,5 @@ def scale(plant: control.StateSpace,
     others_out, others_in = (
         control.ss([], [], [], np.eye(count - len(systems)), plant.dt)
         for count in (plant.noutputs, plant.ninputs))
-    inverses = [_inverse(system) for system in systems]
+    inverses = [inverse(system) for system in systems]
     return control.append(*systems, others_out) * plant * control.append(*inverses, others_in)
-
-
-def _inverse(system: control.StateSpace) -> control.StateSpace:
-    """Return the inverse of a system with direct feedthrough."""
-    d = np.linalg.inv(system.D)
-    return control.ss(system.A - system.B @ d @ system.C, system.B @ d, -d @ system.C, d,
-                      system.dt)

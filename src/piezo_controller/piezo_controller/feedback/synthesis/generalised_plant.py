@@ -34,7 +34,7 @@ def design_plant(model: StageModel, tick_s: float, clock_period_s: float,
         From the hysteresis' output decided in a tick to the displacement known in it (um per um),
         including the hold and the delay of the sensor.
     hysteresis_gain_um_per_v : float
-        Nominal gain k_h, the middle of `hysteresis_gain_range`.
+        Nominal gain k_h, see `nominal_hysteresis_gain`.
     """
     samples_per_tick = round(tick_s / clock_period_s)
     if samples_per_tick < 1 or abs(samples_per_tick * clock_period_s / tick_s - 1) > 1e-9:
@@ -42,7 +42,7 @@ def design_plant(model: StageModel, tick_s: float, clock_period_s: float,
                          f"of {clock_period_s:g} s")
     plant = clock_plant(model, tick_s) if at_once else lift(
         clock_plant(model, clock_period_s), samples_per_tick, delay_ticks)
-    return plant, float(np.mean(hysteresis_gain_range(model)))
+    return plant, nominal_hysteresis_gain(model)
 
 
 def clock_plant(model: StageModel, period_s: float) -> control.StateSpace:
@@ -58,6 +58,11 @@ def hysteresis_gain_range(model: StageModel) -> tuple[float, float]:
     hysteresis = model.hysteresis
     middle_v = (hysteresis.voltage_min_v + hysteresis.voltage_max_v) / 2
     return hysteresis.gain_um_per_v([middle_v])
+
+
+def nominal_hysteresis_gain(model: StageModel) -> float:
+    """Return the gain k_h that feedbacks are designed on, the middle of their range (um/V)."""
+    return float(np.mean(hysteresis_gain_range(model)))
 
 
 def generalised_plant(plant: control.StateSpace, hysteresis_gain_um_per_v: float,

@@ -61,28 +61,20 @@ class Weight:
 
 @dataclass(frozen=True)
 class DesignWeights:
-    """Weights of the generalised plant (thesis fig. 5.5).
-
-    Attributes
-    ----------
-    sample_period_s : float
-        Period of the tick (s).
-    performance, control, reference, noise, disturbance : Weight
-        ``w1``, ``w2``, ``w_r``, ``w_n``, ``w_d``; those of the thesis are (5.15) and (5.16).
-    feedforward_error : float
-        ``w_delta`` of (5.12).
-    hysteresis_uncertainty : float
-        ``w_u``: the hysteresis' gain lies within ``1 +- w_u`` of its nominal value.
-    """
+    """Weights of the generalised plant (thesis fig. 5.5)."""
 
     sample_period_s: float
+    """Period of the tick (s)."""
     performance: Weight
     control: Weight
     reference: Weight
     noise: Weight
     disturbance: Weight
+    """``w1``, ``w2``, ``w_r``, ``w_n``, ``w_d``; those of the thesis are (5.15) and (5.16)."""
     feedforward_error: float
+    """``w_delta`` of (5.12)."""
     hysteresis_uncertainty: float
+    """``w_u``: the hysteresis' gain lies within ``1 +- w_u`` of its nominal value."""
 
     def at_tick(self, sample_period_s: float) -> "DesignWeights":
         """Return weights with the same requirements at another tick."""

@@ -26,15 +26,10 @@ class NoOscillation(ValueError):
 
 @dataclass(frozen=True)
 class UltimatePoint:
-    """Gain and period at which a proportional feedback oscillates.
-
-    Attributes
-    ----------
-    gain : float
-        Ultimate gain (V/um).
-    """
+    """Gain and period at which a proportional feedback oscillates."""
 
     gain: float
+    """Ultimate gain (V/um)."""
     period_s: float
 
 

@@ -17,7 +17,10 @@ from piezo_controller.feedback.sample_rate.tuned_over_stages import (
     LoopProblem,
     tuned_family,
 )
-from piezo_controller.feedback.synthesis.generalised_plant import hysteresis_gain_range
+from piezo_controller.feedback.synthesis.generalised_plant import (
+    hysteresis_gain_range,
+    nominal_hysteresis_gain,
+)
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
@@ -95,7 +98,7 @@ def test_the_derivatives_are_those_of_differences(model):
     demands = Demands(errors=ModelErrors(0.05, 0.20), of_every_stage=True)
     family, numbers, loops = start_of(model, demands)
     problem = LoopProblem(loops, demands, family.structure, FIRST_MODE_HZ,
-                          float(np.mean(hysteresis_gain_range(model))))
+                          nominal_hysteresis_gain(model))
     here = problem.linearise(numbers)
     rng = np.random.default_rng(0)
     for _ in range(5):
@@ -161,18 +164,15 @@ def test_the_tuning_begins_with_less_gain_where_its_start_is_not_stable(model):
     assert controller.delay_ticks == 0
 
 
-def test_the_former_method_leads_to_that_of_today_with_a_warning(model, tmp_path):
+def test_a_saved_design_is_loaded_with_its_method(model, tmp_path):
     demands = Demands(errors=ModelErrors(0.02, 0.02), attenuation_db=(10.0, 5.0))
-    with pytest.warns(DeprecationWarning, match="fixed_order is no more: fixed_order_resonant"):
-        former = design_at_sample_rate(model, demands, "fixed_order", effort=0.0)
-    save_controller(tmp_path / "controller.json", former)
+    designed = design_at_sample_rate(model, demands, effort=0.0)
+    save_controller(tmp_path / "controller.json", designed)
     loaded = load_stabilising_controller(tmp_path / "controller.json", model, PERIOD_S, PERIOD_S)
     assert loaded.report["method"] == "fixed_order_resonant"
 
 
 def test_senseless_designs_are_refused(model):
-    with pytest.raises(ValueError, match="unknown method 'best'"):
-        design_at_sample_rate(model, method="best")
     with pytest.raises(ValueError, match="no mode"):
         design_at_sample_rate(replace(model, dynamics=ElectricVibrationDynamics(0.001)))
 

@@ -23,28 +23,20 @@ from piezo_models.effects import Effect, Evidence
 
 @dataclass(frozen=True, eq=False)
 class Attempt:
-    """A candidate in one round of the comparison.
-
-    Attributes
-    ----------
-    fit : Fit or None
-        None if the data give no initial guess, or cannot show the effect.
-    significance : float
-        Significance of the gain on held-out data, in standard deviations.
-    reduction_percent : float
-        Reduction of the RMS error on held-out data.
-    size : float
-        RMS of the contribution, in tolerances.
-    undecided : Undecided or None
-        Why the data could not show the effect; None if they could.
-    """
+    """A candidate in one round of the comparison."""
 
     name: str
+
     fit: Fit | None
+    """None if the data give no initial guess, or cannot show the effect."""
     significance: float = 0.0
+    """Significance of the gain on held-out data, in standard deviations."""
     reduction_percent: float = 0.0
+    """Reduction of the RMS error on held-out data."""
     size: float = 0.0
+    """RMS of the contribution, in tolerances."""
     undecided: Undecided | None = None
+    """Why the data could not show the effect; None if they could."""
 
 
 def try_each(regression: Regression, kinds: Sequence[type[Effect]], current: Fit,

@@ -21,47 +21,33 @@ from piezo_identification.fitting.regression import Fit, Regression
 
 @dataclass(frozen=True)
 class Criteria:
-    """Limits of the comparison of sets of effects.
-
-    Attributes
-    ----------
-    noise : float
-        Size of the residual beyond the noise, in tolerances, below which it counts as noise.
-    overwhelming : float
-        Ratio of the mean squares on held-out data below which the gain is convincing by itself. If
-        one event, such as a jump, provides all evidence, statistical significance does not apply.
-    significant : float
-        Significance required of a gain, in standard deviations; each round has a dozen candidates.
-    noticeable : float
-        Smallest contribution of an effect that is named, in tolerances.
-    beside : float
-        The same relative to the error of the model without effects, because effects are not known
-        more accurately.
-    visible : float
-        Smallest part of a contribution that other parameters of the model cannot imitate.
-    told_apart : float
-        Standard deviations by which a set must be better to be distinguished from another.
-    penalty : float
-        Squared tolerances by which a fitted parameter must reduce the sum on held-out data.
-    clearly_fewer : int
-        Number of parameters by which a set must be smaller to precede a slightly better one.
-    alternatives : int
-        Number of sets of equal size that enter the next round.
-    worst_alternative : float
-        Largest residual of these sets, relative to that of the best one.
-    """
+    """Limits of the comparison of sets of effects."""
 
     noise: float = 0.8
+    """Size of the residual beyond the noise, in tolerances, below which it counts as noise."""
     overwhelming: float = 0.36
+    """Ratio of the mean squares on held-out data below which the gain is convincing by itself. If
+    one event, such as a jump, provides all evidence, statistical significance does not apply."""
     significant: float = 5.0
+    """Significance required of a gain, in standard deviations; each round has a dozen
+    candidates."""
     noticeable: float = 0.25
+    """Smallest contribution of an effect that is named, in tolerances."""
     beside: float = 0.02
+    """The same relative to the error of the model without effects, because effects are not known
+    more accurately."""
     visible: float = 0.1
+    """Smallest part of a contribution that other parameters of the model cannot imitate."""
     told_apart: float = 3.0
+    """Standard deviations by which a set must be better to be distinguished from another."""
     penalty: float = 10.0
+    """Squared tolerances by which a fitted parameter must reduce the sum on held-out data."""
     clearly_fewer: int = 2
+    """Number of parameters by which a set must be smaller to precede a slightly better one."""
     alternatives: int = 4
+    """Number of sets of equal size that enter the next round."""
     worst_alternative: float = 1.5
+    """Largest residual of these sets, relative to that of the best one."""
 
 
 CRITERIA = Criteria()

@@ -17,16 +17,12 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True)
 class Undecided:
-    """A reason with its sentence.
-
-    Attributes
-    ----------
-    sentence : str
-        Sentence without its end.
-    """
+    """A reason with its sentence."""
 
     reason: Reason
+
     sentence: str
+    """Sentence without its end."""
 
 
 OTHER_PARAMETERS = Undecided(Reason.SAME_AS_OTHER_PARAMETERS,

@@ -38,18 +38,12 @@ from piezo_models.effects.outliers import Outliers
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """Limits of the selection.
-
-    Attributes
-    ----------
-    most_effects : int
-        Largest size of a set: in larger ones, some effects compensate for errors of others.
-    stuck : float
-        Ratio of the lack of fit after and before a round above which the search ends.
-    """
+    """Limits of the selection."""
 
     most_effects: int = 3
+    """Largest size of a set: in larger ones, some effects compensate for errors of others."""
     stuck: float = 0.7
+    """Ratio of the lack of fit after and before a round above which the search ends."""
 
 
 SETTINGS = SearchSettings()
@@ -57,39 +51,27 @@ SETTINGS = SearchSettings()
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """Result of the comparison of sets of effects.
-
-    Attributes
-    ----------
-    regression : Regression
-        Regression with the noise and outliers estimated with the effects found.
-    start, end : Fit
-        Fits without any effect, and with those found.
-    rounds : list of list of Attempt
-        Attempts of each round, the best first.
-    indistinguishable : dict of str to str
-        Candidates that the data cannot distinguish from a chosen one, and that one.
-    not_shown : dict of str to Undecided
-        Effects that the data cannot show, and why.
-    alternatives : tuple of Fit
-        Other sets of the last round with nearly as small a residual as the best, and sets in which
-        an effect of the best is replaced by one that the data cannot distinguish from it.
-    parts : tuple of Fit
-        The best set without some of its effects.
-    interrupted : bool
-        True if the comparison was ended by Ctrl-C or the time limit: more effects may be missing,
-        and some of those found may not be needed.
-    """
+    """Result of the comparison of sets of effects."""
 
     regression: Regression
+    """Regression with the noise and outliers estimated with the effects found."""
     start: Fit
     end: Fit
+    """Fits without any effect, and with those found."""
     rounds: list[list[Attempt]]
+    """Attempts of each round, the best first."""
     indistinguishable: dict[str, str]
+    """Candidates that the data cannot distinguish from a chosen one, and that one."""
     not_shown: dict[str, Undecided]
+    """Effects that the data cannot show, and why."""
     alternatives: tuple[Fit, ...] = ()
+    """Other sets of the last round with nearly as small a residual as the best, and sets in which
+    an effect of the best is replaced by one that the data cannot distinguish from it."""
     parts: tuple[Fit, ...] = ()
+    """The best set without some of its effects."""
     interrupted: bool = False
+    """True if the comparison was ended by Ctrl-C or the time limit: more effects may be missing,
+    and some of those found may not be needed."""
 
 
 def select_effects(regression: Regression, progress: Progress | None = None,

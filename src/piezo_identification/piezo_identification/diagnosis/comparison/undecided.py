@@ -20,16 +20,11 @@ from piezo_models.effects import Effect
 
 @dataclass(frozen=True)
 class UndecidedSettings:
-    """When another cause is equivalent to a change of the model's parameters.
-
-    Attributes
-    ----------
-    as_good : float
-        Largest lack of fit of the cause, relative to that with free parameters. If the lack of fit
-        with fixed parameters is no larger, no cause is sought.
-    """
+    """When another cause is equivalent to a change of the model's parameters."""
 
     as_good: float = 2.0
+    """Largest lack of fit of the cause, relative to that with free parameters. If the lack of fit
+    with fixed parameters is no larger, no cause is sought."""
 
 
 SETTINGS = UndecidedSettings()

@@ -21,19 +21,13 @@ from piezo_recorder.reading.recording import Recording
 
 @dataclass(frozen=True)
 class HeldOutErrors:
-    """Errors of the model as given and of the extended one, on the same samples.
-
-    Attributes
-    ----------
-    before, after : dict of str to float
-        `rms_um` and `e_y_percent`.
-    where : dict
-        `source`, and number of `samples`.
-    """
+    """Errors of the model as given and of the extended one, on the same samples."""
 
     before: dict[str, float]
     after: dict[str, float]
+    """`rms_um` and `e_y_percent`."""
     where: dict[str, object]
+    """`source`, and number of `samples`."""
 
 
 class Validation:

@@ -31,36 +31,25 @@ from piezo_identification.fitting.regression import Fit, Regression
 
 @dataclass(frozen=True)
 class CeilingSettings:
-    """Inputs and settings of the learner.
-
-    Attributes
-    ----------
-    most_rows : int
-        Largest number of samples for training and testing.
-    near_lags : int
-        Number of past samples that are all used; further back, distances double.
-    furthest_share : float
-        Largest lag, relative to the length of the recording.
-    low_passes : int
-        Number of low-pass filters, with time constants from a few samples to a quarter of the
-        recording.
-    play_widths : tuple of float
-        Widths of play operators, relative to the voltage range: the memory of a hysteresis.
-    folds : int
-        Number of folds of the stretches for choosing the penalty of the ridge regression.
-    trees, leaves, samples_per_leaf : int
-        Settings of the boosted trees.
-    """
+    """Inputs and settings of the learner."""
 
     most_rows: int = 6_000
+    """Largest number of samples for training and testing."""
     near_lags: int = 12
+    """Number of past samples that are all used; further back, distances double."""
     furthest_share: float = 0.125
+    """Largest lag, relative to the length of the recording."""
     low_passes: int = 5
+    """Number of low-pass filters, with time constants from a few samples to a quarter of the
+    recording."""
     play_widths: tuple[float, ...] = (0.03, 0.1, 0.2, 0.4, 0.7)
+    """Widths of play operators, relative to the voltage range: the memory of a hysteresis."""
     folds: int = 4
+    """Number of folds of the stretches for choosing the penalty of the ridge regression."""
     trees: int = 80
     leaves: int = 15
     samples_per_leaf: int = 40
+    """Settings of the boosted trees."""
 
 
 SETTINGS = CeilingSettings()
@@ -71,26 +60,18 @@ class Ceiling:
     """Residual on held-out stretches, and the part of it that can be predicted.
 
     The squares of `predictable_um` and `random_um` add up to that of `left_um`.
-
-    Attributes
-    ----------
-    left_um : float
-        RMS residual of the model with its effects.
-    predictable_um : float
-        RMS of the part that a learner predicts from voltage, displacement and their past.
-    from_voltage_um : float
-        The same from the voltage and its past alone.
-    random_um : float
-        RMS of the part that it cannot predict.
-    noise_um : float
-        RMS of the sensor noise in these samples.
     """
 
     left_um: float
+    """RMS residual of the model with its effects."""
     predictable_um: float
+    """RMS of the part that a learner predicts from voltage, displacement and their past."""
     from_voltage_um: float
+    """The same from the voltage and its past alone."""
     random_um: float
+    """RMS of the part that it cannot predict."""
     noise_um: float
+    """RMS of the sensor noise in these samples."""
 
     def sentence(self) -> str:
         """Describe the repeatable and the random part of the residual."""

@@ -21,19 +21,14 @@ NEXT_STEP = 1.6
 
 @dataclass(frozen=True)
 class FoundOutliers:
-    """Number and size of the outliers of all recordings.
-
-    Parameters
-    ----------
-    share : float
-        Fraction of the samples.
-    size_um : float
-        RMS error of these samples.
-    """
+    """Number and size of the outliers of all recordings."""
 
     count: int
+
     share: float
+    """Fraction of the samples."""
     size_um: float
+    """RMS error of these samples."""
 
     def effect(self, regression: Regression) -> Outliers:
         """Return the effect that represents them in the extended model."""

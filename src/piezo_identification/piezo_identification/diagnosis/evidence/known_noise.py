@@ -40,22 +40,16 @@ OF_RESTS = "rests"
 
 @dataclass(frozen=True)
 class NoiseSource:
-    """Noise as shown by one recording.
-
-    Attributes
-    ----------
-    period_s : float
-        Sample period of its rows.
-    name : str
-        Name of the source.
-    is_shown : bool
-        False if the value is only an upper bound.
-    """
+    """Noise as shown by one recording."""
 
     rms_um: float
+
     period_s: float
+    """Sample period of its rows."""
     name: str
+    """Name of the source."""
     is_shown: bool = True
+    """False if the value is only an upper bound."""
 
     def at(self, period_s: float) -> "NoiseSource":
         """Return the upper bound of the noise for rows of another sample period."""
@@ -66,16 +60,12 @@ class NoiseSource:
 
 @dataclass(frozen=True)
 class KnownNoise:
-    """Known noise of a sensor, and components of the model with larger residuals.
-
-    Attributes
-    ----------
-    inadequate : tuple of str
-        Components that the identification found inadequate.
-    """
+    """Known noise of a sensor, and components of the model with larger residuals."""
 
     sources: tuple[NoiseSource, ...] = ()
+
     inadequate: tuple[str, ...] = ()
+    """Components that the identification found inadequate."""
 
     def least(self, period_s: float) -> NoiseSource:
         """Return the smallest known noise for rows of a sample period; there must be a source."""

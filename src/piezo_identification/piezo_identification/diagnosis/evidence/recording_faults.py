@@ -26,33 +26,23 @@ WRONG_SIGN, MISALIGNED_ROWS = "wrong_sign", "misaligned_rows"
 
 @dataclass(frozen=True)
 class FaultSettings:
-    """When rows are misaligned.
-
-    Attributes
-    ----------
-    most_rows : int
-        Largest shift that is sought.
-    whole : float
-        Largest deviation from a shift by whole rows: a logger shifts by whole rows, a stage by any
-        time.
-    error_ratio : float
-        Largest ratio of the errors on the last third, with and without alignment: causes that only
-        resemble a shift reduce the error less.
-    fitted_share : float
-        First part of the samples, from which the shift is estimated.
-    as_much_alike : float
-        Factor within which two shifts are equivalent; the smallest is used.
-    slow_row : float
-        Shortest row, in group delays of the dynamics, for which a late displacement is attributed
-        to the logger: in a fast recording the stage may have a delay.
-    """
+    """When rows are misaligned."""
 
     most_rows: int = 200
+    """Largest shift that is sought."""
     whole: float = 0.1
+    """Largest deviation from a shift by whole rows: a logger shifts by whole rows, a stage by any
+    time."""
     error_ratio: float = 1.0 / 3.0
+    """Largest ratio of the errors on the last third, with and without alignment: causes that only
+    resemble a shift reduce the error less."""
     fitted_share: float = 2.0 / 3.0
+    """First part of the samples, from which the shift is estimated."""
     as_much_alike: float = 2.0
+    """Factor within which two shifts are equivalent; the smallest is used."""
     slow_row: float = 3.0
+    """Shortest row, in group delays of the dynamics, for which a late displacement is attributed to
+    the logger: in a fast recording the stage may have a delay."""
 
 
 SETTINGS = FaultSettings()
@@ -60,27 +50,18 @@ SETTINGS = FaultSettings()
 
 @dataclass(frozen=True)
 class RecordingFault:
-    """A fault of a recording, and how it was corrected.
-
-    Attributes
-    ----------
-    name : str
-        `wrong_sign` or `misaligned_rows`.
-    recording : str
-        Path of the recording.
-    sentence : str
-        Description of the fault.
-    remedy : str
-        What to do before the next recording.
-    numbers : dict of str to float
-        `rows` by which the displacement is late, and the errors on held-out samples.
-    """
+    """A fault of a recording, and how it was corrected."""
 
     name: str
+    """`wrong_sign` or `misaligned_rows`."""
     recording: str
+    """Path of the recording."""
     sentence: str
+    """Description of the fault."""
     remedy: str
+    """What to do before the next recording."""
     numbers: dict[str, float] = field(default_factory=dict)
+    """`rows` by which the displacement is late, and the errors on held-out samples."""
 
     def document(self) -> dict[str, object]:
         """Return its entry in `verdict.json`."""

@@ -14,30 +14,20 @@ from piezo_identification.conditioning.waveforms import turning_points
 
 @dataclass(frozen=True)
 class ResidualTestSettings:
-    """Settings of the tests of a residual.
-
-    Attributes
-    ----------
-    band_99 : float
-        Standard deviations within which 99 % of a normal distribution lie.
-    most_lags : int
-        Largest shift of a residual in samples; slower errors show in the dependences.
-    bins : int
-        Number of bins, with equally many samples, for the mean of a residual.
-    segments : int
-        Number of segments of a recording whose spectra are averaged.
-    shortest_segment : int
-        Smallest number of samples of a segment.
-    whitening_order : int
-        Number of earlier samples used to predict an input to make it white.
-    """
+    """Settings of the tests of a residual."""
 
     band_99: float = 2.576
+    """Standard deviations within which 99 % of a normal distribution lie."""
     most_lags: int = 100
+    """Largest shift of a residual in samples; slower errors show in the dependences."""
     bins: int = 24
+    """Number of bins, with equally many samples, for the mean of a residual."""
     segments: int = 8
+    """Number of segments of a recording whose spectra are averaged."""
     shortest_segment: int = 256
+    """Smallest number of samples of a segment."""
     whitening_order: int = 6
+    """Number of earlier samples used to predict an input to make it white."""
 
 
 SETTINGS = ResidualTestSettings()
@@ -45,16 +35,12 @@ SETTINGS = ResidualTestSettings()
 
 @dataclass(frozen=True)
 class CorrelationTest:
-    """Correlation over lags, and the band that contains 99 % of it if there is none.
-
-    Attributes
-    ----------
-    lags : (n,) array of int
-    correlation : (n,) array
-    """
+    """Correlation over lags, and the band that contains 99 % of it if there is none."""
 
     lags: np.ndarray
+    """Shape (n,)."""
     correlation: np.ndarray
+    """Shape (n,)."""
     band: float
 
     @property
@@ -72,7 +58,7 @@ class CorrelationTest:
         return bool(self.share_outside * lags <= by_chance)
 
 
-def whiteness(residual_um: FloatArray, most_lags: int = SETTINGS.most_lags) -> CorrelationTest:
+def whiteness(residual_um: FloatArray) -> CorrelationTest:
     """Return the autocorrelation of the residual.
 
     Parameters
@@ -80,13 +66,12 @@ def whiteness(residual_um: FloatArray, most_lags: int = SETTINGS.most_lags) -> C
     residual_um : (N,) array
     """
     residual = residual_um - residual_um.mean()
-    lags = np.arange(1, min(most_lags, residual.size // 4) + 1)
+    lags = np.arange(1, min(SETTINGS.most_lags, residual.size // 4) + 1)
     return CorrelationTest(lags, _correlation(residual, residual, lags),
                            SETTINGS.band_99 / np.sqrt(residual.size))
 
 
-def input_correlation(residual_um: FloatArray, input: FloatArray,
-                      most_lags: int = SETTINGS.most_lags) -> CorrelationTest:
+def input_correlation(residual_um: FloatArray, input: FloatArray) -> CorrelationTest:
     """Correlate the residual with earlier values of an input.
 
     Both are filtered first so that the input becomes white, because a smooth input correlates with
@@ -98,14 +83,14 @@ def input_correlation(residual_um: FloatArray, input: FloatArray,
     """
     white_input, coefficients = _whitened(input - input.mean())
     residual = np.convolve(residual_um - residual_um.mean(), coefficients, mode="valid")
-    lags = np.arange(0, min(most_lags, residual.size // 4) + 1)
+    lags = np.arange(0, min(SETTINGS.most_lags, residual.size // 4) + 1)
     return CorrelationTest(lags, _correlation(residual, white_input, lags),
                            SETTINGS.band_99 / np.sqrt(residual.size))
 
 
-def _whitened(signal: FloatArray,
-              order: int = SETTINGS.whitening_order) -> tuple[FloatArray, FloatArray]:
+def _whitened(signal: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Make a signal white by an autoregressive filter; return it, and the filter."""
+    order = SETTINGS.whitening_order
     lagged = np.column_stack(
         [signal[order - lag : signal.size - lag] for lag in range(1, order + 1)]
     )
@@ -145,22 +130,17 @@ def _segment(samples: int) -> int:
 
 @dataclass(frozen=True)
 class ErrorResponse:
-    """The error of the model's displacement as a function of frequency.
-
-    Attributes
-    ----------
-    frequency_hz : (n,) array
-    gain : (n,) array of complex
-        Gain from the model's displacement to the residual; 0.1 if the stage moves by 10 % more.
-    coherence : (n,) array
-    limit : float
-        Coherence that 99 % of independent signals do not reach.
-    """
+    """The error of the model's displacement as a function of frequency."""
 
     frequency_hz: np.ndarray
+    """Shape (n,)."""
     gain: np.ndarray
+    """Gain from the model's displacement to the residual, (n,); 0.1 if the stage moves by 10 %
+    more."""
     coherence: np.ndarray
+    """Shape (n,)."""
     limit: float
+    """Coherence that 99 % of independent signals do not reach."""
 
 
 def error_response(residual_um: FloatArray, displacement_um: FloatArray,
@@ -188,37 +168,28 @@ def error_response(residual_um: FloatArray, displacement_um: FloatArray,
 
 @dataclass(frozen=True)
 class Dependence:
-    """Mean of the residual in bins of a quantity.
-
-    Attributes
-    ----------
-    quantity : str
-        Name of the quantity with its unit.
-    centre, mean_um, band_um : (n,) arrays
-        Centre, mean and band of each bin; 99 % of the means lie within the band if the residual
-        does not depend on the quantity.
-    share : float
-        Share of the residual's variance that the means explain, beyond chance.
-    """
+    """Mean of the residual in bins of a quantity."""
 
     quantity: str
+    """Name of the quantity with its unit."""
     centre: np.ndarray
     mean_um: np.ndarray
     band_um: np.ndarray
+    """Centre, mean and band of each bin, (n,); 99 % of the means lie within the band if the
+    residual does not depend on the quantity."""
     share: float
+    """Share of the residual's variance that the means explain, beyond chance."""
 
 
-def dependence(residual_um: FloatArray, values: FloatArray, quantity: str,
-               bins: int = SETTINGS.bins) -> Dependence:
+def dependence(residual_um: FloatArray, values: FloatArray, quantity: str) -> Dependence:
     """Estimate how the residual depends on a quantity.
 
     Parameters
     ----------
     residual_um, values : (N,) array
-    bins : int
-        Number of bins with equally many samples.
     """
-    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, bins + 1)))
+    # Bins of equally many samples each.
+    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, SETTINGS.bins + 1)))
     index = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, max(0, edges.size - 2))
     count = np.bincount(index)
     used = count > 0

@@ -39,50 +39,35 @@ Effects = tuple[Effect, ...]
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """A set of effects, estimated with the model on all recordings together.
-
-    Attributes
-    ----------
-    name : str
-        Names of the effects joined by +, or "none".
-    effects : tuple of Effect
-        Effects without those that the model already had.
-    probability : float
-        Probability from the recordings so far; the sum over all listed alternatives is less than
-        one by the probability of unlisted ones.
-    information : (p, p) array
-        Square root of the information on the model's parameters, in prior widths, followed by the
-        fitted parameters of the effects: a change x costs ``|information x|^2`` in standard
-        deviations.
-    """
+    """A set of effects, estimated with the model on all recordings together."""
 
     name: str
+    """Names of the effects joined by +, or "none"."""
     effects: Effects
+    """Effects without those that the model already had."""
     fit: JointFit
+
     probability: float
+    """Probability from the recordings so far; the sum over all listed alternatives is less than one
+    by the probability of unlisted ones."""
     information: FloatArray
+    """Square root of the information on the model's parameters, in prior widths, followed by the
+    fitted parameters of the effects, (p, p): a change x costs ``|information x|^2`` in standard
+    deviations."""
 
 
 @dataclass(frozen=True, eq=False)
 class Alternatives:
-    """The alternatives, and the errors to expect in the next recording.
-
-    Attributes
-    ----------
-    alternatives : tuple of Alternative
-        Alternatives, the most probable first.
-    problem : JointProblem
-        Problem with the recordings so far and those of the identification.
-    alike : float
-        Number of neighbouring errors that count as one.
-    misfit : float
-        RMS residual of the best one beyond the noise, relative to that of the motion.
-    """
+    """The alternatives, and the errors to expect in the next recording."""
 
     alternatives: tuple[Alternative, ...]
+    """Alternatives, the most probable first."""
     problem: JointProblem
+    """Problem with the recordings so far and those of the identification."""
     alike: float
+    """Number of neighbouring errors that count as one."""
     misfit: float
+    """RMS residual of the best one beyond the noise, relative to that of the motion."""
 
     @property
     def probabilities(self) -> dict[str, float]:

@@ -30,26 +30,19 @@ SEED = 0
 
 @dataclass(frozen=True)
 class Family:
-    """A family of waveforms.
-
-    Attributes
-    ----------
-    levels : tuple of float
-        Fractions of the voltage range that are tried.
-    rates : tuple of float
-        Rates in Hz: the frequency of triangles, the number of steps per second, the highest
-        frequency of multisines and sweeps.
-    fast : bool
-        Whether it is played at the sample clock.
-    shape : callable
-        Returns the wave between -1 and 1 for time in s, shape (N,), and rate.
-    """
+    """A family of waveforms."""
 
     name: str
+
     levels: tuple[float, ...]
+    """Fractions of the voltage range that are tried."""
     rates: tuple[float, ...]
+    """Rates in Hz: the frequency of triangles, the number of steps per second, the highest
+    frequency of multisines and sweeps."""
     fast: bool
+    """Whether it is played at the sample clock."""
     shape: Callable[[FloatArray, float], FloatArray]
+    """Returns the wave between -1 and 1 for time in s, shape (N,), and rate."""
 
 
 def _triangles(time_s: FloatArray, rate_hz: float) -> FloatArray:
@@ -114,19 +107,14 @@ def _rounded(wave: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Point:
-    """One waveform of a family.
-
-    Attributes
-    ----------
-    level : float
-        Fraction of the voltage range.
-    rate_hz : float
-        Reduced if the sample clock requires it.
-    """
+    """One waveform of a family."""
 
     family: Family
+
     level: float
+    """Fraction of the voltage range."""
     rate_hz: float
+    """Reduced if the sample clock requires it."""
 
     def neighbours(self, factor: float) -> "list[Point]":
         """Return the points with the level or the rate multiplied or divided by a factor."""

@@ -29,21 +29,14 @@ DIAGNOSED, COMPARED, DESIGNED = 0.6, 0.7, 0.8
 
 @dataclass(frozen=True, eq=False)
 class DecisionStep:
-    """A diagnosis on the way to a decision.
-
-    Attributes
-    ----------
-    diagnosis : Diagnosis
-        Diagnosis of all recordings so far, with the probabilities of the alternatives.
-    alternatives : Alternatives
-        Remaining alternatives.
-    proposal : Proposal or None
-        What was played next; None if a decision was made or the budget is spent.
-    """
+    """A diagnosis on the way to a decision."""
 
     diagnosis: Diagnosis
+    """Diagnosis of all recordings so far, with the probabilities of the alternatives."""
     alternatives: Alternatives
+    """Remaining alternatives."""
     proposal: Proposal | None
+    """What was played next; None if a decision was made or the budget is spent."""
 
     @property
     def probabilities(self) -> dict[str, float]:

@@ -33,24 +33,17 @@ RAMP_S = 0.1
 
 @dataclass(frozen=True, eq=False)
 class ExpectedOutcome:
-    """Expected result of a waveform.
-
-    Attributes
-    ----------
-    rms_um : (n, n) array
-        RMS difference of the predictions of i and j, with the parameters of j fitted to i.
-    distance : (n, n) array
-        The same in standard deviations of the errors, if i is true.
-    deciding : (n,) array
-        Probability that alternative i has 95 % after the recording, if it is true.
-    probability : float
-        Probability that the recording decides, whichever is true.
-    """
+    """Expected result of a waveform."""
 
     rms_um: FloatArray
+    """RMS difference of the predictions of i and j, with the parameters of j fitted to i, (n,
+    n)."""
     distance: FloatArray
+    """The same in standard deviations of the errors, if i is true, (n, n)."""
     deciding: FloatArray
+    """Probability that alternative i has 95 % after the recording, if it is true, (n,)."""
     probability: float
+    """Probability that the recording decides, whichever is true."""
 
     @property
     def rank(self) -> tuple[float, float, float]:

@@ -47,18 +47,14 @@ WAVEFORM, OUTCOME = "next_experiment.csv", "next_experiment.json"
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """The waveform to play next, and its expected outcome.
-
-    Attributes
-    ----------
-    point : Point
-        Family, level and rate of the waveform.
-    """
+    """The waveform to play next, and its expected outcome."""
 
     experiment: Experiment
     alternatives: Alternatives
     outcome: ExpectedOutcome
+
     point: Point
+    """Family, level and rate of the waveform."""
 
     def document(self) -> dict[str, Any]:
         """Return the content of the file with the expected outcome."""

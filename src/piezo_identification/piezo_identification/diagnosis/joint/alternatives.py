@@ -43,34 +43,25 @@ class Came(StrEnum):
 
 @dataclass(frozen=True)
 class AlternativeSettings:
-    """Which alternatives are fitted.
-
-    Attributes
-    ----------
-    fitted : int
-        Number of effects that are fitted as present from the start, the most promising ones.
-    starts : int
-        Number of initial guesses of each that are fitted if the best of them leave more than noise.
-    second : float
-        Residual power of the best alternative, relative to the noise, above which a second effect
-        is tried in addition.
-    most_effects : int
-        Largest number of effects present from the start.
-    many_samples : int
-        Total number of samples above which only one effect, besides those that explain the new
-        recordings, is fitted as present from the start, because the cost of a fit is proportional
-        to the length of the recordings.
-    told_apart : float
-        Logarithm of the probability ratio, 95 to 5, above which the time when an effect appeared is
-        considered known.
-    """
+    """Which alternatives are fitted."""
 
     fitted: int = 4
+    """Number of effects that are fitted as present from the start, the most promising ones."""
     starts: int = 5
+    """Number of initial guesses of each that are fitted if the best of them leave more than
+    noise."""
     second: float = 1.3
+    """Residual power of the best alternative, relative to the noise, above which a second effect is
+    tried in addition."""
     most_effects: int = 2
+    """Largest number of effects present from the start."""
     many_samples: int = 500_000
+    """Total number of samples above which only one effect, besides those that explain the new
+    recordings, is fitted as present from the start, because the cost of a fit is proportional to
+    the length of the recordings."""
     told_apart: float = float(np.log(19.0))
+    """Logarithm of the probability ratio, 95 to 5, above which the time when an effect appeared is
+    considered known."""
 
 
 SETTINGS = AlternativeSettings()
@@ -78,22 +69,16 @@ SETTINGS = AlternativeSettings()
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """A model in the comparison.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Sorted names of the effects that the given model lacks; empty for the model alone.
-    since : bool
-        True if the effects appeared after the identification.
-    evidence : Evidence
-        Quantities on which its probability depends.
-    """
+    """A model in the comparison."""
 
     names: tuple[str, ...]
+    """Sorted names of the effects that the given model lacks; empty for the model alone."""
     since: bool
+    """True if the effects appeared after the identification."""
     fit: JointFit
+
     evidence: Evidence
+    """Quantities on which its probability depends."""
 
     @property
     def mean_square_um2(self) -> tuple[float, ...]:

@@ -57,28 +57,19 @@ well."""
 
 @dataclass(frozen=True, eq=False)
 class Competition:
-    """Probabilities of the compared models, and the most probable one.
-
-    Attributes
-    ----------
-    probabilities : dict of str to float
-        Probability of each relevant set of effects, of `none` and of `something_else`; they sum to
-        one.
-    best : Alternative or None
-        The most probable model; None if only the new recordings were used, with the given model.
-    times : dict of tuple of str to Came
-        When each compared set of effects appeared.
-    stated_um : float
-        RMS of the known error of the most probable model.
-    is_plain : bool
-        True if it is the simplest model with effects, not the given one.
-    """
+    """Probabilities of the compared models, and the most probable one."""
 
     probabilities: dict[str, float]
+    """Probability of each relevant set of effects, of `none` and of `something_else`; they sum to
+    one."""
     best: Alternative | None = None
+    """The most probable model; None if only the new recordings were used, with the given model."""
     times: dict[tuple[str, ...], Came] = field(default_factory=dict)
+    """When each compared set of effects appeared."""
     stated_um: float = 0.0
+    """RMS of the known error of the most probable model."""
     is_plain: bool = False
+    """True if it is the simplest model with effects, not the given one."""
 
     def came(self, names: Iterable[str]) -> Came:
         """Return when a set of effects appeared."""

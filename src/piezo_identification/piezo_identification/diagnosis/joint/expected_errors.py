@@ -28,28 +28,20 @@ from piezo_identification.fitting.regression import accuracies_um
 
 @dataclass(frozen=True)
 class ErrorSettings:
-    """Size of the errors of a model.
-
-    Attributes
-    ----------
-    carried_spread : float
-        RMS of the logarithm of the error of a complete model in another recording, relative to the
-        worst of those that it was fitted to. Set on 40 recordings of five drawn stages:
-        docs/diagnosis.md.
-    independent : float
-        Number of independent errors of a model in one recording. Set on the same data: the best of
-        the known effects explains a third or half of them.
-    noise_known : float
-        Relative error of the variance of the noise. Set on the same data.
-    most_wrong : float
-        Largest known error of a model that is accepted, relative to the RMS motion: a larger error
-        shows that the model lacks something.
-    """
+    """Size of the errors of a model."""
 
     carried_spread: float = 0.6
+    """RMS of the logarithm of the error of a complete model in another recording, relative to the
+    worst of those that it was fitted to. Set on 40 recordings of five drawn stages:
+    docs/diagnosis.md."""
     independent: float = 10.0
+    """Number of independent errors of a model in one recording. Set on the same data: the best of
+    the known effects explains a third or half of them."""
     noise_known: float = 0.1
+    """Relative error of the variance of the noise. Set on the same data."""
     most_wrong: float = 1e-3
+    """Largest known error of a model that is accepted, relative to the RMS motion: a larger error
+    shows that the model lacks something."""
 
 
 SETTINGS = ErrorSettings()
@@ -64,21 +56,14 @@ WEIGHTS = -0.5 * DEVIATIONS**2 - logsumexp(-0.5 * DEVIATIONS**2)
 
 @dataclass(frozen=True, eq=False)
 class ExpectedErrors:
-    """Expected RMS residual of each recording if a model lacks nothing.
-
-    Attributes
-    ----------
-    noise_um : (R,) array
-        Noise of the sensor.
-    model_um : (R,) array
-        Error of the model.
-    accuracy_um : (R,) array
-        Accuracy of a good model.
-    """
+    """Expected RMS residual of each recording if a model lacks nothing."""
 
     noise_um: FloatArray
+    """Noise of the sensor, (R,)."""
     model_um: FloatArray
+    """Error of the model, (R,)."""
     accuracy_um: FloatArray
+    """Accuracy of a good model, (R,)."""
 
     def of_first(self, count: int) -> "ExpectedErrors":
         """Return the expected errors of the first recordings only."""

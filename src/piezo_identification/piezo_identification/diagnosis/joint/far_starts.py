@@ -15,19 +15,13 @@ from piezo_models.effects import Effect
 
 @dataclass(frozen=True)
 class FarSettings:
-    """Limits of continued fits.
-
-    Attributes
-    ----------
-    turns : int
-        Largest number of continued fits, each of several steps.
-    hopeful : float
-        A fit is continued if its deficit of evidence is less than this multiple of the gain of its
-        last step.
-    """
+    """Limits of continued fits."""
 
     turns: int = 5
+    """Largest number of continued fits, each of several steps."""
     hopeful: float = 3.0
+    """A fit is continued if its deficit of evidence is less than this multiple of the gain of its
+    last step."""
 
 
 SETTINGS = FarSettings()

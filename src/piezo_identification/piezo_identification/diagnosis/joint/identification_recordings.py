@@ -31,21 +31,14 @@ NOT_NAMED = "the model file names none"
 
 @dataclass(frozen=True)
 class IdentificationRecordings:
-    """Available recordings from which a model was identified.
-
-    Attributes
-    ----------
-    recordings : tuple of Recording
-        Recordings without gaps, with rows aligned as in the identification.
-    missing : tuple of str
-        Why others are not available, one sentence without its end for each.
-    hashes : frozenset of str
-        SHA-256 of all that were fitted; the validation recording was not.
-    """
+    """Available recordings from which a model was identified."""
 
     recordings: tuple[Recording, ...] = ()
+    """Recordings without gaps, with rows aligned as in the identification."""
     missing: tuple[str, ...] = (NOT_NAMED,)
+    """Why others are not available, one sentence without its end for each."""
     hashes: frozenset[str] = frozenset()
+    """SHA-256 of all that were fitted; the validation recording was not."""
 
     @property
     def not_asked(self) -> str:

@@ -28,19 +28,13 @@ from piezo_recorder.reading.recording import Recording
 
 @dataclass(frozen=True)
 class PlainSettings:
-    """When a simple model is worth a comparison of effects.
-
-    Attributes
-    ----------
-    most_left : float
-        Largest residual relative to that of the given model: hysteresis, creep and further modes
-        then explain less than half of the misfit.
-    steps : int
-        Largest number of steps of its fit.
-    """
+    """When a simple model is worth a comparison of effects."""
 
     most_left: float = 2.0
+    """Largest residual relative to that of the given model: hysteresis, creep and further modes
+    then explain less than half of the misfit."""
     steps: int = 20
+    """Largest number of steps of its fit."""
 
 
 SETTINGS = PlainSettings()
@@ -124,7 +118,7 @@ def _line(model: StageModel, recordings: Sequence[Recording]) -> PreisachModel:
     gain_um_per_v = (high_um - low_um) / (high_v - low_v)
     low_v = min(low_v, *(float(np.min(each.voltage_v)) for each in recordings))
     high_v = max(high_v, *(float(np.max(each.voltage_v)) for each in recordings))
-    return PreisachModel(low_v, high_v, np.zeros((1, 1)), low_um, np.array([gain_um_per_v]))
+    return PreisachModel.line(low_v, high_v, gain_um_per_v, low_um)
 
 
 def _left_um(fit: WholeFit) -> float:

@@ -29,22 +29,15 @@ NONE, SOMETHING_ELSE = "none", "something_else"
 
 @dataclass(frozen=True)
 class ProbabilitySettings:
-    """Settings of the probability model.
-
-    Attributes
-    ----------
-    one_cause : float
-        Prior odds of one more cause, whether it is on the list or not: there are twenty kinds.
-    believed : float
-        Probability of something else above which a recording is unexplained.
-    most_effective : float
-        Largest number of independent samples per recording: the noise of a stage is not stationary
-        for longer.
-    """
+    """Settings of the probability model."""
 
     one_cause: float = 0.05
+    """Prior odds of one more cause, whether it is on the list or not: there are twenty kinds."""
     believed: float = 0.5
+    """Probability of something else above which a recording is unexplained."""
     most_effective: float = 1000.0
+    """Largest number of independent samples per recording: the noise of a stage is not stationary
+    for longer."""
 
 
 SETTINGS = ProbabilitySettings()
@@ -58,21 +51,14 @@ MOST_GAIN = 500.0
 
 @dataclass(frozen=True)
 class Evidence:
-    """Evidence for one alternative.
-
-    Attributes
-    ----------
-    label : str
-        Names of its effects joined by +, or `none`.
-    held_out : (R,) tuple of HeldOut
-        Residuals on held-out stretches of each recording.
-    penalty : float
-        Cost of the fitted parameters of the effects; see `model_weights.occam_penalty`.
-    """
+    """Evidence for one alternative."""
 
     label: str
+    """Names of its effects joined by +, or `none`."""
     held_out: tuple[HeldOut, ...]
+    """Residuals on held-out stretches of each recording, (R,)."""
     penalty: float
+    """Cost of the fitted parameters of the effects; see `model_weights.occam_penalty`."""
 
     @property
     def mean_square_um2(self) -> tuple[float, ...]:

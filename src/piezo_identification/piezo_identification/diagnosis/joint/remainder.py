@@ -29,21 +29,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class HeldToNoise:
-    """Probabilities after the residual was compared with the noise.
-
-    Attributes
-    ----------
-    probabilities : dict of str to float
-        In descending order.
-    sentence : str
-        Sentence on the residual relative to the noise, and on the source of the noise.
-    predicted : Ceiling or None
-        Predictable part of the residual; None if not computed.
-    """
+    """Probabilities after the residual was compared with the noise."""
 
     probabilities: dict[str, float]
+    """In descending order."""
     sentence: str
+    """Sentence on the residual relative to the noise, and on the source of the noise."""
     predicted: "Ceiling | None" = None
+    """Predictable part of the residual; None if not computed."""
 
 
 def held_to_noise(shares: Mapping[str, float], remainders: Sequence[Remainder], known: KnownNoise,

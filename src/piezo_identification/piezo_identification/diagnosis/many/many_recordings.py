@@ -41,28 +41,21 @@ ASKED_S = 0.5
 
 @dataclass(frozen=True)
 class DiagnosisRow:
-    """A row of the table: what is diagnosed together, and the folder for the results.
-
-    Attributes
-    ----------
-    name : str
-        Name of its folder.
-    directory : Path
-        Folder for the results.
-    stage : str
-        Stage of a fleet; empty if the table does not contain it.
-    recorded : datetime or None
-        Time at which the data were recorded.
-    """
+    """A row of the table: what is diagnosed together, and the folder for the results."""
 
     name: str
+    """Name of its folder."""
     model: Path
     data: tuple[Path, ...]
     holdout: Path | None
     identified_from: tuple[Path, ...]
+
     directory: Path
+    """Folder for the results."""
     stage: str = ""
+    """Stage of a fleet; empty if the table does not contain it."""
     recorded: datetime | None = None
+    """Time at which the data were recorded."""
 
     def content(self) -> str:
         """Return the SHA-256 of all files on which the results depend."""

@@ -42,30 +42,23 @@ AnyPath = str | PathLike[str]
 
 @dataclass(frozen=True)
 class GivenFiles:
-    """Data to diagnose, as read from files.
-
-    Attributes
-    ----------
-    model : path-like
-        Path of the model file.
-    recordings : list of Recording
-        Recordings with rows aligned as in the identification.
-    paths : tuple of path-like
-        Paths of the recordings.
-    rows : tuple of str
-        Sentences on how rows were aligned.
-    directory : Path
-        Folder for the results.
-    """
+    """Data to diagnose, as read from files."""
 
     identified: IdentifiedModel
+
     model: AnyPath
+    """Path of the model file."""
     recordings: list[Recording]
+    """Recordings with rows aligned as in the identification."""
     paths: tuple[AnyPath, ...]
+    """Paths of the recordings."""
     holdout: Recording | None
     identified_from: IdentificationRecordings
+
     rows: tuple[str, ...]
+    """Sentences on how rows were aligned."""
     directory: Path
+    """Folder for the results."""
 
     def with_recordings(self, paths: Sequence[AnyPath]) -> "GivenFiles":
         """Return the data with more recordings, which are read from their files."""
@@ -77,26 +70,20 @@ class GivenFiles:
 
 @dataclass(frozen=True)
 class DiagnosisResults:
-    """A diagnosis and the files that contain it.
-
-    Attributes
-    ----------
-    outside : tuple of str
-        Sentences on how rows were aligned, and on recordings outside the range of the
-        identification.
-    identified_from : IdentificationRecordings
-        Available recordings from which the model was identified.
-    next_experiment : Proposal or None
-        Experiment that would decide between the remaining explanations.
-    """
+    """A diagnosis and the files that contain it."""
 
     diagnosis: Diagnosis
     verdict: Path
     extended_model: Path
     report: Path
+
     outside: tuple[str, ...] = ()
+    """Sentences on how rows were aligned, and on recordings outside the range of the
+    identification."""
     identified_from: IdentificationRecordings = IdentificationRecordings()
+    """Available recordings from which the model was identified."""
     next_experiment: Proposal | None = None
+    """Experiment that would decide between the remaining explanations."""
 
 
 def diagnose_files(

@@ -16,19 +16,13 @@ from piezo_models.effects.vibration_mode import VibrationMode
 
 @dataclass(frozen=True)
 class GuessSettings:
-    """Initial guesses of the effects.
-
-    Attributes
-    ----------
-    modes : int
-        Number of initial frequencies of a mode, so close that one is near any resonance in the
-        range.
-    creep_relaxations : int
-        Number of time constants of creep over the lower half of the range.
-    """
+    """Initial guesses of the effects."""
 
     modes: int = 27
+    """Number of initial frequencies of a mode, so close that one is near any resonance in the
+    range."""
     creep_relaxations: int = 3
+    """Number of time constants of creep over the lower half of the range."""
 
 
 SETTINGS = GuessSettings()

@@ -45,47 +45,33 @@ class ResponseDiagnosis(Verdict):
     """A verdict on a frequency response, with its evidence; the effects in the order found.
 
     Errors are those of the gain: `rms_um` and noise per V, `e_y_percent` the relative norm.
-
-    Attributes
-    ----------
-    tried : list of list of (str, float)
-        Candidates of each round, and the change of the held-out error in percent.
-    before_gain, after_gain : (N,) array of complex
-        Gain of the given model and of the extended one at the measured frequencies.
     """
 
     tried: list[list[tuple[str, float]]]
+    """Candidates of each round, and the change of the held-out error in percent."""
     measured: FrequencyResponse
+
     before_gain: ComplexArray
     after_gain: ComplexArray
+    """Gain of the given model and of the extended one at the measured frequencies, (N,)."""
 
 
 @dataclass(frozen=True, eq=False)
 class ResponseSelection:
-    """Result of the comparison of linear effects.
-
-    Attributes
-    ----------
-    fit : ResponseFit
-        Fit with the effects found.
-    effects : list of dict
-        Entries of the verdict.
-    tried : list of list of (str, float)
-        As in `ResponseDiagnosis`.
-    not_told_from : dict of str to str
-        Effects that the response does not distinguish from one found, and that one.
-    refused : dict of str to Undecided
-        Effects that are refused, and why.
-    is_explained : bool
-        True if the residual is small enough.
-    """
+    """Result of the comparison of linear effects."""
 
     fit: ResponseFit
+    """Fit with the effects found."""
     effects: list[dict[str, Any]]
+    """Entries of the verdict."""
     tried: list[list[tuple[str, float]]]
+    """As in `ResponseDiagnosis`."""
     not_told_from: dict[str, str]
+    """Effects that the response does not distinguish from one found, and that one."""
     refused: dict[str, Undecided]
+    """Effects that are refused, and why."""
     is_explained: bool
+    """True if the residual is small enough."""
 
 
 def diagnose_response(

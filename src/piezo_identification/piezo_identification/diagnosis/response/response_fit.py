@@ -9,42 +9,29 @@ from scipy.optimize import least_squares
 
 from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
 from piezo_common.cancellation import check_cancelled
-from piezo_identification.estimators.estimate import (
-    dynamics_of_vector,
-    dynamics_vector,
-    parameter_deviations,
-)
+from piezo_identification.estimators.estimate import parameter_deviations
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, Extent, fitted_values, with_fitted_values
+from piezo_models.linear.dynamics_vector import dynamics_of_vector, dynamics_vector
 
 
 @dataclass(frozen=True)
 class ResponseFitSettings:
-    """How a frequency response is split and fitted.
-
-    Attributes
-    ----------
-    block : int
-        Number of neighbouring frequencies in a block, because their errors are correlated.
-    held_out : int
-        One block in this many is held out for validation.
-    tolerance : float
-        Relative accuracy of a good model: smaller errors do not justify an effect.
-    dynamics_width : float
-        Largest change of the logarithms of the parameters of the model's dynamics.
-    most_evaluations : int
-        Largest number of residual evaluations in one fit.
-    relative_change : float
-        A fit ends when the sum of squares changes by less than this fraction.
-    """
+    """How a frequency response is split and fitted."""
 
     block: int = 5
+    """Number of neighbouring frequencies in a block, because their errors are correlated."""
     held_out: int = 3
+    """One block in this many is held out for validation."""
     tolerance: float = 0.01
+    """Relative accuracy of a good model: smaller errors do not justify an effect."""
     dynamics_width: float = float(np.log(1.02))
+    """Largest change of the logarithms of the parameters of the model's dynamics."""
     most_evaluations: int = 20
+    """Largest number of residual evaluations in one fit."""
     relative_change: float = 1e-4
+    """A fit ends when the sum of squares changes by less than this fraction."""
 
 
 SETTINGS = ResponseFitSettings()
@@ -52,19 +39,14 @@ SETTINGS = ResponseFitSettings()
 
 @dataclass(frozen=True, eq=False)
 class ResponseFit:
-    """A model with effects fitted to a response, and its residual.
-
-    Attributes
-    ----------
-    changes : (m,) array
-        Changes of the logarithms of the dynamics.
-    residual : (N,) array of complex
-        Residual of the gain, divided by the tolerance.
-    """
+    """A model with effects fitted to a response, and its residual."""
 
     changes: FloatArray
+    """Changes of the logarithms of the dynamics, (m,)."""
     effects: tuple[Effect, ...]
+
     residual: ComplexArray
+    """Residual of the gain, divided by the tolerance, (N,)."""
 
 
 class ResponseProblem:

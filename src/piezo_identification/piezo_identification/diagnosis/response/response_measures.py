@@ -16,30 +16,20 @@ from piezo_identification.fitting.regression import SETTINGS as FIT
 
 @dataclass(frozen=True)
 class ResponseCriteria:
-    """When a further effect is named.
-
-    Attributes
-    ----------
-    significant : float
-        Significance required of a gain on held-out blocks, in standard deviations.
-    worthwhile_percent : float
-        Smallest reduction of the error on held-out frequencies for which an effect is named.
-    told_apart_percent : float
-        Smallest difference of two errors that distinguishes candidates.
-    explained : float
-        Largest mean square beyond the tolerance of an explained response.
-    near_noise : float
-        Largest residual of an explained response, relative to the noise.
-    most_effects : int
-        Number of kinds of linear effects.
-    """
+    """When a further effect is named."""
 
     significant: float = 3.0
+    """Significance required of a gain on held-out blocks, in standard deviations."""
     worthwhile_percent: float = 10.0
+    """Smallest reduction of the error on held-out frequencies for which an effect is named."""
     told_apart_percent: float = 5.0
+    """Smallest difference of two errors that distinguishes candidates."""
     explained: float = 1.0
+    """Largest mean square beyond the tolerance of an explained response."""
     near_noise: float = 3.0
+    """Largest residual of an explained response, relative to the noise."""
     most_effects: int = 4
+    """Number of kinds of linear effects."""
 
 
 CRITERIA = ResponseCriteria()

@@ -51,16 +51,12 @@ modes."""
 
 @dataclass(frozen=True)
 class FastCreep:
-    """Creep in addition to the known one.
-
-    Parameters
-    ----------
-    deviations : dict
-        Standard deviations of its poles and zeros; the poles are fixed, not fitted.
-    """
+    """Creep in addition to the known one."""
 
     model: CreepDynamics
+
     deviations: dict[str, tuple[float, ...]]
+    """Standard deviations of its poles and zeros; the poles are fixed, not fitted."""
 
 
 def fit_beside_fast_creep(

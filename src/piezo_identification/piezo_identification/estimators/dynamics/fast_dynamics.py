@@ -6,15 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezo_common.arrays import ComplexArray, FloatArray
-from piezo_identification.estimators.estimate import (
-    dynamics_of_vector,
-    split_dynamics_vector,
-)
 from piezo_models.effects.coupled_mode import CoupledMode
 from piezo_models.effects.effect import Effect
 from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
+from piezo_models.linear.dynamics_vector import dynamics_of_vector, split_dynamics_vector
 
 APART = 1e-5
 """Smallest relative distance of poles, so that each has a residue."""
@@ -30,26 +27,19 @@ depends on the square of their difference, so that the derivative by it vanishes
 
 @dataclass(frozen=True)
 class ModeOrder:
-    """Numbers of components.
-
-    Parameters
-    ----------
-    modes : int
-        Modes in series (4.3).
-    antiresonances : int
-        Antiresonances between them.
-    beside : int
-        Modes in parallel, each of which contributes a part of the displacement.
-    is_coupled : bool
-        Whether the parallel modes also have parts proportional to their velocities. With no mode
-        in series, these are all proper dynamics behind a lag.
-    """
+    """Numbers of components."""
 
     modes: int
+    """Modes in series (4.3)."""
     antiresonances: int = 0
+    """Antiresonances between them."""
     beside: int = 0
+    """Modes in parallel, each of which contributes a part of the displacement."""
     sensor_lags: int = 0
+
     is_coupled: bool = False
+    """Whether the parallel modes also have parts proportional to their velocities. With no mode in
+    series, these are all proper dynamics behind a lag."""
 
     def __str__(self) -> str:
         text = f"{self.modes}"

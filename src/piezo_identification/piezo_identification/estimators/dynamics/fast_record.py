@@ -69,26 +69,20 @@ above rounding, far below what any record determines in the presence of noise.""
 
 @dataclass(frozen=True, eq=False)
 class FastFit:
-    """Best-fitting parameters of one order.
-
-    Parameters
-    ----------
-    vector : ndarray, shape (P,)
-        See `fast_dynamics.fast_dynamics_of`.
-    delay : float
-        Delay in sample periods.
-    residual : ndarray, shape (N,)
-    jacobian : ndarray, shape (N, P + 1)
-        Derivatives by the vector and the delay, or only by the vector if the delay was given. If
-        two lags are nearly equal, they are taken with the lags apart, see
-        `fast_dynamics.with_lags_apart`.
-    """
+    """Best-fitting parameters of one order."""
 
     order: ModeOrder
+
     vector: FloatArray
+    """See `fast_dynamics.fast_dynamics_of`, (P,)."""
     delay: float
+    """Delay in sample periods."""
     residual: FloatArray
+    """Shape (N,)."""
     jacobian: FloatArray
+    """Derivatives by the vector and the delay, or only by the vector if the delay was given, (N, P
+    + 1). If two lags are nearly equal, they are taken with the lags apart, see
+    `fast_dynamics.with_lags_apart`."""
 
     @property
     def cost(self) -> float:
@@ -98,23 +92,17 @@ class FastFit:
 
 @dataclass(frozen=True, eq=False)
 class FreeFit:
-    """Poles with free residues: dynamics with the same number of modes do not fit better.
-
-    Parameters
-    ----------
-    vector : ndarray, shape (1 + 2 m,)
-        Vector of dynamics with the lag and m modes in series.
-    delay : float
-        Delay in sample periods.
-    residual : ndarray, shape (N,)
-    poles, residues : ndarray of complex, shape (1 + 2 m,)
-    """
+    """Poles with free residues: dynamics with the same number of modes do not fit better."""
 
     vector: FloatArray
+    """Vector of dynamics with the lag and m modes in series, (1 + 2 m,)."""
     delay: float
+    """Delay in sample periods."""
     residual: FloatArray
+    """Shape (N,)."""
     poles: ComplexArray
     residues: ComplexArray
+    """Shape (1 + 2 m,)."""
 
     @property
     def modes(self) -> int:
@@ -150,29 +138,22 @@ class FreeFit:
 
 @dataclass(frozen=True, eq=False)
 class FastRecord:
-    """An input, the measured output, and further signals that the output may contain.
-
-    Parameters
-    ----------
-    kept : ndarray of int, shape (N,)
-        Indices of the fitted samples, or rows of lines. If the input is not periodic, the last two
-        samples are excluded.
-    measured_um : ndarray, shape (N,)
-        Measured displacement of the kept samples, with the creep removed.
-    fixed : ndarray, shape (N, K)
-        Further signals in these samples, such as an offset; fitted linearly, as is the gain.
-    every_row : FastRecord, optional
-        Full record, if this one is a thinned copy; by default itself.
-    phase_room : float
-        Fraction of a sample period by which the whole input may be earlier or later.
-    """
+    """An input, the measured output, and further signals that the output may contain."""
 
     input: HeldInput | SpectralInput
+
     kept: NDArray[np.intp]
+    """Indices of the fitted samples, or rows of lines, (N,). If the input is not periodic, the last
+    two samples are excluded."""
     measured_um: FloatArray
+    """Measured displacement of the kept samples, with the creep removed, (N,)."""
     fixed: FloatArray
+    """Further signals in these samples, such as an offset, (N, K); fitted linearly, as is the
+    gain."""
     every_row: "FastRecord | None" = None
+    """Full record, if this one is a thinned copy; by default itself."""
     phase_room: float = 0.0
+    """Fraction of a sample period by which the whole input may be earlier or later."""
     _span: FloatArray = field(init=False, repr=False)
     _target: FloatArray = field(init=False, repr=False)
     _thinned: "dict[int, FastRecord]" = field(init=False, repr=False, default_factory=dict)

@@ -28,32 +28,24 @@ voltage."""
 
 @dataclass(frozen=True, eq=False)
 class FastSignals:
-    """Inputs and measured outputs of the dynamics, with recordings joined one after another.
-
-    Parameters
-    ----------
-    entering_um, displacement_um : ndarray, shape (N,)
-        Output of the hysteresis, and the displacement without creep.
-    drift : ndarray, shape (N, K)
-        Offset and possible remains of earlier creep, separately for each recording.
-    kept : ndarray of int
-        Samples in which the input is fast and the start has settled.
-    begins : tuple of int
-        First sample of each recording.
-    early : ndarray, shape (N,), optional
-        Fraction of a sample period by which each input precedes its sample; by default zero.
-    phase_room : float
-        Fraction of a sample period by which all inputs may be earlier or later.
-    """
+    """Inputs and measured outputs of the dynamics, with recordings joined one after another."""
 
     entering_um: FloatArray
     displacement_um: FloatArray
+    """Output of the hysteresis, and the displacement without creep, (N,)."""
     drift: FloatArray
+    """Offset and possible remains of earlier creep, separately for each recording, (N, K)."""
     kept: NDArray[np.intp]
+    """Samples in which the input is fast and the start has settled."""
     begins: tuple[int, ...]
+    """First sample of each recording."""
     sample_period_s: float
+
     early: FloatArray | None = None
+    """Fraction of a sample period by which each input precedes its sample, (N,); by default
+    zero."""
     phase_room: float = 0.0
+    """Fraction of a sample period by which all inputs may be earlier or later."""
 
     def record(self) -> FastRecord:
         """Return the record that is fitted."""

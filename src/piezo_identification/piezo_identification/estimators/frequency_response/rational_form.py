@@ -36,16 +36,13 @@ class RationalForm:
     logarithms of the antiresonances' frequencies and damping ratios follow. For parallel modes, the
     gain is that of the instantaneous part, and the participations of the modes follow: of their
     positions, then of their scaled velocities.
-
-    Parameters
-    ----------
-    antiresonances : int
-        0 for parallel modes.
     """
 
     creep_pairs: int
     modes: int
+
     antiresonances: int = 0
+    """0 for parallel modes."""
     is_beside: bool = True
 
     @property

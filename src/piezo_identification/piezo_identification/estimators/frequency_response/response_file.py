@@ -18,25 +18,17 @@ COLUMNS = ("frequency_hz", "gain_re", "gain_im")
 
 @dataclass(frozen=True)
 class FrequencyResponse:
-    """Complex gain at a number of frequencies.
-
-    Parameters
-    ----------
-    path : str
-        Path of the file it was read from.
-    frequency_hz : ndarray, shape (N,)
-        Positive and increasing.
-    gain : ndarray of complex, shape (N,)
-        Displacement over voltage, in the unit in which it was measured.
-    hold_s : float
-        Sample period, if the gain is that from held voltage samples (zero-order hold) to
-        displacement samples; 0 if it is that of the stage between continuous signals.
-    """
+    """Complex gain at a number of frequencies."""
 
     path: str
+    """Path of the file it was read from."""
     frequency_hz: FloatArray = field(repr=False)
+    """Positive and increasing, (N,)."""
     gain: ComplexArray = field(repr=False)
+    """Displacement over voltage, in the unit in which it was measured, (N,)."""
     hold_s: float = 0.0
+    """Sample period, if the gain is that from held voltage samples (zero-order hold) to
+    displacement samples; 0 if it is that of the stage between continuous signals."""
 
     def held(self, hold_s: float) -> "FrequencyResponse":
         """Return the response, declared as one from held samples to samples.

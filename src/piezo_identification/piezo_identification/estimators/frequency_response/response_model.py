@@ -15,21 +15,16 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 
 @dataclass(frozen=True)
 class ResponseModel:
-    """Displacement over voltage in physical parameters.
-
-    Parameters
-    ----------
-    gain : float
-        Gain at a frequency between creep and modes, in the unit of the measured response.
-    beside : tuple of VibrationMode
-        Parallel modes, which place zeros anywhere in the plane.
-    """
+    """Displacement over voltage in physical parameters."""
 
     gain: float
+    """Gain at a frequency between creep and modes, in the unit of the measured response."""
     delay_s: float
     creep: CreepDynamics
     dynamics: ElectricVibrationDynamics
+
     beside: tuple[VibrationMode, ...] = ()
+    """Parallel modes, which place zeros anywhere in the plane."""
 
     @property
     def states(self) -> int:
@@ -58,24 +53,17 @@ class ResponseModel:
 
 @dataclass(frozen=True)
 class ResponseOrder:
-    """Numbers of components.
-
-    Parameters
-    ----------
-    creep_pairs, modes, antiresonances : int or None
-        None in a request: as many as the data justify.
-    beside : int
-        Number of parallel modes. In a request they count as modes if the number of antiresonances
-        is open.
-    is_coupled : bool
-        Whether a parallel mode has a part proportional to its velocity.
-    """
+    """Numbers of components."""
 
     creep_pairs: int | None
     modes: int | None
     antiresonances: int | None
+    """None in a request: as many as the data justify."""
     beside: int = 0
+    """Number of parallel modes. In a request they count as modes if the number of antiresonances is
+    open."""
     is_coupled: bool = False
+    """Whether a parallel mode has a part proportional to its velocity."""
     has_lag: bool = True
     has_delay: bool = True
 

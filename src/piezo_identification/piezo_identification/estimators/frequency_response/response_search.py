@@ -67,24 +67,18 @@ ROUNDING, LAST_ROUNDING = 1e-6, 1e-12
 
 @dataclass(frozen=True, eq=False)
 class ResponseFit:
-    """A fitted form.
-
-    Parameters
-    ----------
-    vector : ndarray, shape (P,)
-    free : ndarray of bool, shape (P,)
-        Parameters that were fitted; the others are zero.
-    cost : float
-        Sum of squares of the weighted error.
-    frequencies : int
-        Number of frequencies used.
-    """
+    """A fitted form."""
 
     form: RationalForm
+
     vector: FloatArray
+    """Shape (P,)."""
     free: BoolArray
+    """Parameters that were fitted, (P,); the others are zero."""
     cost: float
+    """Sum of squares of the weighted error."""
     frequencies: int
+    """Number of frequencies used."""
 
     @property
     def parameters(self) -> int:

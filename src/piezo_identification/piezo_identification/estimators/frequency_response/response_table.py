@@ -33,16 +33,12 @@ _TOUCHSTONE_PARTS = {"MA": ("magnitude", "phase"), "DB": ("magnitude", "phase"),
 
 @dataclass(frozen=True)
 class ResponseColumn:
-    """A column of a response.
-
-    Attributes
-    ----------
-    unit : str
-        Unit in the form of `plain`; empty if it is not given.
-    """
+    """A column of a response."""
 
     label: str
+
     unit: str
+    """Unit in the form of `plain`; empty if it is not given."""
 
 
 def is_response_table(path: Path) -> bool:

@@ -15,7 +15,6 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from piezo_common.arrays import ComplexArray, FloatArray
-from piezo_identification.estimators.estimate import dynamics_of_vector
 from piezo_identification.estimators.hysteresis.dynamics_inverse import held_response
 from piezo_identification.estimators.hysteresis.fast_loops import (
     FastLoops,
@@ -25,6 +24,7 @@ from piezo_identification.estimators.hysteresis.fast_loops import (
 from piezo_models.hysteresis.pasts import PASTS, past_voltages
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
+from piezo_models.linear.dynamics_vector import dynamics_of_vector
 
 REACH = 3.0
 """Largest change of the logarithms of the parameters, and of the delay in sample periods: the
@@ -53,22 +53,16 @@ STEP = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class BesideDynamics:
-    """A hysteresis and the dynamics that follow it.
-
-    Parameters
-    ----------
-    hysteresis : PreisachModel
-        Hysteresis for the voltages of the recordings.
-    delay_s : float
-        Delay in addition to the dynamics.
-    past : str
-        The one of `pasts.PASTS` that fits the recordings best.
-    """
+    """A hysteresis and the dynamics that follow it."""
 
     hysteresis: PreisachModel
+    """Hysteresis for the voltages of the recordings."""
     dynamics: ElectricVibrationDynamics
+
     delay_s: float
+    """Delay in addition to the dynamics."""
     past: str
+    """The one of `pasts.PASTS` that fits the recordings best."""
 
     def entering_um(self, recording: FastLoops) -> FloatArray:
         """Return the input of the dynamics in a recording, shape (N,)."""
@@ -103,15 +97,10 @@ def hysteresis_beside_dynamics(recordings: Sequence[FastLoops]) -> BesideDynamic
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """Parameters of dynamics during the search.
-
-    Parameters
-    ----------
-    vector : ndarray, shape (P,)
-        Logarithms of the parameters of the dynamics, then the delay in sample periods.
-    """
+    """Parameters of dynamics during the search."""
 
     vector: FloatArray
+    """Logarithms of the parameters of the dynamics, then the delay in sample periods, (P,)."""
     modes: int
     sample_period_s: float
 

@@ -19,38 +19,27 @@ LINE_OF_RESPONSE = "a line, as a frequency response shows no hysteresis"
 
 @dataclass(frozen=True, eq=False)
 class DensityEstimate:
-    """An estimated density, and how far the data determine it.
-
-    Parameters
-    ----------
-    levels_v : ndarray, shape (n + 1,)
-        Edges of the cells.
-    density_um_per_v2 : ndarray, shape (n, n)
-        Lower triangular.
-    offset_um : float
-        Output at negative saturation.
-    visited : ndarray of bool, shape (n, n)
-        Cells in which the moving corner of the memory has been. The data do not determine the
-        density elsewhere, where it is continued by smoothing or by the least norm.
-    reversible_um_per_v : ndarray, shape (n,)
-        Reversible part on the diagonal, alpha = beta.
-    smoothing_weight : float, optional
-        Weight of the curvature in the smoothed method.
-    translation_weight : float
-        Weight of the change along the diagonal in the smoothed method.
-    plays : PlaySum, optional
-        Sum of plays about which the density is smoothed.
-    """
+    """An estimated density, and how far the data determine it."""
 
     method: str
+
     levels_v: FloatArray
+    """Edges of the cells, (n + 1,)."""
     density_um_per_v2: FloatArray
+    """Lower triangular, (n, n)."""
     offset_um: float
+    """Output at negative saturation."""
     visited: NDArray[np.bool_]
+    """Cells in which the moving corner of the memory has been, (n, n). The data do not determine
+    the density elsewhere, where it is continued by smoothing or by the least norm."""
     reversible_um_per_v: FloatArray
+    """Reversible part on the diagonal, alpha = beta, (n,)."""
     smoothing_weight: float | None = None
+    """Weight of the curvature in the smoothed method."""
     translation_weight: float = 0.0
+    """Weight of the change along the diagonal in the smoothed method."""
     plays: PlaySum | None = None
+    """Sum of plays about which the density is smoothed."""
 
     @property
     def is_line(self) -> bool:

@@ -2,6 +2,7 @@
 """Preisach density from recordings, after removal of the linear dynamics."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -42,6 +43,7 @@ def estimate_density(
     level_count: int | None = None, cells_per_level: int = 2,
     smoothing_weight: float | None = None, translation_weight: float | None = None,
     delay_s: float = 0.0, most_levels: int = LEVELS, near: DensityEstimate | None = None,
+    most_rows: int | None = None,
 ) -> DensityEstimate:
     """Estimate the Preisach density on a uniform grid over the voltages played.
 
@@ -68,6 +70,8 @@ def estimate_density(
     near : DensityEstimate, optional
         Estimate from the same recordings with nearly the same dynamics, whose weights are the
         starting point of the choice.
+    most_rows : int, optional
+        Number of samples that are fitted, spaced evenly; all by default.
 
     Raises
     ------
@@ -77,6 +81,9 @@ def estimate_density(
     """
     parts = played_segments(recording)
     segments = [segment_of(part, creep, dynamics, delay_s) for part in parts]
+    if most_rows is not None:
+        every = -(-sum(segment.samples.size for segment in segments) // most_rows)
+        segments = [replace(segment, samples=segment.samples[::every]) for segment in segments]
     _check_sign(parts[0].path, segments)
     return density_of_parts(parts, segments, level_count, cells_per_level, smoothing_weight,
                             translation_weight, most_levels, near)

@@ -28,36 +28,26 @@ HOLD = 1e6
 
 @dataclass(frozen=True, eq=False)
 class HysteresisSegment:
-    """Input and output of the hysteresis in a stretch without gaps.
-
-    Parameters
-    ----------
-    voltage_v, output_um : ndarray, shape (N,)
-    samples : ndarray of int
-        Increasing indices of the samples to fit.
-    transients : ndarray, shape (N, k)
-        Additional columns of the regression with free coefficients.
-    """
+    """Input and output of the hysteresis in a stretch without gaps."""
 
     voltage_v: FloatArray
     output_um: FloatArray
+    """Shape (N,)."""
     samples: NDArray[np.intp]
+    """Increasing indices of the samples to fit."""
     transients: FloatArray
+    """Additional columns of the regression with free coefficients, (N, k)."""
 
 
 @dataclass(frozen=True)
 class Penalties:
-    """Weights of the penalties of a density; see `smoothed_density`.
-
-    Parameters
-    ----------
-    is_reversible : bool
-        Whether there is a reversible part in addition to the density.
-    """
+    """Weights of the penalties of a density; see `smoothed_density`."""
 
     smoothing: float
     translation: float = 0.0
+
     is_reversible: bool = True
+    """Whether there is a reversible part in addition to the density."""
 
 
 class Equations:
@@ -180,13 +170,13 @@ def equations_of_folds(
     """
     if folds is None:
         folds = [np.zeros(segment.samples.size, dtype=int) for segment in segments]
-    histories = [everett_regression(segment.voltage_v, levels_v).history for segment in segments]
+    histories = [everett_regression(segment.voltage_v, levels_v, segment.samples).history
+                 for segment in segments]
     widths = [
-        1 + max(int(history.max()), 0) + segment.transients.shape[1]
+        1 + int(history.max(initial=0)) + segment.transients.shape[1]
         for segment, history in zip(segments, histories, strict=True)
     ]
-    if all((history[segment.samples] < 0).all()
-           for segment, history in zip(segments, histories, strict=True)):
+    if all((history < 0).all() for history in histories):
         raise ValueError(
             "no sample lies where the voltage has been before: record at least one reversal"
         )
@@ -196,8 +186,8 @@ def equations_of_folds(
     for each in equations:
         each.offset_columns = np.cumsum([0, *widths[:-1]])
     for segment, history, fold, width in zip(segments, histories, folds, widths, strict=True):
-        numbers = np.arange(1, history.max() + 1)
-        known = history[segment.samples] >= 0
+        numbers = np.arange(1, history.max(initial=0) + 1)
+        known = history >= 0
         samples, fold = segment.samples[known], fold[known]
         for start in range(0, samples.size, ROWS_AT_ONCE):
             block = samples[start : start + ROWS_AT_ONCE]

@@ -27,20 +27,14 @@ NEAR_A_LEVEL = 0.02
 
 @dataclass(frozen=True, eq=False)
 class EverettRegression:
-    """Rows of the regression.
-
-    Parameters
-    ----------
-    matrix : csr_array, shape (N, n (n + 1) / 2 + n)
-        The output is `matrix @ unknowns` plus an offset.
-    history : ndarray of int, shape (N,)
-        Samples with the same number share an offset. 0: the memory is known. Positive: the memory
-        is known for the voltages seen so far, and the rest has not changed. -1: the voltage has not
-        been here before, and its effect depends on the unknown past.
-    """
+    """Rows of the regression."""
 
     matrix: csr_array
+    """The output is `matrix @ unknowns` plus an offset, (N, n (n + 1)."""
     history: IntArray
+    """Samples with the same number share an offset, (N,). 0: the memory is known. Positive: the
+    memory is known for the voltages seen so far, and the rest has not changed. -1: the voltage has
+    not been here before, and its effect depends on the unknown past."""
 
 
 def everett_regression(

@@ -49,22 +49,15 @@ Response = Callable[[FloatArray], ComplexArray]
 
 @dataclass(frozen=True, eq=False)
 class FastLoops:
-    """A fast recording without gaps, with further components of its displacement.
-
-    Parameters
-    ----------
-    voltage_v, displacement_um : ndarray, shape (N,)
-        The creep is removed from the displacement.
-    fixed : ndarray, shape (N, K)
-        Columns with free coefficients, such as an offset.
-    first_kept : int
-        First sample at which these columns describe the effect of the past.
-    """
+    """A fast recording without gaps, with further components of its displacement."""
 
     voltage_v: FloatArray
     displacement_um: FloatArray
+    """The creep is removed from the displacement, (N,)."""
     fixed: FloatArray
+    """Columns with free coefficients, such as an offset, (N, K)."""
     first_kept: int
+    """First sample at which these columns describe the effect of the past."""
     sample_period_s: float
 
     def first(self, count: int) -> "FastLoops":
@@ -75,23 +68,16 @@ class FastLoops:
 
 @dataclass(frozen=True, eq=False)
 class LoopFit:
-    """The hysteresis of least error for one response.
-
-    Parameters
-    ----------
-    columns : ndarray, shape (R, U)
-        Responses to the Everett values, then the fixed columns of each recording.
-    inverse : ndarray, shape (U, U)
-        Inverse of the normal equations.
-    unknowns : ndarray, shape (U,)
-    residual : ndarray, shape (R + 1,)
-        Residual, followed by the square root of the curvature penalty.
-    """
+    """The hysteresis of least error for one response."""
 
     columns: FloatArray
+    """Responses to the Everett values, then the fixed columns of each recording, (R, U)."""
     inverse: FloatArray
+    """Inverse of the normal equations, (U, U)."""
     unknowns: FloatArray
+    """Shape (U,)."""
     residual: FloatArray
+    """Residual, followed by the square root of the curvature penalty, (R + 1,)."""
 
     @property
     def cost(self) -> float:

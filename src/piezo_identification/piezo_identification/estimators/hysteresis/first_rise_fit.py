@@ -21,26 +21,18 @@ from piezo_recorder.reading.recording import Recording
 
 @dataclass(frozen=True)
 class FirstRiseSettings:
-    """Settings of the estimate.
-
-    Attributes
-    ----------
-    cells : int
-        Number of voltage cells between which the remanence is piecewise linear.
-    least : float
-        Smallest remanence, relative to the displacement range, that is not noise, drift or creep.
-    largest_drift : float
-        Largest change of the displacement at the lowest voltage, relative to the remanence, after
-        the highest voltage was reached; drift continues, a remanence does not.
-    largest_error_ratio : float
-        Largest ratio of the errors of the loops beyond noise, with and without the remanence. Drift
-        or unknown creep that looks like a remanence explains less.
-    """
+    """Settings of the estimate."""
 
     cells: int = 24
+    """Number of voltage cells between which the remanence is piecewise linear."""
     least: float = 2e-3
+    """Smallest remanence, relative to the displacement range, that is not noise, drift or creep."""
     largest_drift: float = 0.2
+    """Largest change of the displacement at the lowest voltage, relative to the remanence, after
+    the highest voltage was reached; drift continues, a remanence does not."""
     largest_error_ratio: float = 0.5
+    """Largest ratio of the errors of the loops beyond noise, with and without the remanence. Drift
+    or unknown creep that looks like a remanence explains less."""
 
 
 SETTINGS = FirstRiseSettings()

@@ -54,28 +54,19 @@ CURVE_POINTS = 401
 
 @dataclass(frozen=True, eq=False)
 class PlaySum:
-    """A sum of plays and a reversible part.
-
-    Attributes
-    ----------
-    rising : (2,) array
-        Coefficients of the logarithm of the slope of the rising sides, for the voltage and its
-        square, with the voltage range scaled to -1 to 1.
-    falling : (3,) array
-        The same for the falling sides, with a constant first.
-    weights : (K,) array
-        Weights of the plays of all widths, in um for a voltage range of 2.
-    slopes : (S,) array
-        Slopes of the reversible part at knots of the voltage.
-    noise_um : float
-        Noise of the loops, estimated from the change of the residual from row to row.
-    """
+    """A sum of plays and a reversible part."""
 
     rising: FloatArray
+    """Coefficients of the logarithm of the slope of the rising sides, for the voltage and its
+    square, with the voltage range scaled to -1 to 1, (2,)."""
     falling: FloatArray
+    """The same for the falling sides, with a constant first, (3,)."""
     weights: FloatArray
+    """Weights of the plays of all widths, in um for a voltage range of 2, (K,)."""
     slopes: FloatArray
+    """Slopes of the reversible part at knots of the voltage, (S,)."""
     noise_um: float
+    """Noise of the loops, estimated from the change of the residual from row to row."""
 
     def unknowns(self, size: int) -> FloatArray:
         """Return the plays as unknowns of `everett_regression` on a grid.

@@ -285,12 +285,12 @@ def _rounded_um(plays: PlaySum, size: int) -> float:
     return float(np.sqrt(np.mean(np.concatenate(errors_um) ** 2)))
 
 
-def _output_um(segment: HysteresisSegment, levels_v: FloatArray, plays: PlaySum, parts: int,
-               samples: NDArray[np.intp] | None = None) -> FloatArray:
-    """Return the output of plays at some samples of a segment, represented in divided cells."""
+def _output_um(segment: HysteresisSegment, levels_v: FloatArray, plays: PlaySum,
+               parts: int) -> FloatArray:
+    """Return the output of plays at all samples of a segment, represented in divided cells."""
     size = parts * (levels_v.size - 1)
     finer_v = np.linspace(levels_v[0], levels_v[-1], size + 1)
-    regression = everett_regression(segment.voltage_v, finer_v, samples)
+    regression = everett_regression(segment.voltage_v, finer_v)
     return np.asarray(regression.matrix @ plays.unknowns(size))
 
 

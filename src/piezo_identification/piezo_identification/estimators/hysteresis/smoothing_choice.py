@@ -50,25 +50,18 @@ FEWEST_ROWS = 4
 
 @dataclass(frozen=True, eq=False)
 class PenaltyChoice:
-    """The chosen weights.
-
-    Parameters
-    ----------
-    without_translation : Penalties
-        Weights to use without a penalty of the change along the diagonal.
-    forces : ndarray
-        Multipliers of the bounds, on the grid on which the weights were chosen.
-    misfit : float
-        Sum of squared errors on held-out samples.
-    is_enough : bool
-        True if a line, or the hysteresis about which it is smoothed, predicts them as well.
-    """
+    """The chosen weights."""
 
     penalties: Penalties
+
     without_translation: Penalties
+    """Weights to use without a penalty of the change along the diagonal."""
     forces: FloatArray
+    """Multipliers of the bounds, on the grid on which the weights were chosen."""
     misfit: float
+    """Sum of squared errors on held-out samples."""
     is_enough: bool
+    """True if a line, or the hysteresis about which it is smoothed, predicts them as well."""
 
 
 def branch_folds(segments: Sequence[HysteresisSegment]) -> list[NDArray[np.intp]]:

@@ -12,45 +12,32 @@ from piezo_common.arrays import ComplexArray, FloatArray
 
 @dataclass(frozen=True, eq=False)
 class PoleResponses:
-    """Responses of 1 / (s - p) to an input, and their derivatives.
-
-    Parameters
-    ----------
-    value : ndarray of complex, shape (N, n)
-        One column for each pole.
-    by_pole : ndarray of complex, shape (N, n)
-        Derivatives by the pole.
-    by_delay : ndarray of complex, shape (N, n)
-        Derivatives by the delay in sample periods.
-    """
+    """Responses of 1 / (s - p) to an input, and their derivatives."""
 
     value: ComplexArray
+    """One column for each pole, (N, n)."""
     by_pole: ComplexArray
+    """Derivatives by the pole, (N, n)."""
     by_delay: ComplexArray
+    """Derivatives by the delay in sample periods, (N, n)."""
 
 
 @dataclass(frozen=True, eq=False)
 class HeldInput:
-    """An input whose samples are held for a sample period each.
-
-    Parameters
-    ----------
-    samples : ndarray, shape (N,)
-    is_periodic : bool
-        True if the samples are one period of a periodic input. Otherwise, the first sample was held
-        for all time before, and the last one is held for all time after.
-    begins : tuple of int
-        Samples at which independent inputs begin. Unused if periodic.
-    early : ndarray, shape (N,), optional
-        Fraction of a sample period by which the input changes to each sample before its time. By
-        default 0; 0 where an input begins. Unused if periodic.
-    """
+    """An input whose samples are held for a sample period each."""
 
     samples: FloatArray
+    """Shape (N,)."""
     sample_period_s: float
+
     is_periodic: bool
+    """True if the samples are one period of a periodic input. Otherwise, the first sample was held
+    for all time before, and the last one is held for all time after."""
     begins: tuple[int, ...] = (0,)
+    """Samples at which independent inputs begin. Unused if periodic."""
     early: FloatArray | None = None
+    """Fraction of a sample period by which the input changes to each sample before its time, (N,).
+    By default 0; 0 where an input begins. Unused if periodic."""
 
     def responses(
         self, poles: ComplexArray, delay: float, rows: NDArray[np.intp] | None = None,

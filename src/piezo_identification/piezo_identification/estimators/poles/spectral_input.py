@@ -24,18 +24,12 @@ EXCITED = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class SpectralLines:
-    """Spectral lines of stretches of a record.
-
-    Parameters
-    ----------
-    stretches : tuple of slice
-        Sample ranges of the stretches.
-    lines : tuple of ndarray of int
-        Indices of the lines of each stretch.
-    """
+    """Spectral lines of stretches of a record."""
 
     stretches: tuple[slice, ...]
+    """Sample ranges of the stretches."""
     lines: tuple[NDArray[np.intp], ...]
+    """Indices of the lines of each stretch."""
 
     @classmethod
     def excited_by(cls, samples: FloatArray, stretches: tuple[slice, ...],
@@ -90,26 +84,20 @@ class SpectralInput:
 
     The rows of its responses are the real parts of all lines, then the imaginary parts. Responses
     of conjugate poles are conjugate, as in time, so that pairs of poles give real rows.
-
-    Parameters
-    ----------
-    samples : ndarray, shape (N,)
-    phases : ndarray, shape (K,)
-        Phase advance per sample at the lines, in rad.
-    lines : ndarray of complex, shape (K,)
-        Spectrum of the input at the lines.
-    counts : tuple of int
-        Number of lines of each stretch.
-    is_periodic : bool
-        True if the only stretch is a period of a periodic input, which has no ends.
     """
 
     samples: FloatArray
+    """Shape (N,)."""
     sample_period_s: float
+
     phases: FloatArray
+    """Phase advance per sample at the lines, in rad, (K,)."""
     lines: ComplexArray
+    """Spectrum of the input at the lines, (K,)."""
     counts: tuple[int, ...]
+    """Number of lines of each stretch."""
     is_periodic: bool = False
+    """True if the only stretch is a period of a periodic input, which has no ends."""
 
     def transients(self, poles: ComplexArray) -> FloatArray:
         """Return possible transients of each stretch: of all poles, of a level, and of delays.

@@ -14,27 +14,19 @@ from piezo_common.arrays import ComplexArray, FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Lines:
-    """An output that is a sum of inputs, each filtered by a rational function of common poles.
-
-    Parameters
-    ----------
-    rate_rad_per_s : ndarray, shape (N,)
-        Positive.
-    output : ndarray of complex, shape (N,)
-        For a single input of 1, a measured response.
-    inputs : ndarray of complex, shape (N, K), optional
-        By default 1.
-    beside : ndarray of complex, shape (N, L), optional
-        Further signals that the output may contain, with real coefficients; by default none.
-    weight : float or ndarray, shape (N,)
-        Weight of the error of each line.
-    """
+    """An output that is a sum of inputs, each filtered by a rational function of common poles."""
 
     rate_rad_per_s: FloatArray
+    """Positive, (N,)."""
     output: ComplexArray
+    """For a single input of 1, a measured response, (N,)."""
     inputs: ComplexArray | None = None
+    """By default 1, (N, K)."""
     beside: ComplexArray | None = None
+    """Further signals that the output may contain, with real coefficients, (N, L); by default
+    none."""
     weight: FloatArray | float = 1.0
+    """Weight of the error of each line, (N,)."""
 
     def columns(self, basis: ComplexArray) -> ComplexArray:
         """Return the regressors of the output for given responses of poles, (N, n)."""

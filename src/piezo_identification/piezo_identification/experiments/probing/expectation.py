@@ -2,11 +2,11 @@
 """Estimate how accurate a model of a stage can become, and what a probe cannot measure."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from piezo_common.schema import NotNegative, Part, entry
 from piezo_identification.experiments.probing.findings import Findings
 from piezo_identification.experiments.stage_limits import StageLimits
 
@@ -20,33 +20,22 @@ NOTABLE_PERCENT = 0.05
 """Error caused by noise above which a remark is made: some times that with a quiet sensor."""
 
 
-@dataclass(frozen=True)
-class Expectation:
-    """Model errors that noise causes, in percent of the motion of each experiment.
+class ExpectedErrors(Part):
+    """Errors that noise causes in a model identified from these experiments."""
 
-    Parameters
-    ----------
-    creep_percent, dynamics_percent, hysteresis_percent : float
-        Standard deviations of the means from which each component is identified.
-    remarks : tuple of str
-        What the experiments cannot identify, and what would help.
-    """
-
-    creep_percent: float
-    dynamics_percent: float
-    hysteresis_percent: float
-    remarks: tuple[str, ...] = ()
-
-    @property
-    def model_percent(self) -> float:
-        """Return the error of the whole model; the errors of the components are independent."""
-        return float(np.sqrt(
-            self.creep_percent**2 + self.dynamics_percent**2 + self.hysteresis_percent**2))
+    creep_percent: NotNegative = entry("Of the creep.", unit="%")
+    dynamics_percent: NotNegative = entry("Of the dynamics.", unit="%")
+    hysteresis_percent: NotNegative = entry("Of the hysteresis.", unit="%")
+    model_percent: NotNegative = entry("Of the whole model.", unit="%")
+    remarks: list[str] = entry("What is out of reach on this stage, and what would help.")
 
 
-def expectation(findings: Findings, limits: StageLimits,
-                parameters: Mapping[str, Mapping[str, Any]]) -> Expectation:
+def expected_errors(findings: Findings, limits: StageLimits,
+                    parameters: Mapping[str, Mapping[str, Any]]) -> ExpectedErrors:
     """Estimate the model errors that noise causes, and what cannot be identified.
+
+    Errors are standard deviations of the means that decide on each component, in percent of what
+    its experiment moves.
 
     Parameters
     ----------
@@ -64,15 +53,21 @@ def expectation(findings: Findings, limits: StageLimits,
         return float(100.0 * noise_um / (travel_v * gain_um_per_v))
 
     # The fastest creep appears after both steps, from one to about ten settling times.
-    creep_percent = left_percent(
-        creep["swing_v"], 10.0 * findings.response.settling_s * rate_hz)
-    dynamics_percent = left_percent(
-        dynamics["swing_v"], dynamics["duration_s"] / dynamics["period_s"])
-    hysteresis_percent = left_percent(
-        limits.span_v, hysteresis["harmonic_period_s"] * rate_hz / (2 * hysteresis["level_count"]))
-    found = Expectation(creep_percent, dynamics_percent, hysteresis_percent)
-    return Expectation(creep_percent, dynamics_percent, hysteresis_percent, tuple(
-        _remarks(findings, limits, found, _duration_s(parameters))))
+    percent = {
+        "creep": left_percent(
+            creep["swing_v"], 10.0 * findings.response.settling_s * rate_hz),
+        "dynamics": left_percent(
+            dynamics["swing_v"], dynamics["duration_s"] / dynamics["period_s"]),
+        "hysteresis": left_percent(
+            limits.span_v,
+            hysteresis["harmonic_period_s"] * rate_hz / (2 * hysteresis["level_count"])),
+    }
+    # The errors of the components are independent.
+    model_percent = float(np.sqrt(sum(each**2 for each in percent.values())))
+    return ExpectedErrors.model_validate({
+        **{f"{name}_percent": each for name, each in percent.items()},
+        "model_percent": model_percent,
+        "remarks": _remarks(findings, limits, percent, model_percent, _duration_s(parameters))})
 
 
 def _duration_s(parameters: Mapping[str, Mapping[str, Any]]) -> float:
@@ -82,8 +77,8 @@ def _duration_s(parameters: Mapping[str, Mapping[str, Any]]) -> float:
         + hysteresis["level_count"] * hysteresis["harmonic_period_s"])
 
 
-def _remarks(findings: Findings, limits: StageLimits, found: Expectation,
-             duration_s: float) -> list[str]:
+def _remarks(findings: Findings, limits: StageLimits, percent: Mapping[str, float],
+             model_percent: float, duration_s: float) -> list[str]:
     rate_hz, response, remarks = limits.sample_rate_hz, findings.response, []
     fast = [mode[0] for mode in response.modes
             if mode[0] * FEWEST_SAMPLES_PER_CYCLE > rate_hz]
@@ -96,12 +91,11 @@ def _remarks(findings: Findings, limits: StageLimits, found: Expectation,
         remarks.append(
             f"the stage settles within {FEWEST_SETTLING_SAMPLES:g} samples of {1.0 / rate_hz:.2g} "
             "s: its fast motion cannot be told apart; use a faster clock")
-    if found.model_percent > NOTABLE_PERCENT:
-        worst = max((found.creep_percent, "creep"), (found.dynamics_percent, "dynamics"),
-                    (found.hysteresis_percent, "hysteresis"))[1]
+    if model_percent > NOTABLE_PERCENT:
+        worst = max(percent, key=percent.__getitem__)
         remarks.append(
             f"the noise of {findings.rest.noise_rms_um:.2g} um leaves about "
-            f"{found.model_percent:.2g} % in the model after {duration_s / 60.0:.3g} min of "
+            f"{model_percent:.2g} % in the model after {duration_s / 60.0:.3g} min of "
             f"experiments, most of it in the {worst}: only four times that time would halve it; "
             "use a quieter sensor")
     if findings.creep.time_s and not findings.creep.ended:

@@ -22,21 +22,14 @@ ENDED = 0.4
 
 @dataclass(frozen=True)
 class Rest:
-    """A stage at rest.
-
-    Parameters
-    ----------
-    level_um : float
-        Mean displacement.
-    noise_rms_um : float
-        Noise of a sample without linear drift; at least the rounding noise of the sensor.
-    resolution_um : float
-        Smallest observed change of the reading; 0 if it never changed.
-    """
+    """A stage at rest."""
 
     level_um: float
+    """Mean displacement."""
     noise_rms_um: float
+    """Noise of a sample without linear drift; at least the rounding noise of the sensor."""
     resolution_um: float = 0.0
+    """Smallest observed change of the reading; 0 if it never changed."""
 
     def of_mean_um(self, count: int) -> float:
         """Return the noise of the mean of `count` samples taken at the same motion.
@@ -66,63 +59,43 @@ class Rest:
 
 @dataclass(frozen=True)
 class Pulse:
-    """The response to one pulse of the voltage, from rest and back.
-
-    Parameters
-    ----------
-    rise_um, fall_um : float
-        Change of the displacement caused by the rise and by the fall of the voltage, both with the
-        sign of the rise.
-    highest_um, lowest_um : float
-        Largest excursions above and below rest less the noise, not negative.
-    unsettled : float
-        Change in the last quarter of the dwell as a fraction of the rise.
-    """
+    """The response to one pulse of the voltage, from rest and back."""
 
     rise_um: float
     fall_um: float
+    """Change of the displacement caused by the rise and by the fall of the voltage, both with the
+    sign of the rise."""
     highest_um: float
     lowest_um: float
+    """Largest excursions above and below rest less the noise, not negative."""
     unsettled: float
+    """Change in the last quarter of the dwell as a fraction of the rise."""
 
 
 @dataclass(frozen=True)
 class Creep:
-    """How the displacement creeps after a step.
-
-    Parameters
-    ----------
-    share_per_decade : float
-        Creep per decade of time as a fraction of the step, averaged over the hold.
-    time_s : float
-        End of the last octave of time with notable creep; 0 without creep.
-    ended : bool
-        Whether the creep faded before the end of the hold.
-    """
+    """How the displacement creeps after a step."""
 
     share_per_decade: float
+    """Creep per decade of time as a fraction of the step, averaged over the hold."""
     time_s: float
+    """End of the last octave of time with notable creep; 0 without creep."""
     ended: bool
+    """Whether the creep faded before the end of the hold."""
 
 
 @dataclass(frozen=True)
 class Findings:
-    """The results of a probe.
-
-    Parameters
-    ----------
-    step_v : float
-        Step at which gain, response and creep were measured, signed.
-    gain_um_per_v : float
-        Gain of the first rise to this step, signed.
-    signal_to_noise : float
-        Height of the repeated step over the noise of one sample.
-    """
+    """The results of a probe."""
 
     rest: Rest
+
     step_v: float
+    """Step at which gain, response and creep were measured, signed."""
     gain_um_per_v: float
+    """Gain of the first rise to this step, signed."""
     signal_to_noise: float
+    """Height of the repeated step over the noise of one sample."""
     response: StepResponse
     creep: Creep
 

@@ -66,24 +66,16 @@ Course = Generator[Experiment, Recording, Findings]
 
 @dataclass(frozen=True)
 class Step:
-    """A step that is large enough to measure and safe for the stage.
-
-    Parameters
-    ----------
-    size_v : float
-        Signed height.
-    dwell : int
-        Samples for which it is held to settle.
-    gain_um_per_v : float
-        Gain of the first rise.
-    signal_to_noise : float
-        Height of the response over the noise of one sample.
-    """
+    """A step that is large enough to measure and safe for the stage."""
 
     size_v: float
+    """Signed height."""
     dwell: int
+    """Samples for which it is held to settle."""
     gain_um_per_v: float
+    """Gain of the first rise."""
     signal_to_noise: float
+    """Height of the response over the noise of one sample."""
 
 
 class Probe:

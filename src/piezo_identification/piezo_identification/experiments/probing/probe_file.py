@@ -19,7 +19,10 @@ from piezo_common.schema import (
     load_document,
 )
 from piezo_common.text_file import replace_text
-from piezo_identification.experiments.probing.expectation import expectation
+from piezo_identification.experiments.probing.expectation import (
+    ExpectedErrors,
+    expected_errors,
+)
 from piezo_identification.experiments.probing.findings import Findings
 from piezo_identification.experiments.probing.fitted import fitted_limits, fitted_parameters
 from piezo_identification.experiments.stage_limits import StageLimits
@@ -129,16 +132,6 @@ class FittedExperiments(Part):
     relay: RelayParameters = entry("Relay feedback.")
 
 
-class ExpectedErrors(Part):
-    """Errors that noise causes in a model identified from these experiments."""
-
-    creep_percent: NotNegative = entry("Of the creep.", unit="%")
-    dynamics_percent: NotNegative = entry("Of the dynamics.", unit="%")
-    hysteresis_percent: NotNegative = entry("Of the hysteresis.", unit="%")
-    model_percent: NotNegative = entry("Of the whole model.", unit="%")
-    remarks: list[str] = entry("What is out of reach on this stage, and what would help.")
-
-
 class ProbeDocument(Document):
     """The file of a probe."""
 
@@ -193,7 +186,6 @@ def probe_document(findings: Findings, limits: StageLimits) -> ProbeDocument:
     """
     usable, response = fitted_limits(findings, limits), findings.response
     parameters = fitted_parameters(findings, usable)
-    expected = expectation(findings, usable, parameters)
     return ProbeDocument.model_validate({
         "format": FORMAT, "version": float(VERSION),
         "limits": {name: float(getattr(limits, name)) for name in OF_THE_LIMITS},
@@ -211,11 +203,7 @@ def probe_document(findings: Findings, limits: StageLimits) -> ProbeDocument:
         "range": {"voltage_min_v": float(usable.voltage_min_v),
                   "voltage_max_v": float(usable.voltage_max_v)},
         "experiments": parameters,
-        "expected": {
-            "creep_percent": expected.creep_percent,
-            "dynamics_percent": expected.dynamics_percent,
-            "hysteresis_percent": expected.hysteresis_percent,
-            "model_percent": expected.model_percent, "remarks": list(expected.remarks)}})
+        "expected": expected_errors(findings, usable, parameters).model_dump()})
 
 
 def save_probe(path: str | Path, document: ProbeDocument) -> None:

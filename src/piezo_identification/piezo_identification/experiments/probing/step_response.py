@@ -30,20 +30,14 @@ POINTS_PER_CYCLE = 5.0
 
 @dataclass(frozen=True)
 class StepResponse:
-    """A step response as a sum of exponentials.
-
-    Parameters
-    ----------
-    poles_rad_per_s : ndarray of complex, shape (P,)
-    shares : ndarray of complex, shape (P,)
-        Amplitude of each exponential at the step, as a fraction of the step.
-    final_share : float
-        Constant part, 1 without creep.
-    """
+    """A step response as a sum of exponentials."""
 
     poles_rad_per_s: ComplexArray
+    """Shape (P,)."""
     shares: ComplexArray
+    """Amplitude of each exponential at the step, as a fraction of the step, (P,)."""
     final_share: float
+    """Constant part, 1 without creep."""
     sample_period_s: float
 
     @property

@@ -25,39 +25,26 @@ _GLUED = re.compile(r"[^\s\[(]+(?:\s*[\[(][^\])]*[\])])?")
 
 @dataclass(frozen=True)
 class Dialect:
-    """The format of a text table.
-
-    Attributes
-    ----------
-    delimiter : str or None
-        None for any white space.
-    decimal : str
-        ``.`` or ``,``.
-    grouped : bool
-        Whether the file shows its decimal mark, so that the other one separates thousands.
-    cells : int
-        Number of cells in a row.
-    kinds : tuple of str
-        Kind of each cell of a row: ``number``, ``clock``, ``text`` or ``empty``.
-    header : tuple of str
-        Labels of the columns; empty if the file has none.
-    units : tuple of str
-        Units in a line below the header; empty if there is none.
-    header_line : int
-        Line of the header, from 0; -1 if there is none.
-    first_line : int
-        Line of the first row, from 0.
-    """
+    """The format of a text table."""
 
     delimiter: str | None
+    """None for any white space."""
     decimal: str
+    """``.`` or ``,``."""
     cells: int
+    """Number of cells in a row."""
     kinds: tuple[str, ...]
+    """Kind of each cell of a row: ``number``, ``clock``, ``text`` or ``empty``."""
     header: tuple[str, ...] = ()
+    """Labels of the columns; empty if the file has none."""
     units: tuple[str, ...] = ()
+    """Units in a line below the header; empty if there is none."""
     header_line: int = -1
+    """Line of the header, from 0; -1 if there is none."""
     first_line: int = 0
+    """Line of the first row, from 0."""
     grouped: bool = False
+    """Whether the file shows its decimal mark, so that the other one separates thousands."""
 
     def split(self, line: str) -> list[str]:
         """Return the cells of a line, without surrounding quotes and white space."""

@@ -12,24 +12,16 @@ _SEPARATORS = {"Tab": "\t", "Comma": ","}
 
 @dataclass(frozen=True)
 class LabviewPreamble:
-    """Entries of a preamble that are needed to read the table.
-
-    Attributes
-    ----------
-    delimiter : str
-        Delimiter of cells.
-    units : tuple of str
-        Units of the channels, in their order.
-    period_s : float
-        Distance of rows (s); 0 if it is not given.
-    has_time : bool
-        Whether the first column holds the time of each row; it is empty otherwise.
-    """
+    """Entries of a preamble that are needed to read the table."""
 
     delimiter: str
+    """Delimiter of cells."""
     units: tuple[str, ...]
+    """Units of the channels, in their order."""
     period_s: float
+    """Distance of rows (s); 0 if it is not given."""
     has_time: bool
+    """Whether the first column holds the time of each row; it is empty otherwise."""
 
 
 def labview_preamble(lines: Sequence[str]) -> LabviewPreamble | None:

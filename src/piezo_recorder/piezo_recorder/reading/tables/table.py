@@ -19,43 +19,29 @@ def no_progress(what: str, fraction: float) -> None:
 
 @dataclass
 class Table:
-    """Columns of equal length with the labels of the file.
-
-    Attributes
-    ----------
-    path : Path
-        Path of the file that was read.
-    columns : dict of str to ndarray, shape (N,)
-        By label, such as ``Time [s]``, in the order of the file. Times of the day and dates are
-        in seconds.
-    units : dict of str to str
-        Units that the file keeps separate from the labels, by label.
-    scalars : dict of str to float
-        Single numbers in addition to the columns, such as a sample rate.
-    title : str
-        Name of the group that holds the table; empty if there is none.
-    parts : list of int
-        Rows at which the file itself begins another recording, without the first row.
-    skipped : list of (int, int)
-        Row of the table, and number of lines of the file before it that are not rows.
-    header_line : int
-        Line of the file with the labels, from 0; -1 if there is none.
-    notes : list of str
-        What was omitted, for users.
-    left_out : dict of str to int
-        Columns of the file of another length than these, and that length.
-    """
+    """Columns of equal length with the labels of the file."""
 
     path: Path
+    """Path of the file that was read."""
     columns: dict[str, np.ndarray]
+    """By label, such as ``Time [s]``, in the order of the file, (N,). Times of the day and dates
+    are in seconds."""
     units: dict[str, str] = field(default_factory=dict)
+    """Units that the file keeps separate from the labels, by label."""
     scalars: dict[str, float] = field(default_factory=dict)
+    """Single numbers in addition to the columns, such as a sample rate."""
     title: str = ""
+    """Name of the group that holds the table; empty if there is none."""
     parts: list[int] = field(default_factory=list)
+    """Rows at which the file itself begins another recording, without the first row."""
     skipped: list[tuple[int, int]] = field(default_factory=lambda: [(0, 0)])
+    """Row of the table, and number of lines of the file before it that are not rows."""
     header_line: int = -1
+    """Line of the file with the labels, from 0; -1 if there is none."""
     notes: list[str] = field(default_factory=list)
+    """What was omitted, for users."""
     left_out: dict[str, int] = field(default_factory=dict)
+    """Columns of the file of another length than these, and that length."""
 
     @property
     def header_place(self) -> str:

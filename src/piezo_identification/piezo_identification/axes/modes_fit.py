@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Modes and softening of several axes from fast recordings."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from piezo_common.arrays import ComplexArray
+from piezo_common.budget import has_time_for, while_time_lasts
+from piezo_common.cancellation import check_cancelled
+from piezo_identification.axes.coupled_fit import CoupledFit, refined, softened_numbers
+from piezo_identification.axes.coupled_numbers import CoupledNumbers
+from piezo_identification.axes.order_search import evidence_of, growing, without_weak_poles
+from piezo_identification.axes.sensor_delays import latencies
+from piezo_identification.axes.spectra import (
+    Spectrum,
+    levels_of,
+    reweighted,
+    spectra_of_level,
+)
+from piezo_models.axes.identified_axes import LIGHT
+from piezo_recorder.reading.axes import AxesRecording
+
+MOST_PAIRS = 40
+"""Pairs of poles at which the search for the order ends in any case."""
+
+WORSE_IN_A_ROW = 2
+"""Orders without more evidence after which the search for the order ends."""
+
+MOST_POWERS = 2
+"""Powers of the amplitude: domain walls give the first (Rayleigh), their saturation the second."""
+
+ORDERS, SOFTENINGS = 0.5, 0.8
+"""Shares of the time after which no further order and no further softening is tried: the refinement
+of what was found follows."""
+
+RIDGES = (0.0, 1e-2)
+"""Of the starts of the softening: none, and one that leaves out what the levels tell to less than a
+tenth. With many modes the first is unstable, and is reduced to little."""
+
+FINAL_STEPS = 20
+"""Gauss-Newton steps of a model that is kept."""
+
+REWEIGHTINGS = 3
+"""Of recordings without scatter, by what the refined model leaves; set on the simulated flexure,
+where the misfit then is that of the noise to 1 %, from a sixth of it."""
+
+JUDGED_STEPS = 3
+"""Those of a model that is compared."""
+
+SLOWEST_POLE = 0.9
+"""Rate of the slowest pole over that of the lowest resonance, where there is hysteresis or creep:
+slower ones would stand for these. A light mode may still move."""
+
+FURTHER_REFINEMENT = "further refinement"
+"""What is left out once the time is over."""
+
+Note = Callable[[str], object]
+Progress = Callable[[str, float], object]
+
+
+def fitted_modes(
+    recordings: Sequence[AxesRecording], pairs: int | None, note: Note, progress: Progress,
+    behind_actuators: bool = False,
+) -> tuple[CoupledFit, list[Spectrum], np.ndarray]:
+    """Return modes and softening of fast recordings, and the latencies of the sensors.
+
+    Parameters
+    ----------
+    pairs : int, optional
+        Pairs of poles; by evidence by default.
+    note, progress
+        See `identify_several_axes`.
+    behind_actuators : bool
+        The voltages of the recordings are the drive of the modes, behind hysteresis and creep.
+    """
+    progress("spectra", 0.0)
+    levels = [spectra_of_level(level) for level in levels_of(recordings)]
+    reference = _reference(levels)
+    note(f"{len(recordings)} recordings of {', '.join(recordings[0].axes)} at "
+         f"{len(levels)} levels, RMS " + ", ".join(
+             f"{level[0].amplitude_v:.3g}" for level in levels) + " V")
+    start = _ordered(reference, pairs, progress)
+    late = latencies(reference, start)
+    if late.any():
+        levels = [[each.advanced(late) for each in level] for level in levels]
+        reference = [each.advanced(late) for each in reference]
+        start = _ordered(reference, pairs, progress)
+    fit, everything = _best_fit(reference, levels, start, note, progress)
+    if behind_actuators:
+        numbers = without_slow_poles(fit.numbers)
+        highest = max(np.angle(spectrum.z).max() for spectrum in everything)
+        # Nothing tells a resonance beyond the lines; what bends there stands for hysteresis.
+        fit = refined(numbers.with_poles(np.angle(numbers.steps) <= highest), everything,
+                      FINAL_STEPS)
+    if not all(_is_response(level) for level in levels):
+        fit, everything = reweighted_fit(fit, everything, is_open=pairs is None)
+    upper = fit.numbers.steps.imag > 0.0
+    note(f"{np.count_nonzero(upper)} modes and {np.count_nonzero(~upper)} real poles, shared by "
+         "all axes")
+    return fit, everything, late
+
+
+def reweighted_fit(fit: CoupledFit, spectra: Sequence[Spectrum],
+                   is_open: bool, times: int = REWEIGHTINGS,
+                   ) -> tuple[CoupledFit, list[Spectrum]]:
+    """Return the fit whose deviations are what it leaves itself, with its spectra.
+
+    Beside light modes a model that is not refined leaves many times the noise, where the lines tell
+    most of their frequency.
+
+    Parameters
+    ----------
+    is_open : bool
+        Poles without evidence may be left out.
+    """
+    with while_time_lasts(FURTHER_REFINEMENT):
+        for _ in range(times):
+            spectra = [reweighted(each, left)
+                       for each, left in zip(spectra, fit.left, strict=True)]
+            fit = refined(fit.numbers, spectra, FINAL_STEPS)
+            if is_open:
+                fit = without_weak_poles(fit, spectra, JUDGED_STEPS)
+            check_cancelled()
+    return fit, list(spectra)
+
+
+def without_slow_poles(numbers: CoupledNumbers) -> CoupledNumbers:
+    """Return the numbers without poles that stand for hysteresis and creep."""
+    lowest = lowest_resonance(numbers.steps)
+    return replace(numbers.with_poles(np.abs(np.log(numbers.steps)) >= lowest),
+                   slowest=SLOWEST_POLE * lowest)
+
+
+def lowest_resonance(steps: ComplexArray) -> float:
+    """Return the rate of the slowest light mode, over the sample rate; of any where none is."""
+    rates = np.log(steps)
+    light = (steps.imag > 0.0) & (-rates.real < LIGHT * np.abs(rates))
+    return float(np.abs(rates[light] if light.any() else rates).min())
+
+
+def _reference(levels: list[list[Spectrum]]) -> list[Spectrum]:
+    """Return the spectra of the middle level that has responses, or of all where none has."""
+    responses = [level for level in levels if _is_response(level)]
+    if responses:
+        return responses[len(responses) // 2]
+    return [spectrum for level in levels for spectrum in level]
+
+
+def _is_response(level: Sequence[Spectrum]) -> bool:
+    """Tell whether the spectra of a level are its responses to each axis alone."""
+    n = level[0].drive.shape[1]
+    return len(level) == n and all(
+        not each.transient and each.driven == (axis,) and np.all(each.drive[:, axis] == 1.0)
+        for axis, each in enumerate(level))
+
+
+def _ordered(reference: Sequence[Spectrum], pairs: int | None, progress: Progress) -> CoupledFit:
+    """Return the linear fit of the order with most evidence, or of a given one."""
+    if pairs is not None:
+        *_, best = growing(reference, pairs)
+        return best
+    fits = growing(reference, MOST_PAIRS)
+    best, worse = next(fits), 0
+    for number, fit in enumerate(fits, start=1):
+        progress(f"{fit.numbers.steps.size} poles", min(0.5, 0.03 * number))
+        gains_evidence = evidence_of(fit) > evidence_of(best)
+        best, worse = (fit, 0) if gains_evidence else (best, worse + 1)
+        if worse == WORSE_IN_A_ROW or not has_time_for(
+                f"more than {fit.numbers.steps.size} poles", ORDERS):
+            break
+    return best
+
+
+def _best_fit(
+    reference: Sequence[Spectrum], levels: Sequence[Sequence[Spectrum]], start: CoupledFit,
+    note: Note, progress: Progress,
+) -> tuple[CoupledFit, list[Spectrum]]:
+    """Return the fit with most evidence of those that soften and the one that does not."""
+    progress("refinement", 0.5)
+    linear = refined(start.numbers, reference, JUDGED_STEPS)
+    others = [level for level in levels if _is_response(level) and level[0] is not reference[0]]
+    everything = [spectrum for level in levels for spectrum in level]
+    if not others:
+        return refined(linear.numbers, everything, FINAL_STEPS), everything
+    fits = [refined(linear.numbers, everything, JUDGED_STEPS)]
+    for powers in range(1, min(MOST_POWERS, len(others)) + 1):
+        if not has_time_for(f"softening with {powers} powers of the amplitude", SOFTENINGS):
+            break
+        progress(f"softening, {powers} powers of the amplitude", 0.5 + 0.1 * powers)
+        fits += [refined(softened_numbers(linear.numbers, others, powers, ridge), everything,
+                         JUDGED_STEPS) for ridge in RIDGES]
+    best = max(fits, key=evidence_of)
+    powers = len(best.numbers.back)
+    note("nothing softens with the amplitude" if not powers else
+         f"stiffness, damping and gain depend on the amplitude, {powers} powers of it")
+    progress("refinement", 0.7)
+    with while_time_lasts(FURTHER_REFINEMENT):
+        best = refined(best.numbers, everything, FINAL_STEPS)
+        check_cancelled()
+    return best, everything
+
+
