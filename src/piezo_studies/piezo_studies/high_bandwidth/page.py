@@ -26,56 +26,58 @@ an identified model and returns a controller at the clock's period. `save_contro
 a [controller file](files.md#controller). This page compares its methods on the identified model of
 the simulated stage, whose dynamics are those that the thesis identified.
 
-**The loop.** The stage evaluates the law by itself: the displacement of a sample is answered by
-the next one, and `track` uploads such a controller file as it does one of the tick's rate. The
+**The loop.** The stage evaluates the law itself: the measured displacement of a sample acts on the
+voltage of the next one. `track` uploads such a controller file like one of the tick's rate. The
 modes lie at {modes_hz}.
 
-**The demands.** The closed loop falls to -3 dB at no less than {ratio:g} times the first mode
-({bandwidth_hz:.0f} Hz). A disturbance of the displacement is attenuated by {attenuation}, wherever
-its frequency lies within {tolerance:g} % of that. Of what is reached above these, the least is the
-*margin*: in the first table that of the model itself, in the second the least of all stages.
+**The demands.** The -3 dB bandwidth of the closed loop is at least {ratio:g} times the first mode
+({bandwidth_hz:.0f} Hz). A disturbance of the displacement is attenuated by {attenuation}, for any
+frequency within {tolerance:g} % of these. The *margin* is the smallest amount by which the demands
+are exceeded: in the first table for the model itself, in the second for the worst of all stages.
 
-**The bounds, equal for all methods.** The loop is stable, and its sensitivity stays below {peak:g},
-for every stage of a set: both ends of the gain of the hysteresis, every parameter off
-by {parameter:.0f} %, and the light mode off by the error of the row. The noise of the sensor is
-{noise_nm:.0f} nm. The thesis calls it white and samples at 40 kHz (section 1.2), and the simulator
-draws it for every sample of the 40 kHz clock: it is white up to 20 kHz, {density:.3f} nm per root
-Hz. It may add {added_nm:.0f} nm to the displacement and {voltage:g} V to the voltage, both root
-mean square. By default `design_at_sample_rate` allows {default_voltage:g} V, as more looks like an
-oscillation to the guards of the stage, and no stage of the set may amplify an error that is slower
-than half the lowest disturbance.
+**The bounds, equal for all methods.** The loop is stable, and its sensitivity stays below
+{peak:g}, for every stage of a set: both ends of the gain of the hysteresis, every parameter off
+by {parameter:.0f} %, and the lightly damped mode off by the error of the row. The noise of the
+sensor is {noise_nm:.0f} nm. According to the thesis it is white and sampled at 40 kHz (section
+1.2), and the simulator draws it for every sample of the 40 kHz clock. It is therefore white up to
+20 kHz, with {density:.3f} nm per root Hz. It may add {added_nm:.0f} nm to the displacement and
+{voltage:g} V to the voltage, both RMS. By default `design_at_sample_rate` allows
+{default_voltage:g} V, because the guards of the stage interpret more as an oscillation. By
+default, no stage of the set may amplify an error that is slower than half the lowest disturbance
+either.
 
-**The methods.** A controller of *fixed order* is an integration with seven pairs of poles and six
-pairs of zeros, and some real ones. It is tuned over all stages at once by sequential linear
-programming, with the derivatives of every loop at every frequency, and begins anew many times.
-`piezo_studies.high_bandwidth.search` searches for where to begin, see below. The tuning ends at a
-margin of 3 dB, which is how far the closed loop falls at the edge of its band. Its *resonances*
-attenuate the disturbances in a narrow band, and spend no gain beside it: between the lines it
-attenuates as little as a slow loop does. It is the method of `design_at_sample_rate`. The other
-methods have few numbers, are searched by trial, and are there to be compared
-(`piezo_controller.feedback.sample_rate.searched_designs`). H-infinity has the weights of a
-four-block problem and constant scalings D of two uncertainties, the gain and the square of the
-light mode's frequency, which it takes for complex. Its rows are what the search found, not the best
-that the method can give. A row in brackets exceeds a bound, because the search found nothing within
-them.
+**The methods.** A controller of *fixed order* consists of an integrator, seven pairs of poles,
+six pairs of zeros, and some real poles and zeros. It is tuned for all stages at once by
+sequential linear programming, with the derivatives of every loop at every frequency and many
+restarts. `piezo_studies.high_bandwidth.search` searches for initial values, see below. The tuning
+ends at a margin of 3 dB, which is the decrease of the closed loop at the edge of its band. Its
+*resonances* attenuate the disturbances in a narrow band and need no gain elsewhere: between the
+two frequencies the attenuation is that of a slow loop. This is the method of
+`design_at_sample_rate`. The other methods have few parameters, are searched by trial, and serve
+for comparison (`piezo_controller.feedback.sample_rate.searched_designs`). H-infinity has the
+weights of a four-block problem and constant scalings D of two uncertainties: the gain and the
+square of the frequency of the lightly damped mode, which it treats as complex. Its rows are
+results of the search, not the best possible with the method. A row in brackets exceeds a bound,
+because the search found nothing within the bounds.
 
 ![Margin to the demands against the error of the light mode](pictures/high_bandwidth.png)
 
-Where a line lies above zero, all demands are met. A point is left out where the search found
+Where a line lies above zero, all demands are met. A point is missing if the search found
 nothing within the bounds.
 
-**Why the light mode limits the loop.** Below and above its resonance a mode differs by 180 degrees.
-Off by 20 % it lies anywhere from {low_hz:.0f} Hz to {high_hz:.0f} Hz. In this band the phase of the
-loop is unknown by 180 degrees, and its gain by the {peak_db:.0f} dB of the resonance.
+**Why the lightly damped mode limits the loop.** The phase of a mode below and above its resonance
+differs by 180 degrees. With an error of 20 %, the resonance lies anywhere from {low_hz:.0f} Hz to
+{high_hz:.0f} Hz. In this band the phase of the loop is uncertain by 180 degrees, and its gain by
+the {peak_db:.0f} dB of the resonance.
 """
 
 
 SEARCHES = """\
 ## From drawn starts
 
-`python -m piezo_studies.high_bandwidth.search` draws the numbers of a controller of fixed order by
-a seed, tunes them over ever larger errors of the light mode, and changes the best at random.
-A search proves no bound: what it did not find may exist.
+`python -m piezo_studies.high_bandwidth.search` draws the parameters of a controller of fixed order
+from a seed, tunes them for increasing errors of the lightly damped mode, and varies the best at
+random. A search proves no bound: better controllers may exist.
 """
 
 SEARCH_HEADER = "light mode off by", "to reach the demands", "seed", "starts, trials", "margin"

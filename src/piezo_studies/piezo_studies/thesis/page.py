@@ -9,16 +9,16 @@ INTRODUCTION = """\
 
 Written by `make reproduce`; do not edit.
 
-This page repeats every numerical study of chapters 2 to 5 and of the appendix. The table has the
-figure of the thesis beside ours. A dash stands where the thesis gives no figure. The remark says
-why a figure does not come out, or what ours is.
+This page repeats every numerical study of chapters 2 to 5 and of the appendix. The table compares
+the figures of the thesis with those of the suite ("ours"). A dash means that the thesis gives no
+figure. The remark explains why a figure differs, or how ours is defined.
 
-Where the thesis measured its stage, we measure the simulated one. Its dynamics are those that
-chapter 4 identified, and its sensor has the same noise of 9 nm. Its hysteresis and its drift
-differ from those of the thesis. The thesis itself simulates in sections 2.2.4, 2.3.3 and 4.6; we
-simulate the same plants with the same noise.
+Where the thesis measured its stage, the suite measures the simulated one. Its dynamics are those
+identified in chapter 4, and its sensor has the same noise of 9 nm. Its hysteresis and its drift
+differ from those of the thesis. The thesis itself simulates in sections 2.2.4, 2.3.3 and 4.6; the
+suite simulates the same plants with the same noise.
 
-Errors are simulation errors by the noisy sensor unless the row says otherwise. The error of a
+Errors are simulation errors with the noisy sensor unless the row says otherwise. The error of a
 density is its difference from the true density. Closed loops run with the model that was identified
 in 4.7.1, under an offset of 2.1 um, a drift of 50 nm/s, the sensor's noise, and one tick of
 computing time. "Composite" is the 40 kHz feedforward with the 1 kHz H-infinity feedback. Ms is the
