@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Start the suite's nodes as forks of one process that has imported their libraries once."""
+"""Start the suite's nodes as forks of one process that has already imported their libraries."""
 
 import gc
 import multiprocessing
@@ -17,10 +17,10 @@ from piezo_bringup.processes import EXECUTABLES, NodeProcess, Processes
 
 
 class ForkedProcesses(Processes):
-    """As `Processes`, without the seconds that every node takes to import its libraries.
+    """Like `Processes`, but without the seconds in which every node imports its libraries.
 
-    A node runs what its executable runs, as a process of its own. Its end differs: a fork leaves
-    without what the interpreter does at its end.
+    A node runs the code of its executable in a separate process. A fork ends without the usual
+    shutdown of the interpreter.
     """
 
     def _launch(self, name: str, command: list[str]) -> NodeProcess:
@@ -31,12 +31,12 @@ class ForkedProcesses(Processes):
 
 
 class ForkedNode:
-    """Fork that can be asked as a `NodeProcess`.
+    """A forked process with the interface of `NodeProcess`.
 
     Parameters
     ----------
     process : multiprocessing.Process
-        One that has been started.
+        Started process.
     """
 
     def __init__(self, process: BaseProcess) -> None:
@@ -44,7 +44,7 @@ class ForkedNode:
 
     @property
     def pid(self) -> int:
-        """Return the number of the process."""
+        """Return the process ID."""
         assert self._process.pid is not None  # it has been started
         return self._process.pid
 
@@ -54,7 +54,7 @@ class ForkedNode:
         return self._process.exitcode
 
     def poll(self) -> int | None:
-        """Return the exit status, None while the process runs."""
+        """Return the exit status; None while the process runs."""
         return self.returncode
 
     def wait(self, timeout: float | None = None) -> int:
@@ -90,7 +90,7 @@ def _server() -> ForkServerContext:
 
 
 def _entry(name: str) -> Callable[[], None]:
-    """Return what the executable of a node calls; it is called after the module that it runs."""
+    """Return the entry point of the executable of a node."""
     package, executable = EXECUTABLES[name]
     entry, = distribution(package).entry_points.select(
         group="console_scripts", name=executable)
@@ -99,7 +99,7 @@ def _entry(name: str) -> Callable[[], None]:
 
 
 def _run(name: str, command: list[str], log: Path, environment: Mapping[str, str]) -> None:
-    gc.freeze()  # to look through the libraries would copy all of them
+    gc.freeze()  # garbage collection would copy the memory of all libraries
     os.setsid()
     file = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
     for stream in sys.stdout, sys.stderr:

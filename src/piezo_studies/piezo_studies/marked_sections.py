@@ -1,27 +1,27 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Sections of a page that a program writes anew, between two marks, while the text around stays."""
+"""Replace sections of a page between two marks; the other text is unchanged."""
 
 import re
 from collections.abc import Mapping
 
 
 def with_sections(page: str, sections: Mapping[str, str], kind: str = "") -> str:
-    """Return a page with its marked sections written anew.
+    """Return a page with its marked sections replaced.
 
-    A section stands between the lines ``<!-- NAME -->`` and ``<!-- end -->``.
+    A section is between the lines ``<!-- NAME -->`` and ``<!-- end -->``.
 
     Parameters
     ----------
     sections : mapping of str to str
-        What each section holds, by the name in its mark; it ends with a new line.
+        Text of each section, ending with a new line, by the name in its mark.
     kind : str
-        How the names begin of the sections that the program writes, all of which must be given.
-        By default only those that are given are looked for.
+        Common beginning of the names of sections that must all be given. By default, only the
+        given sections are replaced.
 
     Raises
     ------
     ValueError
-        If a section is missing in the page, stands there twice, or is not given.
+        If a section is missing in the page, occurs twice, or is not given.
     """
     names = re.escape(kind) + "[^\n]+?" if kind else "|".join(map(re.escape, sections))
     marked = re.compile(rf"(<!-- ({names}) -->\n).*?(<!-- end -->)", re.S)

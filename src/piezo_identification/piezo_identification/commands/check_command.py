@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""`check`: what a recording is good for, before a model is fitted to it."""
+"""`check`: the suitability of recordings for experiments, before a model is fitted."""
 
 import argparse
 import sys

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The work of `check`: print and draw what each recording is good for."""
+"""The work of `check`: print and draw the properties of each recording."""
 
 import argparse
 from pathlib import Path
@@ -33,7 +33,7 @@ DRAWN_UNTIL = 0.5
 
 
 def check_files(options: argparse.Namespace) -> None:
-    """Print and draw what each recording of the options is good for."""
+    """Print and draw the properties of each recording given as an option."""
     options.output.mkdir(parents=True, exist_ok=True)
     budget = budget_of(options)
     checked: list[tuple[str, RecordingCheck, dict[str, Suitability], Figure | None]] = []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""`diagnose`: what a model lacks to explain a recording."""
+"""`diagnose`: find the effects that a model lacks to explain a recording."""
 
 import argparse
 import sys

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""`diagnose_many`: diagnose the rows of a table, and sum them up."""
+"""`diagnose_many`: diagnose the rows of a table, and summarise the results."""
 
 import argparse
 import sys

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""`propose`: the recording that decides what a diagnosis could not."""
+"""`propose`: design the recording that decides between the alternatives of a diagnosis."""
 
 import argparse
 import sys

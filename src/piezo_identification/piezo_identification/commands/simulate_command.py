@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""`simulate`: what a model says beside what a recording measured."""
+"""`simulate`: compare the displacement of a model with that of a recording."""
 
 import argparse
 import sys

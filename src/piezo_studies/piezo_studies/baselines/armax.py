@@ -14,11 +14,11 @@ from piezo_studies.baselines.subspace import identify_subspace
 
 MOST_ITERATIONS = 100
 MOST_IDLE = 5
-"""Steps in a row that gain nothing to speak of, after which the search ends."""
+"""Consecutive steps with negligible gain after which the search ends."""
 
 LEAST_DAMPING = 1e-18
-"""Squared singular values beside which the damping begins: coefficients of fast samples differ in
-the eighth digit, so that any more would hold them."""
+"""Smallest damping relative to the largest squared singular value. Coefficients of fast samples
+differ in the eighth digit, so that more damping would keep them from moving."""
 
 
 @dataclass(frozen=True)
@@ -28,17 +28,17 @@ class Armax:
     Parameters
     ----------
     autoregressive : ndarray, shape (na + 1,)
-        A, beginning with 1.
+        Polynomial A, beginning with 1.
     input : ndarray, shape (nb + 1,)
-        B, beginning with 0: the output answers one sample later at the earliest.
+        Polynomial B, beginning with 0: the output responds after one sample at the earliest.
     noise : ndarray, shape (nc + 1,)
-        C, beginning with 1.
+        Polynomial C, beginning with 1.
     covariance : ndarray, shape (na + nb + nc, na + nb + nc)
-        Of the coefficients that are free, in this order.
+        Covariance of the free coefficients, in this order.
     residual : ndarray, shape (N,)
         Errors of the one-step prediction.
     parameters : int
-        Free parameters of the fit, with those of the unknown past.
+        Number of free parameters of the fit, including those of the unknown past.
     """
 
     autoregressive: FloatArray
@@ -49,12 +49,12 @@ class Armax:
     parameters: int
 
     def response(self, frequency_hz: ArrayLike, sample_period_s: float) -> ComplexArray:
-        """Complex response B / A at the given frequencies."""
+        """Return the complex response B / A at the given frequencies."""
         delay = np.exp(-2j * np.pi * np.asarray(frequency_hz, dtype=float) * sample_period_s)
         return np.polyval(self.input[::-1], delay) / np.polyval(self.autoregressive[::-1], delay)
 
     def poles(self) -> ComplexArray:
-        """Discrete poles, shape (na,)."""
+        """Return the discrete poles, shape (na,)."""
         return np.roots(self.autoregressive).astype(complex)
 
 
@@ -62,22 +62,22 @@ def fit_armax(
     input: FloatArray, output: FloatArray, na: int, nb: int, nc: int,
     drift: FloatArray | None = None,
 ) -> Armax:
-    """Fit an ARMAX model for the least error of its one-step prediction.
+    """Fit an ARMAX model by minimizing the error of its one-step prediction.
 
-    Gauss-Newton with Levenberg-Marquardt damping and the exact Jacobian. White noise on the output
-    makes C equal to A, whose roots lie near the unit circle at fast sampling; extended least
-    squares and other starts diverge there, a subspace start does not. From it, the model with C = A
-    is fitted first, then C is set free. What the samples before the record leave in the filter is
-    fitted, too.
+    The method is Gauss-Newton with Levenberg-Marquardt damping and the exact Jacobian. White noise
+    on the output makes C equal to A, whose roots are near the unit circle for fast sampling.
+    Extended least squares and other starts diverge there; a subspace start does not. From it, the
+    model with C = A is fitted first, then C is freed. The initial state of the filter is fitted,
+    too.
 
     Parameters
     ----------
     input, output : ndarray, shape (N,)
     na, nb, nc : int
-        Orders: coefficients of A, B and C.
+        Orders: numbers of coefficients of A, B and C.
     drift : ndarray, shape (N, K), optional
-        What else the output may hold: constants and exponentials in time, which a filter leaves
-        what they are; by default a constant.
+        Further regressors of the output: constants and exponentials in time, whose form a filter
+        does not change; by default a constant.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def fit_armax(
 
 def _minimise(record: "_PredictionErrors", reduced: FloatArray,
               expansion: FloatArray) -> FloatArray:
-    """Parameters of least squared error among `expansion` times a reduced vector."""
+    """Minimize the squared error over `expansion` times a reduced vector; return the parameters."""
     parameters = expansion @ reduced
     residual, jacobian = record.errors(parameters)
     cost, damping, idle = residual @ residual, LEAST_DAMPING, 0
@@ -114,7 +114,7 @@ def _minimise(record: "_PredictionErrors", reduced: FloatArray,
             np.linalg.qr(np.column_stack([jacobian / scale, residual]), mode="r"))
         left, values, right = np.linalg.svd(triangle[:-1, :-1])
         projected = left.T @ triangle[:-1, -1]
-        # The whole way to the optimum would gain less than a thousandth of what chance gives.
+        # The optimum would gain less than a thousandth of the gain expected by chance.
         if projected @ projected < 1e-3 * cost / residual.size or idle == MOST_IDLE:
             break
         while damping < 1e6:
@@ -150,18 +150,18 @@ class _PredictionErrors:
     def split(
         self, parameters: FloatArray,
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Polynomials A, B, C, what the past leaves in the first samples, and the drift."""
+        """Return A, B, C, the effect of the past on the first samples, and the drift."""
         edges = np.cumsum([*self.orders, self.past])
         a, b, c, past, drift = np.split(parameters, edges)
         return np.append(1.0, a), np.append(0.0, b), np.append(1.0, c), past, drift
 
     def invertible(self, parameters: FloatArray) -> bool:
-        """Whether C can be divided by."""
+        """Return whether C has a stable inverse."""
         roots = np.roots(self.split(parameters)[2])
         return np.abs(roots).max(initial=0.0) < 1.0 - 1e-9
 
     def errors(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Errors (N,) and Jacobian (N, P), from C e = A y - B u - past - drift."""
+        """Return errors (N,) and Jacobian (N, P), from C e = A y - B u - past - drift."""
         check_cancelled()
         a, b, c, past, drift = self.split(parameters)
         kick = self.drift @ drift
@@ -181,7 +181,7 @@ class _PredictionErrors:
         return error, jacobian
 
     def start(self) -> FloatArray:
-        """Polynomials of the subspace model, B by regression."""
+        """Return the parameters of the subspace model, with B by regression."""
         na, nb, nc = self.orders
         both = np.column_stack([self.input, self.output])
         both = both - self.drift @ (self.drift.T @ both)

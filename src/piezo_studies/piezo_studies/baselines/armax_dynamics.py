@@ -22,16 +22,16 @@ def estimate_dynamics_armax(
 ) -> tuple[ElectricVibrationDynamics, dict[str, Any]]:
     """Estimate the electric lag and the vibration modes by an ARMAX model.
 
-    The creep is removed by its inverse; the hysteresis tells what enters the dynamics.
+    The creep is removed by its inverse; the hysteresis gives the input of the dynamics.
 
     Parameters
     ----------
     recording : Recording
-        At the full sample clock.
+        Recording at the full sample clock.
     orders : (int, int, int)
-        Coefficients na, nb and nc, such as the thesis' (5, 6, 5) or (5, 1, 5).
+        Numbers of coefficients na, nb and nc, such as the thesis' (5, 6, 5) or (5, 1, 5).
     mode_count : int
-        How many of the modes to keep; poles that add least to the response are dropped.
+        Number of modes to keep; poles that contribute least to the response are dropped.
 
     Returns
     -------
@@ -55,14 +55,14 @@ def estimate_dynamics_armax(
 def dynamics_of_armax(
     armax: Armax, input: FloatArray, sample_period_s: float, mode_count: int,
 ) -> tuple[ElectricVibrationDynamics, dict[str, Any]]:
-    """Electric lag and modes of an ARMAX model, with standard deviations.
+    """Return electric lag and modes of an ARMAX model, with standard deviations.
 
     Parameters
     ----------
     input : ndarray, shape (N,)
-        Of the record.
+        Input of the record.
     mode_count : int
-        Of the poles, the one lag and the modes that add most to the output are kept.
+        Number of modes to keep; the lag and the modes that contribute most to the output are kept.
 
     Returns
     -------
@@ -88,11 +88,11 @@ def dynamics_of_armax(
     order = denominator.size - 1
     model = dynamics_of_poles(np.log(kept.astype(complex)) / sample_period_s)
     if np.isinf(armax.covariance[:order, :order]).any():
-        # The poles depend on all coefficients, and the data do not tell all of those.
+        # The poles depend on all coefficients, some of which are not identifiable.
         return model, split_dynamics_vector(np.full(1 + 2 * mode_count, np.inf), mode_count)
     centre = vector(denominator)
     values, directions = np.linalg.eigh(armax.covariance[:order, :order])
-    # Steps along the axes of the covariance are changes that the data allow.
+    # Differentiate along the axes of the covariance, by standard deviations.
     axes = directions * np.sqrt(np.maximum(values, 0.0))
     step = 1e-3
     changes = [
@@ -102,9 +102,9 @@ def dynamics_of_armax(
 
 
 def _strongest_poles(armax: Armax, input: FloatArray, mode_count: int) -> ComplexArray:
-    """Discrete poles of the lag and the modes with the largest part in the output."""
+    """Return the discrete poles of the lag and modes that contribute most to the output."""
     poles = armax.poles().astype(complex)
-    # Where poles are not in the open disc or negative, there is no continuous one.
+    # Unstable and negative real poles have no continuous counterpart.
     usable = (np.abs(poles) < 1.0) & ~((poles.imag == 0.0) & (poles.real <= 0.0))
     others = poles[:, None] - poles[None, :] + np.eye(poles.size)
     numerator = np.polyval(armax.input[::-1], 1.0 / poles)

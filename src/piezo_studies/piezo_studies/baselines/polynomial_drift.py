@@ -17,15 +17,15 @@ def remove_polynomial_drift(
     ----------
     time_s, displacement_um : ndarray, shape (N,)
     rest_samples : ndarray of int
-        Samples with one and the same memory, such as the starts of the harmonics at negative
-        saturation: what differs between them is drift.
+        Samples with equal memory, such as the starts of the harmonics at negative saturation;
+        differences between them are drift.
 
     Returns
     -------
     ndarray, shape (N,)
-        With the first of the samples at rest in the mean left where it was.
+        Displacement without drift, unchanged at the first sample at rest.
     numpy.polynomial.Polynomial
-        The drift.
+        The drift in um as a function of time in s.
 
     Raises
     ------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The projection algorithm (2.27), a baseline: cheap per sample, and slow to converge."""
+"""The projection algorithm (2.27), a baseline that is cheap per sample and converges slowly."""
 
 import numpy as np
 
@@ -8,18 +8,18 @@ from piezo_common.arrays import FloatArray
 
 def projection(rows: FloatArray, output: FloatArray, gain: float = 0.5, floor: float = 1.0,
                start: FloatArray | None = None) -> FloatArray:
-    """Follow the samples one by one, each with a step along its own row, eq. (2.27).
+    """Update the estimate with each sample by a step along its row, eq. (2.27).
 
     Parameters
     ----------
     rows : ndarray, shape (N, n)
     output : ndarray, shape (N,)
     gain : float
-        gamma_L, between 0 and 1.
+        Gain gamma_L, between 0 and 1.
     floor : float
-        theta, above 0.
+        Constant theta, above 0.
     start : ndarray, shape (n,), optional
-        Zero by default.
+        Initial estimate; zero by default.
 
     Returns
     -------

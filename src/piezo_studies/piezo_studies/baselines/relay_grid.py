@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The Preisach plane as a grid of relays: the linear regression of the density, and plain relays.
 
-Cells are counted row by row, i-major with j <= i, the order of `numpy.tril_indices(L)`.
+Cells are ordered row by row, i-major with j <= i, as in `numpy.tril_indices(L)`.
 """
 
 import numpy as np
@@ -15,11 +15,11 @@ from piezo_models.hysteresis.preisach_kernels import branch_start, with_room
 
 def activation_matrix(voltage_v: ArrayLike, levels_v: ArrayLike,
                       samples: ArrayLike | None = None) -> FloatArray:
-    """Return active area of every cell of the Preisach plane, starting from negative saturation.
+    """Return the active area of every cell of the Preisach plane, from negative saturation on.
 
-    With `mu = density[numpy.tril_indices(L)]` the output of the hysteresis is
-    `activation_matrix(...) @ mu + offset`, exactly: eq. (2.3) with true areas in place of whole
-    cells, so that the staircase may cross a cell anywhere.
+    With `mu = density[numpy.tril_indices(L)]`, the output of the hysteresis is exactly
+    `activation_matrix(...) @ mu + offset`: eq. (2.3) with true areas in place of whole cells, as
+    the staircase may cross a cell anywhere.
 
     Parameters
     ----------
@@ -28,8 +28,8 @@ def activation_matrix(voltage_v: ArrayLike, levels_v: ArrayLike,
     levels_v : (L + 1,) array_like
         Increasing edges of the cells.
     samples : (M,) array_like of int, optional
-        Increasing indices of the voltages whose rows are wanted; all by default. The voltages
-        between them count too.
+        Increasing indices of the voltages whose rows are returned; all by default. The voltages
+        between them act, too.
 
     Returns
     -------
@@ -120,7 +120,7 @@ def cell_centre_relays(model: PreisachModel) -> tuple[FloatArray, FloatArray, Fl
 
 def simulate_relays(voltage_v: ArrayLike, alpha_v: ArrayLike, beta_v: ArrayLike,
                     weight_um: ArrayLike, offset_um: float = 0.0) -> FloatArray:
-    """Sum of weighted relays, every relay visited at every sample, all off at the start.
+    """Return the sum of weighted relays, all off at the start, by updating each at each sample.
 
     A relay switches on when the voltage reaches its alpha and off when it falls below its beta.
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from piezo_common.arrays import BoolArray, FloatArray
 
 ROWS_AT_ONCE = 2000
-"""Rows of the regression that are held in memory together."""
+"""Number of rows of the regression held in memory at once."""
 
 
 def relay_rows(voltage_v: FloatArray, levels_v: FloatArray,
@@ -25,9 +25,9 @@ def relay_rows(voltage_v: FloatArray, levels_v: FloatArray,
     Returns
     -------
     ndarray, shape (N, L (L + 1) / 2)
-        0 or 1; i-major with j <= i.
+        States 0 or 1 in the order of the cells: i-major with j <= i.
     """
-    # A voltage that is meant to be a threshold reaches it, whatever the rounding.
+    # A voltage equal to a threshold must reach it in spite of rounding.
     centres_v = 0.5 * (levels_v[:-1] + levels_v[1:]) - 1e-9 * (levels_v[-1] - levels_v[0])
     i, j = np.tril_indices(centres_v.size)
     on = np.zeros(i.size, dtype=bool) if on is None else on
@@ -41,14 +41,14 @@ def relay_rows(voltage_v: FloatArray, levels_v: FloatArray,
 
 
 class NormalEquations:
-    """Sums M of A_k^T A_k and of A_k^T f(k) over samples, eq. (2.7); A itself is never held.
+    """Sums M of A_k^T A_k and of A_k^T f(k) over samples, eq. (2.7); A itself is not stored.
 
     Attributes
     ----------
     matrix : ndarray, shape (unknowns, unknowns)
-        M.
+        Matrix M = A^T A.
     right_side : ndarray, shape (unknowns,)
-        A^T Y.
+        Right side A^T Y.
     count : int
         Number of samples.
     """
@@ -78,10 +78,10 @@ def accumulate(voltage_v: FloatArray, output_um: FloatArray, levels_v: FloatArra
     Parameters
     ----------
     voltage_v, output_um : ndarray, shape (N,)
-        From negative saturation.
+        Voltage and output from negative saturation on.
     levels_v : ndarray, shape (L + 1,)
     samples : ndarray of int, optional
-        Increasing indices of the samples to use; all by default. The relays follow every voltage.
+        Increasing indices of the samples to use; all by default. Every voltage acts on the relays.
     """
     size = levels_v.size - 1
     equations = NormalEquations(size * (size + 1) // 2)
@@ -99,14 +99,14 @@ def accumulate(voltage_v: FloatArray, output_um: FloatArray, levels_v: FloatArra
 
 
 def excitation_rank(voltage_v: FloatArray, levels_v: FloatArray) -> int:
-    """Rank of the regression on the relay grid: how many densities an input tells apart.
+    """Return the rank of the regression on the relay grid: the number of identifiable densities.
 
-    Persistent excitation, appendix A.2, asks for L (L + 1) / 2.
+    Persistent excitation, appendix A.2, requires L (L + 1) / 2.
 
     Parameters
     ----------
     voltage_v : ndarray, shape (N,)
-        The samples used, from negative saturation.
+        Voltage of the samples used, from negative saturation on.
     levels_v : ndarray, shape (L + 1,)
     """
     different = set()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The samples of inputs of stair amplitude that the thesis takes: by time, or by the voltage."""
+"""The sampling rules of the thesis for harmonics of rising amplitude: by time or by voltage."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,29 +8,29 @@ from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.waveforms import turning_points
 
 SMALLEST_BRANCH = 0.25
-"""Part of the distance between two levels below which a way back is no reversal."""
+"""Smallest reversal, as a fraction of the distance between two levels."""
 
 LEVEL_SLACK = 1e-3
-"""Part of the distance between two levels by which a branch may end before a level that it counts
-as reaching. Half a quantum of any converter lies within it."""
+"""Distance from a level within which a branch counts as reaching it, as a fraction of the distance
+between levels; it is more than half a step of any converter."""
 
 
 def sample_by_voltage(voltage_v: FloatArray, levels_v: FloatArray) -> NDArray[np.intp]:
     """Choose the samples nearest to the levels: the input-based sampling rule (4.9)-(4.10).
 
-    Between two reversals every level is taken once, where the voltage comes nearest to it. L
-    harmonics of rising amplitude from level 0 give L (L + 1) + 1 samples.
+    Between two reversals, one sample is chosen for each level, where the voltage is nearest to it.
+    L harmonics of rising amplitude from level 0 give L (L + 1) + 1 samples.
 
     Parameters
     ----------
     voltage_v : ndarray, shape (N,)
     levels_v : ndarray, shape (L + 1,)
-        Uniform and increasing.
+        Uniformly increasing levels.
 
     Returns
     -------
     ndarray of int
-        Increasing.
+        Increasing sample numbers.
     """
     spacing_v = levels_v[1] - levels_v[0]
     points = turning_points(voltage_v, SMALLEST_BRANCH * spacing_v)
@@ -53,20 +53,20 @@ def sample_by_voltage(voltage_v: FloatArray, levels_v: FloatArray) -> NDArray[np
 def stair_sample_times(
     amplitudes_v: FloatArray, harmonic_period_s: float, voltages_v: FloatArray,
 ) -> FloatArray:
-    """Return the instants at which the harmonics pass by given voltages, (3.9)-(3.10) and (4.10).
+    """Return the times at which the harmonics cross given voltages, (3.9)-(3.10) and (4.10).
 
     Parameters
     ----------
     amplitudes_v : ndarray, shape (L,)
     voltages_v : ndarray
-        Increasing, above zero: multiples of the step for (4.10); middles of the steps for
-        (3.9)-(3.10), whose amplitudes are middles too.
+        Increasing voltages above zero: multiples of the step for (4.10); middles of the steps for
+        (3.9)-(3.10), whose amplitudes are middles, too.
 
     Returns
     -------
     ndarray
-        Increasing. Begins at 0; each harmonic gives every voltage that it reaches on its way up
-        and on its way down, its peak once, and its return to zero.
+        Increasing times from 0 on. Each harmonic gives one time for every voltage that it reaches
+        while it rises and while it falls, one for its peak, and one for its return to zero.
     """
     times_s = [np.zeros(1)]
     for i, amplitude_v in enumerate(amplitudes_v):

@@ -15,7 +15,9 @@ class Innovations:
     Parameters
     ----------
     transition : ndarray, shape (n, n)
+        Matrix A.
     innovation_gain, output_gain : ndarray, shape (n,)
+        Vectors K and C.
     """
 
     transition: FloatArray
@@ -26,16 +28,17 @@ class Innovations:
 def identify_subspace(
     input: FloatArray, output: FloatArray, order: int,
 ) -> Innovations:
-    """Identify a system in innovations form, without a starting guess and without iterations.
+    """Identify a system in innovations form, without initial values or iterations.
 
-    A long autoregression gives the predictor's Markov parameters; the singular vectors of what the
-    past tells of the future are the states, and the matrices follow by two regressions (Chiuso,
-    "The role of vector autoregressive modeling in predictor-based subspace identification", 2007).
+    A long autoregression gives the Markov parameters of the predictor. The states are the singular
+    vectors of the future output predicted from the past, and two regressions give the matrices
+    (Chiuso, "The role of vector autoregressive modeling in predictor-based subspace
+    identification", 2007).
 
     Parameters
     ----------
     input, output : ndarray, shape (N,)
-        Without offset; the output answers the input one sample later at the earliest.
+        Signals without offset; the output responds after one sample at the earliest.
     order : int
         Number of states.
 
@@ -59,7 +62,7 @@ def identify_subspace(
     orthogonal, triangle = np.linalg.qr(history)
     target = output[past:]
     markov = np.linalg.lstsq(triangle, orthogonal.T @ target, rcond=1e-12)[0].reshape(2, past)
-    # Row i predicts i samples further from the same past, with nothing known in between.
+    # Row i predicts i samples further ahead from the same past.
     future = min(past, max(20, 3 * order))
     predictors = np.zeros((future, 2, past))
     for i in range(future):

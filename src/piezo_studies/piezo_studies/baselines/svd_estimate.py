@@ -16,20 +16,20 @@ from piezo_studies.baselines.relay_regression import NormalEquations
 
 @dataclass(frozen=True, eq=False)
 class TruncatedSvd:
-    """M = A^T A reduced to its largest singular values, (2.9), beside A^T Y.
+    """M = A^T A reduced to its largest singular values, (2.9), and the right side A^T Y.
 
-    M is symmetric and not negative, so U and V are the same.
+    M is symmetric and positive semidefinite, so U and V are equal.
 
     Parameters
     ----------
     vectors : ndarray, shape (n, r)
-        U_r.
+        Singular vectors U_r.
     singular_values : ndarray, shape (r,)
-        From the largest down.
+        Kept singular values in descending order.
     right_side : ndarray, shape (n,)
-        A^T Y.
+        Right side A^T Y.
     all_singular_values : ndarray, shape (n,)
-        Those before the truncation.
+        Singular values before the truncation.
     """
 
     vectors: np.ndarray
@@ -43,7 +43,7 @@ class TruncatedSvd:
         return self.singular_values.size
 
     def solution(self) -> FloatArray:
-        """Return the least squares estimate of least norm, (2.12) and (2.25)."""
+        """Return the least-squares estimate of minimum norm, (2.12) and (2.25)."""
         return self.vectors @ ((self.vectors.T @ self.right_side) / self.singular_values)
 
     def updated(self, row: FloatArray, output: float, fixed_rank: bool = True) -> "TruncatedSvd":
@@ -52,15 +52,15 @@ class TruncatedSvd:
         Parameters
         ----------
         row : ndarray, shape (n,)
-            a_1.
+            Row a_1 of the sample.
         output : float
-            y_1.
+            Output y_1 of the sample.
         fixed_rank : bool
-            Keep the rank, as the thesis does; otherwise it grows where the row is a new direction.
+            Keep the rank, as in the thesis; otherwise, it grows if the row adds a direction.
         """
         along = self.vectors.T @ row
         across = row - self.vectors @ along
-        # Once more, as rounding leaves a part of the subspace in it.
+        # Orthogonalize twice, because of rounding.
         again = self.vectors.T @ across
         along, across = along + again, across - self.vectors @ again
         distance = np.linalg.norm(across)
@@ -83,16 +83,15 @@ def truncated_svd(equations: NormalEquations, ratio: float = 1e-3,
 
     Parameters
     ----------
-    equations : NormalEquations
     ratio : float
-        Singular values at or below this part of the largest are dropped.
+        Singular values up to this fraction of the largest are dropped.
     rank : int, optional
-        Number of singular values to keep, in place of the ratio.
+        Number of singular values to keep, instead of the ratio.
 
     Raises
     ------
     ValueError
-        If nothing is kept.
+        If no singular value is kept.
     """
     values, vectors = np.linalg.eigh(equations.matrix)
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
@@ -111,9 +110,9 @@ class SvdEstimate(DensityEstimate):
     Parameters
     ----------
     singular_values : ndarray
-        Of the normal equations, from the largest down.
+        Singular values of the normal equations in descending order.
     rank : int
-        How many of them were kept.
+        Number of kept singular values.
     """
 
     singular_values: np.ndarray
@@ -122,22 +121,22 @@ class SvdEstimate(DensityEstimate):
 
 def density_by_svd(decomposition: TruncatedSvd, voltage_v: FloatArray, levels_v: FloatArray,
                    offset_um: float = 0.0) -> SvdEstimate:
-    """Return the density of the decomposition, in the form that all estimators share.
+    """Return the density of the decomposition in the common form of all estimators.
 
     Parameters
     ----------
     decomposition : TruncatedSvd
-        Of the relay grid.
+        Decomposition for the relay grid.
     voltage_v : ndarray, shape (N,)
-        The samples used, for what they visit.
+        Voltage of the samples used, which gives the visited cells.
     levels_v : ndarray, shape (L + 1,)
     offset_um : float
-        Output with all relays off, removed from the outputs before.
+        Output with all relays off, which was removed from the outputs.
 
     Returns
     -------
     SvdEstimate
-        What no sample shows is of least norm.
+        Density; the part not determined by any sample has minimum norm.
     """
     return SvdEstimate(
         **vars(density_of_weights("truncated SVD", decomposition.solution(), voltage_v, levels_v,
@@ -147,7 +146,7 @@ def density_by_svd(decomposition: TruncatedSvd, voltage_v: FloatArray, levels_v:
 
 def density_of_weights(method: str, weights_um: FloatArray, voltage_v: FloatArray,
                        levels_v: FloatArray, offset_um: float = 0.0) -> DensityEstimate:
-    """Turn an estimate X of the relays' weights mu * s, (2.3), into a density.
+    """Convert an estimate X of the relay weights mu * s, (2.3), into a density.
 
     Parameters
     ----------

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How soon the monitor finds that a model's error doubled, and how often it errs in ten hours."""
+"""Study of the delay and the false alarms with which the monitor reports a doubled model error."""

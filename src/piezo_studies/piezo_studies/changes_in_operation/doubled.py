@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How soon a change that doubles the model's error is found, whatever is tracked."""
+"""Measure how soon a change that doubles the model error is found for different references."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -16,8 +16,8 @@ from piezo_studies.changes_in_operation.references import CLOCK, plan_of
 from piezo_studies.changes_in_operation.watched import WatchedStage, opened, samples
 
 CHANGE_S, MEASURED_S, WATCHED_S = 5.07, 2.0, 6.0
-"""When in a run the stage changes, in which time its error then doubles, and how long it is
-watched."""
+"""Time of the change in a run, time afterwards in which the error is twice as large on average, and
+time for which the stage is monitored (s)."""
 
 
 def _with_parameter(plant: PlantConfig, effect: str, parameter: str,
@@ -38,23 +38,23 @@ CHANGES: dict[str, Callable[[PlantConfig], PlantConfig]] = {
     "frequencies of the modes": lambda plant: _with_parameter(
         plant, "clamped_beam", "length_m", 0.99),
 }
-"""Of a plant whose form is that of the beam; by how much is scaled until the error doubles."""
+"""Changes of the plant `beam`, by name; their effect is scaled until the error doubles."""
 
 
 @dataclass(frozen=True)
 class Doubling:
-    """What the monitor reported of one change.
+    """The report of the monitor on one change.
 
     Attributes
     ----------
     kind, change : str
-        Of the reference, and a key of `CHANGES`.
+        Kind of the reference, and a key of `CHANGES`.
     before_um, after_um : float
         RMS of the error (um) without the change and with it.
     found_s : float
-        After which the first change was reported; not a number where none was.
+        Time from the change to the first report; nan if there was none.
     early : bool
-        Whether one was reported before there was any.
+        Whether a change was reported before it happened.
     """
 
     kind: str
@@ -71,11 +71,11 @@ def watch_doubling(watched: WatchedStage, kind: str, change: str) -> Doubling:
     Parameters
     ----------
     watched : WatchedStage
-        It stays as it is; a copy goes on.
+        Stage; it is copied and not modified.
     kind : str
-        Of the reference.
+        Kind of the reference.
     change : str
-        Of `CHANGES`.
+        Key of `CHANGES`.
     """
     voltage_v = plan_of(kind, watched.identified.model, 0).voltage_v(
         0, samples(CHANGE_S + WATCHED_S))
@@ -100,12 +100,12 @@ def watch_doubling(watched: WatchedStage, kind: str, change: str) -> Doubling:
 
 
 def error_um(residual_um: FloatArray) -> float:
-    """Return the RMS of the error in the time in which it doubles, as the monitor measures it.
+    """Return the RMS error in the time `MEASURED_S` after the change, as the monitor computes it.
 
     Parameters
     ----------
     residual_um : ndarray, shape (N,)
-        From the beginning of a run on.
+        Residual from the beginning of a run on.
     """
     size, slow, squares = samples(MonitorSettings().block_s), SlowOffset(), []
     for begin in range(size, samples(CHANGE_S + MEASURED_S), size):
@@ -117,12 +117,12 @@ def error_um(residual_um: FloatArray) -> float:
 
 
 def table(rows: list[tuple[str, list[Doubling], list[Doubling]]]) -> str:
-    """Return what was found as Markdown.
+    """Return the results as a Markdown table.
 
     Parameters
     ----------
     rows : list of (str, list of Doubling, list of Doubling)
-        The change; on each reference after hours of tracking, and in the first run.
+        Change, and its results on each reference after hours of tracking and in the first run.
     """
     lines = ["| what changes | after hours: found in 2 s | median | slowest "
              "| in the first run: found in 2 s | median | slowest |", 7 * "|---" + "|"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The simulated stage whose form no model shares, recorded by the recipe and identified."""
+"""Record and identify the simulated stage `beam`, whose form differs from that of the models."""
 
 from dataclasses import replace
 from hashlib import sha256
@@ -20,7 +20,7 @@ RECORDED = "creep", "dynamics", "hysteresis", "validation"
 
 
 def identified_beam(folder: Path) -> IdentifiedModel:
-    """Identify the beam, or return the model that a folder has of it."""
+    """Identify the beam, or return its model if the folder contains one."""
     path = folder / "model.json"
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)

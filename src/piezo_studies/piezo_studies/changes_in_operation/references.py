@@ -13,16 +13,16 @@ from piezo_controller.tracking.tracking_modes import StageClock
 from piezo_models.cascade import StageModel
 
 CLOCK = StageClock(sample_rate_hz=4000.0, samples_per_tick=4)
-"""A tenth of the usual clock: an hour of it is computed in seconds."""
+"""Clock at a tenth of the usual rate, so that an hour is simulated in seconds."""
 
 RUN_S = 60.0
-"""Of one reference, from its approach on."""
+"""Duration of a run with one reference, including its approach (s)."""
 
 PERIOD_S, FADE_S = 20.0, 0.5
-"""Of a random reference that is faded in and out; each has a few of them, one after the other."""
+"""Period of a random reference, and time in which it is faded in and out (s)."""
 
 DRAWS = 5
-"""Random references of a kind."""
+"""Number of random references of a kind."""
 
 KINDS: dict[str, Reference] = {
     "sine 0.5 Hz, 80 um": Reference("harmonic", (0.5,), (80.0,), centre_um=57.0),
@@ -58,9 +58,9 @@ def plan_of(kind: str, model: StageModel, draw: int) -> FeedforwardPlan:
     Parameters
     ----------
     kind : str
-        Of `KINDS`.
+        Key of `KINDS`.
     draw : int
-        Of a random reference; others are always the same.
+        Number of a random reference; other references do not depend on it.
     """
     reference = KINDS[kind]
     if reference.kind == "random":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A simulated stage of another form than its model, tracked by feedforward and watched."""
+"""A simulated stage that differs in form from its model, tracked by feedforward and monitored."""
 
 from copy import deepcopy
 from dataclasses import dataclass, field
@@ -18,21 +18,20 @@ from piezo_studies.changes_in_operation.references import CLOCK, KINDS, RUN_S, p
 
 PART_SAMPLES = 4000
 BACK_S, REST_S = 0.1, 0.15
-"""Of the way back from a run to 0 V, and of the rest there."""
+"""Durations of the ramp back to 0 V after a run, and of the rest there (s)."""
 
 LATER_KINDS = 5
-"""Kinds of references that are tracked in the second half only."""
+"""Number of kinds of references that are tracked only in the second half."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """A suspicion while nothing changed.
+    """A change that was reported while nothing changed.
 
     Attributes
     ----------
     kind : str
-        Of the reference.
-    suspicion : Suspicion
+        Kind of the reference.
     """
 
     kind: str
@@ -41,14 +40,12 @@ class Report:
 
 @dataclass(eq=False)
 class WatchedStage:
-    """A stage, its monitor, and the sample that comes next.
+    """A stage, its monitor, and the number of the next sample.
 
     Attributes
     ----------
-    plant : PlantConfig
-    identified : IdentifiedModel
     seed : int
-        Of the sensor's noise.
+        Seed of the sensor's noise.
     """
 
     plant: PlantConfig
@@ -64,18 +61,18 @@ class WatchedStage:
                                     known=known_error(self.identified))
 
     def copy(self) -> "WatchedStage":
-        """Return the same stage with the same monitor, to go on with independently."""
+        """Return an independent copy of stage and monitor."""
         return deepcopy(self, {id(self.identified): self.identified})
 
     def play(self, voltage_v: FloatArray, added_um: FloatArray | None = None,
              flags: int = int(Flag.TRACKING)) -> list[Suspicion]:
-        """Play voltages and return what is suspected.
+        """Play voltages and return the reported changes.
 
         Parameters
         ----------
         voltage_v : ndarray, shape (N,)
         added_um : ndarray, shape (N,), optional
-            By which a changed stage is elsewhere.
+            Displacement that a change of the stage adds.
         """
         raised: list[Suspicion] = []
         for begin in range(0, voltage_v.size, PART_SAMPLES):
@@ -89,7 +86,7 @@ class WatchedStage:
         return raised
 
     def run(self, kind: str, draw: int) -> list[Suspicion]:
-        """Track a reference from rest to rest; return what is suspected."""
+        """Track a reference from rest to rest; return the reported changes."""
         voltage_v = plan_of(kind, self.identified.model, draw).voltage_v(0, samples(RUN_S))
         raised = self.play(voltage_v)
         self.play(np.append(np.linspace(voltage_v[-1], 0.0, samples(BACK_S)),
@@ -105,7 +102,7 @@ def opened(plant: PlantConfig, seed: int) -> SimulatedStage:
 
 
 def samples(duration_s: float) -> int:
-    """Return how many samples of the clock a time has."""
+    """Return the number of clock samples in a time (s)."""
     return round(duration_s * CLOCK.sample_rate_hz)
 
 
@@ -115,7 +112,7 @@ def watch_unchanged(watched: WatchedStage, hours: float) -> list[Report]:
     Parameters
     ----------
     hours : float
-        Time of the stage; the last kinds of references are tracked in its second half only.
+        Simulated time; the last kinds of references are tracked only in its second half.
     """
     random, kinds = np.random.default_rng(0), list(KINDS)
     runs, reports = round(3600.0 * hours / RUN_S), []

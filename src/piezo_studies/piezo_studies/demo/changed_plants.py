@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Plant files of the demo's stage after something has changed that no model is told of."""
+"""Plant files of the demo's stage with changes that are unknown to the model."""
 
 from importlib import resources
 from pathlib import Path
@@ -19,21 +19,21 @@ def with_faster_mode(plant, factor, begin_s):
     plant : str
         Name of a plant that comes with the simulator, or path of a plant file.
     factor : float
-        Frequency behind over before.
+        Ratio of the frequencies after and before the change.
     begin_s : float
         Stage time of the change.
 
     Returns
     -------
     dict or None
-        Content of a plant file; None for a plant without such a mode.
+        Content of a plant file; None if the plant has no such mode.
     """
     content = _content(plant)
     modes = [number for number, entry in enumerate(content["stage"])
              if entry["effect"] == "vibration_mode"]
     if not modes:
         return None
-    # Less mass: with the stiffness, the compliance would change as well.
+    # Reduce the mass, as the stiffness would also change the compliance.
     content["stage"][modes[-1]] |= {
         "effect": "loaded_mode", "added_mass": _told(factor**-2 - 1.0, "1"),
         "added_stiffness": _told(0.0, "1"), "begin_s": _told(begin_s, "s")}
@@ -41,7 +41,7 @@ def with_faster_mode(plant, factor, begin_s):
 
 
 def with_sensor_lag(plant, lag_s):
-    """Return a plant whose displacement passes a low-pass of first order before it is measured.
+    """Return a plant whose displacement passes a first-order low-pass before it is measured.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def write_plant(content, path):
     ----------
     content : dict
     path : Path
-        Its folder is made if it is missing.
+        Path of the file; its folder is created if it is missing.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")

@@ -9,7 +9,7 @@ from piezo_common.command_line import Command
 from piezo_sim.plant.named_plants import PLANTS
 
 USUAL = "undeclared"
-"""The demo's own plant."""
+"""Default plant of the demo."""
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The demo: identify a simulated stage, track, find what the model lacks, track again, report.
 
-A second part watches a change and decides a cause; see `piezo_studies.demo.operation`.
+A second part monitors a change and decides on a cause; see `piezo_studies.demo.operation`.
 """
 
 import json
@@ -59,25 +59,25 @@ TRAJECTORIES = ((40.0, 40.0), (100.0, 40.0), (500.0, 21.0), (1000.0, 10.25))
 CENTRE_UM = 50.0
 DURATION_S = 1.0
 MODES = ("open_loop", "feedforward", "composite")
-# Before each run, one second each: the hysteresis' past is wiped out, then most of the creep dies
-# out, so that every run begins as the feedforward takes it to begin.
+# Voltages before each run, one second each. They erase the past of the hysteresis and let most of
+# the creep decay, so that every run begins in the state that the feedforward assumes.
 REST_VOLTAGE_V = (-20.0, *[0.0] * 60)
 START_TIMEOUT_S = 60.0
 ALIVE_PERIOD_S = 1.0
-# Of a ROS domain that has the demo to itself.
+# ROS domains from which one is chosen for the demo alone.
 DOMAIN_IDS = range(1, 101)
 FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130
 
 
 class DemoFailed(RuntimeError):
-    """The demo cannot go on; says why, and which log tells more."""
+    """The demo cannot continue; the message gives the reason and the log."""
 
     def __init__(self, message, log):
         super().__init__(f"{message}; see {log}")
 
 
 class WatchfulClient(Client):
-    """A client that does not wait for an answer of nodes that have ended."""
+    """A client that does not wait for nodes that have ended."""
 
     def __init__(self, processes):
         super().__init__()
@@ -85,7 +85,7 @@ class WatchfulClient(Client):
         self._names: tuple[str, ...] = ()
 
     def wait_for_nodes(self, names):
-        """Spin until these nodes are there, and watch them from then on."""
+        """Spin until these nodes are running, and monitor them from then on."""
         self._names = tuple(names)
         deadline = time.monotonic() + START_TIMEOUT_S
         while not self.spin_until(lambda: not self._absent(), ALIVE_PERIOD_S):
@@ -104,7 +104,7 @@ class WatchfulClient(Client):
                                  self._processes.log(name))
 
     def stage_is_active(self):
-        """Tell whether the stage is active."""
+        """Return whether the stage is active."""
         state = self.call(GetState, "stage/get_state").current_state
         return state.id == State.PRIMARY_STATE_ACTIVE
 
@@ -120,23 +120,25 @@ def run_demo(plant, directory, command, progress, tell, has_second_part=True):
     ----------
     plant : DemoPlant
     directory : Path
-        Gets the recordings, ``model.json``, ``summary.json``, ``report.html``, the picture
+        Directory for the recordings, ``model.json``, ``summary.json``, ``report.html``, the figure
         ``tracking.png`` and the logs.
     command : str
-        What the user typed.
+        Command line of the user.
     progress : ProgressLine
     tell : callable
-        Called with the summary of the first part, once its report is written.
+        Called with the summary of the first part after its report was written.
     has_second_part : bool
-        Whether the stage changes while it tracks, and a recording decides; see `operation`.
+        Whether to run the second part; see `operation`.
 
     Returns
     -------
     summary : dict
+        Results of the demo.
 
     Raises
     ------
     DemoFailed
+        If a node fails or ends.
     """
     begin_s = time.monotonic()
     os.environ["ROS_DOMAIN_ID"] = str(random.SystemRandom().choice(DOMAIN_IDS))
@@ -152,8 +154,8 @@ def run_demo(plant, directory, command, progress, tell, has_second_part=True):
             client.wait_for_nodes(NODES)
             recording = _record_diagnostic(client, processes, directory, progress)
             identified_s = time.monotonic()
-            # The diagnosis computes while the stage tracks, and goes on while the runs are drawn.
-            # Its report is written beside the second tracking, which needs the model alone.
+            # The diagnosis runs while the stage tracks and while the runs are drawn. Its report is
+            # written during the second tracking, which needs only the model.
             with (ThreadPoolExecutor(1) as beside,
                   _diagnosing(client, processes, identified, recording, directory,
                               progress) as diagnosing):
@@ -162,7 +164,7 @@ def run_demo(plant, directory, command, progress, tell, has_second_part=True):
                 drawn = beside.submit(_draw_runs, identified, tracks, directory)
                 extended_model = directory / "diagnosis" / "extended_model.json"
                 if not diagnosing.wait_until(extended_model.exists):
-                    diagnosing.result()  # tells why
+                    diagnosing.result()  # raises the failure
                 diagnosed_s = time.monotonic()
                 compared = beside.submit(draw_models, identified.model, extended_model,
                                          _recording_of("validation", identified))
@@ -212,7 +214,7 @@ def _write_page(directory, plant, command, sections):
 
 
 def _identify(client, processes, plant, directory, progress):
-    """Identify, and bring the stage to rest while the model is estimated."""
+    """Identify, and bring the stage to rest during the estimation."""
     def show(feedback):
         progress.show(f"identify, {feedback.stage}", feedback.fraction, feedback.seconds_left)
 
@@ -234,7 +236,7 @@ def _record_diagnostic(client, processes, directory, progress):
 
 @contextmanager
 def _diagnosing(client, processes, identified, recording, directory, progress):
-    """Let the diagnosis begin, and give it as it runs."""
+    """Start the diagnosis, and yield its running goal."""
     def show(feedback):
         progress.show(f"diagnose, {feedback.stage}", feedback.fraction, feedback.seconds_left)
 
@@ -254,7 +256,7 @@ def _recording_of(experiment, identified):
 
 
 def _track_all(client, processes, model, directory, progress):
-    """Track every trajectory in every mode; give the path of each recording once it is made."""
+    """Track every trajectory in every mode, and yield the path of each recording."""
     begin_s = time.monotonic()
     runs = [(*trajectory, mode) for trajectory in TRAJECTORIES for mode in MODES]
     for number, (frequency_hz, amplitude_um, mode) in enumerate(runs):
@@ -300,7 +302,7 @@ def _report(plant, directory, drawn, diagnosis, compared, runs_after, command):
 
 @contextmanager
 def _blaming(processes, name):
-    """Turn the failure of an action into the demo's, with the log of the node that served it."""
+    """Convert the failure of an action into DemoFailed with the log of the node."""
     try:
         yield
     except GoalFailed as failure:
@@ -308,7 +310,7 @@ def _blaming(processes, name):
 
 
 def run_given(options):
-    """Run the demo of the options, and print its results."""
+    """Run the demo with the given options, and print its results."""
     command = shlex.join(["./run", "piezo_studies", "demo",
                           *(["--plant", options.plant] if options.plant != USUAL else []),
                           *(["--output", str(options.output)] if options.output else []),
@@ -363,7 +365,7 @@ def _print_results(summary):
 
 
 def _interrupt(*_):
-    """Interrupt once: a second signal must not disturb the orderly end."""
+    """Interrupt once; ignore further signals, so that the nodes can end in order."""
     for number in signal.SIGINT, signal.SIGTERM:
         signal.signal(number, signal.SIG_IGN)
     raise KeyboardInterrupt

@@ -30,9 +30,9 @@ class DemoPlant:
     plant : str
         Parameter of the stage node: a name, or the absolute path of a plant file.
     name : str
-        For people and for the directory of the results.
+        Name for users and for the directory of the results.
     sentence : str
-        What the stage is, for the report.
+        Description of the stage for the report.
     """
 
     plant: str
@@ -41,7 +41,7 @@ class DemoPlant:
 
     @property
     def directory(self) -> Path:
-        """Where the demo's results go unless the user says otherwise."""
+        """Default directory of the results."""
         return Path("runs", "demo" if self.name == USUAL else f"demo-{self.name}")
 
 

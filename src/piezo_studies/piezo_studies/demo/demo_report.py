@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The report of the demo: what was measured, in sentences, tables and pictures."""
+"""The report of the demo: text, tables and figures of the results."""
 
 import shlex
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ def render_report(plant, command, sections):
     ----------
     plant : DemoPlant
     command : str
-        That made it all.
+        Command line of the demo.
     sections : sequence of Section
     """
     return render_page(TITLE, _introduction(plant, command), sections)
@@ -44,7 +44,7 @@ class DrawnRuns:
     Attributes
     ----------
     errors : dict of str to float
-        Of the model on unseen data, by name.
+        Errors of the model on unseen data, by name.
     """
 
     errors: dict
@@ -58,12 +58,13 @@ def draw_runs(errors, model, recordings, tracks, directory):
     Parameters
     ----------
     errors : dict of str to float
-        Of the model on unseen data, by name.
+        Errors of the model on unseen data, by name.
     recordings : sequence of path-like
-        Of `SHOWN_EXPERIMENTS`, in this order.
+        Recordings of `SHOWN_EXPERIMENTS`, in this order.
     tracks : sequence of path-like
+        Recordings of the runs.
     directory : path-like
-        Where the model and the recordings are.
+        Directory of the model and the recordings.
     """
     runs = [read_tracked_run(track) for track in tracks]
     read = dict(zip(SHOWN_EXPERIMENTS, map(read_recording, recordings), strict=True))
@@ -71,7 +72,7 @@ def draw_runs(errors, model, recordings, tracks, directory):
 
 
 def drawn_runs(errors, identified, recordings, runs, directory):
-    """Draw runs and recordings that have been read; see `draw_runs`."""
+    """Draw runs and recordings already read; see `draw_runs`."""
     return DrawnRuns(errors, runs, [
         _identification_section(errors, identified, recordings, directory),
         *(_frequency_section(frequency_hz, [run for run in runs
@@ -86,10 +87,10 @@ def report_sections(summary, drawn, extended):
     Parameters
     ----------
     summary : dict
-        Of `summary.summarise`.
+        Summary from `summary.summarise`.
     drawn : DrawnRuns
     extended : ExtendedModel
-        What came of the diagnosis.
+        Result of the diagnosis.
     """
     return [
         _errors_section(summary), *drawn.sections,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The demo's report on the extended model: what the model lacked, and what the extension brings."""
+"""The part of the demo's report on the extended model: the missing effects and the improvement."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ from piezo_studies.demo.summary import model_error_rows, tracking_error_rows
 
 @dataclass(frozen=True, eq=False)
 class ExtendedModel:
-    """What the diagnosis found, and the runs with the extended model.
+    """The result of the diagnosis, and the runs with the extended model.
 
     Attributes
     ----------
@@ -23,9 +23,9 @@ class ExtendedModel:
     verdict : dict
         The content of ``verdict.json``.
     pictures : tuple
-        Of `draw_models`.
+        Figures from `draw_models`.
     runs : list of TrackedRun
-        Tracked with it.
+        Runs with the extended model.
     """
 
     sentence: str
@@ -35,7 +35,7 @@ class ExtendedModel:
 
 
 def draw_models(model, extended_model, validation):
-    """Draw a model and the extended one.
+    """Draw errors and responses of a model before and after its extension.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def draw_models(model, extended_model, validation):
 
 
 def drawn_models(model, extended_model, validation):
-    """Draw models and a recording that have been read; see `draw_models`."""
+    """Draw models and a recording already read; see `draw_models`."""
     before, after = (predict(each, validation) for each in (model, extended_model))
     sample_period_s = 1.0 / validation.sample_rate_hz
     return (
@@ -67,9 +67,9 @@ def extended_model_sections(summary, runs, extended):
     Parameters
     ----------
     summary : dict
-        With ``diagnosis`` and ``tracking_after``.
+        Summary with the keys ``diagnosis`` and ``tracking_after``.
     runs : list of TrackedRun
-        Tracked with the model as it was.
+        Runs with the original model.
     extended : ExtendedModel
     """
     return (_effects_section(extended.sentence, extended.verdict["effects"]),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Pictures of a model and of tracking before and after the model was extended, on shared axes."""
+"""Figures of a model and of tracking before and after the extension of the model."""
 
 import numpy as np
 from scipy.signal import welch
@@ -11,7 +11,7 @@ RESPONSE_HZ = np.geomspace(50.0, 4000.0, 1500)
 SEGMENT = 8192
 SHOWN_PERIODS = 2
 QUIET_HZ = 8000.0
-"""Above it nothing moves: what is there is the sensor's noise."""
+"""Frequency above which the stage does not move, so that the signal is sensor noise."""
 
 
 def _compared(before, after):
@@ -46,7 +46,7 @@ def draw_model_errors(before, after, sample_period_s):
 
 
 def draw_responses(before, after, sample_period_s):
-    """Draw the magnitude of the linear part of two models, sampled.
+    """Draw the magnitude of the sampled linear part of two models.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def draw_tracking_errors(before, after):
     Parameters
     ----------
     before, after : dict of float to TrackedRun
-        By frequency in Hz.
+        Runs by frequency in Hz.
     """
     figure = new_figure(1.2 + 1.5 * len(after))
     rows = figure.subplots(len(after), 1, squeeze=False)[:, 0]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The demo's second part: a stage that changes while it tracks, and a cause that needs a decision.
+"""The demo's second part: a stage that changes while it tracks, and a cause to be decided.
 
-Both begin with the extended model of the first part, on the same stage with one change more.
+Both use the extended model of the first part, on the same stage with one further change.
 """
 
 import json
@@ -12,17 +12,17 @@ from piezo_client.model_offers import accept_extended_model, offered_model
 from piezo_studies.demo.changed_plants import with_faster_mode, with_sensor_lag, write_plant
 from piezo_studies.demo.session import MEETINGS
 
-# Moves the modes: 20 um at 50 Hz and some more near each of the first two.
+# Excites the modes: 20 um at 50 Hz and further tones near each of the first two modes.
 REFERENCE = {"kind": "multi_frequency", "frequency_hz": [50.0, 400.0, 750.0],
              "amplitude_um": [20.0, 8.0, 4.0], "centre_um": 57.0}
 MONITOR = {"block_s": 0.1, "learning_blocks": 20, "diagnosed_s": 0.5,
            "directory": "monitor/changes"}
 FASTER = 1.03
-# Behind the rest before the run: longer than the monitor learns.
+# Time of the change after the rest before the run, longer than the monitor learns.
 CHANGE_AFTER_S, CHANGING_S, COMPARED_S = 4.0, 6.0, 0.5
 OFFER_TIMEOUT_S = 120.0
 
-# A scan line, on which a lag and a delay look alike: they differ by (w T)^2 / 2, that is 0.1 nm.
+# A scan line for which a lag and a delay differ only by (w T)^2 / 2, that is 0.1 nm.
 SCAN = {"kind": "harmonic", "frequency_hz": [20.0], "amplitude_um": [10.0], "centre_um": 50.0}
 SCAN_S = 0.2
 LAG_S = 5e-5
@@ -31,20 +31,20 @@ LONGEST_S = 0.2
 
 @dataclass(frozen=True)
 class Monitored:
-    """What came of a mode that became faster while the stage tracked.
+    """The results for a mode that became faster while the stage tracked.
 
     Attributes
     ----------
     change_s, since_s : float
-        Stage time of the change, and when the monitor estimates it to have begun.
+        Stage time of the change, and its estimate by the monitor.
     sentence : str
-        What the monitor found.
+        Result of the monitor in words.
     before_rms_um, after_rms_um : float
-        Of the residual of the model as it was, and of the one offered.
+        RMS of the residual of the original model, and of the offered model.
     e_rms_before_percent, e_rms_after_percent : float
-        Tracking errors by the sensor, with the model as it was and with the one accepted.
+        Tracking errors by the sensor with the original model and with the accepted one.
     extended_model : str
-        Path.
+        Path of the offered model.
     """
 
     change_s: float
@@ -59,20 +59,20 @@ class Monitored:
 
 @dataclass(frozen=True)
 class Decided:
-    """What one proposed recording decided.
+    """The decision by one proposed recording.
 
     Attributes
     ----------
     hidden : str
-        What the stage has, which only the simulator knows.
+        Effect of the simulated stage that is unknown to the model.
     experiment : str
-        What was played, in words.
+        Description of the played experiment.
     before, after : dict of str to float
-        Probability of each explanation.
+        Probability of each explanation before and after it.
     decision, sentence : str
-        What was decided, and the verdict.
+        The decision and the verdict in words.
     report : str
-        Path of the page.
+        Path of the report.
     """
 
     hidden: str
@@ -85,18 +85,18 @@ class Decided:
 
 
 def start_changing_stage(session, plant, directory):
-    """Start the stage on which a mode becomes faster, and the monitor; both take their time.
+    """Start the stage on which a mode becomes faster, and the monitor, without waiting for them.
 
     Parameters
     ----------
     session : Session
     directory : Path
-        Of the second part; its folder ``monitor`` gets the plant file.
+        Directory of the second part; the plant file is written to its folder ``monitor``.
 
     Returns
     -------
     float or None
-        Stage time of the change; None for a plant without a mode that could change, which is not
+        Stage time of the change; None if the plant has no mode that can change, and nothing is
         started.
     """
     change_s = (MEETINGS + 1) * session.rest_s + CHANGE_AFTER_S
@@ -114,13 +114,13 @@ def monitor_a_change(session, change_s, model, directory):
     Parameters
     ----------
     session : Session
-        In which `start_changing_stage` has started the stage.
+        Session in which `start_changing_stage` has started the stage.
     change_s : float
-        What that returned.
+        Time returned by `start_changing_stage`.
     model : path-like
-        That is watched.
+        Model that is monitored.
     directory : Path
-        Gets the recordings.
+        Directory for the recordings.
 
     Raises
     ------
@@ -143,13 +143,13 @@ def monitor_a_change(session, change_s, model, directory):
 
 
 def decide_a_cause(session, plant, model, directory):
-    """Scan a stage with a lag of its sensor, and let one recording decide what the model lacks.
+    """Scan a stage with a sensor lag, and decide with one recording what the model lacks.
 
     Parameters
     ----------
     session : Session
     directory : Path
-        Gets plant file, recordings and the diagnosis.
+        Directory for plant file, recordings and diagnosis.
     """
     directory.mkdir(parents=True, exist_ok=True)
     session.start_stage(write_plant(with_sensor_lag(plant, LAG_S), directory / "plant.yaml"))
@@ -166,25 +166,25 @@ def decide_a_cause(session, plant, model, directory):
 
 
 def _proposal(path):
-    """Return what was proposed; empty where the first diagnosis was sure."""
+    """Return the proposed experiment; empty if the first diagnosis was certain."""
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
 
 
 def second_part(session, plant, change_s, model, directory):
-    """Run both; return what came of them, as the part of the summary that tells it.
+    """Run both parts, and return their results for the summary.
 
     Parameters
     ----------
     session : Session
     change_s : float or None
-        Of `start_changing_stage`.
+        Time from `start_changing_stage`.
     model : path-like
-        Extended by the first part.
+        Extended model of the first part.
 
     Returns
     -------
     dict
-        ``monitor`` (or None) and ``decision``.
+        Results with the keys ``monitor`` (or None) and ``decision``.
     """
     watched = None if change_s is None else monitor_a_change(
         session, change_s, model, Path(directory, "monitor"))

@@ -12,7 +12,7 @@ def operation_sections(operation):
     Parameters
     ----------
     operation : dict
-        Of `operation.second_part`.
+        Results from `operation.second_part`.
     """
     monitor = operation["monitor"]
     return [*([] if monitor is None else [_monitor_section(monitor)]),
@@ -20,12 +20,12 @@ def operation_sections(operation):
 
 
 def format_operation(operation):
-    """Return one line for each of the two, for a terminal.
+    """Return one line of text for each of the two parts.
 
     Parameters
     ----------
     operation : dict
-        Of `operation.second_part`.
+        Results from `operation.second_part`.
     """
     lines, monitor, decision = [], operation["monitor"], operation["decision"]
     if monitor is not None:

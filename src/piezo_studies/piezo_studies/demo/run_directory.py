@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The directory of one run of the demo; what an earlier run left in its place is moved aside."""
+"""The directory of a run of the demo; that of an earlier run is renamed."""
 
 import json
 from datetime import datetime
@@ -11,23 +11,23 @@ MARK = "run.json"
 def claim_directory(path, command):
     """Make a directory for a run.
 
-    An empty directory is taken as it is. A directory of an earlier run is renamed to carry the time
-    that run began, so that no recording is ever overwritten.
+    An empty directory is used as it is. A directory of an earlier run is renamed with the start
+    time of that run, so that no recording is overwritten.
 
     Parameters
     ----------
     command : str
-        What the user typed, kept in the directory's ``run.json``.
+        Command line of the user, stored in ``run.json`` of the directory.
 
     Returns
     -------
     earlier : Path or None
-        Where the earlier run is now.
+        New path of the earlier run.
 
     Raises
     ------
     ValueError
-        If the directory holds something that no earlier run made, or cannot be made.
+        If the directory holds anything but an earlier run, or cannot be created.
     """
     path = Path(path)
     try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the demo asks of running nodes beside or between its runs."""
+"""Requests of the demo to running nodes, during or between its runs."""
 
 from piezo_client.client import ALIVE_PERIOD_S, GoalFailed
 from piezo_client.model_offers import monitor_follows
@@ -7,32 +7,32 @@ from piezo_client.model_offers import monitor_follows
 START_TIMEOUT_S = 60.0
 
 MEETINGS = 3
-"""Rests on a new stage while the monitor meets it."""
+"""Number of rests on a new stage while the monitor connects to it."""
 MEETING_S = 10.0
-"""After each, for which it is waited for."""
+"""Longest wait for the monitor after each rest (s)."""
 
 
 def rest(client, voltage_v):
-    """Have the stage play voltages of a second each, until it is at rest."""
+    """Play voltages for a second each, so that the stage comes to rest."""
     client.goal("play_waveform", voltage_v=voltage_v, sample_period_s=1.0, repeats=1)
 
 
 class RunningGoal:
-    """A goal that goes on beside others of the same client.
+    """A goal that runs in parallel with others of the same client.
 
     Parameters
     ----------
     name : str
-        Of the action.
+        Name of the action.
     show : callable
-        Called with each feedback message while this goal alone is waited for.
+        Called with each feedback message while this goal is waited for.
     **fields
-        Of the goal.
+        Fields of the goal.
 
     Attributes
     ----------
     stage : str
-        Of the last feedback.
+        Stage in the last feedback.
     """
 
     def __init__(self, client, name, show, **fields):
@@ -46,7 +46,7 @@ class RunningGoal:
             self._show(feedback)
 
     def wait_until(self, condition):
-        """Wait until a condition holds; return whether it does, as the goal may end before."""
+        """Wait until a condition holds or the goal ends; return whether the condition holds."""
         self._waits = True
         while not self._client.spin_until(
                 lambda: condition() or self._ended.done(), ALIVE_PERIOD_S):
@@ -55,12 +55,12 @@ class RunningGoal:
         return condition()
 
     def result(self):
-        """Return the result of the action, once it has ended.
+        """Wait for the end of the action, and return its result.
 
         Raises
         ------
         GoalFailed
-            If it failed.
+            If the action failed.
         """
         self.wait_until(self._ended.done)
         message = self._ended.result().result
@@ -70,20 +70,20 @@ class RunningGoal:
 
 
 class Session:
-    """Running nodes, of which the stage can be started anew on another plant.
+    """Running nodes; the stage can be restarted with another plant.
 
     Parameters
     ----------
     processes : piezo_bringup.processes.Processes
-        With a running ``stage``.
+        Processes with a running ``stage``.
     stage_parameters : dict
-        Of the stage node, but for its plant.
+        Parameters of the stage node except its plant.
     rest_v : sequence of float
-        Voltages of a second each, before each run.
+        Voltages before each run, for a second each.
     is_active : callable
-        Tells whether the stage is active.
+        Returns whether the stage is active.
     show : callable
-        Called with what is done.
+        Called with a description of each step.
     """
 
     def __init__(self, client, processes, stage_parameters, rest_v, is_active, show):
@@ -93,16 +93,16 @@ class Session:
 
     @property
     def rest_s(self):
-        """Return how long a rest takes: a sample more, in which the stage goes to its voltage."""
+        """Duration of a rest (s); it includes one more sample to reach the voltage."""
         return len(self.rest_v) + 1.0
 
     def start_stage(self, plant):
-        """End the stage, and start it on a plant file; see `wait_for_stage`."""
+        """Restart the stage with a plant file; see `wait_for_stage`."""
         self._processes.stop(["stage"])
         self._processes.start("stage", {**self._stage_parameters, "plant": plant})
 
     def wait_for_stage(self):
-        """Wait until the stage that was started is active.
+        """Wait until the restarted stage is active.
 
         Raises
         ------
@@ -115,19 +115,19 @@ class Session:
                                f"see {self._processes.log('stage')}")
 
     def start_monitor(self, parameters):
-        """Start the monitor; after the stage, so that it meets no other stage before."""
+        """Start the monitor; call it after `start_stage`, so that it finds the new stage."""
         self._processes.start("monitor", parameters)
 
     def let_monitor_follow(self):
         """Wait for the monitor, rest `MEETINGS` times, and wait until it follows the stage.
 
-        The monitor meets a stage, and the model of the controller, some time after these start, and
-        a run in lockstep may be over by then. Samples may still be lost on the way to it.
+        The monitor discovers the stage and the model of the controller some time after their start,
+        when a run in lockstep may already be over. Samples may also be lost on the way to it.
 
         Raises
         ------
         RuntimeError
-            If it does not follow.
+            If the monitor does not follow the stage.
         """
         self._show("wait for the monitor")
         follows = False
@@ -141,13 +141,13 @@ class Session:
                 f"the monitor does not follow the stage; see {self._processes.log('monitor')}")
 
     def track(self, reference, model, duration_s, directory):
-        """Rest, track a reference by the composite control, and return the result of the action."""
+        """Rest, track a reference with composite control, and return the result of the action."""
         self._show(f"track beside the monitor, {directory.name}")
         rest(self.client, self.rest_v)
         return self.client.track(reference, model, "composite", duration_s, directory)
 
     def decide(self, model, recording, directory, longest_s):
-        """Diagnose a recording, and let one proposed recording decide; return the result."""
+        """Diagnose a recording with one proposed experiment, and return the result."""
         return self.client.diagnose(
             model, [recording], directory, experiments=1, longest_s=longest_s,
             on_feedback=lambda feedback: self._show(f"decide, {feedback.stage}"))

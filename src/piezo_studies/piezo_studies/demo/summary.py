@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Boil the demo's runs down to numbers: for machines, and as one table for people."""
+"""Summarise the demo's runs as plain values and as text tables."""
 
 import os
 
@@ -36,13 +36,13 @@ def summarise(runs, identification, directory):
     identification : dict of str to float
         Errors of the model on unseen data, by name.
     directory : path-like
-        Paths of recordings are given relative to it.
+        Directory to which the paths of recordings are relative.
 
     Returns
     -------
     dict
-        ``tracking``, one entry for each run; ``identification``; ``lockstep_ratio``, the simulated
-        seconds per wall second of the closed loop, over all runs with feedback.
+        Summary with the keys ``tracking``, with one entry for each run, ``identification``, and
+        ``lockstep_ratio``, the simulated seconds per wall second in all runs with feedback.
     """
     return {
         "tracking": [summarise_run(run, directory) for run in runs],
@@ -61,8 +61,8 @@ def summarise_run(run, directory):
     Returns
     -------
     dict
-        e_rms (2.32) by the sensor, of the simulator's true displacement, and by the sensor without
-        the mean error; the thesis' figure or None.
+        Run and its errors: e_rms (2.32) by the sensor, of the simulator's true displacement, and by
+        the sensor without the mean error, together with the thesis' figure or None.
     """
     return {
         "frequency_hz": run.frequency_hz,
@@ -90,14 +90,14 @@ def lockstep_ratio(runs):
 
 
 def table_rows(summary):
-    """Return the table of tracking errors: the heads, then a list of texts for each run."""
+    """Return the table of tracking errors: the heads, then a row for each run."""
     return [[head for head, _ in COLUMNS.values()],
             *([_text(entry[key], form) for key, (_, form) in COLUMNS.items()]
               for entry in summary["tracking"])]
 
 
 def format_table(summary):
-    """Return the table of tracking errors as text for a terminal."""
+    """Return the table of tracking errors as text."""
     return _aligned(table_rows(summary))
 
 
@@ -110,7 +110,7 @@ def model_error_rows(summary):
 
 
 def format_model_errors(summary):
-    """Return that table as text for a terminal."""
+    """Return the table of `model_error_rows` as text."""
     return _aligned(model_error_rows(summary))
 
 
@@ -130,7 +130,7 @@ def tracking_error_rows(summary):
 
 
 def format_tracking_errors(summary):
-    """Return that table as text for a terminal."""
+    """Return the table of `tracking_error_rows` as text."""
     return _aligned(tracking_error_rows(summary))
 
 

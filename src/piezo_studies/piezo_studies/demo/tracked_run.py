@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Read the recording of one tracking run back into signals beside its reference."""
+"""Read the signals and the reference of a tracking run from its recording."""
 
 import json
 from dataclasses import dataclass
@@ -20,17 +20,17 @@ class TrackedRun:
     Attributes
     ----------
     frequency_hz, amplitude_um, centre_um : float
-        Of the harmonic reference; the amplitude is peak to peak.
+        Frequency, peak-to-peak amplitude and centre of the harmonic reference.
     reference_um, displacement_um, true_um : ndarray, shape (N,)
-        Wanted, measured by the sensor, and true in the simulator.
+        Reference, displacement measured by the sensor, and true displacement of the simulator.
     voltage_v : ndarray, shape (N,)
-        Applied.
+        Applied voltage.
     loop_s, loop_wall_s : float
         Stage time and wall time from the first block of the loop to the last.
     missed_feedback : int
-        Ticks that had to do without a new answer.
+        Number of ticks without new feedback.
     path : str
-        Of the recording.
+        Path of the recording.
     """
 
     mode: str
@@ -49,12 +49,12 @@ class TrackedRun:
 
     @property
     def time_s(self):
-        """Return the time since the periodic part began, shape (N,)."""
+        """Time since the periodic part began, shape (N,)."""
         return np.arange(len(self.reference_um)) / self.sample_rate_hz
 
     @property
     def error_um(self):
-        """Return the reference minus measured displacement, shape (N,)."""
+        """Reference minus measured displacement, shape (N,)."""
         return self.reference_um - self.displacement_um
 
 
@@ -64,7 +64,7 @@ def read_tracked_run(path):
     Parameters
     ----------
     path : path-like
-        The rosbag2 directory.
+        Path of the rosbag2 directory.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def _true_displacement_um(path, part):
 
 
 def _loop_times(path, first_sample, last_sample):
-    """Return samples and wall time of the loop, first block to last, and the missed answers."""
+    """Return samples and wall time of the loop, and the number of ticks without feedback."""
     with AnyReader([Path(path)]) as reader:
         samples = [connection for connection in reader.connections
                    if connection.msgtype.endswith("/SampleBlock")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Pictures of the tracking runs: errors over frequency, signals, voltages and their spectra."""
+"""Figures of the tracking runs: errors over frequency, signals, voltages and their spectra."""
 
 import numpy as np
 
@@ -30,9 +30,9 @@ def draw_errors(entries, entries_after=()):
     Parameters
     ----------
     entries : list of dict
-        Of `summary.summarise_run`.
+        Entries from `summary.summarise_run`.
     entries_after : list of dict, optional
-        The same with an extended model, of which composite is shown.
+        Entries with the extended model; only composite is drawn.
     """
     figure = new_figure(4.2)
     axes = figure.subplots()
@@ -71,7 +71,7 @@ def draw_tracking(runs):
     Parameters
     ----------
     runs : dict of str to TrackedRun
-        By mode.
+        Runs by mode.
     """
     shown, time_ms = _last_periods(next(iter(runs.values())))
     figure = new_figure(2.4 + 1.3 * len(runs))
@@ -100,7 +100,7 @@ def draw_voltages(feedforward_v, feedback_v, run):
     ----------
     feedforward_v, feedback_v : ndarray, shape (N,)
     run : TrackedRun
-        Gives the time.
+        Run that gives the time.
     """
     shown, time_ms = _last_periods(run)
     figure = new_figure(4.4)
@@ -133,9 +133,9 @@ def draw_spectra(feedforward_v, feedback_v, sample_rate_hz):
 
 
 def amplitude_spectrum(signal, sample_rate_hz):
-    """Return the amplitudes of the sines in a signal, seen through a Hann window.
+    """Return the amplitudes of the sines in a signal with a Hann window.
 
-    The window keeps a drift over the run from hiding everything above it.
+    The window reduces the leakage of a drift.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def amplitude_spectrum(signal, sample_rate_hz):
     Returns
     -------
     frequency_hz, amplitude : ndarray, shape (M,)
-        Without the mean.
+        Spectrum without the mean.
     """
     window = np.hanning(len(signal) + 1)[:-1]
     harmonics = np.fft.rfft((signal - signal.mean()) * window)
@@ -153,11 +153,11 @@ def amplitude_spectrum(signal, sample_rate_hz):
 
 
 def _last_periods(run):
-    """Slice of the last periods of a run, and their time in ms."""
+    """Return the slice of the last periods of a run, and their time in ms."""
     count = round(SHOWN_PERIODS * run.sample_rate_hz / run.frequency_hz)
     return slice(-count, None), 1e3 * np.arange(count) / run.sample_rate_hz
 
 
 def _scaled(error_um):
-    """Format an error with the unit that suits its size."""
+    """Return an error in um or nm, whichever suits its size, and the unit."""
     return (error_um, "um") if np.abs(error_um).max() > 0.5 else (1e3 * error_um, "nm")

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How well diagnose names what hidden plants do: many drawn cases and their confusion table."""
+"""Benchmark of `diagnose` on many random plants with hidden effects, with a confusion table."""

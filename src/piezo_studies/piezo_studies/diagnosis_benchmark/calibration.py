@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Whether the probabilities of verdicts come true: reliability, and the expected calibration error.
+"""Calibration of the probabilities of verdicts: reliability and expected calibration error.
 
-The most probable statement of each case counts, as in Guo et al. (2017), "On calibration of modern
-neural networks".
+The most probable statement of each case is evaluated, as in Guo et al. (2017), "On calibration of
+modern neural networks".
 """
 
 from dataclasses import dataclass
@@ -14,25 +14,26 @@ from piezo_studies.diagnosis_benchmark.outcome import CLEAR, outcome, strongest
 
 BINS = 10
 DRAWS, SEED = 4000, 0
-"""Of the outcomes of a calibrated program: so many determine their mean to 0.001."""
+"""Number of simulated outcomes of a calibrated program, which gives their mean to 0.001, and their
+seed."""
 
 
 @dataclass(frozen=True)
 class Reliability:
-    """How often statements of some probability come true.
+    """How often statements of a given probability are true.
 
     Attributes
     ----------
     edges : (B + 1,) tuple of float
-        Of the bins of probability.
+        Edges of the bins of probability.
     stated, true : (B,) tuple of float or None
-        Mean probability and share of true statements in each bin; None where there is none.
+        Mean probability and fraction of true statements in each bin; None in an empty bin.
     counts : (B,) tuple of int
+        Number of statements in each bin.
     expected_calibration_error : float
-        Mean distance of the two, by the counts.
+        Mean distance of the two, weighted by the counts.
     calibrated_mean, calibrated_most : float
-        The same of a program whose probabilities are right, with these numbers of cases: its mean,
-        and what 95 of 100 runs do not exceed.
+        Mean and 95 % quantile of this error for a perfectly calibrated program with the same cases.
     """
 
     edges: tuple
@@ -44,7 +45,7 @@ class Reliability:
     calibrated_most: float
 
     def document(self):
-        """Return it as plain values."""
+        """Return the reliability as plain values."""
         return {"bins": [
             {"from": low, "to": high, "stated": stated, "true": true, "cases": count}
             for low, high, stated, true, count in zip(
@@ -54,7 +55,7 @@ class Reliability:
                                         "most": self.calibrated_most}}
 
     def sentence(self):
-        """Return the error, beside that of a calibrated program with as many cases."""
+        """Return the error as text, with that of a calibrated program for the same cases."""
         return (f"expected calibration error {self.expected_calibration_error:.3f}; of a "
                 f"calibrated program {self.calibrated_mean:.3f}, and in 95 of 100 runs at most "
                 f"{self.calibrated_most:.3f}")
@@ -78,23 +79,23 @@ def error_rows(calibration):
 
 
 def is_true(result, label, strict=False):
-    """Return whether a statement of a diagnosis holds in a case.
+    """Return whether a statement of a diagnosis is true in a case.
 
     Parameters
     ----------
     result : dict
-        As `run_case` returns it.
+        Result of `run_case`.
     label : str
         A key of `probabilities`.
     strict : bool
-        Something else is true of causes outside the list alone.
+        Accept "something else" only for causes outside the list.
 
     Returns
     -------
     bool
-        A set of effects is true if all that it names are there, the strongest among them; none is
-        true where nothing is there, or too little to be clear; something else, where the cause is
-        outside the list, or is named but acts in another form than the list's, which leaves a rest.
+        A set of effects is true if all its effects are present, including a strongest one. "None"
+        is true if no effect is present, or none is clear. "Something else" is true if the cause is
+        outside the list, or if it is named but differs in form from the effect in the list.
     """
     group, _ = outcome(result)
     if label == NONE:
@@ -118,7 +119,7 @@ def first_statements(results, strict=False):
     ----------
     results : list of dict
     strict : bool
-        See `is_true`.
+        Passed to `is_true`.
 
     Returns
     -------
@@ -134,7 +135,7 @@ def first_statements(results, strict=False):
 
 
 def reliability(probabilities, true, bins=BINS):
-    """Return how often statements come true, in bins of their probability.
+    """Return how often statements are true, in bins of their probability.
 
     Parameters
     ----------
@@ -159,7 +160,7 @@ def reliability(probabilities, true, bins=BINS):
 
 
 def _error(stated, came_true, counts):
-    """Return the mean distance of two sums over the cases of each bin."""
+    """Return the calibration error from sums of probabilities and of true statements per bin."""
     return float(np.sum(np.abs(stated - came_true)) / max(1, np.sum(counts)))
 
 
@@ -169,7 +170,7 @@ def _means(sums, counts):
 
 
 def draw_reliability(axes, found):
-    """Draw the reliability diagram: how often statements come true over their probability.
+    """Draw the reliability diagram: fraction of true statements over their probability.
 
     Parameters
     ----------
@@ -180,7 +181,7 @@ def draw_reliability(axes, found):
         found.stated, found.true, found.counts, strict=True) if count]
     stated, true, counts = (np.array(part) for part in zip(*shown, strict=True))
     axes.plot([0.0, 1.0], [0.0, 1.0], linestyle="--", label="calibrated")
-    # One standard deviation of a share of so many cases.
+    # Error bars are standard deviations of a binomial fraction.
     spread = np.sqrt(stated * (1.0 - stated) / counts)
     axes.errorbar(stated, true, yerr=spread, fmt="o", label="cases")
     for x, y, count in shown:
@@ -196,8 +197,8 @@ def calibrate(results, strict=False):
     Parameters
     ----------
     results : list of dict
-        As `run_case` returns them.
+        Results of `run_case`.
     strict : bool
-        See `is_true`.
+        Passed to `is_true`.
     """
     return reliability(*first_statements(results, strict))

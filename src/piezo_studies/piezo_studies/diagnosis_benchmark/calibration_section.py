@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The section of docs/diagnosis.md that tells how far probabilities and intervals come true."""
+"""The section of docs/diagnosis.md on the calibration of probabilities and intervals."""
 
 from piezo_studies.diagnosis_benchmark.calibration import bin_table, error_rows
 from piezo_studies.marked_sections import with_sections
@@ -31,7 +31,7 @@ def section(document):
 
 
 def write_section(page, document):
-    """Write the section of a page anew; its other text stays.
+    """Replace the section in a page; its other text is unchanged.
 
     Parameters
     ----------

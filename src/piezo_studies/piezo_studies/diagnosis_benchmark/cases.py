@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The cases: which hidden effects, how strong, on which plant, in which recording."""
+"""The cases: hidden effects, their strengths, plants and recordings."""
 
 from dataclasses import dataclass
 
@@ -11,41 +11,42 @@ from piezo_studies.diagnosis_benchmark.effect_draws import CAUSES, CAUSES_OUTSID
 CLEAN_SHARE, OUTSIDE_SHARE, PAIRS_SHARE = 40 / 260, 20 / 260, 52 / 260
 CASES_PER_PLANT = 10
 WEAKEST, STRONGEST = 1.2, 40.0
-"""Contributions to the recording, over the noise."""
+"""Smallest and largest contribution of an effect to the recording, over the noise."""
 WEAKEST_ALONG, STRONGEST_ALONG = 10.0, 120.0
-"""The same where the effect was there all along: the model's parameters make up for most of it."""
+"""The same for effects present during the identification; the model's parameters compensate most of
+them."""
 OUTSIDE_WEAKEST = 6.0
-"""An effect outside the list is no weaker."""
+"""Smallest contribution of an effect outside the list, over the noise."""
 LATER_SHARE = 0.7
-"""In this share of the cases the effect came after the identification; in the others before."""
+"""Fraction of cases in which the effect appeared after the identification."""
 
 FAST_ONLY, SLOW_ONLY = {"vibration_mode", "slew_limit"}, {"thermal_drift"}
-"""Effects that a slow logger cannot see, and such that take longer than a fast recording."""
+"""Effects that a slow logger cannot record, and effects that need more than a fast recording."""
 
 LATER_ONLY = {"slew_limit"}
-"""Effects that leave no usable model if they were there when it was identified."""
+"""Effects whose presence during the identification prevents a usable model."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One case; everything random in it follows from its seed.
+    """One case, which is determined by seed and number.
 
     Attributes
     ----------
     seed : int
-        Of the whole suite.
+        Seed of the whole suite.
     plant : int
         Number of its plant.
     causes : tuple of str
-        Of the hidden effects, keys of `CAUSES` or `CAUSES_OUTSIDE`; empty for none.
+        Hidden effects, as keys of `CAUSES` or `CAUSES_OUTSIDE`; empty if there are none.
     multiples : tuple of float
-        Contribution of each, over the noise.
+        Contribution of each effect, over the noise.
     kind : str
-        Of the recording, a key of `records.KINDS`.
+        Kind of the recording, a key of `records.KINDS`.
     slow : bool
-        Recorded by a slow logger, for tens of seconds.
+        Whether it is recorded by a slow logger for tens of seconds.
     later : bool
-        The effects came after the model was identified.
+        Whether the effects appeared after the identification.
     """
 
     number: int
@@ -59,7 +60,7 @@ class Case:
 
     @property
     def outside(self):
-        """Tell whether an effect outside the list is there."""
+        """Whether an effect outside the list is present."""
         return any(cause in CAUSES_OUTSIDE for cause in self.causes)
 
     def random(self, purpose):
@@ -68,7 +69,7 @@ class Case:
 
 
 def draw_cases(count, seed):
-    """Draw cases in the proportions of the suite, in an order that any number of them samples."""
+    """Draw cases in the proportions of the suite, in random order."""
     random = np.random.default_rng([seed, *b"cases"])
     clean, outside, pairs = (
         round(count * share) for share in (CLEAN_SHARE, OUTSIDE_SHARE, PAIRS_SHARE)
@@ -95,7 +96,7 @@ def draw_cases(count, seed):
 
 
 def draw_cases_all_along(count, seed):
-    """Draw cases of one strong effect that was there when the model was identified."""
+    """Draw cases with one strong effect that was present during the identification."""
     random = np.random.default_rng([seed, *b"all along"])
     causes = _in_turn([name for name in CAUSES if name not in LATER_ONLY], count, random)
     kinds = _kinds(count, random)
@@ -110,19 +111,19 @@ def draw_cases_all_along(count, seed):
 
 
 def _kinds(count, random):
-    """Return so many kinds of recordings, each with whether its logger is slow."""
+    """Return `count` pairs of a kind of recording and whether its logger is slow."""
     return _in_turn([(kind, slow) for kind in records.KINDS for slow in (False, True)],
                     count, random)
 
 
 def _in_turn(items, count, random):
-    """Return so many items, each as often as the others, shuffled."""
+    """Return `count` items in random order, all equally often."""
     rounds = -(-count // len(items)) if items else 0
     taken = [items[i] for _ in range(rounds) for i in random.permutation(len(items))]
     return taken[:count]
 
 
 def _another(name, random):
-    """Draw a second effect that a recording can show beside the first."""
+    """Draw a second effect that can be recorded together with the first."""
     apart = (FAST_ONLY if name in SLOW_ONLY else SLOW_ONLY if name in FAST_ONLY else set())
     return str(random.choice([other for other in CAUSES if other not in apart | {name}]))

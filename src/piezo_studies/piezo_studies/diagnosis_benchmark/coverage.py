@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How often the 90 % intervals of the parameters of effects contain what they really are.
+"""How often the 90 % intervals of the parameters of effects contain the true values.
 
-The plant's effects have a mathematical form of their own. These parameters mean the same in both.
+The effects of the plant have a different mathematical form from those of the model. Only parameters
+with the same meaning in both are evaluated.
 """
 
 import numpy as np
 from scipy.stats import norm
 
 LEVEL = 0.9
-"""Of the intervals."""
+"""Confidence level of the intervals."""
 
 KNOWN = {
     "delay": {"delay_s": lambda effect: effect.delay_s},
@@ -17,32 +18,32 @@ KNOWN = {
                        "damping_ratio": lambda effect: effect.damping_ratio},
     "periodic_disturbance": {"frequency_hz": lambda effect: effect.frequency_hz},
 }
-"""What the parameters of a hidden effect are, by cause and name."""
+"""Functions that return the parameters of a hidden effect, by cause and name."""
 
 OF_ANOTHER_FORM = ("backlash", "periodic_disturbance")
-"""Hidden effects to which the named one can but come near: a play that sets in softly, and a hum
-whose phase wanders."""
+"""Hidden effects that the named one can only approximate: a play with a gradual onset, and hum
+with a wandering phase."""
 
 
 def estimates(cause, effect, entries, nearest=None):
-    """Return the parameters of a hidden effect beside those that were found.
+    """Return the parameters of a hidden effect together with their estimates.
 
     Parameters
     ----------
     effect : object
-        Of the plant.
+        Effect of the plant.
     entries : list of dict
         Effects of a verdict.
     nearest : dict of str to float, optional
-        Parameters of the named effect that come nearest to the hidden one, where the two have
-        another form; see `nearest_effect`.
+        Parameters of the named effect that approximate the hidden one best, if the forms differ;
+        see `nearest_effect`.
 
     Returns
     -------
     list of dict
-        `name`, `drawn`, `true`, `found` and `standard_deviation` of each that means the same in
-        both; empty where the effect was not named. What is true is what is nearest, where that is
-        given, and what was drawn otherwise.
+        Entries with `name`, `drawn`, `true`, `found` and `standard_deviation` of each comparable
+        parameter; empty if the effect was not named. The true value is that of `nearest` if given,
+        and the drawn one otherwise.
     """
     entry = next((entry for entry in entries if entry["name"] == cause), None)
     if entry is None or "standard_deviations" not in entry:
@@ -59,19 +60,19 @@ def estimates(cause, effect, entries, nearest=None):
 
 
 def coverage(results, value="true"):
-    """Return how many intervals of the parameters contain them.
+    """Return how many intervals contain their parameter.
 
     Parameters
     ----------
     results : list of dict
-        As `run_case` returns them.
+        Results of `run_case`.
     value : str
-        What they should contain: what is `true`, or what was `drawn`.
+        Value that they should contain: `true` or `drawn`.
 
     Returns
     -------
     dict
-        `level` of the intervals, `intervals`, and how many are `right`.
+        Confidence `level`, number of `intervals`, and how many are `right`.
     """
     found = [estimate for result in results for estimate in result.get("estimates", [])]
     half_width = norm.ppf(0.5 + 0.5 * LEVEL)

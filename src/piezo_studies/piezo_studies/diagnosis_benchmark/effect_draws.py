@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Effects at random strengths, scaled to what they contribute to a given record.
+"""Random effects, scaled to a given contribution to a record.
 
-The shape of an effect is drawn from the seed; its strength follows from the contribution wanted.
+The shape of an effect is drawn from the seed; its strength follows from the wanted contribution.
 """
 
 import dataclasses
@@ -39,23 +39,23 @@ from piezo_sim.plant.sensor import DisplacementSensor
 
 
 class DrawError(ValueError):
-    """An effect that the record cannot show as strongly as wanted."""
+    """The record cannot show the effect with the wanted contribution."""
 
 
 @dataclass(frozen=True)
 class DrawnEffect:
-    """An effect at the strength wanted.
+    """An effect with the wanted contribution.
 
     Attributes
     ----------
     cause : str
-        What is drawn, a key of `CAUSES` or of `CAUSES_OUTSIDE`.
+        Kind of the effect, a key of `CAUSES` or of `CAUSES_OUTSIDE`.
     effect : piezo_sim.plant.plant_effect.Effect
         The effect with its parameters.
     contribution_rms_um : float
-        RMS of what it adds to the measured displacement, mean removed.
+        RMS of its contribution to the measured displacement, without the mean.
     beyond_gain_rms_um : float
-        RMS of what is left of that when another gain has explained what it can.
+        RMS of the part of the contribution that a change of the gain cannot explain.
     plant : PlantConfig
         The plant with the effect.
     """
@@ -69,7 +69,7 @@ class DrawnEffect:
 
 @dataclass(frozen=True)
 class _Record:
-    """What the shape of an effect is drawn for."""
+    """The record for which the shape of an effect is drawn."""
 
     voltage_v: np.ndarray
     displacement_um: np.ndarray
@@ -87,11 +87,11 @@ class _Record:
         return float(np.abs(np.diff(self.displacement_um)).sum())
 
     def position_um(self, share: float) -> float:
-        """Return the displacement at a share of the travelled range."""
+        """Return the displacement at a fraction of its range."""
         return float(self.displacement_um.min() + share * np.ptp(self.displacement_um))
 
 
-# A family makes the effect of a strength; what it contributes grows with the strength.
+# A family returns the effect for a strength; the contribution grows with the strength.
 Family = Callable[[float], Effect]
 
 
@@ -161,7 +161,7 @@ def _slew_limit(random, record) -> Family:
 
 def _voltage_clipping(random, record) -> Family:
     knee_v = random.uniform(0.3, 2.0)
-    # From well above every voltage down to below every one; the lower limit is never reached.
+    # The upper limit may lie from well above to below all voltages; the lower one is never reached.
     top_v = float(record.voltage_v.max()) + 20.0 * knee_v
     bottom_v = min(float(record.voltage_v.min()), record.rest_voltage_v) - 10.0 * knee_v
     return lambda strength: SoftSaturation(
@@ -181,7 +181,7 @@ def _rate_dependent_hysteresis(random, record) -> Family:
 def _stiffening(random, record) -> Family:
     relaxed_um = record.position_um(random.uniform(0.0, 0.3))
     range_um = float(np.ptp(record.displacement_um))
-    # The guide carries what the sensor sees, so its spring is that of the last mode.
+    # The sensor measures the guided part, so the spring is that of the last mode.
     mode = record.modes[-1]
     return lambda strength: GuideSpring(
         mode.frequency_rad_per_s, mode.damping_ratio, relaxed_um, range_um / strength)
@@ -219,14 +219,14 @@ def _depolarisation(random, record) -> Family:
 
 @dataclass(frozen=True)
 class _Recipe:
-    """How an effect is drawn, and between which strengths."""
+    """Family of an effect, and bounds of its strength."""
 
     family: Callable[[np.random.Generator, _Record], Family]
     weakest: float
     strongest: float
 
 
-# Effects that a diagnosis should name, by the name it should give them.
+# Effects that a diagnosis should name, by this name.
 CAUSES = {
     "creep": _Recipe(_creep, 1e-7, 0.1),
     "thermal_drift": _Recipe(_thermal_drift, 1e-6, 1e3),
@@ -242,7 +242,7 @@ CAUSES = {
     "backlash": _Recipe(_backlash, 1e-7, 20.0),
     "outliers": _Recipe(_outliers, 1e-6, 1e3),
 }
-# Effects that no name of the list fits: a diagnosis should leave them unexplained.
+# Effects outside the list, which a diagnosis should report as unexplained.
 CAUSES_OUTSIDE = {
     "self_heating": _Recipe(_self_heating, 1e-8, 0.05),
     "intermittent_contact": _Recipe(_intermittent_contact, 1e-7, 0.5),
@@ -253,18 +253,18 @@ CAUSES_OUTSIDE = {
 def respond(
     plant: PlantConfig, voltage_v: np.ndarray, surroundings: Surroundings, clock_samples: int
 ) -> np.ndarray:
-    """Return the displacement at the samples of a record, which the stage's clock is a multiple of.
+    """Simulate the plant at a multiple of the sample rate; return the displacement at the samples.
 
-    What is between the samples of a slow record, such as the answer to a jump, shows in them.
+    The fine simulation includes motion between slow samples, such as the response to a jump.
 
     Parameters
     ----------
     voltage_v : ndarray, shape (N,)
-        Each held for a sample of the record.
+        Voltages, each held for a sample of the record.
     surroundings : Surroundings
-        With the record's sample period.
+        Surroundings with the sample period of the record.
     clock_samples : int
-        Of the stage's clock, for each of the record.
+        Samples of the stage's clock for each sample of the record.
     """
     clock_s = surroundings.sample_period_s / clock_samples
     clock = dataclasses.replace(surroundings, sample_period_s=clock_s)
@@ -276,7 +276,7 @@ def respond(
 def response_um(
     plant: PlantConfig, voltage_v: np.ndarray, surroundings: Surroundings, clock_samples: int = 1
 ) -> np.ndarray:
-    """Return displacement that the sensor would measure without noise and steps; see `respond`."""
+    """Return the measured displacement without noise and quantization; see `respond`."""
     sensor = tuple(
         dataclasses.replace(effect, noise_rms_um=0.0, converter_bits=32)
         if isinstance(effect, DisplacementSensor)
@@ -303,7 +303,7 @@ def draw_effect(
     cause : str
         A key of `CAUSES` or of `CAUSES_OUTSIDE`.
     plant : PlantConfig
-        The plant to add it to, which may hold drawn effects already.
+        Plant to which the effect is added; it may already have drawn effects.
     voltage_v : ndarray, shape (N,)
         Voltage of the record.
     surroundings : Surroundings
@@ -313,17 +313,17 @@ def draw_effect(
     seed : int
         Seed of the effect's shape.
     clock_samples : int
-        Of the stage's clock, for each of the record; see `respond`.
+        Samples of the stage's clock for each sample of the record; see `respond`.
 
     Returns
     -------
     DrawnEffect
-        The effect within 1 % of the contribution wanted, and the plant with it.
+        The effect, within 1 % of the wanted contribution, and the plant with it.
 
     Raises
     ------
     DrawError
-        If the record cannot show the effect that strongly, or so weakly.
+        If no strength of the effect gives this contribution.
     """
     recipe = (CAUSES | CAUSES_OUTSIDE)[cause]
     without_um = response_um(plant, voltage_v, surroundings, clock_samples)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a named effect should be found to be where the hidden one has another form.
+"""The expected parameters of a named effect if the hidden one has another form.
 
-A play that sets in softly has no width that a hard one shares, and a hum whose phase wanders has
-another frequency in each recording. Estimates of a form that is not exactly right tend to that of
-its members which comes nearest (White, Maximum likelihood estimation of misspecified models,
-Econometrica 50, 1982); so that is what intervals should contain.
+A play with a gradual onset has no width comparable to that of a hard play, and hum with a wandering
+phase has a different frequency in each recording. Estimates with a misspecified model converge to
+its nearest member (White, Maximum likelihood estimation of misspecified models, Econometrica 50,
+1982). Intervals should therefore contain the parameters of that member.
 """
 
 import numpy as np
@@ -14,19 +14,19 @@ from piezo_models.effects import fitted_values, with_fitted_values
 
 
 def nearest_parameters(effect, without_um, added_um, sample_period_s, regression):
-    """Return the parameters with which an effect comes nearest to what a hidden one adds.
+    """Return the parameters with which an effect approximates a hidden one best.
 
-    The plant is known here, and there is no noise: neither the errors of a model nor those of a
-    fit to noise are in them.
+    The plant is known and free of noise, so the parameters contain neither model errors nor errors
+    from fitting noise.
 
     Parameters
     ----------
     effect : piezo_models.effects.effect.Effect
-        Behind the stage, of the form that is named; the search begins from it.
+        Effect of the named form, which acts after the stage; the search begins with it.
     without_um, added_um : (N,) array
-        Response of the plant without the hidden effect, and what that adds.
+        Response of the plant without the hidden effect, and the contribution of that effect.
     regression : Regression
-        Whose rows, weights and regressors count: of one recording of these samples.
+        Regression on one recording of these samples, which gives rows, weights and regressors.
     """
     rows, = regression.dataset.rows
     values, low, high = fitted_values(effect, regression.dataset.extent)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Classify the result of each case, and count the results of all."""
+"""Classify the result of each case, and count the results of all cases."""
 
 from collections import Counter
 
@@ -8,13 +8,13 @@ import numpy as np
 from piezo_studies.diagnosis_benchmark.effect_draws import CAUSES_OUTSIDE
 
 CLEAR = 3.0
-"""Contribution over the noise from which an effect should be named first."""
+"""Smallest contribution, over the noise, of an effect that should be named first."""
 
 AS_STRONG = 0.5
-"""Either of two effects may come first if the weaker has at least this part of the stronger."""
+"""Either of two effects may be named first if their contributions have at least this ratio."""
 
 ALSO_RIGHT = {"depolarisation": "gain_drift"}
-"""A loss of gain along the way travelled is outside the list in its form, but named rightly."""
+"""Names that are also right for effects outside the list: depolarisation is a loss of gain."""
 
 TARGETS = {
     "named_first_percent": (">=", 95.0),
@@ -26,11 +26,10 @@ ERROR_RATIO = 1.2
 
 
 def strongest(result):
-    """Return the causes that may come first, and the contribution of the strongest over the noise.
+    """Return the causes that may be named first, and the contribution of the strongest over noise.
 
-    An effect that was there when the model was identified is in its parameters as far as they can
-    explain it, and may be one of its own effects: what counts is the rest, and no more than what
-    the model lacks in all.
+    The parameters and effects of a model explain part of an effect that was present during the
+    identification. Only the remaining part counts, limited to the total error of the model.
     """
     found = result["contributions"]
     if result["model"] == "identified before":
@@ -64,8 +63,8 @@ def outcome(result):
     Returns
     -------
     group, came_to : str
-        The group is "clean", "outside", "clear" or "weak", by the contribution. What comes first is
-        right only if nothing is named beside it that is not there.
+        The group is "clean", "outside", "clear" or "weak", by the contribution. The first name is
+        right only if all further named effects are present.
     """
     if result["verdict"] == "refused":
         return _group_of_refused(result), "refused"
@@ -89,12 +88,12 @@ def outcome(result):
 
 
 def summary(results):
-    """Return the figures beside their targets, the confusion table and the outcomes.
+    """Return the figures with their targets, the confusion table and the outcomes.
 
     Parameters
     ----------
     results : list of dict
-        As `run_case` returns them.
+        Results of `run_case`.
     """
     came_to: dict[str, Counter[str]] = {
         group: Counter() for group in ("clear", "weak", "clean", "outside")}
@@ -137,7 +136,7 @@ def summary(results):
 
 
 def without_experiments(result):
-    """Return the result of a case as it was before any proposed recording was made."""
+    """Return the result of a case before any proposed recording was made."""
     return {**result, **result.get("before_experiments", {})}
 
 
@@ -146,7 +145,7 @@ def _percent(part, whole):
 
 
 def as_text(document):
-    """Return the summary as lines for people."""
+    """Return the summary as text."""
     lines = ["what was there -> what came first (contributions above "
              f"{CLEAR:g} x noise; clean and outside the list: the verdict)"]
     for row, counts in document["confusion"].items():

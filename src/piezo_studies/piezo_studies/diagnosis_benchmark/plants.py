@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Plants drawn at random around the default one."""
+"""Random plants around the default one."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from piezo_sim.plant.sensor import DisplacementSensor
 
 
 def draw_plant(seed):
-    """Draw a plant of the default structure with parameters of its own.
+    """Draw a plant with the default structure and random parameters.
 
     Parameters
     ----------
@@ -48,12 +48,12 @@ def draw_plant(seed):
 
 
 def noise_um(plant):
-    """Return the standard deviation of the sensor's noise of a sample."""
+    """Return the standard deviation of the sensor's noise in a sample."""
     return next(e.noise_rms_um for e in plant.sensor if isinstance(e, DisplacementSensor))
 
 
 def _factor(random, most):
-    """Draw a factor between 1 / most and most."""
+    """Draw a factor between 1 / `most` and `most`."""
     return float(np.exp(random.uniform(-np.log(most), np.log(most))))
 
 
@@ -62,7 +62,7 @@ def _hysteresis(effect, random, size):
     return replace(
         effect,
         broad_density_um_per_v2=effect.broad_density_um_per_v2 * size * _factor(random, 2.0),
-        # The gain over small spans is the integral over the ridge.
+        # The small-signal gain, which is the integral over the ridge, must not depend on the width.
         ridge_density_um_per_v2=effect.ridge_density_um_per_v2 * size / width,
         ridge_width_v=effect.ridge_width_v * width,
         position_modulation=float(random.uniform(-0.15, 0.25)),
@@ -72,7 +72,7 @@ def _hysteresis(effect, random, size):
 
 
 def _creep(effect, random):
-    """Return the creep shifted in time, and more or less of it."""
+    """Return the creep with random changes of its time scale and amount."""
     poles, zeros = np.array(effect.poles_rad_per_s), np.array(effect.zeros_rad_per_s)
     time, amount = _factor(random, 1.5), _factor(random, 1.6)
     return replace(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Recordings of a plant: the designed experiments, and what a lab plays otherwise."""
+"""Recordings of a plant: the designed experiments, and other common laboratory inputs."""
 
 import itertools
 from dataclasses import replace
@@ -16,20 +16,20 @@ from piezo_studies.diagnosis_benchmark.effect_draws import respond
 REST_V = 0.0
 RAMP_S = 0.1
 FAST_HZ, SLOW_HZ = 40_000.0, 1000.0
-"""Sample clocks: of fast experiments, and of a logger for slow ones."""
+"""Sample rates of fast experiments, and of a logger for slow ones."""
 LEAST_CLOCK_HZ = 10_000.0
-"""No stage is slower, whatever the logger: what happens between its samples shows in them."""
+"""Lowest clock rate of a stage, whatever the logger, so that motion between its samples acts."""
 
 STAGE_LIMITS = StageLimits(0.0, 100.0, 1.8e6)
-"""Within which a stage plays what is proposed."""
+"""Limits of a stage for proposed experiments."""
 
 LOWEST_V, LEVELS_SPAN_V = 5.0, 90.0
 MOST_CHANGE_V = 45.0
-"""No sample changes more; the stage node allows 50 V."""
+"""Largest change between levels; the stage node allows 50 V."""
 
 
 def designed(random, slow):
-    """Return the validation experiment; with a slow logger steps held for seconds."""
+    """Return the validation experiment; for a slow logger, steps held for seconds."""
     if slow:
         levels_v = 50.0 + 0.5 * random.uniform(-60.0, 60.0, 7)
         return _held("steps", levels_v, 4.0, SLOW_HZ)
@@ -49,21 +49,21 @@ def sweep(random, slow):
 
 
 def random_levels(random, slow):
-    """Draw levels, each held for the same time; the slew limit bounds their distance."""
+    """Draw levels, each held for the same time; their distance is limited."""
     changes_v = random.uniform(-MOST_CHANGE_V, MOST_CHANGE_V, 56 if slow else 80)
     levels_v = LOWEST_V + _folded(LEVELS_SPAN_V, np.cumsum(changes_v))
     return _held("random_levels", levels_v, 0.5 if slow else 0.01, SLOW_HZ if slow else FAST_HZ)
 
 
 def tracking(random, slow):
-    """Return what an operator tracks on an ordinary day: a scan line with something on top."""
+    """Return a typical voltage in operation: a scan line with a superposed sine."""
     rate_hz, duration_s = (SLOW_HZ, 28.0) if slow else (FAST_HZ, 0.8)
     time_s = np.arange(round(duration_s * rate_hz)) / rate_hz
     line_hz = random.uniform(0.2, 1.0) if slow else random.uniform(6.0, 20.0)
     middle_v, reach_v = random.uniform(40.0, 60.0), random.uniform(20.0, 38.0)
     position = line_hz * time_s % 1.0
     triangle = 4.0 * np.abs(position - 0.5) - 1.0
-    # A controller that follows rounds the corners.
+    # A controller rounds the corners.
     line = triangle if slow else np.sin(0.5 * np.pi * triangle)
     fast_hz = line_hz * random.uniform(4.0, 12.0)
     voltage_v = middle_v + reach_v * line + 0.15 * reach_v * np.sin(2.0 * np.pi * fast_hz * time_s)
@@ -71,7 +71,7 @@ def tracking(random, slow):
 
 
 def _folded(span, values):
-    """Return the values reflected at 0 and at the span until they lie between."""
+    """Return the values reflected at 0 and at the span, so that they lie between."""
     return span - np.abs(values % (2.0 * span) - span)
 
 
@@ -81,7 +81,7 @@ KINDS = {
 
 
 def identification_experiments():
-    """Return the designed experiments, shorter than usual, from which the model is identified."""
+    """Return the designed experiments for the identification, shorter than usual."""
     limits = StageLimits(sample_rate_hz=SLOW_HZ)
     return {
         "creep": experiments.creep(replace(limits, sample_rate_hz=100.0)),
@@ -95,7 +95,7 @@ def _held(name, levels_v, hold_s, rate_hz):
 
 
 def commanded(experiment):
-    """Return the voltage with the ramps from and to rest, (N,), and the flags of each sample."""
+    """Return the voltage with ramps from and to rest, (N,), and the flags of each sample."""
     waveform_v = np.tile(experiment.voltage_v, experiment.repeats)
     samples = round(RAMP_S / experiment.sample_period_s)
     ramp = np.arange(1, samples + 1) / samples
@@ -109,24 +109,24 @@ def commanded(experiment):
 
 
 def surroundings(experiment, seed):
-    """Return those of a plant that plays the experiment with a sample clock of its own period."""
+    """Return the surroundings of a plant whose sample clock has the period of the experiment."""
     return Surroundings(experiment.sample_period_s, REST_V, seed)
 
 
 def clock_samples(experiment):
-    """Return the samples of the stage's clock for each of the experiment."""
+    """Return the samples of the stage's clock for each sample of the experiment."""
     return max(1, round(LEAST_CLOCK_HZ * experiment.sample_period_s))
 
 
 def record(plant, experiment, seed):
-    """Play an experiment from rest.
+    """Play an experiment from rest, and return the recording.
 
     Parameters
     ----------
     plant : PlantConfig
     experiment : piezo_identification.experiments.catalogue.Experiment
     seed : int
-        Of everything random in the plant.
+        Seed of everything random in the plant.
     """
     voltage_v, flags = commanded(experiment)
     measured_um = respond(
@@ -141,14 +141,14 @@ def record(plant, experiment, seed):
 
 
 def play_proposed(plant, experiment, seed):
-    """Play a proposed experiment as the stage does: at its clock, with means of held values.
+    """Play a proposed experiment like the stage: at its clock, with means over held values.
 
     Parameters
     ----------
     plant : PlantConfig
     experiment : piezo_identification.experiments.catalogue.Experiment
     seed : int
-        Of everything random in the plant.
+        Seed of everything random in the plant.
     """
     clock_hz = STAGE_LIMITS.sample_rate_hz
     held = round(experiment.sample_period_s * clock_hz)
@@ -162,13 +162,13 @@ def play_proposed(plant, experiment, seed):
 
 
 def player_of_proposals(plant, seed):
-    """Return what plays each proposal of a decision on a plant; see `decide.decide`.
+    """Return a function that plays proposed experiments on a plant; see `decide.decide`.
 
     Parameters
     ----------
     plant : PlantConfig
     seed : int
-        Of everything random in the recording before; each further one has the next.
+        Seed of the previous recording; each further recording uses the next one.
     """
     seeds = itertools.count(seed + 1)
     return lambda proposal, progress: play_proposed(plant, proposal.experiment, next(seeds))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""One case: a model identified, a plant with hidden effects recorded, and the diagnosis of it."""
+"""Run one case: identify a model, record a plant with hidden effects, and diagnose it."""
 
 import tempfile
 from dataclasses import replace
@@ -33,14 +33,14 @@ from piezo_studies.diagnosis_benchmark.effect_draws import (
 from piezo_studies.diagnosis_benchmark.plants import draw_plant, noise_um
 
 STRUCTURE = ResponseOrder(creep_pairs=4, modes=2, antiresonances=0)
-"""The structure that the models have, if the recordings show as much of it."""
+"""Structure of the models, reduced if the recordings do not show all of it."""
 
 WEAKEST_MULTIPLE = 1e-2
-"""This multiple of the noise is that below which a recording does not show an effect at all."""
+"""Contribution over the noise below which a recording does not show an effect at all."""
 
 
 def identified_model(plant, seed):
-    """Return what `identify` finds from designed experiments on a plant, effects and all.
+    """Identify a model of a plant, including its effects, from designed experiments.
 
     Parameters
     ----------
@@ -50,13 +50,13 @@ def identified_model(plant, seed):
     -------
     IdentifiedModel
     tuple of Recording
-        From which the model was identified.
+        Recordings from which the model was identified.
     """
     experiments = records.identification_experiments()
     with tempfile.TemporaryDirectory() as folder:
         recordings = {}
         for index, (name, experiment) in enumerate(experiments.items()):
-            # A model names the files that it came from.
+            # The model stores the paths of its recordings, so they must exist.
             path = Path(folder) / name
             path.touch()
             recording = records.record(plant, experiment, 10 * seed + index)
@@ -65,7 +65,7 @@ def identified_model(plant, seed):
 
 
 def _identified(recordings, order):
-    """Identify a model of an order, with fewer pairs where the creep does not show that many."""
+    """Identify a model of an order, with fewer creep pairs if they are not identifiable."""
     try:
         return identify(**recordings, order=order)
     except CreepNotShown:
@@ -73,25 +73,25 @@ def _identified(recordings, order):
 
 
 def clean_model(seed, plant):
-    """Return model and recordings of a plant without effects, by the numbers of suite and plant."""
+    """Return model and recordings of a plant without effects."""
     return identified_model(draw_plant((seed, plant)), 1000 * seed + plant)
 
 
 def run_case(case, clean, experiments=0):
-    """Record a drawn case, diagnose it, and return what was found.
+    """Record a drawn case, diagnose it, and return the result.
 
     Parameters
     ----------
     case : Case
     clean : (IdentifiedModel, tuple of Recording)
-        Of the plant without effects; see `identified_model`.
+        Model and recordings of the plant without effects; see `identified_model`.
     experiments : int
-        So many proposed recordings may be made where alternatives remain.
+        Most proposed recordings that may be made if alternatives remain.
 
     Returns
     -------
     dict
-        Plain values, the same wherever the case ran.
+        Result as plain values; it does not depend on the machine.
     """
     plant = draw_plant((case.seed, case.plant))
     experiment = records.KINDS[case.kind](case.random("waveform"), case.slow)
@@ -111,7 +111,7 @@ def run_case(case, clean, experiments=0):
     recording = records.record(hidden, experiment, seed)
     diagnoses = _diagnoses(known, identified_from, recording, hidden, seed, experiments)
     diagnosis = diagnoses[-1]
-    # With the same noise and no effect: what perfect knowledge of the effects would leave.
+    # The residual with perfect knowledge of the effects: same noise, no effect.
     perfect_um = _least_error_um(model.model, records.record(plant, experiment, seed))
     noise = noise_um(plant)
     contributions = []
@@ -146,7 +146,7 @@ def run_case(case, clean, experiments=0):
 
 
 def _diagnoses(known, identified_from, recording, hidden, seed, experiments):
-    """Return the diagnosis of a recording, and one with each recording that was then proposed."""
+    """Return the diagnosis of a recording, and one after each proposed recording."""
     old, stated_um = IdentificationRecordings(identified_from, ()), stated_error_um(known)
     if not experiments:
         return [diagnose(known.model, [recording], identified_from=old, stated_um=stated_um,
@@ -164,20 +164,20 @@ def _told(diagnosis):
 
 
 def _least_error_um(model, recording):
-    """Return the error on held-out data without any effect, the model's parameters tuned."""
+    """Return the error on held-out data without effects, with the model's parameters tuned."""
     regression = first_regression(simulate_recordings(model, [recording]))
     return regression.left_um(regression.fit(()))
 
 
 def _lacking_um(diagnosis):
-    """Return the RMS of what the tuned model leaves of the recording beyond the noise."""
+    """Return the RMS of the tuned model's residual beyond the noise."""
     regression = diagnosis.selection.regression
     rms_tolerances = np.sqrt(lack_of_fit(regression, diagnosis.selection.start))
     return float(rms_tolerances * np.sqrt(np.mean(regression.tolerance_um**2)))
 
 
 def _drawn(cause, plant, voltage_v, surroundings, multiple, seed, clock_samples):
-    """Draw the effect, half as strong as often as it takes for the recording to show it."""
+    """Draw the effect; halve its contribution until the recording can show it."""
     while True:
         try:
             return draw_effect(
@@ -189,7 +189,7 @@ def _drawn(cause, plant, voltage_v, surroundings, multiple, seed, clock_samples)
 
 
 def _beyond_model_um(part, added_um):
-    """Return the RMS of what offset, initial creep and a tuned model leave of a signal."""
+    """Return the RMS of a signal with offset, initial creep and model parameters projected out."""
     rows = np.arange(part.begin, added_um.size)
     columns = np.column_stack([
         nuisance_regressors(part, rows), parameter_sensitivities(part, rows)])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Run the cases through Dask, print the confusion table and write it."""
+"""Run the cases with Dask, and print and write the confusion table."""
 
 import json
 
@@ -23,23 +23,23 @@ from piezo_studies.kept_results import KeptResults
 
 def run_suite(client, count, seed, progress=None, all_along=False, experiments=0, first=None,
               kept=None):
-    """Run the suite; its result does not depend on where it runs.
+    """Run the suite; its result does not depend on the machine.
 
     Parameters
     ----------
     client : distributed.Client
     count, seed : int
-        Cases, and the seed of everything random.
+        Number of cases, and the seed of everything random.
     progress : callable, optional
         Called with the number of cases done.
     all_along : bool
-        Draw single effects alone that were there when the model was identified.
+        Draw only single effects that were present during the identification.
     experiments : int
-        So many proposed recordings may be made in each case.
+        Most proposed recordings in each case.
     first : int, optional
-        Only so many of the cases are run, in the order in which they are drawn; by default all.
+        Number of cases to run, in the order in which they are drawn; by default all.
     kept : KeptResults, optional
-        Where every result is kept at once, and from which the run goes on; by default nowhere.
+        Store in which results are saved at once, and from which the run is resumed.
     """
     cases = (draw_cases_all_along if all_along else draw_cases)(count, seed)[:first]
     there = {} if kept is None else kept.results()
@@ -67,14 +67,14 @@ def run_suite(client, count, seed, progress=None, all_along=False, experiments=0
 
 
 def _result(case, future):
-    """Return the result of a case; one that was refused stays in the table, with the reason."""
+    """Return the result of a case; a refused one is included with the reason."""
     if future.status == "finished":
         return future.result()
     return refused(case, future.exception())
 
 
 def diagnose_cases(options):
-    """Run the suite of the options; the exit status is 0 whatever the figures are."""
+    """Run the suite with the given options; the exit status is 0 whatever the figures are."""
     line = ProgressLine()
     asked = min(options.first or options.cases, options.cases)
     conditions = {"cases": options.cases, "seed": options.seed, "all_along": options.all_along,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""`diagnose_suite`: diagnose hidden effects by the dozen, and count what was found."""
+"""`diagnose_suite`: run the benchmark of `diagnose` on plants with hidden effects."""
 
 import argparse
 import sys

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Effects that resemble each other, decided by one proposed recording on a plant of its own."""
+"""Decide between effects that resemble each other with one proposed recording."""
 
 import argparse
 
@@ -17,30 +17,30 @@ from piezo_studies.diagnosis_benchmark.run_case import clean_model
 TWINS = {"delay": False, "sensor_lag": False, "creep": True, "thermal_drift": True,
          "slew_limit": False, "vibration_mode": False, "stiffening": False,
          "sensor_nonlinearity": False}
-"""Effects that another one resembles, and whether they need a slow logger."""
+"""Effects that resemble another one, and whether they need a slow logger."""
 
 ORDER = ("delay", "sensor_lag", "stiffening", "sensor_nonlinearity", "creep", "thermal_drift",
          "vibration_mode", "slew_limit")
-"""In which `main` tries them; the number of each is its seed."""
+"""Order of the effects in `main`; the number of each is its seed."""
 OVER_NOISE = 6.0
-"""Contribution to the first recording over the noise: clear, and far from overwhelming."""
+"""Contribution to the first recording over the noise: clear, but not dominant."""
 
 
 def decide_twin(cause, clean, plant_seed, seed, budget=1):
-    """Record a plant with one effect as on an ordinary day, and decide by proposed recordings.
+    """Record a plant with one effect in typical operation, and decide by proposed recordings.
 
     Parameters
     ----------
     cause : str
         A key of `TWINS`.
     clean : (IdentifiedModel, tuple of Recording)
-        Of the plant without effects; see `run_case.clean_model`.
+        Model and recordings of the plant without effects; see `run_case.clean_model`.
     plant_seed : sequence of int
 
     Returns
     -------
     dict
-        Effects, probabilities and the waveform proposed, of the first and the last diagnosis.
+        Effects, probabilities and proposed waveform of each diagnosis.
     """
     plant = draw_plant(plant_seed)
     experiment = records.tracking(np.random.default_rng(seed), TWINS[cause])

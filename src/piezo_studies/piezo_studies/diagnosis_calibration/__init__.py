@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Whether probabilities and intervals of a diagnosis come true: hundreds of short recordings."""
+"""Calibration of the probabilities and intervals of diagnoses on hundreds of short recordings."""

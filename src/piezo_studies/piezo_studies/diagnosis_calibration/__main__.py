@@ -19,7 +19,7 @@ def main(arguments: list[str] | None = None) -> None:
     Parameters
     ----------
     arguments : list of str, optional
-        Those of the command line by default.
+        Arguments; by default those of the command line.
     """
     parser = argparse.ArgumentParser(prog="diagnosis_calibration", description=__doc__)
     parser.add_argument("--cases", type=int, default=100, help="how many (%(default)s)")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How wrong models that lack nothing are in recordings that they were not fitted to.
+"""The errors of models without missing effects on recordings that were not fitted.
 
-`ErrorSettings.carried_spread` of the diagnosis is set on this.
+They determine `ErrorSettings.carried_spread` of the diagnosis.
 """
 
 import numpy as np
@@ -15,19 +15,20 @@ from piezo_studies.diagnosis_calibration.small_cases import KINDS, RATES_HZ, Sma
 
 
 def errors_over_stated(seed, plant, identified):
-    """Return what a model is wrong by in clean recordings, over what its file states.
+    """Return the errors of a model on clean recordings over the error that its file states.
 
     Parameters
     ----------
     seed, plant : int
-        Of the plant.
+        Seed and number of the plant.
     identified : IdentifiedModel
-        Of that plant.
+        Model of this plant.
 
     Returns
     -------
     (n,) array
-        RMS beyond the noise on held-out stretches, of each kind of waveform at each rate.
+        RMS beyond the noise on held-out stretches over the stated error, for each kind of waveform
+        at each rate.
     """
     stage, ratios = draw_plant((seed, plant)), []
     for logger in RATES_HZ:
@@ -41,7 +42,7 @@ def errors_over_stated(seed, plant, identified):
 
 
 def sentence(ratios):
-    """Return a sentence on ratios of several models."""
+    """Return a sentence on the error ratios of several models."""
     low, middle, high = np.quantile(ratios, (0.1, 0.5, 0.9))
     return (f"in {ratios.size} recordings the models are wrong by {middle:.2f} times what their "
             f"files state (median; 10 % below {low:.2f}, 10 % above {high:.2f}, at most "

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The section of docs/diagnosis.md that tells how far probabilities and intervals come true."""
+"""The section of docs/diagnosis.md on the calibration with small cases."""
 
 from collections import Counter
 
@@ -26,7 +26,7 @@ def section(seed, results):
     Parameters
     ----------
     results : list of dict
-        As `run_small_case` returns them.
+        Results of `run_small_case`.
     """
     reliability, intervals = figures(results)
     calibration = reliability.document()
@@ -64,7 +64,7 @@ def _with_cause(results, cause):
 
 
 def write_page(page, seed, results):
-    """Write the section of a page anew, and its picture; the other text of the page stays.
+    """Replace the section of a page and its figure; the other text of the page is unchanged.
 
     Parameters
     ----------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Cases that are decided in seconds: one effect or none in a short recording at a low rate."""
+"""Cases that run in seconds: one effect or none in a short recording at a low rate."""
 
 from dataclasses import dataclass
 
@@ -10,10 +10,10 @@ from piezo_studies.diagnosis_benchmark.cases import FAST_ONLY, SLOW_ONLY
 from piezo_studies.diagnosis_benchmark.effect_draws import CAUSES, CAUSES_OUTSIDE
 
 PLANTS = 5
-"""Of one seed: an identification takes as long as a dozen diagnoses."""
+"""Number of plants for a seed; few, as an identification takes as long as a dozen diagnoses."""
 NONE_SHARE, OUTSIDE_SHARE = 0.15, 0.1
 WEAKEST, STRONGEST = 0.3, 40.0
-"""Contributions to the recording, over the noise: the least cannot be detected."""
+"""Bounds of the contribution to the recording over the noise; the smallest is undetectable."""
 RATES_HZ = {"fast": 10_000.0, "slow": 1000.0}
 DURATIONS_S = {"fast": 0.5, "slow": 5.0}
 KINDS = ("scan", "sweep", "levels", "tones")
@@ -23,18 +23,18 @@ TONES = 12
 
 @dataclass(frozen=True)
 class SmallCase:
-    """One case; everything random in it follows from its seed and number.
+    """One case, which is determined by seed and number.
 
     Attributes
     ----------
     plant : int
         Number of its plant.
     cause : str or None
-        A key of `CAUSES` or `CAUSES_OUTSIDE`; None for nothing.
+        A key of `CAUSES` or `CAUSES_OUTSIDE`; None for no effect.
     multiple : float
         Contribution of the cause, over the noise.
     kind : str
-        Of the waveform, one of `KINDS`.
+        Kind of the waveform, one of `KINDS`.
     logger : str
         A key of `RATES_HZ`.
     """
@@ -58,7 +58,7 @@ def draw_case(number, seed):
     Returns
     -------
     SmallCase
-        It does not depend on how many others are drawn.
+        The case; it does not depend on the number of other cases.
     """
     random = np.random.default_rng([seed, number, *b"small case"])
     share, cause = random.random(), None
@@ -74,7 +74,7 @@ def draw_case(number, seed):
 
 
 def waveform(case):
-    """Return what the stage plays in a case.
+    """Return the experiment of a case.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def waveform(case):
     Returns
     -------
     Experiment
-        Within 5 to 95 V.
+        Waveform within 5 to 95 V.
     """
     random, rate_hz = case.random("waveform"), RATES_HZ[case.logger]
     duration_s = DURATIONS_S[case.logger]
@@ -96,7 +96,7 @@ def waveform(case):
 
 
 def _scan(random, turn):
-    """Return a rounded scan line of some periods, with a faster one on top."""
+    """Return a rounded scan line of some periods with a superposed faster sine."""
     periods = random.uniform(4.0, 10.0)
     triangle = 4.0 * np.abs(periods * turn % 1.0 - 0.5) - 1.0
     return (np.sin(0.5 * np.pi * triangle)
@@ -104,14 +104,14 @@ def _scan(random, turn):
 
 
 def _sweep(random, turn):
-    """Return a sine whose frequency rises by two decades, with an amplitude that falls."""
+    """Return a sine with rising frequency, over two decades, and falling amplitude."""
     first, ratio = random.uniform(1.0, 3.0), np.log(random.uniform(60.0, 200.0))
     phase = 2.0 * np.pi * first * np.expm1(ratio * turn) / ratio
     return np.cos(phase) / (1.0 + np.exp(ratio * turn) / 40.0)
 
 
 def _levels(random, turn):
-    """Return levels between which the stage moves in an eighth of the time that each lasts."""
+    """Return levels connected by ramps that take an eighth of the time of a level."""
     levels = random.uniform(-1.0, 1.0, LEVELS + 1)
     number = np.minimum((turn * LEVELS).astype(int), LEVELS - 1)
     moved = np.minimum(8.0 * (turn * LEVELS - number), 1.0)
@@ -119,7 +119,7 @@ def _levels(random, turn):
 
 
 def _tones(random, turn):
-    """Return tones over two decades, each with less amplitude than those below."""
+    """Return tones over two decades with amplitudes that fall with frequency."""
     orders = np.unique(np.round(np.geomspace(2.0, random.uniform(100.0, 300.0), TONES)))
     phases = random.uniform(0.0, 2.0 * np.pi, orders.size)
     return np.sum([np.sin(2.0 * np.pi * order * turn + phase) / np.sqrt(order)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A small case recorded and diagnosed."""
+"""Record and diagnose a small case."""
 
 import numpy as np
 
@@ -16,23 +16,23 @@ from piezo_studies.diagnosis_benchmark.plants import draw_plant, noise_um
 from piezo_studies.diagnosis_calibration.small_cases import waveform
 
 TRIES = 8
-"""How often the contribution wanted is halved where a recording cannot show an effect so well."""
+"""Most contributions tried, each half the one before, until the recording can show the effect."""
 
 
 def run_small_case(case, identified):
-    """Record a case, diagnose the recording, and return what was found.
+    """Record a case, diagnose the recording, and return the result.
 
     Parameters
     ----------
     case : SmallCase
     identified : IdentifiedModel
-        Of the case's plant without effects.
+        Model of the plant without effects.
 
     Returns
     -------
     dict or None
-        As `diagnosis_benchmark.run_case.run_case` returns it, as far as statements and intervals
-        need it; None where the waveform does not show the cause at all.
+        Those parts of the result of `diagnosis_benchmark.run_case.run_case` that are needed to
+        evaluate statements and intervals; None if the waveform does not show the cause at all.
     """
     plant, experiment = draw_plant((case.seed, case.plant)), waveform(case)
     seed = int(case.random("noise").integers(2**31))
@@ -67,7 +67,7 @@ def run_small_case(case, identified):
 
 
 def _responses_um(plant, changed, experiment, seed, recording):
-    """Return the quiet response of a plant where it plays, and what a change of it adds, (N,)."""
+    """Return the noise-free response of a plant, and the contribution of a change, (N,) each."""
     voltage_v, _ = records.commanded(experiment)
     surroundings = records.surroundings(experiment, seed)
     without_um, with_it_um = (
@@ -78,9 +78,9 @@ def _responses_um(plant, changed, experiment, seed, recording):
 
 
 def _shown_um(model, recording, added_um):
-    """Return the RMS of what an effect adds to the fitted rows that nothing else may explain.
+    """Return the RMS of an effect's contribution that nothing else explains on the fitted rows.
 
-    Offset, initial creep and changes of the model within their prior are not held against it.
+    Offset, initial creep and changes of the model within their prior are projected out.
     """
     regression = first_regression(simulate_recordings(model, [recording]))
     rows, tolerance_um = regression.dataset.rows[0], regression.tolerance_um
@@ -90,7 +90,7 @@ def _shown_um(model, recording, added_um):
 
 
 def _nearest(cause, diagnosis, without_um, added_um, sample_period_s):
-    """Return what the parameters should be of an effect that is named in another form, or None."""
+    """Return the expected parameters of an effect named in another form; None for others."""
     selection = diagnosis.selection
     found = next((effect for effect in selection.end.effects if effect.name == cause), None)
     if cause not in OF_ANOTHER_FORM or found is None:
@@ -99,7 +99,7 @@ def _nearest(cause, diagnosis, without_um, added_um, sample_period_s):
 
 
 def _drawn(case, plant, experiment, seed):
-    """Draw the effect, half as strong as often as it takes for the recording to show it."""
+    """Draw the effect; halve its contribution until the recording can show it."""
     voltage_v, _ = records.commanded(experiment)
     surroundings = records.surroundings(experiment, seed)
     for halved in range(TRIES):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Runs of the study: every result is kept at once, and a run goes on from those that are there."""
+"""Runs of the study; every result is saved at once, so that a run can be resumed."""
 
 import time
 
@@ -13,23 +13,23 @@ from piezo_studies.kept_results import KeptResults
 
 
 def run_study(seed, count, directory, seconds, report):
-    """Compute cases until there are enough, or until the time is over.
+    """Run cases until all are done or the time is over.
 
     Parameters
     ----------
     seed, count : int
-        Of the cases.
+        Seed and number of the cases.
     directory : Path
-        Of models and results.
+        Directory of models and results.
     seconds : float
-        Processor time after which no other case begins.
+        Processor time after which no further case is started.
     report : callable
-        Called with how many cases are done.
+        Called with the number of cases done.
 
     Returns
     -------
     list of dict
-        Results of the cases that are done.
+        Results of the completed cases.
     """
     directory.mkdir(parents=True, exist_ok=True)
     file, models = KeptResults(directory / f"cases_{seed}.jsonl"), {}
@@ -59,13 +59,13 @@ def figures(results):
     -------
     Reliability
     dict
-        Of `coverage`.
+        Result of `coverage`.
     """
     return calibrate(results), coverage(results)
 
 
 def model_of(directory, seed, plant):
-    """Return the model of a plant without effects, identified once."""
+    """Return the model of a plant without effects; it is identified once and saved."""
     directory.mkdir(parents=True, exist_ok=True)
     path = directory / f"model_{seed}_{plant}.json"
     if not path.exists():

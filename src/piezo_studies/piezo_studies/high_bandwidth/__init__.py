@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Study of feedbacks at the sample clock's rate whose bandwidth lies beyond the first mode."""
+"""Study of feedback at the sample rate with a bandwidth beyond the first mode."""

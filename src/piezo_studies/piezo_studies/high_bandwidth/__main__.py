@@ -18,7 +18,7 @@ def main(arguments: list[str] | None = None) -> None:
     Parameters
     ----------
     arguments : list of str, optional
-        Those of the command line by default.
+        Arguments; by default those of the command line.
     """
     parser = argparse.ArgumentParser(prog="high_bandwidth", description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("runs/high_bandwidth"),
@@ -46,7 +46,7 @@ def main(arguments: list[str] | None = None) -> None:
         print(f"{TITLES[row.method]}, light mode {100 * row.light_mode_error:.0f} %, "
               f"{'every stage' if row.of_every_stage else 'model'}: {margin}", file=sys.stderr,
               flush=True)
-        # Each design leaves its row at once, so that an interrupted run is not lost.
+        # Write the row of each design at once, so that an interrupted run is not lost.
         (pictures / "high_bandwidth.png").write_bytes(small_png(draw(compared)))
         options.page.write_text(page(model, compared, searches), encoding="utf-8")
 

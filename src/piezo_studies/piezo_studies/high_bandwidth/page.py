@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The page and the picture of the study."""
+"""The page and the figure of the study."""
 
 from itertools import cycle
 
@@ -82,7 +82,7 @@ SEARCH_HEADER = "light mode off by", "to reach the demands", "seed", "starts, tr
 
 
 def searched_table(searches):
-    """Return the rows of what searches found, as their files tell it."""
+    """Return the rows of the table of search results."""
     rows = []
     for found in searches:
         demands = found["demands"]
@@ -125,7 +125,7 @@ def _row(row):
 
 
 def page(model, compared, searches=()):
-    """Return the page as Markdown, of designs, and of what the files of searches hold."""
+    """Return the page on designs and search results as Markdown."""
     demands = DEMANDS
     modes_hz = np.array(model.dynamics.mode_frequencies_rad_per_s) / (2 * np.pi)
     light_hz = modes_hz[light_mode(model)]

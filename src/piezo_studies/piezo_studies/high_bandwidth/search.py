@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Search for where the tuning of a controller of fixed order begins, from drawn numbers.
+"""Search for initial values to tune a controller of fixed order.
 
-Each start is drawn, and tuned over the stages of a small error of the light mode, then of larger
-ones. The best is then changed at random again and again: all numbers a little, or one pair of zeros
-and one of poles to a pair that cancels. What lowers the cost is kept.
+Random initial values are tuned over the stages of a small error of the light mode, then of larger
+ones. The best result is then changed at random repeatedly: either all parameters by a little, or
+one pair of zeros and one of poles to a pair that cancels. Changes that reduce the cost are kept.
 """
 
 import argparse
@@ -31,21 +31,21 @@ from piezo_studies.thesis.identified_stage import identified_stage
 SUMMARY = "Search for where the tuning of a controller of fixed order begins."
 
 FIRST_GAIN = 2.0
-"""Logarithm of the drawn controllers' integral gain; lowered where that is not stable."""
+"""Logarithm of the initial integral gain of random controllers; reduced if the loop is unstable."""
 
 Resonances = tuple[tuple[tuple[float, float], tuple[float, float]], ...]
 
 FIRST_ERRORS = (0.05, 0.10)
-"""Of the light mode, over which a start is tuned before the error that is asked for."""
+"""Errors of the light mode over which initial values are tuned before the requested error."""
 
 COARSE = 240
-"""Frequencies over the whole band: between fewer of them a search from anywhere hides peaks."""
+"""Number of frequencies over the whole band; with fewer, a search can hide peaks between them."""
 
 START_STEPS, FEW_STEPS, STEPS = 120, 25, 200
 PROMISING = 0.5
 SIZES, SHARES = (0.02, 0.06, 0.15, 0.4), (0.15, 0.5, 1.0)
 REDRAWN = 0.3
-"""Part of the trials in which pairs are drawn anew."""
+"""Fraction of trials in which pairs are redrawn."""
 
 
 class Search:
@@ -69,16 +69,16 @@ class Search:
 
     def run(self, seed: int, starts: int, trials: int,
             tell: Callable[[str, FloatArray, float], None]) -> float:
-        """Search; return the largest margin that was found (dB).
+        """Search, and return the largest margin found (dB).
 
-        What bounds are exceeded counts against the margin to the demands.
+        Exceeded bounds reduce the margin to the demands.
 
         Parameters
         ----------
         starts, trials : int
-            Drawn; and made from the best of them.
+            Number of random initial values, and of random changes of the best result.
         tell : callable
-            Is told what was improved, the best numbers so far and their margin.
+            Called at each improvement with its name, the best parameters and their margin.
         """
         rng = np.random.default_rng(seed)
         best, least = np.empty(0), np.inf
@@ -97,14 +97,14 @@ class Search:
         return -least
 
     def from_anywhere(self, rng: np.random.Generator) -> tuple[FloatArray, Linearised]:
-        """Draw numbers, and tune them over ever larger errors."""
+        """Draw parameters, and tune them over increasing errors."""
         numbers = self.drawn(rng)
         for problem in self._problems:
             numbers, found = self._tuned(numbers, START_STEPS, problem)
         return numbers, found
 
     def drawn(self, rng: np.random.Generator) -> FloatArray:
-        """Draw all numbers but those of resonances: frequencies and dampings by logarithms."""
+        """Draw all parameters except those of resonances, log-uniformly for most."""
         def logarithms(lowest: float, highest: float, count: int) -> FloatArray:
             return np.asarray(rng.uniform(np.log(lowest), np.log(highest), count))
 
@@ -122,7 +122,7 @@ class Search:
         return numbers
 
     def as_start(self, numbers: FloatArray) -> Start:
-        """Return numbers as a start, without resonances."""
+        """Return parameters as a `Start`, without resonances."""
         like = self._like
         zeros, poles = self._pairs_from
         real = np.exp(numbers[1:zeros])
@@ -135,7 +135,7 @@ class Search:
                   in np.exp(numbers[poles:poles + 2 * len(like.poles)]).reshape(-1, 2)))
 
     def as_resonances(self, numbers: FloatArray) -> Resonances:
-        """Return the numbers of the resonances as `tuned_over_stages.RESONANCES` has them."""
+        """Return the parameters of the resonances in the form of `tuned_over_stages.RESONANCES`."""
         zeros, poles = self._pairs_from
         of_zeros = numbers[zeros + 2 * len(self._like.zeros):poles].reshape(-1, 2)
         of_poles = np.exp(numbers[poles + 2 * len(self._like.poles):].reshape(-1, 2))
@@ -147,13 +147,13 @@ class Search:
 
     @property
     def _pairs_from(self) -> tuple[int, int]:
-        """Return where the pairs of zeros begin among the numbers, and those of poles."""
+        """Return the indices of the first pair of zeros and of the first pair of poles."""
         zeros = 1 + self.structure.real_zeros + self.structure.real_poles
         return zeros, zeros + 2 * self.structure.zero_pairs
 
     def _tuned(self, numbers: FloatArray, steps: int,
                problem: LoopProblem | None = None) -> tuple[FloatArray, Linearised]:
-        """Lower the cost; with less gain first where the loops are not stable."""
+        """Reduce the cost, after reducing the gain until the loops are stable."""
         problem = problem or self._problems[-1]
         low, high = self.structure.bounds
         numbers = np.clip(numbers, low, high)
@@ -185,7 +185,7 @@ def main(arguments: list[str] | None = None) -> None:
     Parameters
     ----------
     arguments : list of str, optional
-        Those of the command line by default.
+        Arguments; by default those of the command line.
     """
     parser = argparse.ArgumentParser(prog="high_bandwidth.search", description=SUMMARY)
     parser.add_argument("--seed", type=int, default=1)

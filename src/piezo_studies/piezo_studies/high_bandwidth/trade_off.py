@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What each method reaches at equal robustness, over the error of the light mode."""
+"""Compare the methods at equal robustness for several errors of the light mode."""
 
 import json
 from collections.abc import Callable
@@ -18,22 +18,22 @@ from piezo_controller.feedback.synthesis.generalised_plant import nominal_hyster
 from piezo_models.cascade import StageModel
 
 DEMANDS = Demands(noise_voltage_v=3.3, slow_sensitivity=4.0)
-"""All methods are compared under weaker bounds than `design_at_sample_rate` has by default."""
+"""Demands of the comparison, with weaker bounds than the defaults of `design_at_sample_rate`."""
 
 LIGHT_MODE_ERRORS = (0.05, 0.10, 0.15, 0.20)
 
 OF_EVERY_STAGE = ((True, 0.20, METHOD),)
-"""Designed to reach the demands with every stage, too, at the largest error."""
+"""Further designs that must meet the demands for every stage, at the largest error."""
 
 TITLES = {METHOD: "fixed order with resonances at 50 Hz and 100 Hz", H_INFINITY: "H-infinity",
           **{name: FORMS[name].title for name in (
               "notch_pi", "integral_resonant", "positive_position", "inverse_pi")}}
-"""Of the methods that are compared."""
+"""Titles of the compared methods."""
 
 
 @dataclass(frozen=True)
 class Compared:
-    """A design at one robustness; `controller` is None where no stable one was found."""
+    """A design for one error of the light mode; `controller` is None if no stable one was found."""
 
     method: str
     light_mode_error: float
@@ -42,7 +42,7 @@ class Compared:
 
     @property
     def keeps_bounds(self) -> bool:
-        """Tell whether peak and noise are within their bounds; the search may end beyond them."""
+        """Whether peak and noise are within their bounds, which a search may exceed."""
         if self.controller is None:
             return False
         report = self.controller.report
@@ -55,16 +55,16 @@ class Compared:
 
 def compare(model: StageModel, take: Callable[[Compared], None], kept: Path,
             effort: float = 1.0) -> None:
-    """Design with every method, at every robustness.
+    """Design with every method for every error of the light mode.
 
     Parameters
     ----------
     take : callable
-        Is given every design.
+        Called with every design.
     kept : pathlib.Path
-        Directory of controller files, from which a design of the same demands is taken again.
+        Directory of controller files; a saved design for the same demands is used again.
     effort : float
-        See `design_by`.
+        Passed to `design_by`.
     """
     for of_every_stage, error, method in (*product((False,), LIGHT_MODE_ERRORS, TITLES),
                                           *OF_EVERY_STAGE):
@@ -81,7 +81,7 @@ def compare(model: StageModel, take: Callable[[Compared], None], kept: Path,
 
 
 def _same_design(path: Path, model: StageModel, demands: Demands) -> FeedbackController | None:
-    """Return the controller of a file if it was designed for the same; None otherwise."""
+    """Return the controller of a file if it was designed for the same demands; None otherwise."""
     if not path.exists():
         return None
     controller = load_controller(path)

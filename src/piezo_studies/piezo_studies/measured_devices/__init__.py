@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Identification and diagnosis of measured devices beside their published figures."""
+"""Identification and diagnosis of measured devices, compared with published figures."""

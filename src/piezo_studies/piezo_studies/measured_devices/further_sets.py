@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Three public sets that no constant was set on: two tanks, a flexible arm, a CD player's arm.
+"""Three public data sets not used to tune constants: two tanks, a flexible arm, a CD player's arm.
 
-None is a piezo stage. They show what `identify` makes of recordings that it was not made for: few
-rows, no rest before them, a form that no model here has.
+None is a piezo stage. They test `identify` on recordings for which it was not designed: few rows,
+no rest before them, and dynamics that no model here represents.
 """
 
 from pathlib import Path
@@ -23,11 +23,12 @@ TANKS, ROBOT_ARM = "cascaded_tanks/dataBenchmark.csv", "robot_arm/robot_arm.dat"
 PLAYER_ARM = "cd_player_arm/CD_player_arm.dat"
 
 TANKS_PERIOD_S, UNKNOWN_PERIOD_S = 4.0, 1e-3
-"""The second of the arms, whose sample periods are not published: it scales their frequencies."""
+"""Sample period of the tanks, and an arbitrary one for the arms, whose sample periods are not
+published; it only scales their frequencies."""
 
 
 def tanks(directory: Path) -> list[Figure]:
-    """Identify two tanks in series, and predict the level under another voltage of the pump."""
+    """Identify two tanks in series, and predict the level for another pump voltage."""
     rows = np.genfromtxt(Path(directory) / TANKS, delimiter=",", skip_header=1)[:, :4]
     fitted, unseen = (_recording(rows[:, i], rows[:, 2 + i], TANKS_PERIOD_S) for i in range(2))
     return [Figure("cascaded tanks", "RMS", "estimation", "validation", "V", 0.757, 0.757,
@@ -38,7 +39,7 @@ def tanks(directory: Path) -> list[Figure]:
 def robot_arm(directory: Path) -> list[Figure]:
     """Identify a flexible arm from the beginning of its record, and predict the rest."""
     rows = np.loadtxt(Path(directory) / ROBOT_ARM)
-    # It falls where its input rises.
+    # The output falls as the input rises.
     whole = _recording(rows[:, 0], -rows[:, 1], UNKNOWN_PERIOD_S)
     fitted, unseen = divided(whole)
     identified = identify(dynamics=fitted)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Vibration from a single jump of the voltage, for recordings that hold no square wave."""
+"""Identify vibration from a single jump of the voltage, for recordings without a square wave."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -24,26 +24,26 @@ from piezo_models.linear.dynamics_vector import (
 from piezo_recorder.reading.recording import Recording
 
 MOST_MODES = 3
-"""Vibration modes beyond which the search for their number ends."""
+"""Largest number of vibration modes in the search."""
 
 SAMPLES_BEFORE = 50
-"""So many samples of the rest before the jump fix its level."""
+"""Samples of the rest before the jump that determine its level."""
 
 SEARCH_WIDTH = 3.0
-"""Logarithm of the factor by which the fit may leave its start."""
+"""Largest change of the logarithm of a parameter in the fit."""
 
 LEAST_JUMP = 10.0
-"""A jump is so many times the largest other change of the voltage from sample to sample."""
+"""Smallest ratio of a jump to the largest other change of the voltage between samples."""
 
 
 @dataclass(frozen=True, eq=False)
 class JumpResponse:
-    """A rest, a jump, and what follows it.
+    """A rest, a jump, and the response.
 
     Parameters
     ----------
     jump : int
-        Sample from which the new voltage is applied.
+        First sample with the new voltage.
     voltage_v, displacement_um : ndarray, shape (N,)
     """
 
@@ -59,10 +59,11 @@ class JumpResponse:
             (np.arange(self.voltage_v.size) - self.jump) * self.sample_period_s, dtype=float)
 
     def basis(self, dynamics: ElectricVibrationDynamics) -> FloatArray:
-        """Columns whose combination is the response, shape (N, 4).
+        """Return regressors of the response, shape (N, 4).
 
-        The level of the rest, and through the dynamics the jump of the hysteresis output and its
-        change since: the hysteresis between two reversals is close to a parabola in the voltage.
+        They are a constant and, passed through the dynamics, the jump of the hysteresis output and
+        its later change: between two reversals, the hysteresis is close to a parabola in the
+        voltage.
         """
         system = zoh(dynamics.state_space(), self.sample_period_s)
         after = np.arange(self.voltage_v.size) >= self.jump
@@ -82,7 +83,7 @@ class JumpResponse:
 
 
 def jump_response(recording: Recording, duration_s: float = 0.05) -> JumpResponse:
-    """Cut the largest jump of the voltage out of a recording, with the rest before it.
+    """Extract the largest jump of the voltage from a recording, with the rest before it.
 
     Parameters
     ----------
@@ -92,7 +93,7 @@ def jump_response(recording: Recording, duration_s: float = 0.05) -> JumpRespons
     Raises
     ------
     ValueError
-        If no change of the voltage stands out, or the recording ends too soon after it.
+        If no change of the voltage is clearly the largest, or the recording ends too soon after it.
     """
     part = played(recording)
     change_v = np.abs(np.diff(part.voltage_v))
@@ -116,25 +117,25 @@ def jump_response(recording: Recording, duration_s: float = 0.05) -> JumpRespons
 
 
 def estimate_jump_dynamics(response: JumpResponse, mode_count: int | None = None) -> Estimate:
-    """Estimate lag, modes, and an antiresonance between every two of them.
+    """Estimate lag, modes, and an antiresonance between every two neighbouring modes.
 
-    The modes start from the poles of the free decay; the physical parameters are then refined for
-    the least output error, with all coefficients of `JumpResponse.basis` free.
+    The poles of the free decay give initial values of the modes. The physical parameters are then
+    refined by minimizing the output error, with all coefficients of `JumpResponse.basis` free.
 
     Parameters
     ----------
     mode_count : int, optional
-        By default as many as the Bayesian information criterion justifies.
+        Number of modes; by default chosen by the Bayesian information criterion.
 
     Returns
     -------
     Estimate
-        Its `order` counts the modes.
+        Estimate whose `order` is the number of modes.
 
     Raises
     ------
     ValueError
-        If the decay does not show as many modes as asked for.
+        If the decay shows fewer modes than requested.
     """
     fits = {}
     for count in range(1, MOST_MODES + 1) if mode_count is None else [mode_count]:
@@ -154,7 +155,7 @@ def estimate_jump_dynamics(response: JumpResponse, mode_count: int | None = None
 def _fit(
     response: JumpResponse, start: ElectricVibrationDynamics,
 ) -> tuple[ElectricVibrationDynamics, dict[str, Any], OrderTrial]:
-    """Dynamics of least output error, their standard deviations, and the trial."""
+    """Return the dynamics with the least output error, their standard deviations, and the trial."""
     modes = len(start.mode_frequencies_rad_per_s)
     antiresonances = len(start.antiresonance_frequencies_rad_per_s)
 
@@ -181,10 +182,10 @@ def _fit(
 
 def _starting_dynamics(response: JumpResponse, mode_count: int,
                        ) -> ElectricVibrationDynamics | None:
-    """Modes of the free decay; None where it shows fewer."""
+    """Return initial modes from the free decay; None if it shows fewer."""
     after = slice(response.jump + 1, None)
     voltage_v, displacement_um = response.voltage_v[after], response.displacement_um[after]
-    # What varies with the voltage is no decay; the later half shows it best.
+    # Remove the part that follows the voltage, as fitted to the later half.
     half = voltage_v.size // 2
     terms = min(2, np.unique(voltage_v[half:]).size - 1)
     slow_um = np.polynomial.Polynomial.fit(voltage_v[half:], displacement_um[half:], terms)
@@ -205,10 +206,10 @@ def _starting_dynamics(response: JumpResponse, mode_count: int,
 
 
 def free_decay_poles(decay: FloatArray, sample_period_s: float, order: int) -> ComplexArray:
-    """Poles (rad/s, complex) of a free decay around an unknown end value.
+    """Return the poles (rad/s, complex) of a free decay to an unknown end value.
 
-    The Hankel matrix of the decay has the rank of the system; the shift of its signal subspace has
-    the discrete poles as eigenvalues, among them the 1 of the end value, which is dropped.
+    The Hankel matrix of the decay has the rank of the system. The shift of its signal subspace has
+    the discrete poles as eigenvalues; the eigenvalue 1 of the end value is dropped.
 
     Parameters
     ----------
@@ -230,8 +231,8 @@ def free_decay_poles(decay: FloatArray, sample_period_s: float, order: int) -> C
     subspace = np.linalg.svd(hankel, full_matrices=False)[0][:, : order + 1]
     shift = np.linalg.lstsq(subspace[:-1], subspace[1:], rcond=None)[0]
     discrete = np.linalg.eigvals(shift).astype(complex)
-    # Reals come in an even number here, so that the end value's is one of them, or there is none.
+    # Prefer a real eigenvalue near 1 as that of the end value.
     discrete = np.delete(discrete, np.argmin(np.abs(discrete - 1.0) + 2.0 * (discrete.imag != 0.0)))
-    # A negative eigenvalue has no continuous pole: a fast one is the nearest there is.
+    # Negative eigenvalues have no continuous pole; a fast decay is nearest to them.
     discrete[discrete.imag == 0.0] = np.abs(discrete[discrete.imag == 0.0])
     return np.log(discrete) / sample_period_s

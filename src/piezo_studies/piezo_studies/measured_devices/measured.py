@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Identification on measured data of other stages, with the error on data that was not fitted."""
+"""Identification of other stages from measured data, with the error on unseen data."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,39 +33,39 @@ CANTILEVER = "piezo_cantilever/rest_jump_sine.csv"
 NANOPOSITIONER = "nanopositioner_frf/run_a.csv"
 
 TRANSLATION_WEIGHT, SMOOTHING_WEIGHT = 1e-8, 1e-14
-"""Weights for loops that leave most of the plane unvisited: there the density is that of equally
-wide loops elsewhere. Samples held out from the same loops cannot choose these weights. With either
-of them ten times larger or smaller the errors are 0.38 to 0.42 % and 0.41 to 0.59 %."""
+"""Weights for loops that leave most of the plane unvisited, where the density is then that of
+equally wide loops elsewhere. Samples held out from the same loops cannot determine these weights.
+With either of them ten times larger or smaller the errors are 0.38 to 0.42 % and 0.41 to 0.59 %."""
 
 RINGING_FITTED_S = 0.012
 RINGING_SHOWN_S = 0.032
 RINGING_MODES = 2
-"""So many are in the band of the sensor; a third is damped out, and no vibration."""
+"""Number of modes in the band of the sensor; a third one is strongly damped and does not ring."""
 
 FITTED_CYCLES, TESTED_CYCLES = 4, 2
 
 BAND_HZ = (1.0, 1000.0)
 RISE_HZ = (1.0, 20.0)
-"""In this band the gain of the nanopositioner rises towards low frequencies."""
+"""Band in which the gain of the nanopositioner rises towards low frequencies."""
 
 ORDER = ResponseOrder(creep_pairs=2, modes=4, antiresonances=3)
-"""11 states, where the published model has 12. The information criterion alone would spend the
-second creep pair, which makes the rise, on the shape of the largest resonance."""
+"""Order with 11 states; the published model has 12. The information criterion alone would use the
+second creep pair, which represents the rise, for the shape of the largest resonance."""
 
 PARTS = 4
-"""Every so many-th frequency is left out of a fit and predicted, each of them once."""
+"""Number of fits; each omits every `PARTS`-th frequency and predicts it."""
 
 
 @dataclass(frozen=True)
 class Figure:
-    """One error of ours beside the one in the note of the data.
+    """An error of our model compared with the one published with the data.
 
     Parameters
     ----------
     note : float
-        The figure in the note.
+        Published figure.
     bound : float
-        What ours should not exceed.
+        Largest acceptable value of ours.
     """
 
     data: str
@@ -80,7 +80,7 @@ class Figure:
 
     @property
     def is_reached(self):
-        """Tell whether ours is within its bound."""
+        """Whether ours is within its bound."""
         return self.ours <= self.bound
 
 
@@ -100,7 +100,7 @@ class Ringing:
 
 
 def nrmse_percent(prediction):
-    """Return the RMS error over the measured range, offset removed."""
+    """Return the RMS error over the measured range in percent, with the offset removed."""
     return e_rms_percent(prediction.measured_um, prediction.simulated_um, remove_offset=True)
 
 
@@ -111,20 +111,21 @@ def _without_offset(time_s, voltage_v, measured_um, simulated_um):
 
 
 def scanner(directory):
-    """Fit each recording of the scanner and test it on the other one.
+    """Fit each recording of the scanner, and test it on the other one.
 
-    The recordings are slow and have no time base: hysteresis only, and what crept is in the error.
+    The recordings are slow and have no time base. Only the hysteresis is fitted, so that the creep
+    is part of the error.
 
     Parameters
     ----------
     directory : path-like
-        Of the measured data.
+        Directory of the measured data.
 
     Returns
     -------
     figures : list of Figure
     predictions : dict of str to Prediction
-        Of the recording that was not fitted, by title.
+        Predictions for the unseen recordings by title.
     """
     nested, major = (read_recording(Path(directory) / name) for name in (NESTED_LOOPS, MAJOR_LOOPS))
     figures, predictions = [], {}
@@ -148,18 +149,18 @@ def scanner(directory):
 
 
 def cantilever(directory):
-    """Fit ringing and first cycles of the cantilever, and test on what follows.
+    """Fit ringing and first cycles of the cantilever, and test on the following ones.
 
     Parameters
     ----------
     directory : path-like
-        Of the measured data.
+        Directory of the measured data.
 
     Returns
     -------
     figures : list of Figure
     prediction : Prediction
-        Of the cycles that were not fitted.
+        Prediction for the unseen cycles.
     ringing : Ringing
     """
     recording = read_recording(Path(directory) / CANTILEVER)
@@ -187,21 +188,21 @@ def cantilever(directory):
 
 
 def nanopositioner(directory):
-    """Fit the frequency response of the nanopositioner, and predict frequencies left out.
+    """Fit the frequency response of the nanopositioner, and predict omitted frequencies.
 
     Parameters
     ----------
     directory : path-like
-        Of the measured data.
+        Directory of the measured data.
 
     Returns
     -------
     figures : list of Figure
     measured : FrequencyResponse
     modelled : ndarray of complex, shape (N,)
-        By the model that was fitted to all.
+        Response of the model fitted to all frequencies.
     predicted : ndarray of complex, shape (N,)
-        Each by the model that was not fitted to it.
+        Response at each frequency of the model whose fit omitted it.
     """
     measured = read_frequency_response(Path(directory) / NANOPOSITIONER).between(*BAND_HZ)
     part = np.arange(measured.gain.size) % PARTS
@@ -232,7 +233,7 @@ def nanopositioner(directory):
 
 
 def _ringing(response):
-    """Return the dynamics of the first ringing, and how it goes on."""
+    """Fit the dynamics to the first ringing, and test them on the following ringing."""
     estimate = estimate_jump_dynamics(response.first(RINGING_FITTED_S), RINGING_MODES)
     dynamics = estimate.model
     basis = response.basis(dynamics)
@@ -256,7 +257,7 @@ def _ringing(response):
 
 
 def first_cycle(voltage_v):
-    """Sample of the largest jump, and the period of the sine that follows it, in samples."""
+    """Return the sample of the largest jump, and the period of the following sine in samples."""
     jump = int(np.argmax(np.abs(np.diff(voltage_v)))) + 1
     after_v = voltage_v[jump:]
     rising = np.flatnonzero((after_v[:-1] < 0.0) & (after_v[1:] >= 0.0))

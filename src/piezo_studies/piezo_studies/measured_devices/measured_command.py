@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""`measured`: our error on measured data of other stages beside the figures in its note."""
+"""`measured`: errors on measured data of other stages, compared with published figures."""
 
 import argparse
 import sys

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What deliberately poor models of measured stages lack, found and mended on data held out."""
+"""Diagnose deliberately poor models of measured stages, and test the extended models."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,7 +34,7 @@ from piezo_studies.measured_devices.measured import (
 )
 
 BEFORE_JUMP_S = 0.12
-"""Rest that is diagnosed with the ringing."""
+"""Time at rest before the jump that is diagnosed with the ringing."""
 
 RESONANCES_HZ = (100.0, 1000.0)
 RESONANCES = ResponseOrder(creep_pairs=0, modes=None, antiresonances=None)
@@ -42,16 +42,16 @@ RESONANCES = ResponseOrder(creep_pairs=0, modes=None, antiresonances=None)
 
 @dataclass(frozen=True)
 class Finding:
-    """What was found wanting, with the error before and after on data held out.
+    """The result of a diagnosis, with the errors before and after on held-out data.
 
     Parameters
     ----------
     effects : tuple of str
-        The strongest first.
+        Named effects, the strongest first.
     before_percent, after_percent : float
-        Relative error e_y of the poor model, and extended by the effects.
+        Relative error e_y of the poor model, and of the extended model.
     refitted_percent : float or None
-        The same of a model that is fitted without the restriction of the poor one.
+        Relative error e_y of a model fitted without the restriction of the poor one.
     """
 
     data: str
@@ -65,7 +65,7 @@ class Finding:
     left: str = ""
 
     def text(self):
-        """Return a few lines for people."""
+        """Return a description of the result."""
         refitted = "" if self.refitted_percent is None else (
             f", {self.refitted_percent:.3g} % by a fit without that restriction")
         if self.refitted_percent is not None and self.refitted_percent < self.after_percent:
@@ -94,7 +94,7 @@ def cantilever_without_vibration(directory):
 
 
 def nanopositioner_without_creep(directory):
-    """Diagnose a model of the resonances alone on the response from 1 Hz on."""
+    """Diagnose a model of only the resonances on the response from 1 Hz on."""
     measured = read_frequency_response(Path(directory) / NANOPOSITIONER).between(*BAND_HZ)
     fit = estimate_from_response(measured.between(*RESONANCES_HZ), RESONANCES).model
     line = PreisachModel.line(-1.0, 1.0, fit.gain)
@@ -121,9 +121,9 @@ def scanner_without_asymmetry(directory):
 
 
 def symmetric(hysteresis):
-    """Return the nearest symmetric hysteresis: its way down is its way up turned by 180 degrees.
+    """Return the nearest hysteresis whose falling branches are rising ones turned by 180 degrees.
 
-    Its density does not change where both thresholds are mirrored at the middle.
+    Its density is unchanged if both thresholds are mirrored at the middle.
 
     Parameters
     ----------
@@ -154,4 +154,4 @@ FINDINGS = {
     "nanopositioner": lambda directory: [nanopositioner_without_creep(directory)],
     "scanner": scanner_without_asymmetry,
 }
-"""What finds the faults of poor models of a set, by the set's name."""
+"""Functions that diagnose poor models of a set, by the name of the set."""

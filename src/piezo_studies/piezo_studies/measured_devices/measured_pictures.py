@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Pictures of measured data of other stages beside our models."""
+"""Figures of measured data of other stages and of our models."""
 
 import numpy as np
 
@@ -83,7 +83,8 @@ def draw_frequency_response(path, title, frequency_hz, measured, modelled, predi
     frequency_hz : ndarray, shape (N,)
     measured : ndarray of complex, shape (N,)
     modelled, predicted : ndarray of complex, shape (N,)
-        By the model fitted to all frequencies, and each by one that was not fitted to it.
+        Response of the model fitted to all frequencies, and at each frequency of the model whose
+        fit omitted it.
     """
     figure = new_figure(5.5, WIDE_IN)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Public sets of measured data: files, source, licence, and how to get them."""
+"""Public sets of measured data: files, source, licence, and how to obtain them."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,9 +32,9 @@ class MeasuredSet:
     Parameters
     ----------
     files : tuple of str
-        All of them are needed.
+        Required files, relative to the directory of the measured sets.
     source, licence, fetch : str
-        For people.
+        Source, licence, and how to obtain the files, for messages.
     """
 
     name: str
@@ -44,7 +44,7 @@ class MeasuredSet:
     fetch: str
 
     def missing(self, directory: Path) -> str | None:
-        """Return a line about the first file that is not there; None where all are."""
+        """Return a message about the first missing file; None if all are present."""
         absent = next((name for name in self.files if not (directory / name).is_file()), None)
         if absent is None:
             return None

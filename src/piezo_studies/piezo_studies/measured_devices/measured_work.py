@@ -19,7 +19,7 @@ from piezo_studies.measured_devices.measured_diagnosis import FINDINGS
 
 
 def measure_devices(options):
-    """Fit the measured sets of the options; print and write the errors beside the published."""
+    """Fit the measured sets, and print and write the errors with the published ones."""
     data, output = options.data, options.output
     lines = {each.name: each.missing(data) for each in measured_sets.SETS}
     present = {name for name, line in lines.items() if line is None}
@@ -104,7 +104,7 @@ OSCILLATORS = {"the circuit": oscillators.circuit, "Bouc-Wen": oscillators.bouc_
 
 
 def table(figures):
-    """Return the lines of text with a row for each figure.
+    """Return a text table with a row for each figure.
 
     Parameters
     ----------

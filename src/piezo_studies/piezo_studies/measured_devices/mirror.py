@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A steering mirror on three piezo stacks: one model of its three levels of excitation.
+"""A steering mirror on three piezo stacks: one model for its three levels of excitation.
 
-All inputs always play (orthogonal random-phase multisines), so that no axis is measured alone. The
-measure is that of the benchmark: RMS error over the standard deviation, averaged over outputs,
+All inputs are excited together (orthogonal random-phase multisines); no axis is measured alone. The
+error is that of the benchmark: RMS error over the standard deviation, averaged over outputs,
 realisations and periods.
 """
 
@@ -23,14 +23,15 @@ AXES = ("a", "b", "c")
 UM_PER_M = 1e6
 
 PUBLISHED_PERCENT = (6.37, 4.84, 4.19)
-"""Of the best published model of all levels, a neural network in feedback with a linear model."""
+"""Errors of the best published model for all levels, a neural network in feedback with a linear
+model."""
 
 BOUNDS_PERCENT = (5.6, 4.5, 4.2)
-"""Of the best linear approximation of each level by itself."""
+"""Errors of the best linear approximation of each single level."""
 
 PAIRS = 24
-"""Pairs of poles, as for the table in the docs. By evidence alone there are 33 poles, which leave
-5.40, 3.87 and 4.09 % of the test set."""
+"""Pairs of poles, as for the table in the docs. The evidence alone selects 33 poles, with errors of
+5.40, 3.87 and 4.09 % on the test set."""
 
 FILES = tuple(f"{FOLDER}/{signal}_{level}mV_{part}.npy" for level in LEVELS_MV
               for part in ("train", "test") for signal in ("u", "y"))
@@ -42,7 +43,7 @@ def mirror(directory: Path) -> tuple[list[Figure], IdentifiedAxes]:
     Parameters
     ----------
     directory : path-like
-        Of the measured data.
+        Directory of the measured data.
     """
     fitted = [each for level in LEVELS_MV for each in _recordings(directory, level, "train")]
     identified = identify_several_axes(fitted, pairs=PAIRS, note=print)

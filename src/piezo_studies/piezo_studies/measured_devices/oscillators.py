@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Two benchmarks of oscillators with a nonlinear spring: linear model, diagnosis, errors unseen.
+"""Two benchmarks of nonlinear oscillators: linear model, diagnosis, and errors on unseen data.
 
-A circuit that behaves as a mass on a spring with a cubic part (Silverbox), and a mass on a spring
+They are a circuit that behaves like a mass on a cubic spring (Silverbox), and a mass on a spring
 with hysteresis (Bouc-Wen).
 """
 
@@ -29,18 +29,18 @@ BOUC_WEN, BOUC_WEN_MULTISINE, BOUC_WEN_SWEEP = (
     "bouc_wen/test_sweep.csv")
 
 FITTED_PART = 0.7
-"""Of a recording; the rest is predicted."""
+"""Fraction of a recording that is fitted; the rest is predicted."""
 
 NOISE_UM = 8.0
-"""RMS, of the training data of Bouc-Wen, as the benchmark prescribes."""
+"""RMS noise added to the training data of Bouc-Wen, as the benchmark prescribes."""
 
 MV_PER_UM = 1e3
-"""The files hold 1 V of the circuit as 1 um."""
+"""Conversion of displacements to voltages of the circuit: the files store 1 V as 1 um."""
 
 
 @dataclass(frozen=True, eq=False)
 class Benchmark:
-    """What came of an oscillator."""
+    """The results for an oscillator."""
 
     figures: list[Figure]
     finding: Finding
@@ -52,7 +52,7 @@ def circuit(directory: Path) -> Benchmark:
     Parameters
     ----------
     directory : path-like
-        Of the measured data.
+        Directory of the measured data.
     """
     multisine, arrow = (read_recording(Path(directory) / name) for name in (CIRCUIT, ARROW))
     fitted, unseen = divided(multisine)
@@ -81,7 +81,7 @@ def bouc_wen(directory: Path) -> Benchmark:
     Parameters
     ----------
     directory : path-like
-        Of the measured data.
+        Directory of the measured data.
     """
     train, multisine, sweep = (
         read_recording(Path(directory) / name)
@@ -112,20 +112,20 @@ def _aligned(identified: IdentifiedModel, recording: Recording) -> Recording:
 
 
 def divided(whole: Recording) -> tuple[Recording, Recording]:
-    """Return the part of a recording that is fitted, and the rest."""
+    """Return the fitted part of a recording, and the rest."""
     sample = np.arange(whole.voltage_v.size)
     is_fitted = sample < FITTED_PART * sample.size
     return whole.select(is_fitted), whole.select(~is_fitted)
 
 
 def rms_um(model: StageModel, recording: Recording) -> float:
-    """Return the RMS error of a prediction, offset removed."""
+    """Return the RMS error of a prediction with the offset removed."""
     prediction = predict(model, recording)
     return float(np.std((prediction.measured_um - prediction.simulated_um)[prediction.good]))
 
 
 def _frequency_hz(model: StageModel) -> float:
-    """Return the frequency of the slowest mode, in series or beside others."""
+    """Return the frequency of the slowest mode, in series or in parallel."""
     beside = [effect.frequency_rad_per_s for effect in model.effects
               if isinstance(effect, VibrationMode)]
     return min((*model.dynamics.mode_frequencies_rad_per_s, *beside)) / (2.0 * np.pi)

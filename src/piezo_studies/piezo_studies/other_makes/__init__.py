@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Stages of other makes, which share no mathematical form with the models, and their study."""
+"""Study of stages of other makes, whose mathematical form differs from that of the models."""

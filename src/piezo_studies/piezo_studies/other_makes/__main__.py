@@ -16,7 +16,7 @@ from piezo_studies.other_makes.trial import OUTCOME, Outcome, failed, read_outco
 
 TABLE, PRINTED = "other_makes.json", "printed.txt"
 CLOCK_PER_CPU = 10.0
-"""Time of the clock that a trial may take, over that of the processor."""
+"""Largest ratio of wall time to processor time of a trial."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -25,7 +25,7 @@ def main(arguments: list[str] | None = None) -> None:
     Parameters
     ----------
     arguments : list of str, optional
-        Those of the command line by default.
+        Arguments; by default those of the command line.
     """
     parser = argparse.ArgumentParser(prog="other_makes", description=__doc__)
     parser.add_argument("--stage", nargs="+", choices=MAKES, default=tuple(MAKES))
@@ -55,12 +55,12 @@ def main(arguments: list[str] | None = None) -> None:
 
 def in_own_process(stage: str, seed: int, folder: Path, is_diagnosed: bool,
                    cpu_minutes: int) -> Outcome:
-    """Run a trial in a process of its own, and end it with all that it started in time.
+    """Run a trial in a separate process; terminate it with all its children after a time limit.
 
     Parameters
     ----------
     stage : str
-        Of `MAKES`.
+        Key of `MAKES`.
     """
     folder.mkdir(parents=True, exist_ok=True)
     (folder / OUTCOME).unlink(missing_ok=True)
@@ -96,7 +96,7 @@ def heading() -> str:
 
 
 def row(name: str, outcome: Outcome) -> str:
-    """Return the line of a stage; errors that are not near the noise are bold."""
+    """Return the table row of a stage; errors well above the noise are bold."""
     if outcome.failure:
         return f"| {name} | {outcome.failure} |"
     errors = []

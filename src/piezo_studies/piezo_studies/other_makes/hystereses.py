@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Hystereses of other forms than relays: plays between curves, Maxwell's slip, equations.
 
-Each is a function of a voltage (N,) that begins at 0 V on a stage that was never cycled, and
-returns what drives the linear part (um), shape (N,). None knows the time.
+Each is a function of a voltage (N,) that begins at 0 V on a stage that was never cycled. It returns
+the input of the linear part (um), shape (N,). All are independent of time.
 """
 
 from dataclasses import dataclass
@@ -15,22 +15,22 @@ from piezo_common.arrays import FloatArray
 
 
 class Hysteresis(Protocol):
-    """What makes a displacement of the voltage's history."""
+    """A function from the history of the voltage to a displacement."""
 
     def __call__(self, voltage_v: FloatArray) -> FloatArray:
-        """Return what drives the linear part (um), shape (N,)."""
+        """Return the input of the linear part (um), shape (N,)."""
 
 
 @dataclass(frozen=True)
 class Plays:
-    """A sum of plays, whose sides are different curves of the voltage.
+    """A sum of plays, whose two sides are different curves of the voltage.
 
     Attributes
     ----------
     half_widths_v : ndarray, shape (P,)
     weights_um_per_v : ndarray, shape (P,)
     rising, falling : tuple of float
-        Coefficients of the voltage's powers from the first on: the curves of the two sides.
+        Polynomial coefficients of the curves of the two sides, from the first power on.
     """
 
     half_widths_v: FloatArray
@@ -39,7 +39,7 @@ class Plays:
     falling: tuple[float, ...]
 
     def __call__(self, voltage_v: FloatArray) -> FloatArray:
-        """Return what drives the linear part (um), shape (N,)."""
+        """Return the input of the linear part (um), shape (N,)."""
         rising, falling = (np.asarray(
             np.polynomial.polynomial.polyval(voltage_v, (0.0, *side)), dtype=float)
             for side in (self.rising, self.falling))
@@ -61,18 +61,18 @@ def _plays(rising: FloatArray, falling: FloatArray, half_widths: FloatArray,
 
 @dataclass(frozen=True)
 class MaxwellSlip:
-    """A spring beside massless blocks on springs, each of which slips at a force of its own.
+    """A spring in parallel with massless blocks on springs that slip at different forces.
 
-    Goldfarb and Celanovic (1997). The displacement is what the voltage asks for, less what the
+    Goldfarb and Celanovic (1997). The displacement is that without blocks, less the part that the
     blocks hold back.
 
     Attributes
     ----------
     stiffnesses_um_per_v : ndarray, shape (B,)
     limits_v : ndarray, shape (B,)
-        Way of the voltage after which a block slips.
+        Change of the voltage after which a block slips.
     curvature_per_v : float
-        Of the gain over the voltage.
+        Relative change of the gain with the voltage.
     """
 
     gain_um_per_v: float
@@ -81,7 +81,7 @@ class MaxwellSlip:
     curvature_per_v: float = 0.0
 
     def __call__(self, voltage_v: FloatArray) -> FloatArray:
-        """Return what drives the linear part (um), shape (N,)."""
+        """Return the input of the linear part (um), shape (N,)."""
         free_um = self.gain_um_per_v * voltage_v * (1.0 + self.curvature_per_v * voltage_v)
         return free_um - _blocks(voltage_v, self.stiffnesses_um_per_v, self.limits_v)
 
@@ -106,7 +106,7 @@ class Duhem:
     Attributes
     ----------
     direct_um_per_v, state_um_per_v : float
-        By which voltage and state are multiplied.
+        Factors of voltage and state in the displacement.
     """
 
     direct_um_per_v: float
@@ -116,14 +116,14 @@ class Duhem:
     middle: float
 
     def __call__(self, voltage_v: FloatArray) -> FloatArray:
-        """Return what drives the linear part (um), shape (N,)."""
+        """Return the input of the linear part (um), shape (N,)."""
         state = _duhem(voltage_v, self.rate, self.slope_per_v, self.middle)
         return self.direct_um_per_v * voltage_v + self.state_um_per_v * state
 
 
 @njit(cache=True)
 def _duhem(voltage: FloatArray, rate: float, slope: float, middle: float) -> FloatArray:
-    # Between two voltages the equation is linear: its solution is a line and an exponential.
+    # Between two voltages, the solution is a line plus an exponential.
     states = np.empty(voltage.size)
     state, before = 0.0, 0.0
     for n in range(voltage.size):
@@ -139,18 +139,18 @@ def _duhem(voltage: FloatArray, rate: float, slope: float, middle: float) -> Flo
 
 @dataclass(frozen=True)
 class JilesAtherton:
-    """Domain walls that are pinned, after Jiles and Atherton (1986), about a polarised state.
+    """Pinned domain walls (Jiles and Atherton, 1986) about a polarised state.
 
     Attributes
     ----------
     gain_um_per_v, saturation_um : float
         Linear gain, and the largest displacement of the domains.
     shape_v, pinning_v : float
-        Of the curve without hysteresis, and of the loops.
+        Width of the anhysteretic curve, and width of the loops.
     coupling_v_per_um, reversible : float
-        Field of the domains on themselves, and the part of them that moves reversibly.
+        Coupling field of the domains, and fraction of them that moves reversibly.
     middle_v : float
-        Voltage about which the curves are odd.
+        Voltage about which the curves are odd functions.
     """
 
     gain_um_per_v: float
@@ -162,7 +162,7 @@ class JilesAtherton:
     middle_v: float
 
     def __call__(self, voltage_v: FloatArray) -> FloatArray:
-        """Return what drives the linear part (um), shape (N,)."""
+        """Return the input of the linear part (um), shape (N,)."""
         return self.gain_um_per_v * voltage_v + _domains(
             voltage_v - self.middle_v, -self.middle_v, self.saturation_um, self.shape_v,
             self.pinning_v, self.coupling_v_per_um, self.reversible)

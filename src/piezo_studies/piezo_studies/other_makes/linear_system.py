@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Linear systems as sums of their poles: lags, modes, creep by a continuum of rates, flexures."""
+"""Linear systems as sums over poles: lags, modes, creep by a continuum of rates, flexures."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -13,20 +13,20 @@ from numba import njit
 from piezo_common.arrays import ComplexArray, FloatArray
 
 RATES_PER_DECADE = 4
-"""Of a continuum of rates; the rule of trapezoids over their logarithm is then exact to 1e-7."""
+"""Rates per decade that represent a continuum; the trapezoidal rule is then exact to 1e-7."""
 
 SMALL = 1e-3
-"""Step times pole below which a series replaces a difference of exponentials."""
+"""Product of step and pole below which a series replaces a difference of exponentials."""
 
 
 @dataclass(frozen=True)
 class LinearSystem:
-    """A direct part, and a sum of residues over s minus poles.
+    """A transfer function with a direct part and a sum of residues / (s - poles).
 
     Attributes
     ----------
     poles_per_s : ndarray of complex, shape (P,)
-        One of each conjugate pair, all different.
+        Distinct poles; one of each conjugate pair.
     residues : ndarray of complex, shape (P,)
     """
 
@@ -43,7 +43,7 @@ class LinearSystem:
             + paired * self.residues.conj() / (s - self.poles_per_s.conj())).sum(axis=-1)
 
     def then(self, following: Self) -> Self:
-        """Return the two in series; they have no pole in common."""
+        """Return the two systems in series; they must have no pole in common."""
         return type(self)(
             np.append(self.poles_per_s, following.poles_per_s),
             np.append(self.residues * following.at(self.poles_per_s),
@@ -51,22 +51,22 @@ class LinearSystem:
             self.direct * following.direct)
 
     def beside(self, other: Self) -> Self:
-        """Return the sum of the two."""
+        """Return the two systems in parallel."""
         return type(self)(np.append(self.poles_per_s, other.poles_per_s),
                           np.append(self.residues, other.residues), self.direct + other.direct)
 
     def weights(self) -> ComplexArray:
-        """Return the residues, twice those of a pair: the response is the real part of the sum."""
+        """Return the residues, doubled for pairs, so that the response is the sum's real part."""
         return np.where(self.poles_per_s.imag != 0.0, 2.0, 1.0) * self.residues
 
 
 def unchanged() -> LinearSystem:
-    """Return what passes everything on at once."""
+    """Return a system whose output equals its input."""
     return LinearSystem(np.empty(0, complex), np.empty(0, complex), 1.0)
 
 
 def lag(time_constant_s: float, share: float = 1.0) -> LinearSystem:
-    """Return a lag of first order."""
+    """Return a first-order lag."""
     return LinearSystem(np.array([-1.0 / time_constant_s + 0j]),
                         np.array([share / time_constant_s + 0j]))
 
@@ -80,21 +80,21 @@ def mode(frequency_hz: float, damping: float, share: float = 1.0) -> LinearSyste
 
 
 def beside_each_other(systems: Iterable[LinearSystem]) -> LinearSystem:
-    """Return the sum of systems."""
+    """Return systems in parallel."""
     return reduce(LinearSystem.beside, systems)
 
 
 def coupled_flexures(mass: FloatArray, damping: FloatArray, stiffness: FloatArray,
                      force: FloatArray, reading: FloatArray, direct: float) -> LinearSystem:
-    """Return bodies on springs that a force moves, of a static gain of one with the direct part.
+    """Return bodies on springs moved by a force, with a static gain of 1 including the direct part.
 
     Parameters
     ----------
     mass, damping, stiffness : ndarray, shape (B, B)
     force, reading : ndarray, shape (B,)
-        How the force acts on the bodies, and how the sensor reads them.
+        Weights of the force on the bodies, and of the bodies in the sensor's reading.
     direct : float
-        Part of the gain that follows at once.
+        Direct part of the gain.
     """
     bodies = len(mass)
     a = np.block([[np.zeros((bodies, bodies)), np.eye(bodies)],
@@ -111,14 +111,14 @@ def coupled_flexures(mass: FloatArray, damping: FloatArray, stiffness: FloatArra
 
 def spectrum(share_of: Callable[[FloatArray], FloatArray], fastest_s: float,
              slowest_s: float) -> LinearSystem:
-    """Return one plus a continuum of relaxations.
+    """Return 1 plus a continuum of relaxations.
 
     Parameters
     ----------
     share_of : callable
-        Share of the relaxations per unit of the natural logarithm of their time constants (s).
+        Density of the relaxations over the natural logarithm of their time constants (s).
     fastest_s, slowest_s : float
-        Time constants between which they lie.
+        Smallest and largest time constant.
     """
     count = round(RATES_PER_DECADE * np.log10(slowest_s / fastest_s)) + 1
     times_s = np.geomspace(fastest_s, slowest_s, count)
@@ -128,16 +128,16 @@ def spectrum(share_of: Callable[[FloatArray], FloatArray], fastest_s: float,
 
 def logarithmic_creep(per_decade: float, fastest_s: float = 1e-3,
                       slowest_s: float = 1e6) -> LinearSystem:
-    """Return creep by a share of the displacement in every decade of time."""
+    """Return creep by a constant fraction of the displacement per decade of time."""
     return spectrum(lambda times_s: np.full(times_s.size, per_decade / np.log(10.0)),
                     fastest_s, slowest_s)
 
 
 def power_creep(share: float, exponent: float, fastest_s: float = 1e-4,
                 slowest_s: float = 1e7) -> LinearSystem:
-    """Return creep by a power of time: the displacement grows by the share in the first second.
+    """Return creep by a power of time, in which the displacement grows by `share` in 1 s.
 
-    Relaxations that are faster than the fastest count as done at once.
+    Relaxations faster than `fastest_s` are part of the direct gain.
     """
     def share_of(times_s: FloatArray) -> FloatArray:
         return share * exponent / gamma(1.0 - exponent) * times_s**exponent
@@ -159,23 +159,23 @@ def fractional_creep(share: float, time_s: float, order: float, fastest_s: float
 
 
 def knots_s(period_s: float, fastest_per_s: float, read_s: float) -> FloatArray:
-    """Return instants within a row between which its signals are straight lines.
+    """Return times within a row between which signals are approximated by straight lines.
 
-    They are dense after the edge of the row, and far apart once the front is settled.
+    They are dense after the edge of the row, and sparse once the front has settled.
 
     Parameters
     ----------
     period_s : float
-        Of the rows.
+        Period of the rows.
     fastest_per_s : float
-        Magnitude of the fastest pole of what is in front of the hysteresis; 0 for none.
+        Magnitude of the fastest pole before the hysteresis; 0 if there is none.
     read_s : float
-        An instant that must be among them.
+        Time that must be included.
 
     Returns
     -------
     ndarray
-        From 0 to the period.
+        Increasing times from 0 to the period.
     """
     times = [0.0]
     if fastest_per_s > 0.0:
@@ -188,19 +188,20 @@ def knots_s(period_s: float, fastest_per_s: float, read_s: float) -> FloatArray:
 
 
 FINEST, DENSE, GROWTH = 0.03, 6.0, 1.25
-"""First step and time that it is kept, times the fastest pole; by what later steps grow."""
+"""First step and the time for which it is used, both times the fastest pole, and growth of later
+steps."""
 
 
 def held_response(system: LinearSystem, voltage_v: FloatArray, knots: FloatArray,
                   state: ComplexArray) -> tuple[FloatArray, ComplexArray]:
-    """Return the exact response to a voltage that every row holds, at the knots of each row.
+    """Return the exact response to a voltage held in each row, at the knots of the row.
 
     Parameters
     ----------
     voltage_v : ndarray, shape (N,)
     knots : ndarray, shape (K,)
     state : ndarray of complex, shape (P,)
-        Before the first row.
+        State before the first row.
 
     Returns
     -------
@@ -221,12 +222,12 @@ def straight_response(system: LinearSystem, input_um: FloatArray, knots: FloatAr
     Parameters
     ----------
     input_um : ndarray, shape (N, K)
-        It may jump from the last knot of a row to the first of the next one.
+        Input; it may jump between the last knot of a row and the first of the next one.
     knots : ndarray, shape (K,)
     read : int
-        The knot at which the response is read; at the first one before the jump.
+        Number of the knot at which the response is read; at the first one, before the jump.
     state : ndarray of complex, shape (P,)
-        Before the first row.
+        State before the first row.
 
     Returns
     -------

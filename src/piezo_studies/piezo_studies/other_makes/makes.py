@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The six makes: nominal by seed 0, with drawn parameters by any other."""
+"""The six makes: nominal for seed 0, with random parameters for other seeds."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -22,25 +22,25 @@ from piezo_studies.other_makes.linear_system import (
 from piezo_studies.other_makes.stage import Stage
 
 ANY_SLEW_V_PER_S = 1e9
-"""No make limits its slew."""
+"""Slew limit of the makes, which has no effect."""
 
 
 @dataclass(frozen=True)
 class Make:
-    """A stage with its instruments, and what is true of it.
+    """A stage with its instruments and its true parameters.
 
     Attributes
     ----------
     noise_um : float
         Standard deviation of the sensor's white noise.
     true : dict of str to list of float
-        Parameters that the form of the models has, too, by their names there: frequencies and
-        dampings of the modes, `delay_s`, `front_lag_s` in front of the hysteresis, and
-        `behind_lag_s`. One that is absent has no counterpart.
+        True values of parameters that the models have, too, by their names: frequencies and
+        dampings of the modes, `delay_s`, `front_lag_s` before the hysteresis, and `behind_lag_s`
+        after it. Parameters without a counterpart are missing.
     drift_um, drift_s : float
         Standard deviation and correlation time of the sensor's drift.
     is_swept : bool
-        Its dynamics are recorded by a chirp in place of a square wave.
+        Whether its dynamics are recorded with a chirp instead of a square wave.
     """
 
     name: str
@@ -54,17 +54,17 @@ class Make:
 
     @property
     def first_mode_hz(self) -> float:
-        """Return the lowest frequency of a mode."""
+        """Lowest frequency of a mode."""
         return min(self.true["mode_frequencies_rad_per_s"]) / (2.0 * np.pi)
 
 
 class Draw:
-    """Parameters about their nominal values.
+    """Random parameters about their nominal values.
 
     Parameters
     ----------
     seed : int
-        0 for the nominal values.
+        Seed; 0 gives the nominal values.
     """
 
     def __init__(self, seed: int) -> None:
@@ -77,7 +77,7 @@ class Draw:
 
 
 def limits(low_v: float, high_v: float, rate_hz: float) -> StageLimits:
-    """Return a range of the voltage and a sample clock."""
+    """Return limits with a voltage range and a sample rate."""
     return StageLimits(low_v, high_v, ANY_SLEW_V_PER_S, rate_hz,
                        rest_voltage_v=min(max(0.0, low_v), high_v))
 
@@ -90,7 +90,7 @@ def true_modes(system: LinearSystem) -> dict[str, list[float]]:
 
 
 def plays_15um(seed: int = 0) -> Make:
-    """Draw asymmetric plays, creep by the logarithm of time, and two modes beside each other."""
+    """Draw a stage with asymmetric plays, logarithmic creep, and two parallel modes."""
     draw = Draw(seed)
     share = draw.about(0.15)
     modes = beside_each_other([mode(draw.about(1200.0), draw.about(0.02), 1.0 - share),
@@ -99,7 +99,7 @@ def plays_15um(seed: int = 0) -> Make:
 
 
 def opposite_lag(seed: int = 0) -> Make:
-    """Draw the same with a mode, and a small lag of the opposite sign beside it."""
+    """Draw a stage like `plays_15um`, with one mode and a small parallel lag of opposite sign."""
     draw = Draw(seed)
     share = draw.about(0.06)
     modes = beside_each_other([mode(draw.about(1192.0), draw.about(0.02), 1.0 + share),
@@ -122,7 +122,7 @@ def _asymmetric(name: str, draw: Draw, modes: LinearSystem, has_lag_behind: bool
 
 
 def tube_11um(seed: int = 0) -> Make:
-    """Draw a tube scanner: creep by a power of time, an amplifier of second order, a chirp."""
+    """Draw a tube scanner with power-law creep, a second-order amplifier, and a chirp."""
     draw = Draw(seed)
     share = draw.about(0.1)
     modes = beside_each_other([mode(draw.about(3400.0), draw.about(0.012), 1.0 - share),
@@ -138,7 +138,7 @@ def tube_11um(seed: int = 0) -> Make:
 
 
 def maxwell_300um(seed: int = 0) -> Make:
-    """Draw Maxwell's slip, two coupled flexures with a direct part, and a gauge that drifts."""
+    """Draw a stage with Maxwell's slip, two coupled flexures, and a drifting strain gauge."""
     draw = Draw(seed)
     modes = flexures(draw, 45.0, 0.03)
     front_lag_s = draw.about(8e-4)
@@ -151,7 +151,7 @@ def maxwell_300um(seed: int = 0) -> Make:
 
 
 def small_2um(seed: int = 0) -> Make:
-    """Draw a small and fast stage that is read some samples late."""
+    """Draw a small and fast stage with a delay of some samples."""
     draw = Draw(seed)
     share = draw.about(0.2)
     modes = beside_each_other([mode(draw.about(32e3), draw.about(0.012), 1.0 - share),
@@ -166,7 +166,7 @@ def small_2um(seed: int = 0) -> Make:
 
 
 def fractional(seed: int = 0) -> Make:
-    """Draw fractional creep, pinned domains, coupled flexures and a sensor with a small lag."""
+    """Draw a stage with fractional creep, pinned domains, coupled flexures and a sensor lag."""
     draw = Draw(seed)
     modes = flexures(draw, 260.0, 0.0)
     front_lag_s, behind_lag_s = draw.about(6e-5), draw.about(1.5e-4)
@@ -181,14 +181,14 @@ def fractional(seed: int = 0) -> Make:
 
 
 def slipping(draw: Draw, gain_um_per_v: float, longest_v: float) -> MaxwellSlip:
-    """Return blocks that slip after ways up to the longest, and hold back a sixth of the gain."""
+    """Return blocks that slip after voltage changes up to `longest_v`, with a sixth of the gain."""
     limits_v = np.geomspace(1.0, draw.about(longest_v), 14)
     stiffnesses = gain_um_per_v * draw.about(0.17) * np.full(14, 1.0 / 14.0)
     return MaxwellSlip(gain_um_per_v, stiffnesses, 0.5 * limits_v, 6e-4)
 
 
 def flexures(draw: Draw, frequency_hz: float, direct: float) -> LinearSystem:
-    """Return two bodies in a row, the first on flexures, whose sensor is at the second."""
+    """Return two coupled bodies, the first on flexures, with the sensor at the second."""
     w = 2.0 * np.pi * draw.about(frequency_hz)
     mass = np.diag([1.0, draw.about(0.35)])
     coupling = draw.about(1.4) * w**2
@@ -201,4 +201,4 @@ def flexures(draw: Draw, frequency_hz: float, direct: float) -> LinearSystem:
 MAKES: dict[str, Callable[[int], Make]] = {
     make.__name__: make for make in (
         plays_15um, tube_11um, opposite_lag, maxwell_300um, small_2um, fractional)}
-"""By their names: functions of a seed."""
+"""Functions of a seed that return the makes, by name."""

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a laboratory records of a make by the recipe, and three motions that nothing is fitted to.
+"""Recordings of a make by the recipe for laboratories, and three unseen motions.
 
-Every recording is a table `time_s,voltage_v,displacement_um`. The stage was swept over its range
-before, and rested.
+Every recording is a table `time_s,voltage_v,displacement_um`. Before it, the stage is swept over
+its range and rests.
 """
 
 import json
@@ -29,37 +29,38 @@ from piezo_studies.other_makes.stage import HeldVoltage
 
 IDENTIFICATION, UNSEEN = ("creep", "dynamics", "hysteresis"), ("slow", "fast", "mixed")
 KNOWN = "known.json"
-"""File beside the tables: what is true of the make, and of its recordings."""
+"""File in the folder of the tables with true values of the make and of its recordings."""
 
 CREEP_ROW_S, SLOW_ROW_S, REST_S, RAMP_S = 0.01, 0.001, 60.0, 0.1
-"""Periods of slow rows, for how long the stage rests, and time of a ramp over the range."""
+"""Periods of slow rows, duration of the rest, and duration of a ramp over the range (s)."""
 
 LEVELS = 20
 PERIODS_OF_MODE, SQUARE_WAVES, DYNAMICS_S = 24.0, 100, 1.5
-"""Of the first mode in a period of the square wave; how many of these, and the least time."""
+"""Periods of the first mode in a period of the square wave, fewest periods of the square wave, and
+its shortest duration."""
 
 CHIRP_S, CHIRP_HZ, CHIRP_SWING = 4.0, (10.0, 12e3), 0.02
 TONES = (0.11, 0.23, 0.37, 0.53, 0.71, 0.86, 1.0)
-"""Frequencies of the unseen tones over that of the first mode."""
+"""Frequencies of the unseen tones relative to that of the first mode."""
 
 TONE_SWING, MIXED_SWING = 0.025, 0.01
-"""Of each tone in the displacement, over the range."""
+"""Amplitude of each tone in the displacement, as a fraction of the range."""
 
 TRIANGLE_S, SLOW_SINES_S = 1.0, 12.0
 SLOW_SINES = ((0.17, 0.16, 0.0), (0.43, 0.12, 1.0), (1.1, 0.08, 2.0), (2.3, 0.04, 3.0))
-"""Frequency (Hz), amplitude over the range and phase of each slow sine."""
+"""Frequency (Hz), amplitude as a fraction of the range, and phase of each slow sine."""
 
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of a recording that a laboratory does not know.
+    """True values of a recording that are unknown in a laboratory.
 
     Attributes
     ----------
     noise_percent : float
-        Noise and drift of the sensor over the displacement, in percent as e_y (4.20).
+        Noise and drift of the sensor relative to the displacement, in percent like e_y (4.20).
     counted_s : (float, float)
-        Instants between which its error counts: the unseen motion, without the ways there and back.
+        Beginning and end of the unseen motion, without ramps, in which the error is computed.
     """
 
     noise_percent: float
@@ -67,12 +68,12 @@ class Known:
 
 
 def record(make: Make, folder: Path, seed: int) -> None:
-    """Write the tables of a make and what is known of them, unless the folder has them.
+    """Write the tables of a make and their true values, unless the folder already has them.
 
     Parameters
     ----------
     seed : int
-        Of the noise.
+        Seed of the noise.
     """
     if (folder / KNOWN).exists():
         return
@@ -96,12 +97,12 @@ def recorded(make: Make, experiment: Experiment, seed: int,
     Parameters
     ----------
     approach_s : float
-        Time at the beginning of the waveform that does not count.
+        Time at the beginning of the waveform that is excluded from the error.
 
     Returns
     -------
     table : ndarray, shape (N, 3)
-        Instants (s), voltages (V) and measured displacements (um).
+        Times (s), voltages (V) and measured displacements (um).
     known : Known
     """
     rest_v = make.limits.rest_voltage_v
@@ -121,7 +122,7 @@ def recorded(make: Make, experiment: Experiment, seed: int,
     measured_um = displacement_um + disturbance_um
     ramp_rows = with_ramps(experiment, rest_v, ramp_v_per_s).size - (
         experiment.voltage_v.size * experiment.repeats)
-    # The way there takes as many rows as the voltage is away from rest, and at least one.
+    # The duration of the ramp to the waveform is in proportion to its distance from rest.
     there_s = abs(experiment.voltage_v[0] - rest_v) / ramp_v_per_s
     back_s = ramp_rows * voltage.period_s - there_s
     counted_s = (there_s + approach_s, float(time_s[-1] - max(back_s, 0.0)))
@@ -131,7 +132,7 @@ def recorded(make: Make, experiment: Experiment, seed: int,
 
 
 def drift_um(make: Make, time_s: FloatArray, random: np.random.Generator) -> FloatArray:
-    """Return a drift of the sensor, shape (N,): waves of random phase, slower than its time."""
+    """Return a drift of the sensor, shape (N,): slow waves with random phases."""
     periods_s = make.drift_s * np.geomspace(0.5, 8.0, 9)
     waves = np.sin(2.0 * np.pi * time_s[:, None] / periods_s
                    + random.uniform(0.0, 2.0 * np.pi, periods_s.size))
@@ -139,7 +140,7 @@ def drift_um(make: Make, time_s: FloatArray, random: np.random.Generator) -> Flo
 
 
 def experiments(make: Make) -> dict[str, Experiment]:
-    """Return the voltages of the recordings by their names."""
+    """Return the experiments of the recordings by name."""
     limits = make.limits
     square_s = PERIODS_OF_MODE / make.first_mode_hz
     turns = [0.0, *VALIDATION_TURNS[1:-1], 0.04, 0.97, 0.31, 0.5]
@@ -164,12 +165,12 @@ def experiments(make: Make) -> dict[str, Experiment]:
 
 
 def in_motion_s(make: Make) -> float:
-    """Return how long the unseen tones play: many periods of the first mode."""
+    """Return the duration of the unseen tones: many periods of the first mode."""
     return float(np.clip(1000.0 / make.first_mode_hz, 0.1, 10.0))
 
 
 def tones(make: Make, swing: float) -> list[tuple[float, float]]:
-    """Return frequencies and amplitudes of tones up to the first mode, alike in displacement."""
+    """Return frequencies and amplitudes of tones up to the first mode, equal in displacement."""
     frequencies_hz = make.first_mode_hz * np.array(TONES)
     gains = np.abs(make.stage.behind.at((2j * np.pi * frequencies_hz).astype(complex)))
     return [(float(frequency_hz), swing / max(1.0, float(gain)))
@@ -177,7 +178,7 @@ def tones(make: Make, swing: float) -> list[tuple[float, float]]:
 
 
 def chirp(make: Make) -> Experiment:
-    """Return a sine about the middle whose frequency rises over all modes."""
+    """Return a chirp about the middle of the range over all modes."""
     row_s = 1.0 / make.limits.sample_rate_hz
     time_s = row_s * np.arange(round(CHIRP_S / row_s))
     low_hz, high_hz = CHIRP_HZ

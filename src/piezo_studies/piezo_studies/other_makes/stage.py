@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A stage that is simulated row by row: front, hysteresis, what is behind it, sensor."""
+"""A stage that is simulated row by row: amplifier, hysteresis, linear dynamics, delay."""
 
 from dataclasses import dataclass, field
 
@@ -18,7 +18,7 @@ from piezo_studies.other_makes.linear_system import (
 
 @dataclass(frozen=True)
 class HeldVoltage:
-    """A voltage that each row holds for a period.
+    """A voltage that is held for a period in each row.
 
     Attributes
     ----------
@@ -31,16 +31,16 @@ class HeldVoltage:
 
 @dataclass(frozen=True)
 class Stage:
-    """The cascade of a stage; no part knows anything of the models.
+    """The cascade of a stage, which is independent of the models.
 
     Attributes
     ----------
     behind : LinearSystem
-        Creep, modes and lags behind the hysteresis.
+        Creep, modes and lags after the hysteresis.
     front : LinearSystem
-        The amplifier, in front of the hysteresis.
+        The amplifier, before the hysteresis.
     delay_s : float
-        By which everything is read late.
+        Delay of the reading.
     """
 
     hysteresis: Hysteresis
@@ -49,12 +49,12 @@ class Stage:
     delay_s: float = 0.0
 
     def displacement_um(self, past: list[HeldVoltage], played: HeldVoltage) -> FloatArray:
-        """Return where the stage is at the instants at which the voltages of rows change.
+        """Return the displacement at the times at which the voltages of rows change.
 
         Parameters
         ----------
         past : list of HeldVoltage
-            What was played before, on a stage that was never cycled and comes from rest at 0 V.
+            Voltages played before, on a stage that was never cycled and begins at rest at 0 V.
 
         Returns
         -------

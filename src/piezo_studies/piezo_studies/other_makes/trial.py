@@ -25,24 +25,26 @@ from piezo_studies.other_makes.recordings import IDENTIFICATION, KNOWN, UNSEEN, 
 
 MODEL, DIAGNOSIS, OUTCOME = "model.json", "diagnosis", "outcome.json"
 INTERVAL_DEVIATIONS = 1.645
-"""Standard deviations of an interval that holds 90 % of the errors."""
+"""Half width of a 90 % interval in standard deviations."""
 
 TIMES_NOISE, LEAST_PERCENT = 3.0, 0.2
-"""An error on unseen motion is small below so many times the noise, or below so much."""
+"""An error on unseen motion is small if it is below this multiple of the noise, or below this
+percentage."""
 
 LAGS = {"amplifier_lag": ("front_lag_s", "time_constant_s"),
         "sensor_lag": ("behind_lag_s", "time_constant_s"), "delay": ("delay_s", "delay_s")}
-"""What an effect's parameter is called among what is true."""
+"""Name of the true value, and name of the parameter, by effect."""
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A parameter beside what is true.
+    """A parameter and its true value.
 
     Attributes
     ----------
     value, deviation : float or None
-        None where the model does not have the parameter, or gives no interval.
+        Estimate and standard deviation; None if the model does not have the parameter, or gives
+        no interval.
     """
 
     name: str
@@ -52,27 +54,27 @@ class Interval:
 
     @property
     def holds(self) -> bool:
-        """Return whether the interval of 90 % has the true value."""
+        """Whether the 90 % interval contains the true value."""
         return self.value is not None and self.deviation is not None and (
             abs(self.value - self.true) <= INTERVAL_DEVIATIONS * self.deviation)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a make.
+    """The result for a make.
 
     Attributes
     ----------
     cpu_s, wall_s : float
-        Time of the processor and of the clock that the identification took.
+        Processor time and wall time of the identification.
     errors_percent, noise_percent : dict of str to float
-        e_y (4.20) on each unseen motion, and the part of it that is the sensor's.
+        Error e_y (4.20) on each unseen motion, and its part from the sensor.
     inadequate : list of str
-        Components that the model file calls inadequate.
+        Components that are inadequate according to the model file.
     failure : str
-        Why there is no model; empty if there is one.
+        Reason if there is no model; empty otherwise.
     verdict : str
-        Of the diagnosis of the mixed motion, with the effects that it names; empty without one.
+        Verdict and named effects of the diagnosis of the mixed motion; empty without a diagnosis.
     """
 
     cpu_s: float
@@ -97,14 +99,14 @@ def failed(failure: str) -> Outcome:
 
 
 def run(folder: Path, is_diagnosed: bool) -> Outcome:
-    """Identify the make whose recordings a folder has, and predict the unseen motion.
+    """Identify a make from the recordings in a folder, and predict the unseen motions.
 
     Parameters
     ----------
     folder : Path
-        Of `recordings.record`; the model and the diagnosis are written there.
+        Folder from `recordings.record`; the model and the diagnosis are written there.
     is_diagnosed : bool
-        Diagnose the mixed motion with the model, and hold the fast one out.
+        Whether to diagnose the mixed motion with the model, with the fast one held out.
     """
     model = folder / MODEL
     model.unlink(missing_ok=True)
@@ -143,7 +145,7 @@ def diagnosed(folder: Path) -> str:
 
 def unseen_error_percent(identified: IdentifiedModel, path: Path,
                          counted_s: tuple[float, float]) -> float:
-    """Return e_y (4.20) of a recording between two instants, read as the model's own were."""
+    """Return e_y (4.20) of a recording between two times, with rows aligned to the model."""
     recording, _ = read_as_identified(identified, read_recording(path))
     prediction = predict(identified.model, recording)
     return prediction.e_y_percent((prediction.time_s >= counted_s[0])
@@ -151,16 +153,15 @@ def unseen_error_percent(identified: IdentifiedModel, path: Path,
 
 
 def intervals(identified: IdentifiedModel, true: dict[str, list[float]]) -> list[Interval]:
-    """Set the parameters of a model beside those that are true.
+    """Compare the parameters of a model with the true ones.
 
-    Each true mode is compared with that mode of the model which is nearest in frequency, in series
-    with others or added as an effect. A lag or delay that is truly zero counts where the model has
-    one.
+    Each true mode is compared with the mode of the model that is nearest in frequency, in series or
+    parallel. A lag or delay with the true value 0 is included only if the model has one.
 
     Parameters
     ----------
     true : dict of str to list of float
-        As in `makes.Make`.
+        True values as in `makes.Make`.
     """
     modes = modes_of(identified)
     found = []
@@ -178,11 +179,11 @@ def intervals(identified: IdentifiedModel, true: dict[str, list[float]]) -> list
 
 
 Estimated = tuple[float, float | None]
-"""A value and its standard deviation, which is None where the model gives none."""
+"""A value and its standard deviation, which is None if the model gives none."""
 
 
 def modes_of(identified: IdentifiedModel) -> list[tuple[Estimated, Estimated]]:
-    """Return frequency (rad/s) and damping of the modes in series and of those that are added."""
+    """Return frequency (rad/s) and damping of the modes in series and of those in effects."""
     dynamics = identified.model.dynamics
     spread = identified.uncertainties.get("dynamics", {})
 
@@ -220,7 +221,7 @@ def lags_of(identified: IdentifiedModel) -> dict[str, Estimated]:
 
 
 def used_cpu_s() -> float:
-    """Return the time of the processor that this process and its ended children took."""
+    """Return the processor time of this process and its ended children."""
     return sum(usage.ru_utime + usage.ru_stime for usage in map(
         resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)))
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Study of a reference that is published while the stage follows it, by its preview."""
+"""Study of the preview of a reference that is published while the stage follows it."""

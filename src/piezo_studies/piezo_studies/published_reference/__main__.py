@@ -15,7 +15,7 @@ def main(arguments: list[str] | None = None) -> None:
     Parameters
     ----------
     arguments : list of str, optional
-        Those of the command line by default.
+        Arguments; by default those of the command line.
     """
     parser = argparse.ArgumentParser(prog="published_reference", description=__doc__)
     parser.add_argument("--page", type=Path, default=Path("docs/published_reference.md"),

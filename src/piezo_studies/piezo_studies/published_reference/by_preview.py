@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""One random reference on the simulated stage, known before the run or published during it."""
+"""Track a random reference on the simulated stage, known before the run or published during it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -34,15 +34,15 @@ class Followed:
     Attributes
     ----------
     preview_samples : int or None
-        None where the reference was known before the run.
+        Preview; None if the reference was known before the run.
     composite : bool
-        With feedback.
+        Whether feedback was used.
     e_rms_percent, largest_error_um : float
-        By the sensor, after `SETTLING_S`; of `AMPLITUDE_UM`.
+        Errors by the sensor after `SETTLING_S`; e_rms is relative to `AMPLITUDE_UM`.
     model_e_rms_percent : float
-        Of the feedforward on the model itself, without noise.
+        Error of the feedforward on the model itself, without noise.
     delay_s : float
-        How long after it was published the reference was followed.
+        Time from the publication of the reference until it is followed.
     """
 
     preview_samples: int | None
@@ -54,7 +54,7 @@ class Followed:
 
 
 class _Publisher:
-    """Publishes a reference tick by tick, as the stage plays."""
+    """Publish a reference tick by tick while the stage plays."""
 
     def __init__(self, reference: Trajectory, preview_samples: int) -> None:
         self.live = LiveReference(CLOCK.sample_period_s)
@@ -70,16 +70,16 @@ class _Publisher:
 
 
 def compare(model: StageModel, seed: int = 11, duration_s: float = DURATION_S) -> list[Followed]:
-    """Follow one reference in every way, without and with feedback.
+    """Follow one reference with every preview, without and with feedback.
 
     Parameters
     ----------
     model : StageModel
-        Of the simulated stage.
+        Model of the simulated stage.
     seed : int
-        Of the reference.
+        Seed of the reference.
     duration_s : float
-        Of the part that counts.
+        Duration of the reference.
     """
     reference = trajectory(Reference(
         "random", (BAND_HZ,), (AMPLITUDE_UM,), (), CENTRE_UM, seed=seed))
@@ -97,7 +97,7 @@ def compare(model: StageModel, seed: int = 11, duration_s: float = DURATION_S) -
 
 def _play(plan: LivePlan | StreamPlan, publisher: _Publisher | None, model: StageModel,
           samples: int, composite: bool, preview_samples: int | None) -> Followed:
-    """Play a plan tick by tick; an answer acts in the tick after the next."""
+    """Play a plan tick by tick; the feedback acts in the tick after the next."""
     feedback = MultirateFeedback(_controller(model), MAX_FEEDBACK_V) if composite else None
     run = TrackingRun(plan, samples, feedback, CLOCK.tick_s)
     stage = SimulatedStage(seed=7)
@@ -107,7 +107,7 @@ def _play(plan: LivePlan | StreamPlan, publisher: _Publisher | None, model: Stag
     ticks = run.total_samples // tick
     planned_v, measured, waiting_v = [], [], plan.once_voltage_v
     for _ in range(ticks):
-        # A live plan tells what is due; a stream would give all of its chunks.
+        # A live plan gives only due voltages; a stream would give all of its chunks.
         while waiting_v.size < tick or publisher is not None:
             chunk_v = more()
             if chunk_v is None or not chunk_v.size:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The page about references that are published, with the table of the study."""
+"""The page on published references, with the table of the study."""
 
 from collections.abc import Sequence
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What identification makes of the kinds of recordings that laboratories have."""
+"""Study of the identification from all kinds of laboratory recordings."""

@@ -9,7 +9,7 @@ from piezo_studies.kept_results import KeptResults
 from piezo_studies.recording_kinds.trials import STAGES, Outcome, run, trials
 
 OUTCOMES = "outcomes.jsonl"
-"""File in the folder that holds what was run: an interrupted table goes on where it stopped."""
+"""File of the completed trials in the folder, from which an interrupted table is resumed."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -18,7 +18,7 @@ def main(arguments: list[str] | None = None) -> None:
     Parameters
     ----------
     arguments : list of str, optional
-        Those of the command line by default.
+        Arguments; by default those of the command line.
     """
     parser = argparse.ArgumentParser(prog="recording_kinds", description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("runs/recording-kinds"),

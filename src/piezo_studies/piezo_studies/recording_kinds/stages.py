@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Two stages of other mathematical forms than the model: generalised plays, and a Duhem equation.
+"""Two stages that differ in form from the model: generalised plays, and a Duhem equation.
 
-Both creep by the logarithm of time, through many poles that no fit knows. An amplifier's lag and
-modes side by side follow. Rows are read at the instant at which their voltage changes.
+Both have logarithmic creep with more poles than any fit, followed by parallel modes and a lag. Rows
+are read at the time at which their voltage changes.
 """
 
 import numpy as np
@@ -13,14 +13,14 @@ from piezo_studies.other_makes.linear_system import lag, logarithmic_creep, mode
 from piezo_studies.other_makes.stage import HeldVoltage, Stage
 
 REST_S = 20.0
-"""For how long a stage rests under the first voltage of a recording, after a rise from 0 V."""
+"""Duration (s) of the rise from 0 V to the first voltage of a recording, and of the rest there."""
 
 RISE_ROWS = 400
-"""Rows of that rise."""
+"""Number of rows of that rise, and of that rest."""
 
 
 def play_stage() -> Stage:
-    """Return plays between two curves of the voltage, over 100 V and some 13 um."""
+    """Return a stage with plays between two curves, for 100 V and about 13 um."""
     widths_v = np.linspace(0.0, 25.0, 12)
     weights = 0.12 * np.append(0.8, 0.04 * np.exp(-widths_v[1:] / 15.0))
     modes = mode(620.0, 0.02, 0.92).beside(mode(1450.0, 0.015, 0.08))
@@ -29,20 +29,20 @@ def play_stage() -> Stage:
 
 
 def duhem_stage() -> Stage:
-    """Return the Duhem equation, over 100 V and some 30 um, with slower modes."""
+    """Return a stage with the Duhem equation and slower modes, for 100 V and about 30 um."""
     modes = mode(210.0, 0.03, 0.9).beside(mode(760.0, 0.02, 0.1))
     return Stage(Duhem(0.2, 0.2, 0.4, 0.03, 0.5),
                  logarithmic_creep(0.008, 1e-3, 1e4).then(modes).then(lag(8e-4)))
 
 
 def displacement_um(stage: Stage, voltage_v: FloatArray, period_s: float) -> FloatArray:
-    """Return where a rested stage is while a voltage plays.
+    """Return the displacement of a rested stage while a voltage is played.
 
     Parameters
     ----------
     voltage_v : ndarray, shape (N,)
     period_s : float
-        Of the rows.
+        Period of the rows.
 
     Returns
     -------

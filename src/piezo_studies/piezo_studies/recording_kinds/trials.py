@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Identify from every kind of recording as a user does, and predict what was not fitted."""
+"""Identify from every kind of recording with the command, and predict unseen data."""
 
 import json
 import os
@@ -19,13 +19,14 @@ from piezo_studies.recording_kinds.waveforms import KINDS, Played, validation
 COMMAND = "piezo_identification.commands.identify_command"
 STAGES: dict[str, Callable[[], Stage]] = {"plays": play_stage, "Duhem": duhem_stage}
 NOISE = 2e-4
-"""Standard deviation of the sensor's noise, over the range of its recording."""
+"""Standard deviation of the sensor's noise, as a fraction of the range of its recording."""
 
 DRIFT_OF_MINUTE, DRIFT_TIME_S = 0.02, 400.0
-"""Part of the range by which a stage that warms up drifts in the first minute, and its end."""
+"""Drift of a warming stage per minute at first, as a fraction of the range, and its time
+constant (s)."""
 
 GAP = (0.55, 0.62)
-"""Part of a recording that is missing where it has a gap."""
+"""Beginning and end of a gap, as fractions of the recording."""
 
 VARIANTS = ("plain", "drift", "gap", "two recordings")
 REFUSED = 2
@@ -34,16 +35,16 @@ REFUSED = 2
 
 @dataclass(frozen=True)
 class Trial:
-    """What is given to an identification.
+    """The input of an identification.
 
     Attributes
     ----------
     stage : str
-        One of `STAGES`.
+        Key of `STAGES`.
     kinds : dict of str to str
-        Kind of the recordings by the experiment that they are given as.
+        Kind of the recordings by experiment.
     varied : str
-        The experiment whose recordings are a variant, or empty.
+        Experiment whose recordings are a variant; empty if there is none.
     variant : str
         One of `VARIANTS`.
     """
@@ -61,7 +62,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What an identification ended in.
+    """The result of an identification.
 
     Attributes
     ----------
@@ -71,7 +72,7 @@ class Outcome:
         ``adequate``, ``inadequate`` with the components, ``refused`` with the reason, or
         ``failed`` with the last line of a traceback.
     cpu_s : float
-        Time of the processor, of reading and starting too.
+        Processor time, including start and reading.
     """
 
     error_percent: float
@@ -80,12 +81,12 @@ class Outcome:
 
 
 def trials(stages: tuple[str, ...] = tuple(STAGES)) -> Iterator[Trial]:
-    """Vary one thing after the other: the kind of one recording, what it has, what is left out.
+    """Yield trials that vary the kind of one recording, its variant, or the omitted experiment.
 
     Parameters
     ----------
     stages : tuple of str
-        Of `STAGES`.
+        Keys of `STAGES`.
     """
     usual = {name: next(iter(kinds)) for name, kinds in KINDS.items()}
     for stage in stages:
@@ -104,12 +105,12 @@ def trials(stages: tuple[str, ...] = tuple(STAGES)) -> Iterator[Trial]:
 
 
 def run(trial: Trial, folder: Path) -> Outcome:
-    """Record the stage as a trial says, identify it by the command, and read what came out.
+    """Record the stage of a trial, identify it with the command, and read the result.
 
     Parameters
     ----------
     folder : Path
-        For recordings and models; recordings that it holds are taken as they are.
+        Folder for recordings and models; existing recordings are used again.
     """
     model = folder / "model.json"
     model.unlink(missing_ok=True)
@@ -141,7 +142,7 @@ def _verdict(adequacy: dict[str, dict[str, object]]) -> str:
 
 
 def recordings(stage: str, experiment: str, kind: str, variant: str, folder: Path) -> list[Path]:
-    """Return the files of one experiment, two where the variant asks for it; see `recorded`."""
+    """Return the files of one experiment, two for the last variant; see `recorded`."""
     played = KINDS[experiment][kind]()
     name = f"{experiment} {kind}"
     if variant != VARIANTS[-1]:
@@ -152,16 +153,16 @@ def recordings(stage: str, experiment: str, kind: str, variant: str, folder: Pat
 
 
 def recorded(stage: str, name: str, played: Played, variant: str, folder: Path) -> Path:
-    """Record a stage under a voltage into a table, unless the folder has it.
+    """Record a stage for a voltage in a table, unless the folder already has it.
 
     Parameters
     ----------
     stage : str
-        Of `STAGES`.
+        Key of `STAGES`.
     name : str
-        Of the file.
+        Name in that of the file.
     variant : str
-        Of `VARIANTS`, without the last.
+        One of `VARIANTS` except the last.
     """
     path = folder / f"{stage} {name} {variant}.csv".replace(" ", "_")
     if path.exists():
@@ -179,7 +180,7 @@ def recorded(stage: str, name: str, played: Played, variant: str, folder: Path) 
 
 
 def _table(stage: Stage, played: Played, seed: int) -> FloatArray:
-    """Return instants, voltages and displacements of the rows that a logger writes."""
+    """Return times, voltages and displacements of the rows of a logger."""
     moved_um = displacement_um(stage, played.voltage_v, played.period_s / played.finer)
     rows = slice(played.lead_rows * played.finer, None, played.finer)
     voltage_v, moved_um = played.voltage_v[rows], moved_um[rows]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The voltages that laboratories play: every kind of each experiment, from 0 to 100 V."""
+"""Voltages used in laboratories: every kind for each experiment, from 0 to 100 V."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,19 +9,19 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 
 SLOW_S, LOOPS_S, POINTS_S, QUICK_S, FAST_S, MIXED_S = 0.05, 0.01, 1.0, 2e-4, 5e-5, 5e-4
-"""Periods of the rows: of creep, loops, static points, fast cycles, dynamics and validation."""
+"""Row periods (s) of creep, loops, static points, fast cycles, dynamics and validation."""
 
 FAST_ROWS = 40_000
 CREEP_ROWS = 4800
 HOLD_ROWS = 4
-"""Rows for which a generator of noise holds each value."""
+"""Rows for which a noise generator holds each value."""
 
 FINER = 8
-"""Steps of a row within which a generator that runs freely may switch."""
+"""Steps within a row at which a free-running generator may switch."""
 
 GENERATOR_STEPS, STEPS_GONE = 4821, 1495
-"""Such steps of a period of that generator, and those gone when the recording begins. As the steps
-of a period are odd in number, its edges come at every one of the steps within a row."""
+"""Steps in a period of that generator, and steps elapsed when the recording begins. As the number
+of steps in a period is odd, edges occur at every step within a row."""
 
 
 @dataclass(frozen=True)
@@ -31,11 +31,11 @@ class Played:
     Attributes
     ----------
     period_s : float
-        Of the rows.
+        Period of the rows.
     voltage_v : ndarray, shape (N,)
-        Of steps that are `finer` times shorter than the rows.
+        Voltage in steps that are `finer` times shorter than the rows.
     lead_rows : int
-        Rows at the beginning that are played, but not recorded.
+        Number of rows at the beginning that are played but not recorded.
     """
 
     period_s: float
@@ -49,13 +49,13 @@ def _held(levels_v: list[float], rows: int, first_rows: int) -> FloatArray:
 
 
 def _through(points: list[tuple[float, float]], period_s: float) -> FloatArray:
-    """Go from point to point, each a time and a voltage."""
+    """Return straight lines between points of time and voltage."""
     times_s, levels_v = np.array(points).T
     return np.interp(np.arange(0.0, times_s[-1], period_s), times_s, levels_v)
 
 
 def _triangles(peaks_v: list[float], volts_per_s: float, period_s: float) -> FloatArray:
-    """Go from 0 V to each of the peaks and troughs in turn."""
+    """Return ramps from 0 V to each of the peaks and troughs in turn."""
     turns_v = np.append(0.0, peaks_v)
     times_s = np.append(0.0, np.cumsum(np.abs(np.diff(turns_v)) / volts_per_s))
     return np.interp(np.arange(0.0, times_s[-1], period_s), times_s, turns_v)
@@ -66,8 +66,8 @@ def _fast_time_s() -> FloatArray:
 
 
 def _free_square() -> Played:
-    # The generator knows nothing of the rows, so its edges lie between them; each on a step, as
-    # edges that jitter are no generator's.
+    # The generator is not synchronized with the rows, so its edges lie between them. Its period is
+    # a whole number of steps, as rounding would add jitter.
     steps = (STEPS_GONE + np.arange(FINER * FAST_ROWS)) % GENERATOR_STEPS
     return Played(FAST_S, np.where(2 * steps < GENERATOR_STEPS, 65.0, 35.0), finer=FINER)
 
@@ -82,7 +82,7 @@ def _multisine() -> Played:
     lines = np.arange(1, 126, 2) * 20.0
     phases = np.random.default_rng(11).uniform(0.0, 2.0 * np.pi, lines.size)
     period = np.sin(2.0 * np.pi * np.outer(np.arange(1000) * FAST_S, lines) + phases).sum(axis=1)
-    # A recorder that is started by hand: in the middle of a period, after some of them.
+    # The recorder is started by hand, in the middle of a period.
     return Played(FAST_S, 50.0 + 2.0 * np.tile(period, 50)[:FAST_ROWS], 4337)
 
 
@@ -137,11 +137,11 @@ HYSTERESIS: dict[str, Callable[[], Played]] = {
     "fast cycles": _cycles,
 }
 KINDS = {"creep": CREEP, "dynamics": DYNAMICS, "hysteresis": HYSTERESIS}
-"""Every kind of voltage by the experiment that it is given as; the first of each is the usual."""
+"""Kinds of voltage by experiment; the first of each is the usual one."""
 
 
 def validation() -> Played:
-    """Return a motion that no other recording has: slow and fast sines, and jumps among them."""
+    """Return an unseen motion: slow and fast sines with jumps."""
     time_s = MIXED_S * np.arange(20_000)
     jumps_v = np.repeat([0.0, 12.0, -15.0, 6.0, -4.0], 4000)
     swept_v = 25.0 * np.sin(2.0 * np.pi * 0.43 * time_s) + 5.0 * np.sin(2.0 * np.pi * 17.3 * time_s)

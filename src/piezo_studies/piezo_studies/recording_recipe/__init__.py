@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What fewer levels, shorter recordings and lower rates cost in accuracy."""
+"""Study of the accuracy with fewer levels, shorter recordings and lower sample rates."""

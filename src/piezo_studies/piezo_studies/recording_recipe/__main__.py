@@ -10,7 +10,7 @@ from piezo_studies.marked_sections import with_sections
 from piezo_studies.recording_recipe.trials import TABLES, Trial
 
 SECTIONS = "trials of "
-"""How the marks of the tables in the page begin."""
+"""Beginning of the marks of the tables in the page."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -19,7 +19,7 @@ def main(arguments: list[str] | None = None) -> None:
     Parameters
     ----------
     arguments : list of str, optional
-        Those of the command line by default.
+        Arguments; by default those of the command line.
     """
     parser = argparse.ArgumentParser(prog="recording_recipe", description=__doc__)
     parser.add_argument("--page", type=Path, default=Path("docs/recipe.md"),
@@ -38,12 +38,12 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def page(text: str, made: dict[str, list[Trial]]) -> str:
-    """Return the text of the page with its tables written anew.
+    """Return the text of the page with its tables replaced.
 
     Raises
     ------
     ValueError
-        If the page lacks the section of a table, or has one too many.
+        If the page lacks the section of a table, or has an additional one.
     """
     tables = {SECTIONS + name: table(name, trials) for name, trials in made.items()}
     return with_sections(text, tables, SECTIONS)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Record the simulated stage in many ways, identify from each, and predict what was not fitted.
+"""Record the simulated stage in many ways, identify from each, and predict unseen recordings.
 
-The stage is that of the demo, with 9 nm of sensor noise. Every trial changes one thing. The errors
-are relative errors (4.20) in per cent of recordings that no trial was fitted to.
+The stage is that of the demo, with 9 nm of sensor noise. Every trial changes one condition. The
+errors are relative errors (4.20) in percent on recordings that no trial was fitted to.
 """
 
 from collections.abc import Callable, Iterator
@@ -30,7 +30,7 @@ from piezo_studies.thesis.laboratory import (
 
 SLOW_HZ, CREEP_HZ = 1000.0, 100.0
 LEVELS, HARMONIC_S, CREEP_S, DYNAMICS_S = 20, 2.0, 400.0, 2.0
-"""What a trial has that does not change it; 20 levels keep the whole study short."""
+"""Values in trials that do not vary them; 20 levels keep the whole study short."""
 
 LEVEL_COUNTS = (3, 5, 10, 20)
 SAMPLES_PER_HARMONIC = (50, 2000)
@@ -39,25 +39,25 @@ CREEP_RATES_HZ = (2.0, 10.0, 100.0)
 FAST_RATES_HZ = (1250.0, 2500.0, 5000.0, 40_000.0)
 DYNAMICS_DURATIONS_S = (0.6, 1.0, 2.0)
 MIDDLE_TURNS = (0.45, 0.72, 0.31, 0.66, 0.38, 0.58, 0.45)
-"""Turning points of a motion about the middle, over the range."""
+"""Turning points of a motion about the middle, as fractions of the range."""
 STEP_LEVELS = (0.2, 0.7, 0.35)
 STEP_S, TONES_S, ARC_S = 100.0, 0.25, 0.25
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One way to record, and what it leads to.
+    """One way to record, and the resulting error.
 
     Attributes
     ----------
     asked : str
-        What was changed.
+        Changed condition.
     recorded_s : float
-        How long it takes to record.
+        Duration of the recording.
     samples : int
-        How many samples that is.
+        Number of samples of the recording.
     error_percent : float
-        Of what was not fitted.
+        Error on unseen data.
     """
 
     asked: str
@@ -80,18 +80,18 @@ def linear_parts() -> tuple[CreepDynamics, ElectricVibrationDynamics]:
 
 @cache
 def usual_model() -> StageModel:
-    """Identify the model that a trial keeps where it does not change it."""
+    """Identify the model whose unchanged components are used in the trials."""
     return model_of(hysteresis_recording(LEVELS, SLOW_HZ))
 
 
 def model_of(harmonics: Recording) -> StageModel:
-    """Identify the hysteresis from a recording beside the usual creep and dynamics."""
+    """Identify the hysteresis from a recording, with the usual creep and dynamics."""
     creep, dynamics = linear_parts()
     return StageModel(estimate_density(harmonics, creep, dynamics).model(), creep, dynamics)
 
 
 def hysteresis_recording(levels: int, rate_hz: float) -> Recording:
-    """Record the harmonics of stair amplitude in the means of samples of this rate."""
+    """Record harmonics of rising amplitude as means of samples at a rate."""
     experiment = catalogue.hysteresis(LIMITS, levels, HARMONIC_S, 1.0 / rate_hz)
     return record_experiment(experiment, seed=3)
 
@@ -110,7 +110,7 @@ def dynamics_recording(rate_hz: float, duration_s: float) -> Recording:
 
 @cache
 def unseen_loops() -> Recording:
-    """Record slow arcs between turning points off every level."""
+    """Record slow arcs between turning points between the levels."""
     turns = catalogue.VALIDATION_TURNS
     return _recorded(_arcs(turns), SLOW_HZ, 4)
 
@@ -129,7 +129,7 @@ def unseen_tones() -> Recording:
 
 
 def number_of_levels() -> Iterator[Trial]:
-    """Vary the number of harmonics, and so of levels."""
+    """Vary the number of harmonics, which is that of levels."""
     for levels in LEVEL_COUNTS:
         model = (usual_model() if levels == LEVELS
                  else model_of(hysteresis_recording(levels, SLOW_HZ)))
@@ -138,7 +138,7 @@ def number_of_levels() -> Iterator[Trial]:
 
 
 def rate_of_the_hysteresis() -> Iterator[Trial]:
-    """Vary the number of samples of a harmonic."""
+    """Vary the number of samples in a harmonic."""
     for samples in SAMPLES_PER_HARMONIC:
         rate_hz = samples / HARMONIC_S
         model = (usual_model() if rate_hz == SLOW_HZ
@@ -166,16 +166,16 @@ def rate_of_the_dynamics() -> Iterator[Trial]:
 
 
 def length_of_the_dynamics() -> Iterator[Trial]:
-    """Vary how long the short square wave is played."""
+    """Vary the duration of the short square wave."""
     for duration_s in DYNAMICS_DURATIONS_S:
         yield _dynamics_trial(f"{duration_s:g} s", CLOCK_HZ, duration_s)
 
 
 def sweep_before() -> Iterator[Trial]:
-    """Leave out, or record, a sweep over the full range before a motion about the middle."""
+    """Omit or record a sweep over the full range before a motion about the middle."""
     middle = _arcs(MIDDLE_TURNS)
     sweep = _arcs((0.0, 1.0, 0.0, MIDDLE_TURNS[0]))
-    # What somebody did with the stage before; no recording has it.
+    # An earlier motion that is not in the recording.
     past_v = _volts(_arcs((0.0, 0.9, 0.25, 0.62, MIDDLE_TURNS[0])))
     for text, waveform in (("none", middle), ("one, recorded", np.r_[sweep, middle])):
         recorded = record_stage("middle", _volts(waveform), past_v, _held(SLOW_HZ), seed=7)
@@ -196,7 +196,7 @@ TABLES: dict[str, tuple[str, str, Callable[[], Iterator[Trial]]]] = {
     "dynamics_length": ("length of the dynamics", "unseen tones", length_of_the_dynamics),
     "sweep": ("sweep before the recording", "the motion about the middle", sweep_before),
 }
-"""By the name in the page: what is varied, what is predicted, and the trials."""
+"""Varied condition, predicted data and trials of each table, by its name in the page."""
 
 
 def _creep_trial(text: str, period_s: float, rate_hz: float) -> Trial:
@@ -214,7 +214,7 @@ def _dynamics_trial(text: str, rate_hz: float, duration_s: float) -> Trial:
     prediction = predict(model, unseen_tones())
     tones = prediction.time_s > prediction.time_s[-1] - TONES_S
     measured_um, simulated_um = prediction.measured_um[tones], prediction.simulated_um[tones]
-    # The offset that the loops before the tones leave is not the dynamics'.
+    # Remove the offset, which is an error of the hysteresis and not of the dynamics.
     error_um = measured_um - simulated_um
     return Trial(text, duration_s, round(duration_s * rate_hz),
                  100.0 * float(error_um.std() / measured_um.std()))

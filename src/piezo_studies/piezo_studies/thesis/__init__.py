@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The numerical studies of the thesis' chapters 2 to 5, done again."""
+"""Reproduction of the numerical studies in chapters 2 to 5 of the thesis."""

@@ -18,7 +18,7 @@ def main(arguments=None):
     Parameters
     ----------
     arguments : list of str, optional
-        Those of the command line by default.
+        Arguments; by default those of the command line.
     """
     parser = argparse.ArgumentParser(prog="reproduce", description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("runs/reproduce"),
@@ -35,7 +35,7 @@ def main(arguments=None):
               file=sys.stderr)
         result = study()
         rows += result.rows
-        # Each study leaves its part at once, so that an interrupted run is not lost.
+        # Write the part of each study at once, so that an interrupted run is not lost.
         (options.output / "table.json").write_text(as_json(rows), encoding="utf-8")
         for figure, drawing in result.pictures.items():
             (pictures / f"figure_{figure}.png").write_bytes(small_png(drawing))

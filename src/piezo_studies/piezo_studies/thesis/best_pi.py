@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The best that any PI controller can attain on the stage, however it is tuned."""
+"""The smallest error that any PI controller can attain on the stage."""
 
 from functools import cache
 from itertools import product
@@ -13,25 +13,25 @@ from piezo_studies.thesis.identified_stage import identified_stage
 
 CLOCK_PERIOD_S = 25e-6
 PEAK_SENSITIVITY = 3.0
-"""More than anybody accepts: the phase margin may be 19 degrees."""
+"""Largest peak sensitivity; it is generous, as the phase margin may be only 19 degrees."""
 
 PROPORTIONAL_V_PER_UM = np.linspace(0.0, 1.5, 31)
 INTEGRAL_V_PER_UM_S = np.geomspace(100.0, 3000.0, 60)
 BAND_HZ = np.geomspace(1.0, 19e3, 1500)
 SINE_PERCENT = 100.0 / (2.0 * np.sqrt(2.0))
-"""RMS of a sine over its peak to peak."""
+"""RMS of a sine over its peak-to-peak value, in percent."""
 
 
 @cache
 def best_error_percent(frequency_hz):
-    """Return the least e_rms that any PI at the rate of the sample clock leaves of a sine.
+    """Return the smallest e_rms of a sine with any PI controller at the sample rate.
 
-    The identified model predicts it; offset and noise are not counted.
+    It is predicted by the identified model, without offset and noise.
 
     Returns
     -------
     float
-        In percent (2.32).
+        Error e_rms (2.32) in percent.
     """
     plant, gain_um_per_v = design_plant(identified_stage(), CLOCK_PERIOD_S, CLOCK_PERIOD_S)
     plant = gain_um_per_v * plant

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Fig. 4.10: dynamics from the frequency response of a chirp, which takes hysteresis for dynamics.
+"""Fig. 4.10: dynamics from the frequency response of a chirp, biased by the hysteresis.
 
 The voltage is a chirp of constant amplitude above 100 Hz, applied to the plant of section 4.6.
 """
@@ -22,7 +22,7 @@ SECTION = "4.6.2"
 
 
 def study():
-    """Compute the gain and mode that the frequency response shows, beside the true ones."""
+    """Compute gain and mode from the frequency response, and compare them with the true ones."""
     plant = known_plant()
     time_s = np.arange(round(DURATION_S * CLOCK_HZ)) / CLOCK_HZ
     swing_v = 0.5 * HIGHEST_V
@@ -60,7 +60,7 @@ def study():
 
 
 def fit_response(frequency_hz, response):
-    """Fit a gain, a lag and a mode to a frequency response, and no delay.
+    """Fit a gain, a lag and a mode, without a delay, to a frequency response.
 
     Parameters
     ----------
@@ -87,17 +87,17 @@ def fit_response(frequency_hz, response):
 
 
 def _response(input, output):
-    """Return the frequencies and response by averaged spectra."""
+    """Return frequencies and response from averaged spectra."""
     frequency_hz, cross = csd(input, output, CLOCK_HZ, nperseg=SEGMENT)
     _, power = welch(input, CLOCK_HZ, nperseg=SEGMENT)
-    # Held input: half a sample of delay.
+    # Compensate the hold of the input, which delays by half a sample.
     lead = np.exp(1j * np.pi * frequency_hz / CLOCK_HZ)
     inside = (frequency_hz > 1.1 * BAND_HZ[0]) & (frequency_hz < 0.9 * BAND_HZ[1])
     return frequency_hz[inside], (lead * cross / power)[inside]
 
 
 def _first_gain(hysteresis, span_v):
-    """Return the gain of the fundamental of a sine between 0 V and a span."""
+    """Return the gain of the fundamental for a sine between 0 V and `span_v`."""
     phase = 2.0 * np.pi * np.arange(2000) / 1000
     output_um = hysteresis.simulate(0.5 * span_v * (1.0 - np.cos(phase)))[1000:]
     return float(abs(2.0 * np.mean(output_um * np.exp(-1j * phase[1000:])) / (0.5 * span_v)))

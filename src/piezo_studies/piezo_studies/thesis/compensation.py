@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Section 2.3.3: feedforward by the inverse of the identified hysteresis, and an integral action.
 
-The stage is the hysteresis of section 2.2.4 with an offset at its output; the model is the estimate
+The stage is the hysteresis of section 2.2.4 with an offset at its output. The model is its estimate
 from one sine.
 """
 
@@ -22,7 +22,7 @@ from piezo_studies.thesis.one_sine import (
 from piezo_studies.thesis.table import Row, Study
 
 PROPORTIONAL, INTEGRAL_PER_S = 0.001, 3.0
-# Where the reference is 0 um, an offset of +5 um would need a voltage below the plane's 0 V.
+# At a reference of 0 um, an offset of +5 um would need a voltage below 0 V, outside the plane.
 OFFSET_UM = -5.0
 DURATION_S = 10.0
 SECTION = "2.3.3"
@@ -51,7 +51,7 @@ def study():
 
 
 def estimated_model():
-    """Return hysteresis from the samples of one sine; least norm can leave a density below zero."""
+    """Return the hysteresis estimated from one sine, with negative densities set to zero."""
     data = one_sine()
     voltage_v = input_v(np.arange(SAMPLES) * SAMPLE_PERIOD_S)
     decomposition = truncated_svd(data.equations, rank=RANK)
@@ -61,7 +61,7 @@ def estimated_model():
 
 
 def track(reference_um, feedforward_v, proportional, integral_per_s):
-    """Return the displacement of the true hysteresis under feedforward and PI feedback."""
+    """Return the displacement of the true hysteresis with feedforward and PI feedback."""
     truth = PreisachModel(0.0, HIGHEST_V, np.tril(np.full((LEVELS, LEVELS), DENSITY)))
     memory = truth.memory()
     displacement_um = np.empty_like(reference_um)

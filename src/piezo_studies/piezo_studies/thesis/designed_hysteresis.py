@@ -25,13 +25,13 @@ from piezo_studies.thesis.table import Row, Study
 HARMONIC_PERIOD_S = 100.0 / 60.0
 LEAST_SINGULAR_VALUE = 1.2
 DRIFT = np.polynomial.Polynomial([-0.013, 0.0127, 0.000121])
-"""Eq. (3.21), um over seconds."""
+"""Drift (um) as a function of time (s), eq. (3.21)."""
 
 SECTION = "3.4.1"
 
 
 def study():
-    """Compute the rank, condition, drift and the error of the fit."""
+    """Compute rank, condition, drift, and the error of the fit."""
     step_v = HIGHEST_V / LEVELS
     levels_v = np.linspace(0.0, HIGHEST_V, LEVELS + 1)
     amplitudes_v = stair_amplitudes(LEVELS, HIGHEST_V, below_the_top=0.5)

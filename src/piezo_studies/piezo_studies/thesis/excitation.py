@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Appendix A.2: the designed input tells ten densities apart, the usual inputs seven."""
+"""Appendix A.2: ten densities are identifiable with the designed input, seven with usual inputs."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ SECTION = "A.2"
 
 
 def study():
-    """Rank of the regression under three inputs."""
+    """Compute the rank of the regression for three inputs."""
     levels_v = np.linspace(0.0, HIGHEST_V, LEVELS + 1)
     amplitudes_v = stair_amplitudes(LEVELS, HIGHEST_V)
     sampled_s = stair_sample_times(amplitudes_v, HARMONIC_PERIOD_S, levels_v[1:])

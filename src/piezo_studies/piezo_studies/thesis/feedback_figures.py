@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Section 5.3.1: the H-infinity feedback with the thesis' weights, and with ours."""
+"""Section 5.3.1: H-infinity feedback with the weights of the thesis and with ours."""
 
 import numpy as np
 
@@ -23,7 +23,7 @@ DESIGNS = (
     ("with both", "thesis", False, "constant"),
     ("with both, our weights", "default", False, "constant"),
 )
-"""Name, weights, whether the loop answers at once, D."""
+"""Name, weights, whether the loop has no delay, and kind of scaling D of each design."""
 
 MEASURES = (("mu", "structured singular value", 0.81, "1"), ("gamma", "gamma", None, "1"),
             ("order_before_reduction", "order", 15, "1"),
@@ -32,13 +32,13 @@ MEASURES = (("mu", "structured singular value", 0.81, "1"), ("gamma", "gamma", N
             ("gain_margin_at_highest_gain", "gain margin at the highest gain", None, "1"),
             ("phase_margin_deg_at_highest_gain", "phase margin at the highest gain", None, "deg"),
             ("settling_to_5_percent_s", "settling to 5 %", 0.020, "s"))
-# Figures of the thesis belong to its own loop, which answers at once.
+# The figures of the thesis belong to its own loop, which has no delay.
 THESIS_DESIGN = DESIGNS[0][0]
 SETTLING = "settling_to_5_percent_s"
 
 
 def study():
-    """Design figures, and the sensitivities."""
+    """Compute the figures and sensitivities of the designs."""
     model = identified_stage()
     ultimate_hz = 1 / ultimate_point_by_relay(model, 1, CLOCK_PERIOD_S).period_s
     rules = choose_rates(ultimate_hz, 1 / CLOCK_PERIOD_S, 50e-6, 40)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Section 4.7.1: the simulated stage, whose parameters are the thesis', identified step by step."""
+"""Section 4.7.1: the simulated stage with the thesis' parameters, identified step by step."""
 
 from functools import cache
 
@@ -28,7 +28,7 @@ DYNAMICS = (
 
 @cache
 def identified_stage():
-    """Return the model of the simulated stage, identified over the amplifier's whole range."""
+    """Identify the simulated stage over the whole range of the amplifier."""
     slow, quick, harmonics = (
         record_experiment(experiments.named_experiment(name), seed=seed)
         for seed, name in enumerate(("creep", "dynamics", "hysteresis"), start=1)
@@ -41,7 +41,7 @@ def identified_stage():
 
 
 def study():
-    """List the identified parameters beside those of the thesis."""
+    """List the identified parameters together with those of the thesis."""
     model = identified_stage()
     creep, dynamics = model.creep, model.dynamics
     poles = np.array(creep.poles_rad_per_s)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Table 4.1 and fig. 4.14: under the inverse of the identified model, and under a gain alone."""
+"""Table 4.1 and fig. 4.14: tracking with the inverse of the identified model, and with a gain."""
 
 import numpy as np
 
@@ -16,7 +16,8 @@ SLOW_CLOCK_HZ = 1000.0
 CENTRE_UM = 45.0
 SINES = ((0.05, 40.0, SLOW_CLOCK_HZ, 0.77, 7.52), (4.0, 40.0, CLOCK_HZ, 1.34, 9.12),
          (250.0, 40.0, CLOCK_HZ, 2.41, 74.88), (600.0, 20.0, CLOCK_HZ, 4.32, 107.12))
-"""Frequency (Hz), peak-to-peak amplitude (um), clock (Hz), the thesis' e_r with and without (%)."""
+"""Frequency (Hz), peak-to-peak amplitude (um), clock (Hz), and the thesis' e_r (%) with and without
+the inverse."""
 
 MULTI_FREQUENCY = Reference("multi_frequency", (100.0, 300.0, 400.0, 500.0),
                             (24.0, 12.0, 12.0, 12.0), centre_um=CENTRE_UM)
@@ -26,7 +27,7 @@ FALLING_BANDWIDTH_HZ = 1000.0
 
 
 def study():
-    """Compute the errors and displacement with the inverse and without."""
+    """Compute errors and displacement with and without the inverse."""
     rows: list[Row] = []
     figure = new_figure(3.8)
     axes = figure.subplots(2, 2)
@@ -49,9 +50,9 @@ def study():
 
 
 def falling_triangle_um():
-    """Return one period of three triangles at 100 Hz, each smaller, and without corners.
+    """Return one period of three triangles at 100 Hz of falling amplitude, with smooth corners.
 
-    The thesis does not tell their amplitudes.
+    The thesis does not state their amplitudes.
     """
     triangle = sample_reference(Reference("triangle", (100.0,), (1.0,)))
     period_um = np.concatenate([amplitude * triangle for amplitude in FALLING_AMPLITUDES_UM])
@@ -61,7 +62,7 @@ def falling_triangle_um():
 
 
 def _compare(rows, name, reference_um, clock_hz, thesis):
-    """Play a reference in both ways, add the rows, and return the displacements by mode."""
+    """Play a reference in both modes, add the rows, and return the displacements by mode."""
     played_um = {mode: last_period_um(reference_um, mode, clock_hz)
                  for mode in ("open_loop", "feedforward")}
     for mode, quantity, theirs, remark in (

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Section 4.6.2: the density of a known plant from few samples, creep and dynamics removed."""
+"""Section 4.6.2: the density of a known plant from few samples, with creep and dynamics removed."""
 
 import numpy as np
 
@@ -24,7 +24,7 @@ LEVELS = 10
 HARMONIC_PERIOD_S = 1.0
 SAMPLE_PERIOD_S = 1e-3
 DRAWS = 9
-"""The noise is drawn so often; the median of the errors is told."""
+"""Number of draws of the noise, of which the median error is reported."""
 
 SECTION = "4.6.2"
 
@@ -59,7 +59,7 @@ def study():
         return lambda output_um: smoothed_density(voltage_v, output_um, levels_v, chosen)
 
     def error(method):
-        """Return the median over the draws of the noise, percent."""
+        """Return the median error over the draws of the noise in percent."""
         return float(np.median([
             100.0 * np.linalg.norm(method(output_um).density_um_per_v2 - true)
             / np.linalg.norm(true)

@@ -14,20 +14,20 @@ from piezo_studies.thesis.table import Row, Study
 
 CREEP_PERIOD_S, CREEP_SAMPLE_S, CREEP_PERIODS = 200.0, 0.02, 2
 DYNAMICS_PERIOD_S, DYNAMICS_SAMPLE_S = 0.1, 1e-4
-# Of these the 2000 points of the thesis are used, once the start is over.
+# After the start, they leave the 2000 points of the thesis.
 DYNAMICS_PERIODS = 6
 DRAWS = 7
 SECTION = "4.6.1"
 
 
 def square_wave(period_s, sample_period_s, periods):
-    """Return the voltages that begin at the upper level."""
+    """Return the voltages of a square wave that begins at the upper level."""
     half = round(0.5 * period_s / sample_period_s)
     return np.tile(np.repeat([HIGHEST_V, 0.0], half), periods)
 
 
 def study():
-    """Compute the errors of the parameters, root mean squares over the draws of the noise."""
+    """Compute the RMS errors of the parameters over the draws of the noise."""
     draws = np.array([errors_percent(seed) for seed in range(DRAWS)])
     slow, fast, armax, time_constant, frequency, damping = np.sqrt(np.mean(draws**2, axis=0))
     least = [f"no unbiased estimate of this record comes below {bound:.2g} % (Cramer-Rao)"
@@ -46,7 +46,10 @@ def study():
 
 
 def errors_percent(seed):
-    """Return errors with one draw of the noise, in the order of the table; of pairs the larger."""
+    """Return the errors (%) for one draw of the noise in the order of the table.
+
+    For a pair of pole and zero, the larger error is returned.
+    """
     plant = known_plant()
     slow = record_model("creep", plant, square_wave(CREEP_PERIOD_S, CREEP_SAMPLE_S, CREEP_PERIODS),
                         CREEP_SAMPLE_S, NOISE_UM, seed)
@@ -74,9 +77,9 @@ def errors_percent(seed):
 
 
 def least_errors_percent():
-    """Return Cramer-Rao bounds of time constant, frequency and damping in the part that is used.
+    """Return the Cramer-Rao bounds (%) of time constant, frequency and damping.
 
-    Gain and offset of the hysteresis are free, the creep is known.
+    Gain and offset of the hysteresis are free, and the creep is known.
     """
     plant = known_plant()
     voltage_v = square_wave(DYNAMICS_PERIOD_S, DYNAMICS_SAMPLE_S, DYNAMICS_PERIODS)
@@ -100,7 +103,7 @@ def least_errors_percent():
 
 
 def _percent(found, true):
-    """Return the largest relative error."""
+    """Return the largest relative error in percent."""
     return float(100.0 * np.max(np.abs(np.divide(found, true) - 1.0)))
 
 

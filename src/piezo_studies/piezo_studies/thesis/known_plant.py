@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The plant that section 4.6 simulates; its creep gain of 2 is taken into the hysteresis."""
+"""The plant simulated in section 4.6; its creep gain of 2 is included in the hysteresis."""
 
 import numpy as np
 
@@ -14,13 +14,13 @@ CREEP_GAIN = 2.0
 
 
 def density_um_per_v2(levels_v):
-    """Return the density 2 (0.1 + 0.05 (alpha + beta)) at the middles of cells, shape (L, L)."""
+    """Return the density 2 (0.1 + 0.05 (alpha + beta)) at the cell centres, shape (L, L)."""
     middles_v = 0.5 * (levels_v[:-1] + levels_v[1:])
     return np.tril(CREEP_GAIN * (0.1 + 0.05 * (middles_v[:, None] + middles_v)))
 
 
 def known_plant():
-    """Make the plant as a `StageModel`."""
+    """Return the plant as a `StageModel`."""
     levels_v = np.linspace(0.0, HIGHEST_V, FINE_CELLS + 1)
     return StageModel(
         PreisachModel(0.0, HIGHEST_V, density_um_per_v2(levels_v)),

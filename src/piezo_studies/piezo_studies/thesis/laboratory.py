@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Recordings without a recorder: of the simulated stage, or of any model with noise."""
+"""Recordings of the simulated stage, or of any model with noise, without a recorder node."""
 
 import numpy as np
 
@@ -10,13 +10,13 @@ from piezo_sim.simulated_stage import SimulatedStage
 
 CLOCK_HZ = 40_000.0
 STAGE_NOISE_UM = 0.009
-"""Noise of the thesis' sensor, and of the simulated stage's (1.3)."""
+"""Noise of the sensors of the thesis (1.3) and of the simulated stage."""
 
 ROWS_LATE = 0.0
-"""Sample periods by which the displacements of these recordings come late: known, so not fitted."""
+"""Known delay of the displacements of these recordings in sample periods, which is not fitted."""
 
 SAMPLES_AT_ONCE = 400_000
-"""Clock samples that are simulated together."""
+"""Number of clock samples simulated at once."""
 
 
 def record_stage(name, voltage_v, before_v=(), held=1, clock_hz=CLOCK_HZ, seed=1):
@@ -26,11 +26,11 @@ def record_stage(name, voltage_v, before_v=(), held=1, clock_hz=CLOCK_HZ, seed=1
     ----------
     voltage_v : ndarray, shape (N,)
     before_v : ndarray, shape (M,)
-        Played first, as a ramp from rest.
+        Voltages of a ramp from rest, which are played first.
     held : int
         Clock samples for which each voltage is held; the displacement is their mean.
     seed : int
-        Of the sensor's noise.
+        Seed of the sensor's noise.
     """
     stage = SimulatedStage(seed=seed, sample_rate_hz=clock_hz)
     stage.open()
@@ -45,7 +45,7 @@ def record_stage(name, voltage_v, before_v=(), held=1, clock_hz=CLOCK_HZ, seed=1
 
 
 def record_experiment(experiment, clock_hz=CLOCK_HZ, seed=1):
-    """Play an experiment on the simulated stage, with a quick ramp from rest, and record it."""
+    """Record an experiment on the simulated stage after a quick ramp from rest."""
     held = round(experiment.sample_period_s * clock_hz)
     count = max(1, round(0.1 * clock_hz / held))
     before_v = np.linspace(0.0, experiment.voltage_v[0], count)
@@ -54,7 +54,7 @@ def record_experiment(experiment, clock_hz=CLOCK_HZ, seed=1):
 
 
 def record_model(name, model, voltage_v, sample_period_s, noise_um, seed=1):
-    """Play voltages on a model that begins with all relays off and no creep; add white noise.
+    """Record a model that begins with all relays off and without creep, with white noise.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def record_model(name, model, voltage_v, sample_period_s, noise_um, seed=1):
 
 
 def recording(name, voltage_v, displacement_um, clock_hz, held=1, before=0):
-    """Return the uniform samples as a recording, of which the first `before` are a ramp."""
+    """Return uniform samples as a recording; the first `before` are flagged as a ramp."""
     flags = np.full(voltage_v.size, Flag.PLAYING, dtype=np.uint32)
     flags[:before] = Flag.RAMPING
     return Recording(

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Tables 3.1 and section 5.3, one column further: what learning makes of a model that is 5 % off.
+"""Table 3.1 and section 5.3 with a further column: learning with a model that is 5 % off.
 
-Median of several models, each with other signs of its errors and other noise; by the true position,
-under the offset and the drift of all closed loops here.
+The figures are medians over several models with different signs of their errors and different
+noise. They are errors of the true position, with the offset and drift of all closed loops here.
 """
 
 from dataclasses import dataclass
@@ -31,21 +31,22 @@ CASES = (("3.4.4, Table 3.1", 40.0, 40.0, 0.75), ("3.4.4, Table 3.1", 100.0, 40.
          ("3.4.4, Table 3.1", 600.0, 20.0, 1.76), ("5.3.2", 500.0, 21.0, 2.3),
          ("5.3.2", 1000.0, 10.25, 2.2), ("beyond", 1500.0, 0.8, None),
          ("beyond", 2000.0, 0.16, None))
-"""Section, frequency (Hz), peak to peak (um), and what the thesis' composite control leaves (%)."""
+"""Section, frequency (Hz), peak-to-peak amplitude (um), and e_rms (%) of the composite control in
+the thesis."""
 
 COMPARED = "thesis: composite; ours: "
 
 
 @dataclass(frozen=True)
 class LearnedRun:
-    """What a learning run came to.
+    """The result of a learning run.
 
     Attributes
     ----------
     true_percent : float
-        e_rms of the part that plays the best, by the true position.
+        Error e_rms of the true position with the best learned feedforward.
     why : str
-        It ended.
+        Reason for the end of the learning.
     """
 
     true_percent: float
@@ -73,9 +74,9 @@ def learn(frequency_hz, amplitude_um, seed):
     Parameters
     ----------
     frequency_hz, amplitude_um : float
-        The amplitude is peak to peak.
+        Frequency and peak-to-peak amplitude.
     seed : int
-        Of the model's errors and of the stage.
+        Seed of the model's errors and of the stage.
     """
     model = wrong_model(MODEL_ERROR, seed)
     controller = design_integral_feedback(model)
@@ -91,7 +92,7 @@ def learn(frequency_hz, amplitude_um, seed):
 
 
 def _loop(feedforward, run, seed):
-    """Close the loop as the stage does; yield the true displacements tick by tick."""
+    """Close the loop like the stage, and yield the true displacements tick by tick."""
     stage = SimulatedStage(seed=seed)
     stage.open()
     loaded_v, played, answers_v = feedforward.once_voltage_v, 0, [0.0, 0.0]
@@ -100,7 +101,7 @@ def _loop(feedforward, run, seed):
             loaded_v = np.append(loaded_v, feedforward.next_voltage_v())
         time_s = np.arange(played, played + SAMPLES_PER_TICK) / CLOCK_HZ
         disturbance_um = OFFSET_UM + DRIFT_UM_PER_S * time_s
-        # What is computed from a tick acts after the next.
+        # The feedback computed from a tick acts in the tick after the next.
         displacement_um = disturbance_um + stage.exchange(
             loaded_v[played:played + SAMPLES_PER_TICK] + answers_v.pop(0))
         played += SAMPLES_PER_TICK

@@ -19,7 +19,7 @@ SINES = ((500.0, 21.0, 2.3), (1000.0, 10.25, 2.2))
 COLUMNS = (("open loop", "open_loop", 40), ("PID at 40 kHz", "pid", FAST),
            ("feedforward", "feedforward", 40), ("composite", "composite", 40))
 SINGLE_RATE_LOSS = {500.0: 1.68, 1000.0: 1.46}
-"""This is by how much the errors of the thesis grow with one rate and a reduced order (5.3.3)."""
+"""Factor by which the errors of the thesis grow with a single rate and a reduced order (5.3.3)."""
 
 INVERSE_SINES = (40.0, 80.0), (100.0, 40.0), (500.0, 21.0), (1000.0, 10.25)
 SLOW_SINGLE_RATE_HZ = 250.0
@@ -30,7 +30,7 @@ HIGHEST_FEEDBACK_HZ = 200.0
 
 
 def study():
-    """Compute the errors, transients, spectra; and what one rate for both branches does."""
+    """Compute errors, transients and spectra, and the errors with one rate for both branches."""
     rows, transients, spectra = [], new_figure(3.0), new_figure(3.0)
     for place, spectrum, (frequency_hz, amplitude_um, thesis) in zip(
             transients.subplots(1, 2), spectra.subplots(1, 2), SINES, strict=True):
@@ -65,7 +65,7 @@ def study():
 
 
 def settling_s(error_um):
-    """Return the time from the jump until the mean over a tick stays within 5 % of the offset."""
+    """Return the time after the jump until the tick means stay within 5 % of the offset."""
     mean_um = error_um[: error_um.size // TICK * TICK].reshape(-1, TICK).mean(axis=1)
     jump = round(JUMP_S * CLOCK_HZ / TICK)
     outside = np.flatnonzero(np.abs(mean_um[jump:] - mean_um[-TICK:].mean()) > SETTLED * OFFSET_UM)
@@ -81,7 +81,7 @@ def draw_transient(axes, error_um, title):
 
 
 def draw_spectra(axes, tracked, title):
-    """Draw spectra of feedforward and feedback; returns the feedback's power below 200 Hz (%)."""
+    """Draw spectra of feedforward and feedback; return the feedback's power below 200 Hz (%)."""
     count = tracked.error_um.size
     feedback_v = tracked.played.feedback_v[-count:]
     for voltage_v, style in (
@@ -98,7 +98,7 @@ def draw_spectra(axes, tracked, title):
 
 
 def _computing_rows():
-    """Measure what a tick takes to compute, at both rates."""
+    """Measure the computing time of a tick at both rates."""
     rows = []
     for name, samples_per_tick in (("multirate", 40), ("one rate of 40 kHz", FAST)):
         found = controller("h_infinity", samples_per_tick)
@@ -112,7 +112,7 @@ def _computing_rows():
 
 
 def _inverse_rows():
-    """Compare feedback before and behind the inverse hysteresis, answered and on board."""
+    """Compare feedback before and after the inverse hysteresis, by the node and by the stage."""
     rows = []
     for (frequency_hz, amplitude_um), (loop, onboard), (name, before_inverse) in product(
             INVERSE_SINES, (("answered", False), ("on board", True)),

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Section 3.4.2: electric and vibration dynamics from six sines and the identified hysteresis.
 
-The simulated stage has the parameters of chapter 4, which are not quite those of chapter 3.
+The simulated stage has the parameters of chapter 4, which differ slightly from those of chapter 3.
 """
 
 import numpy as np
@@ -35,7 +35,7 @@ def multisine_v():
 
 
 def study():
-    """Compute the parameters by output error and by ARMAX, and the error of the simulation."""
+    """Estimate the parameters by output error and by ARMAX, and the error of the simulation."""
     stage = identified_stage()
     record = record_stage("multisine", multisine_v())
     dynamics = estimate_dynamics_multisine(

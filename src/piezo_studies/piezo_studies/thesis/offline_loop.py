@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The loop without messages: a run over the backend of a stage, tick by tick."""
+"""The control loop without messages: a run on the backend of a stage, tick by tick."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ from piezo_models.feedback_law.running_law import RunningLaw
 
 @dataclass(frozen=True)
 class PlayedRun:
-    """What was played and measured, sample by sample, from the run's first sample on.
+    """The played and measured samples of a run.
 
     Attributes
     ----------
     voltage_v, feedback_v, displacement_um : ndarray, shape (N,)
-        All of the voltage; the feedback's part of it; measured.
+        Whole voltage, part of the feedback in it, and measured displacement.
     """
 
     voltage_v: np.ndarray
@@ -31,15 +31,16 @@ def play_run(run: TrackingRun, plan: FeedforwardPlan,
              exchange: Callable[[FloatArray], FloatArray], samples_per_tick: int) -> PlayedRun:
     """Play a run to its end, with the timing of the stage.
 
-    The answer to the samples of a tick, computed in the next tick, acts in the one after that.
+    The feedback for the samples of a tick is computed in the next tick, and acts in the one after
+    that.
 
     Parameters
     ----------
     plan : FeedforwardPlan
-        That of the run.
+        Plan of the run.
     exchange : callable
-        Plays voltages, shape (n,), and returns the displacements measured at their start: that
-        of a stage's backend.
+        Plays voltages, shape (n,), and returns the displacements measured at their start, like the
+        backend of a stage.
     """
     ticks = -(-run.total_samples // samples_per_tick)
     planned_v = plan.voltage_v(0, ticks * samples_per_tick).reshape(ticks, samples_per_tick)
@@ -54,16 +55,16 @@ def play_run(run: TrackingRun, plan: FeedforwardPlan,
 
 def play_law(run: TrackingRun, law: RunningLaw, plan: FeedforwardPlan,
              exchange: Callable[[FloatArray], FloatArray]) -> PlayedRun:
-    """Play a run to its end with a law that the stage evaluates by itself.
+    """Play a run to its end with a control law that the stage evaluates.
 
     Parameters
     ----------
     run : TrackingRun
-        Without a feedback of its own.
+        Run without its own feedback.
     law : RunningLaw
-        At its beginning.
+        Control law in its initial state.
     plan, exchange
-        See `play_run`.
+        Arguments as in `play_run`.
     """
     at_once = law.samples_at_once
     parts = -(-run.total_samples // at_once)

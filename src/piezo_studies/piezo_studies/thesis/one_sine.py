@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Section 2.2.4: a constant density from one sine, by projection, by SVD, and by updating it."""
+"""Section 2.2.4: a constant density from one sine, by projection, by SVD, and by SVD updates."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -32,7 +32,7 @@ def input_v(time_s):
 
 @dataclass(frozen=True)
 class OneSine:
-    """The samples, with what is known of the plane.
+    """The samples, and properties of the Preisach plane.
 
     Parameters
     ----------
@@ -40,13 +40,13 @@ class OneSine:
     rows, output_um : ndarray, shape (N, n) and (N,)
         Regression and noisy output of the relays.
     area_v2 : ndarray, shape (n,)
-        s of each cell; half on the diagonal.
+        Area s of each cell; half on the diagonal.
     inner : ndarray of bool, shape (n,)
-        Cells off the diagonal.
+        True for cells off the diagonal.
     equations : NormalEquations
-        Of the first samples.
+        Normal equations of the samples before the update.
     unseen : ndarray, shape (K, n)
-        Regression of other inputs.
+        Regression for other inputs.
     """
 
     levels_v: np.ndarray
@@ -58,26 +58,26 @@ class OneSine:
     unseen: np.ndarray
 
     def density_error(self, weights_um):
-        """Norm (2.26) of the density's error, and that over the norm of the density in percent.
+        """Return the norm (2.26) of the density's error, absolute and relative in percent.
 
-        Only with the diagonal left out does the density have the norm of 140 that the thesis'
-        figures imply.
+        The diagonal is excluded, as only then the density has the norm of 140 that the figures of
+        the thesis imply.
         """
         error = (weights_um / self.area_v2 - DENSITY)[self.inner]
         norm = DENSITY * np.sqrt(np.count_nonzero(self.inner))
         return float(np.linalg.norm(error)), float(100.0 * np.linalg.norm(error) / norm)
 
     def output_error_um(self, weights_um):
-        """Return the RMS error of the output under the inputs that were not used."""
+        """Return the RMS error of the output for unseen inputs."""
         return float(np.sqrt(np.mean((self.unseen @ (weights_um - DENSITY * self.area_v2)) ** 2)))
 
 
 @cache
 def one_sine():
-    """Simulate the samples, those for the update last."""
+    """Simulate the samples; those for the update are last."""
     levels_v = np.linspace(0.0, HIGHEST_V, LEVELS + 1)
     time_s = np.arange(SAMPLES) * SAMPLE_PERIOD_S
-    # The new points come with other amplitudes: one more of the same loop would say nothing new.
+    # The new points have other amplitudes, as points on the same loop would add no information.
     generator = np.random.default_rng(1)
     new_v = generator.uniform(0.0, HIGHEST_V, NEW_POINTS)
     rows = relay_rows(np.concatenate([input_v(time_s), new_v]), levels_v)

@@ -28,7 +28,7 @@ peak sensitivity. Learning begins with models that are 5 % off, without offset a
 
 
 def page(rows):
-    """Write the page.
+    """Return the page with the table of rows.
 
     Parameters
     ----------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the pictures of the studies have in common."""
+"""Common functions for the figures of the studies."""
 
 import io
 
@@ -18,9 +18,9 @@ def draw_plane(figure, axes, levels_v, values, unit):
     figure, axes : matplotlib objects
     levels_v : ndarray, shape (L + 1,)
     values : ndarray, shape (L, L)
-        Only those below and on the diagonal are drawn, and no NaN.
+        Values; only those on and below the diagonal are drawn, and no nan.
     unit : str
-        Of the values, for the colour bar.
+        Label of the colour bar, with the unit.
     """
     hidden = np.triu(np.ones(values.shape, dtype=bool), 1) | np.isnan(values)
     shown = np.ma.array(values, mask=hidden)
@@ -33,7 +33,7 @@ def draw_plane(figure, axes, levels_v, values, unit):
 
 
 def draw_singular_values(axes, values, threshold):
-    """Draw singular values from the largest down, and the one below which they are dropped."""
+    """Draw singular values in descending order, and the truncation threshold."""
     shown = values[values > 1e-9 * values[0]]
     axes.semilogy(np.arange(1, shown.size + 1), shown, color=BLUE)
     axes.axhline(threshold, label="truncated below", **LIMIT)

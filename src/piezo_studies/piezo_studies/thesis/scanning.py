@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Section 3.4.4, Tables 3.1 and 3.2: sines at 40, 100 and 600 Hz.
 
-The PI of (3.20) has the rate of the sample clock there; a row more shows the composite with it.
-Where feedback makes an error worse than feedforward alone, near the peak of its sensitivity, the
-rows show that.
+The PI of (3.20) runs at the sample rate; a further row shows the composite control with it. Near
+the peak of the sensitivity, feedback makes the error larger than feedforward alone.
 """
 
 from piezo_common.picture_style import MODE_STYLES, REFERENCE, label, new_figure
@@ -29,7 +28,7 @@ OPEN_LOOP = "the thesis sets the gain at each frequency; ours is that of the who
 BEST_PI = f"by the identified model, with a peak sensitivity of up to {PEAK_SENSITIVITY:g}"
 THESIS_COMPARED_PERCENT = 1.76
 FIRST_MODE_HZ = 453.5
-"""Table 3.2 compares scanning frequencies with this one."""
+"""Frequency of the first mode, to which Table 3.2 relates scanning frequencies."""
 
 
 def study():

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Section 2.4.1: the hysteresis of the stage from harmonics of rising amplitude, every millisecond.
+"""Section 2.4.1: the hysteresis of the stage from harmonics of rising amplitude at 1 kHz.
 
-The stage plays once over the range first, and rests: what its relays below 0 V did is over then.
+First, the stage plays one cycle over the range and rests, so that creep from relays below 0 V has
+decayed.
 """
 
 from functools import cache
@@ -48,7 +49,7 @@ def preparation_v():
 
 @cache
 def identified_hysteresis():
-    """Return the density by truncated SVD, and the samples it was fitted to."""
+    """Return the density by truncated SVD, and the fitted samples."""
     levels_v = np.linspace(0.0, HIGHEST_V, LEVELS + 1)
     time_s = np.arange(round(LEVELS * HARMONIC_PERIOD_S * CLOCK_HZ)) / CLOCK_HZ
     voltage_v = stair_harmonics(time_s, stair_amplitudes(LEVELS, HIGHEST_V), HARMONIC_PERIOD_S)
@@ -66,12 +67,12 @@ def identified_hysteresis():
 
 
 def study():
-    """Compute the singular values, and how the identified hysteresis does at 1 Hz."""
+    """Compute the singular values, and the errors of the identified hysteresis at 1 Hz."""
     estimate, voltage_v, output_um = identified_hysteresis()
     values = estimate.singular_values
     nonzero = values[values > 1e-9 * values[0]]
     model = estimate.model()
-    # Truncation leaves some cells below zero, and a hysteresis that falls has no inverse.
+    # Truncation gives some negative densities, with which the hysteresis has no inverse.
     clipped = PreisachModel(0.0, HIGHEST_V, np.maximum(model.density_um_per_v2, 0.0))
     smooth = smoothed_density(
         voltage_v, output_um, estimate.levels_v, sample_by_voltage(voltage_v, estimate.levels_v)
@@ -110,7 +111,7 @@ def study():
 
 
 def _settled_loop(period_v):
-    """Return the last of ten periods, with the mean of the displacement removed."""
+    """Return the last of ten periods, without the mean of the displacement."""
     played = record_stage("loop", np.tile(period_v, 10), preparation_v(), clock_hz=CLOCK_HZ)
     last = slice(-period_v.size, None)
     displacement_um = played.displacement_um[last]

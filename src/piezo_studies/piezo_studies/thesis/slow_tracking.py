@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Sections 2.4.2 and 2.4.3: 40 um at 1 Hz and 25 Hz by feedforward, PID and both.
 
-The thesis' PID has the rate of its sample clock; so has ours in its row. The composite has the
-H-infinity feedback of the multirate scheme.
+The PID runs at the sample rate, as in the thesis. The composite control has the H-infinity feedback
+of the multirate scheme.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ from piezo_studies.thesis.tracked_stage import FAST, PRINTED_PID, controller, tr
 
 AMPLITUDE_UM = 40.0
 SECTIONS = ((1.0, "2.4.2", 1.0), (25.0, "2.4.3", 0.4))
-"""Frequency (Hz), section, and how long to track (s)."""
+"""Frequency (Hz), section, and duration of tracking (s)."""
 
 COLUMNS = (("open loop", "open_loop", 40, None), ("feedforward", "feedforward", 40, None),
            ("PID at 40 kHz", "pid", FAST, None),
@@ -26,7 +26,7 @@ THESIS_PERCENT = {"feedforward": (6.08, None), "PID (2.31) as printed": (0.15, 3
 
 
 def study():
-    """Compute the tracking errors, and the PID."""
+    """Compute the PID and the tracking errors."""
     report = controller("pid", FAST).report
     rows = [
         Row("2.4.2", "ultimate gain by relay", 2.62, report["ultimate_gain_v_per_um"], "V/um",

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Algorithm 1 of section 3.3.2 beside the exact inverse of the same hysteresis.
+"""Algorithm 1 of section 3.3.2 compared with the exact inverse of the same hysteresis.
 
-As it is printed, the next voltage chases the present sample, and the search ends only within the
-band, which a step may leap over. Read as: the same sample, and an end where the sign changes.
+As printed, the next voltage is chosen for the present sample, and the search ends only within the
+tolerance, which a step may skip. Here, the voltage is chosen for its own sample, and the search
+also ends if the sign of the error changes.
 """
 
 import time
@@ -15,7 +16,7 @@ from piezo_studies.thesis.wrong_model import wrong_model
 SECTION = "3.3.2, Algorithm 1"
 HIGHEST_V, LEVELS = 60.0, 180
 STEP_V = HIGHEST_V / LEVELS
-"""(3.15) with a coefficient of 1, and the other numbers of section 3.4."""
+"""Step by (3.15) with a coefficient of 1 and the other values of section 3.4."""
 
 MOST_STEPS = LEVELS
 SAMPLES_PER_PERIOD, PERIODS = 1000, 3
@@ -23,7 +24,7 @@ CENTRE_UM, AMPLITUDE_UM = 30.0, 40.0
 
 
 def study():
-    """Compute the errors of the hysteresis' output, and the time that both inverses take."""
+    """Compute errors and computing times of both inverses."""
     hysteresis = wrong_model(0.0, 0).hysteresis
     angle = 2.0 * np.pi * np.arange(SAMPLES_PER_PERIOD * PERIODS) / SAMPLES_PER_PERIOD
     wanted_um = CENTRE_UM + AMPLITUDE_UM / 2 * np.sin(angle)
@@ -42,20 +43,22 @@ def study():
 
 
 def invert_by_steps(hysteresis, wanted_um, step_v=STEP_V, tolerance_um=0.0):
-    """Return the voltages found step by step, each sample from the voltage of the one before.
+    """Invert the hysteresis by steps from the voltage of the previous sample.
 
     Parameters
     ----------
     hysteresis : PreisachModel
     wanted_um : (N,) array
+        Wanted output of the hysteresis.
     step_v : float
-        delta_h of (3.15).
+        Step delta_h of (3.15).
     tolerance_um : float
-        e_r: the search ends this near.
+        Tolerance e_r at which the search ends.
 
     Returns
     -------
     (N,) array
+        Voltages in V.
     """
     memory = hysteresis.memory()
     voltage_v = np.empty(len(wanted_um))

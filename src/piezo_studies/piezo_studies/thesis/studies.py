@@ -63,4 +63,4 @@ CAPTIONS = {
     "5.6": "Error under composite control about the moment when an offset comes.",
     "5.9": "Spectra of feedforward and feedback at 500 Hz and 1 kHz.",
 }
-"""What the picture that answers each of the thesis' figures shows."""
+"""Captions of our figures by number of the corresponding figure in the thesis."""

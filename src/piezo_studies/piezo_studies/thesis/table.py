@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The table of the thesis' figures beside ours: printed, as JSON and as Markdown."""
+"""The table that compares the thesis' figures with ours, as text, JSON and Markdown."""
 
 import json
 from dataclasses import asdict, dataclass, field
@@ -7,20 +7,20 @@ from dataclasses import asdict, dataclass, field
 
 @dataclass(frozen=True)
 class Row:
-    """One figure of the thesis beside ours.
+    """One figure of the thesis, and ours.
 
     Parameters
     ----------
     section : str
-        Of the thesis.
+        Section of the thesis.
     thesis : float or None
-        None where the thesis gives no figure, and ours stands for itself.
+        Figure of the thesis; None if it gives none.
     unit : str
-        "1" for plain numbers.
+        Unit; "1" for plain numbers.
     remark : str
-        Why the two differ, or what ours is.
+        Reason for a difference, or explanation of our figure.
     below : bool
-        True if the thesis says "less than".
+        Whether the thesis says "less than".
     """
 
     section: str
@@ -36,7 +36,7 @@ class Row:
         object.__setattr__(self, "ours", float(self.ours))
 
     def cells(self):
-        """Return the row as texts: section, quantity, thesis, ours, unit, remark."""
+        """Return the cells as text: section, quantity, thesis, ours, unit, remark."""
         thesis = "-" if self.thesis is None else _digits(self.thesis)
         thesis = f"< {thesis}" if self.below else thesis
         unit = "" if self.unit == "1" else self.unit
@@ -45,12 +45,12 @@ class Row:
 
 @dataclass(frozen=True)
 class Study:
-    """What a study found.
+    """The results of a study.
 
     Parameters
     ----------
     pictures : dict of str to matplotlib.figure.Figure
-        By the number of the thesis' figure that they answer, such as "2.2".
+        Figures by number of the corresponding figure in the thesis, such as "2.2".
     """
 
     rows: list
@@ -61,7 +61,7 @@ HEADER = ("section", "quantity", "thesis", "ours", "unit", "remark")
 
 
 def as_text(rows):
-    """Format the table for a terminal, columns aligned."""
+    """Return the table as text with aligned columns."""
     lines = [HEADER, *(row.cells() for row in rows)]
     widths = [max(len(line[column]) for line in lines) for column in range(len(HEADER) - 1)]
     return "\n".join(
@@ -72,18 +72,18 @@ def as_text(rows):
 
 
 def as_markdown(rows):
-    """Format the table for a page."""
+    """Return the table as Markdown."""
     lines = [HEADER, ("---", "---", "---:", "---:", "---", "---"), *(row.cells() for row in rows)]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def as_json(rows):
-    """Format the table for programs: a list of rows."""
+    """Return the table as JSON: a list of rows."""
     return json.dumps([asdict(row) for row in rows], indent=1, allow_nan=False) + "\n"
 
 
 def _digits(value):
-    """Format four significant digits, integers in full."""
+    """Return a value with four significant digits; integers are written in full."""
     if float(value).is_integer() and abs(value) < 1e6:
         return f"{value:.0f}"
     return f"{value:.4g}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The simulated stage tracked with the identified model, under offset, drift, noise and delay."""
+"""Track on the simulated stage with the identified model, with offset, drift, noise and delay."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -33,13 +33,13 @@ OFFSET_UM = 2.1
 DRIFT_UM_PER_S = 0.05
 DURATION_S = 0.3
 SETTLING_S = 0.1
-"""Played before the part that counts: errors are those of the steady state, as in the thesis."""
+"""Time excluded at the start, so that errors are those of the steady state, as in the thesis."""
 
 PRINTED_PI, PRINTED_PID = "printed_pi", "printed_pid"
-"""Methods that stand for the controllers (3.23) and (2.31) as they are printed."""
+"""Names of the controllers (3.23) and (2.31) with the printed coefficients."""
 
 FAST = 1
-"""Samples of a tick where the feedback has the rate of the sample clock, as in chapter 3."""
+"""Samples in a tick for feedback at the sample rate, as in chapter 3."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +49,10 @@ class Tracked:
     Attributes
     ----------
     e_rms_percent, true_e_rms_percent, centred_e_rms_percent : float
-        Of the part that counts (2.32): by the sensor; of the true position; by the sensor with the
-        offset removed.
+        Errors (2.32) in the steady state: by the sensor, of the true position, and by the sensor
+        with the offset removed.
     error_um, reference_um : ndarray, shape (N,)
-        By the sensor, over the part that counts.
+        Error by the sensor, and reference, in the steady state.
     """
 
     e_rms_percent: float
@@ -64,18 +64,18 @@ class Tracked:
 
     @property
     def remark(self):
-        """Return the true position's error beside the sensor's, for a table."""
+        """Remark on the error of the true position, for a table."""
         return f"true position: {self.true_e_rms_percent:.2g} %"
 
     @property
     def feedforward_remark(self):
-        """Tell what is left of a feedforward's error without the offset that it cannot know."""
+        """Remark on the error without the offset, which a feedforward cannot correct."""
         return f"{self.centred_e_rms_percent:.2g} % without the offset, which it cannot know"
 
 
 @cache
 def controller(method="h_infinity", samples_per_tick=40, delay_ticks=1):
-    """Return the feedback designed for the identified model at a tick and a computing time."""
+    """Return the feedback designed for the identified model, a tick and a computing delay."""
     clock = StageClock(samples_per_tick=samples_per_tick)
     if method == PRINTED_PI:
         one = np.ones((1, 1))
@@ -95,17 +95,17 @@ def track(mode, frequency_hz, amplitude_um, samples_per_tick=40, duration_s=DURA
     Parameters
     ----------
     frequency_hz, amplitude_um : float
-        The amplitude is peak to peak.
+        Frequency and peak-to-peak amplitude.
     duration_s : float
-        Of the part that counts.
+        Duration of the steady state.
     method : str, optional
-        Of the feedback, if not the mode's own.
+        Method of the feedback; by default that of the mode.
     jump_s : float, optional
-        When in the part that counts the offset comes; it is there from the start by default.
+        Time in the steady state at which the offset appears; by default, it is always present.
     before_inverse : bool
-        Whether the feedback passes the inverse hysteresis.
+        Whether the feedback acts before the inverse hysteresis.
     onboard : bool
-        Whether the stage evaluates the feedback by itself, designed for that.
+        Whether the stage evaluates the feedback, which is then designed without delay.
     """
     clock = StageClock(samples_per_tick=samples_per_tick)
     reference = Reference("harmonic", (frequency_hz,), (amplitude_um,), (), CENTRE_UM)

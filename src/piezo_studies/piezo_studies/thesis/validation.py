@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Section 4.7.2: the identified model of the stage under inputs that it was not fitted to."""
+"""Section 4.7.2: the identified model of the stage for unseen inputs."""
 
 import numpy as np
 
@@ -32,7 +32,7 @@ def multi_frequency_v(duration_s):
 
 
 def falling_triangle_v(duration_s):
-    """Return the triangles of falling amplitude, over and over."""
+    """Return repeated triangles of falling amplitude."""
     half = round(0.5 * CLOCK_HZ / TRIANGLE_HZ)
     ramp = np.arange(half) / half
     period_v = np.concatenate([
@@ -43,7 +43,7 @@ def falling_triangle_v(duration_s):
 
 
 def inputs():
-    """Return the name, figure of the thesis in percent, voltages and clock of each input."""
+    """Return name, figure of the thesis (%), voltages (V) and clock (Hz) of each input."""
     return (
         ("0.05 Hz", 0.51, sine_v(0.05, SLOW_CLOCK_HZ, 40.0), SLOW_CLOCK_HZ),
         ("4 Hz", 1.08, sine_v(4.0, CLOCK_HZ, 1.0), CLOCK_HZ),
@@ -59,7 +59,7 @@ def study():
     model = identified_stage()
     rows, loops = [], {}
     for seed, (name, thesis, voltage_v, clock_hz) in enumerate(inputs(), start=11):
-        # The multi-frequency input begins off rest.
+        # The multi-frequency input does not begin at 0 V.
         before_v = np.linspace(0.0, voltage_v[0], round(SETTLING_S * clock_hz))
         prediction = predict(
             model, record_stage(name, voltage_v, before_v, clock_hz=clock_hz, seed=seed)
@@ -83,7 +83,7 @@ def _draw(loops):
     for place, (name, (voltage_v, measured_um, simulated_um)) in zip(
         axes.flat, loops.items(), strict=True
     ):
-        # The end of the record, thinned, is enough for a loop.
+        # Draw only the end of the record, thinned.
         part = slice(-20_000, None, 20) if name in ("0.05 Hz", "4 Hz") else slice(-1200, None)
         place.plot(voltage_v[part], measured_um[part], **MEASURED)
         place.plot(voltage_v[part], simulated_um[part], **MODELLED)

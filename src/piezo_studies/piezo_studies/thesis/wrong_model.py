@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Models of the simulated stage whose parameters are wrong, each by the same part."""
+"""Models of the simulated stage whose parameters all have the same relative error."""
 
 from typing import Any
 
@@ -14,12 +14,12 @@ CELLS = 50
 
 
 def wrong_model(part, seed):
-    """Return the model of the default plant with a random sign of the error of every parameter.
+    """Return the model of the default plant with an error of random sign in every parameter.
 
     Parameters
     ----------
     part : float
-        By which each parameter is wrong; but not the voltage limits.
+        Relative error of each parameter except the voltage limits.
     """
     generator = np.random.default_rng(seed)
 
@@ -50,7 +50,7 @@ def _hysteresis(plant, lowest_v, highest_v, wrong):
     alpha_v, beta_v = lowest_v + (np.indices((CELLS, CELLS)) + 0.5) * cell_v
     span_v, middle_v = alpha_v - beta_v, (alpha_v + beta_v) / 2
     ratio = cell_v / width_v
-    inside = 2 * (ratio - 1 + np.exp(-ratio)) / ratio**2  # of the triangles on the diagonal
+    inside = 2 * (ratio - 1 + np.exp(-ratio)) / ratio**2  # for the triangles on the diagonal
     profile = np.where(span_v > cell_v / 2, np.exp(-span_v / width_v)
                        * (2 * np.sinh(ratio / 2) / ratio) ** 2, inside)
     crest = 1.0 + modulation * np.cos(2 * np.pi * (middle_v - centre_v) / period_v)
