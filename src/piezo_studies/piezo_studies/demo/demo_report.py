@@ -39,15 +39,10 @@ def render_report(plant, command, sections):
 
 @dataclass(frozen=True, eq=False)
 class DrawnRuns:
-    """The runs with the identified model, and the sections of the report on them.
-
-    Attributes
-    ----------
-    errors : dict of str to float
-        Errors of the model on unseen data, by name.
-    """
+    """The runs with the identified model, and the sections of the report on them."""
 
     errors: dict
+    """Errors of the model on unseen data, by name."""
     runs: list
     sections: list
 
