@@ -308,10 +308,11 @@ class CoupledModel:
         steps = np.exp(self.poles_rad_per_s * self.sample_period_s)[:, None, None]
         kept = steps**held
 
-        def reached(samples: ArrayLike) -> tuple[ComplexArray, ComplexArray]:
+        def reached(samples: FloatArray | float) -> tuple[ComplexArray, ComplexArray]:
             """Return the states after some samples of a step, and of a straight line."""
-            step = (1.0 - steps**samples) / (1.0 - steps)
-            return step, goes_on * (samples - step) / (1.0 - steps) / held
+            step = np.asarray((1.0 - steps**samples) / (1.0 - steps), dtype=complex)
+            line = np.asarray(goes_on * (samples - step) / (1.0 - steps) / held, dtype=complex)
+            return step, line
 
         (step, line), (step_seen, line_seen) = reached(held), reached(held - late)
         # What is left from before the last sample of the voltage, by the states at this one.
