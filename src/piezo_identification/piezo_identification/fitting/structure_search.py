@@ -3,6 +3,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -502,16 +503,33 @@ def _with_less(fit: WholeFit) -> Iterator[Structure]:
         if isinstance(effect, SecondOrderAmplifier):
             yield Structure("its amplifier of first order", _with(
                 _without(model, place), AmplifierLag(effect.time_constant_s)), delay_s)
+    if model.dynamics.antiresonance_frequencies_rad_per_s:
+        yield _without_cancelled_mode(model, delay_s)
     if model.dynamics.time_constant_s > 0.0:
         yield Structure("without the electric time constant", *_later(
             _electric(model, 0.0), delay_s, model.dynamics.time_constant_s))
     poles, zeros = model.creep.poles_rad_per_s, model.creep.zeros_rad_per_s
     if len(poles) > 1:
         least = int(np.argmin(np.log(zeros) - np.log(poles)))
-        creep = CreepDynamics((*poles[:least], *poles[least + 1 :]),
-                              (*zeros[:least], *zeros[least + 1 :]))
+        creep = CreepDynamics(_but(poles, least), _but(zeros, least))
         yield Structure(f"without the creep of {poles[least]:.4g} rad/s",
                         replace(model, creep=creep), delay_s)
+
+
+def _without_cancelled_mode(model: StageModel, delay_s: float | None) -> Structure:
+    """Return the model without the mode in series that is nearest to an antiresonance, and that."""
+    dynamics = model.dynamics
+    frequencies, zeros = (np.array(each) for each in (
+        dynamics.mode_frequencies_rad_per_s, dynamics.antiresonance_frequencies_rad_per_s))
+    mode, zero = np.unravel_index(
+        np.argmin(np.abs(np.log(frequencies[:, None] / zeros))), (frequencies.size, zeros.size))
+    return Structure(
+        f"without the mode of {frequencies[mode]:.4g} rad/s beside an antiresonance",
+        replace(model, dynamics=ElectricVibrationDynamics(
+            dynamics.time_constant_s, _but(dynamics.mode_frequencies_rad_per_s, int(mode)),
+            _but(dynamics.damping_ratios, int(mode)),
+            _but(dynamics.antiresonance_frequencies_rad_per_s, int(zero)),
+            _but(dynamics.antiresonance_damping_ratios, int(zero)))), delay_s)
 
 
 def _elsewhere(fit: WholeFit) -> Iterator[Structure]:
@@ -609,7 +627,11 @@ def _with(model: StageModel, effect: Effect) -> StageModel:
 
 
 def _without(model: StageModel, place: int) -> StageModel:
-    return replace(model, effects=(*model.effects[:place], *model.effects[place + 1 :]))
+    return replace(model, effects=_but(model.effects, place))
+
+
+def _but(values: tuple[Any, ...], place: int) -> tuple[Any, ...]:
+    return (*values[:place], *values[place + 1 :])
 
 
 def _electric(model: StageModel, time_constant_s: float) -> StageModel:

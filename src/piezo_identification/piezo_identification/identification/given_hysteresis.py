@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.hysteresis.density_estimate import (
     LINE_OF_RESPONSE,
     DensityEstimate,
@@ -64,18 +63,15 @@ def estimate_hysteresis_of(
         data for name in ("creep", "dynamics") for data in of_kind(recordings, name)
         if isinstance(data, Recording)]
     if not shown:
-        return _line_of_response(of_kind(recordings, "dynamics")[0], linear)
+        return _line_of_response(linear)
     return estimate_density(
         shown, linear.creep, linear.slow_dynamics, delay_s=linear.slow_delay_s,
         **options.keywords())
 
 
-def _line_of_response(measured: FrequencyResponse, linear: LinearDynamics) -> DensityEstimate:
-    gain = float(linear.estimates["dynamics"].model.gain)
-    if gain <= 0.0:
-        raise ValueError(
-            f"{measured.path} has the gain {gain:.6g} at low frequency, so the displacement falls "
-            "where the voltage rises: reverse its sign")
+def _line_of_response(linear: LinearDynamics) -> DensityEstimate:
+    # Of a sensor that counts the other way, the model's displacement rises with the voltage.
+    gain = abs(float(linear.estimates["dynamics"].model.gain))
     return DensityEstimate(
         LINE_OF_RESPONSE, np.array([-ANY_VOLTAGE_V, ANY_VOLTAGE_V]), np.zeros((1, 1)),
         -gain * ANY_VOLTAGE_V, np.ones((1, 1), dtype=bool),

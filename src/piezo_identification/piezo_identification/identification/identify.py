@@ -21,8 +21,9 @@ from piezo_identification.conditioning.segments import Recordings
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.estimators.estimate import unidentified_parameters
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
-from piezo_identification.estimators.frequency_response.response_fit import (
+from piezo_identification.estimators.frequency_response.response_model import (
     ANY_ORDER,
+    ResponseModel,
     ResponseOrder,
 )
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
@@ -195,6 +196,8 @@ def tell_estimates(linear: LinearDynamics, density: DensityEstimate,
         tell(f"order of the {name}:\n{estimate.order_table()}")
         if estimate.delay is not None:
             tell(f"delay of the {name}: {estimate.delay}")
+        if isinstance(estimate.model, ResponseModel) and estimate.model.gain < 0.0:
+            tell(f"the displacement falls as the voltage rises: the sign of the {name} is changed")
     tell(f"hysteresis: {density.report()}")
 
 

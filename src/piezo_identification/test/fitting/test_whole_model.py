@@ -117,6 +117,20 @@ def test_a_lag_that_stands_behind_the_hysteresis_is_moved_to_the_front(plant, pl
     assert lags_s[0] == pytest.approx(LAG_S, rel=0.1)
 
 
+def test_a_mode_in_series_that_an_antiresonance_cancels_is_left_out_with_it(plant, recordings):
+    """It is slow enough to hide in the beginning of the fast recordings, which is not fitted."""
+    own = plant.dynamics
+    hidden = replace(plant, dynamics=ElectricVibrationDynamics(
+        own.time_constant_s, (420.0, *own.mode_frequencies_rad_per_s),
+        (0.12, *own.damping_ratios), (423.0,), (1e-4,)))
+    problem = WholeModel(hidden, recordings, [0.0] * 3)
+    fit = problem.fit(hidden, None, 0)
+    without = next(each for each in structures(problem, fit)
+                   if each.change.startswith("without the mode of 420 rad/s"))
+    assert without.model.dynamics == own
+    assert is_better(problem.fit(without.model, without.delay_s, 0), fit)
+
+
 def test_an_amplifier_of_second_order_takes_the_place_of_a_lag(plant, play):
     stage = replace(plant, effects=(SecondOrderAmplifier(LAG_S, 0.8),))
     parts = [play(experiments.dynamics(duration_s=0.1), 1, stage=stage),

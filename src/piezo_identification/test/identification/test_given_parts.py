@@ -92,10 +92,11 @@ def test_fast_cycles_give_the_hysteresis_where_the_dynamics_are_known(foreign_st
     assert relative_error(model, stage, unseen_v) < 5e-3
 
 
-def test_a_frequency_response_alone_gives_a_line(tmp_path, capsys):
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_frequency_response_alone_gives_a_line(sign, tmp_path, capsys):
     frequency_hz = np.geomspace(5.0, 900.0, 120)
     s = 2j * np.pi * frequency_hz
-    gain = 0.4 / ((4e-4 * s + 1.0) * (s**2 / 3000.0**2 + 0.1 * s / 3000.0 + 1.0))
+    gain = sign * 0.4 / ((4e-4 * s + 1.0) * (s**2 / 3000.0**2 + 0.1 * s / 3000.0 + 1.0))
     path = tmp_path / "response.csv"
     np.savetxt(path, np.column_stack([frequency_hz, gain.real, gain.imag]), delimiter=",",
                header="frequency_hz,gain_re,gain_im", comments="")
@@ -106,7 +107,9 @@ def test_a_frequency_response_alone_gives_a_line(tmp_path, capsys):
     rise_um = np.diff(hysteresis.simulate(np.array([0.0, 10.0])))
     assert rise_um == pytest.approx(4.0, rel=1e-3)
     assert hysteresis.simulate(np.array([0.0])) == pytest.approx(0.0, abs=1e-9)
-    assert "shows no hysteresis" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "shows no hysteresis" in printed and "inadequate" not in printed
+    assert ("falls as the voltage rises" in printed) == (sign < 0.0)
 
 
 def test_the_command_takes_several_files_grid_and_weights(static, record, save_csv, tmp_path):

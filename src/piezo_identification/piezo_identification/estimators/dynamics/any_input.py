@@ -49,7 +49,8 @@ AT_END = 20
 """Number of samples at the end of a visit of a level that show where it ended."""
 
 LONGEST_LOOK = 200
-"""Largest number of samples at the end of that rest that show whether the stage still rings."""
+"""Largest number of samples at the end of a rest, or at the start if there is no rest, that show
+whether the stage still rings."""
 
 STILL = 3.0
 """Multiple of the sensor noise up to which these samples, minus the best parabola, show no ringing,
@@ -161,17 +162,21 @@ def _first_kept(part: Recording) -> int:
     moved = np.flatnonzero(np.abs(voltage_v - voltage_v[0]) > 1e-3 * range_v)
     rest = int(moved[0]) if moved.size else voltage_v.size
     # Only the end of a rest is used: its beginning may still ring after an earlier step.
-    is_still = rest >= AT_REST and not _rings(part, slice(max(0, rest - LONGEST_LOOK), rest))
-    warm = rest - AT_REST if is_still else round(WARM_UP_S / part.sample_period_s)
+    end = rest if rest >= AT_REST else min(LONGEST_LOOK, voltage_v.size)
+    is_still = not _rings(part, slice(max(0, end - LONGEST_LOOK), end))
+    warm = max(0, rest - AT_REST) if is_still else round(WARM_UP_S / part.sample_period_s)
     near_v = NEAR_AN_EXTREME * range_v
     high = int(np.argmax(voltage_v >= voltage_v.max() - near_v))
     low = int(np.argmax(voltage_v <= voltage_v.min() + near_v))
     most = int(MOST_LEFT_OUT * voltage_v.size)
     first = min(warm, most)
     # The motion to the second of them began when the past no longer mattered. A first step of
-    # another height than the later ones leaves all modes ringing.
+    # another height than the later ones leaves all modes ringing; a smooth approach does not.
     reached = max(high, low)
-    if reached + round(USUAL_SETTLING_S / part.sample_period_s) <= most:
+    has_steps = np.abs(np.diff(voltage_v[: reached + 1])).max(initial=0.0) > near_v
+    if not has_steps:
+        first = max(first, min(reached, most))
+    elif reached + round(USUAL_SETTLING_S / part.sample_period_s) <= most:
         settling_s = USUAL_SETTLING_S if _comes_back(part) else WARM_UP_S
         first = max(first, min(reached + round(settling_s / part.sample_period_s), most))
     return first
@@ -192,10 +197,11 @@ def _comes_back(part: Recording) -> bool:
     return bool(np.abs(np.mean(ends_um) - ends_um[0]) <= STILL * noise_um)
 
 
-def _rings(part: Recording, rest: slice) -> bool:
-    """Return whether the displacement rings while the voltage rests, as after an earlier step."""
-    displacement_um = part.displacement_um[rest]
-    trend = np.vander(np.linspace(-1.0, 1.0, displacement_um.size), 3)
+def _rings(part: Recording, rows: slice) -> bool:
+    """Return whether the displacement does more than creep and follow a slow voltage."""
+    displacement_um = part.displacement_um[rows]
+    trend = np.column_stack([
+        np.vander(np.linspace(-1.0, 1.0, displacement_um.size), 3), part.voltage_v[rows]])
     left_um = displacement_um - trend @ np.linalg.lstsq(trend, displacement_um, rcond=None)[0]
     noise_um = noise_floor_um(part.displacement_um)
     return bool(np.std(left_um) > STILL * noise_um)
