@@ -16,18 +16,12 @@ NAMES = ("creep", "dynamics")
 
 
 class FitSettings:
-    """Numbers of a fit.
-
-    Attributes
-    ----------
-    steps, calm : int
-        Of a fit
-        from each start (Smith 1999).
-    method : str
-    """
+    """Numbers of a fit."""
 
     steps: int = 12
     calm: int = 2
+    """Of a fit
+    from each start (Smith 1999)."""
     method: str = "newton"
 
     rate_hz: float = 5.0

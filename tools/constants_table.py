@@ -100,11 +100,7 @@ def _of_module(node: ast.Assign, told: str) -> Iterator[Constant]:
 
 
 def _of_settings(node: ast.ClassDef) -> Iterator[Constant]:
-    entries = dict[str, str]()
-    for names, told in re.findall(r"^(\w[\w, ]*) : [^\n]*\n((?:    .*\n?|\n(?=    ))*)",
-                                  ast.get_docstring(node) or "", re.MULTILINE):
-        entries |= dict.fromkeys(re.split(r",\s*", names), " ".join(told.split()))
-    above, end = list[str](), 0
+    entries, above, end = dict[str, str](), list[str](), 0
     for line in node.body:
         # A text is of the fields directly above it, up to another text or an empty line.
         above, end = above if line.lineno == end + 1 else [], line.end_lineno

@@ -21,11 +21,6 @@ FAILED, BAD_INPUT = 1, 2
 def main(arguments: list[str] | None = None) -> int:
     """Run the command.
 
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Arguments; those of the command line by default.
-
     Returns
     -------
     int

@@ -23,11 +23,6 @@ IDENTIFY = "`./run piezo_client stage identify --output DIR`"
 def main(arguments: list[str] | None = None) -> int:
     """Run the command.
 
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Arguments; those of the command line by default.
-
     Returns
     -------
     int

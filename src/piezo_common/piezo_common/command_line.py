@@ -60,11 +60,6 @@ class Command:
     def main(self, arguments: Sequence[str] | None = None) -> int:
         """Run the command.
 
-        Parameters
-        ----------
-        arguments : list of str, optional
-            Arguments; those of the command line by default.
-
         Returns
         -------
         int

@@ -27,11 +27,6 @@ COMMANDS = {command.name: command for command in (
 def main(arguments: list[str] | None = None) -> int:
     """Run the subcommand in the arguments.
 
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Arguments; those of the command line by default.
-
     Returns
     -------
     int

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Results of a run that takes hours: each is kept at once, and the run goes on from them."""
+"""Results of a run of hours; each is saved at once, so that the run can be resumed."""
 
 import json
 from collections.abc import Mapping
@@ -13,14 +13,14 @@ class KeptResults:
     Parameters
     ----------
     conditions : dict, optional
-        Plain values. Results of other conditions stay in the file, and do not count.
+        Conditions as plain values. Results of other conditions stay in the file and are ignored.
     """
 
     def __init__(self, path: Path, conditions: Mapping[str, Any] | None = None) -> None:
         self._path, self._conditions = path, dict(conditions or {})
 
     def results(self) -> dict[Any, Any]:
-        """Return the results that are there, by what they are of: a number or a text."""
+        """Return the saved results by what they are of: a number or a text."""
         if not self._path.exists():
             return {}
         lines = [json.loads(line) for line in self._path.read_text(encoding="utf-8").splitlines()]
@@ -28,7 +28,7 @@ class KeptResults:
                 if entry["conditions"] == self._conditions}
 
     def add(self, of: int | str, result: Any) -> None:
-        """Keep a result."""
+        """Save a result."""
         with self._path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(
                 {"of": of, "conditions": self._conditions, "result": result}) + "\n")

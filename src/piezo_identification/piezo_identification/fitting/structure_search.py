@@ -24,75 +24,52 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """Limits of the search.
-
-    Attributes
-    ----------
-    steps : int
-        Largest number of steps of the fit from each start and of the last fit.
-    screening_steps : int
-        Largest number of steps for each structure that is tried.
-    followed_steps : int
-        Largest number of further steps for a promising structure.
-    followed : int
-        Number of structures per round that get further steps.
-    rounds : int
-        Largest number of changes of the structure.
-    promise : float
-        Largest deficit of log-evidence with which a structure is followed or tried again.
-    promise_of_start : float
-        The same for a start with another kind of amplifier, whose loops were not yet estimated.
-    chance : float
-        Largest loss of log-likelihood on held-out rows that is attributed to chance.
-    modes_less : int
-        Number of modes per round, the least important ones, that are removed on trial.
-    above_noise : float
-        Smallest residual of a recording, relative to its noise, for which further parts are tried.
-    adequate : float
-        Error of an adequate model, relative to that of a good one: 2e-5 of the travel, as in
-        `adequacy`.
-    wrong : float
-        Residual of the fastest recording, relative to its noise, above which every structure gets
-        as many steps as the first fit.
-    highest : float
-        Highest frequency of a mode, relative to the sampling frequency.
-    slowest : float
-        Lowest frequency of a mode, relative to the highest; slower ones are creep.
-    most_damped : float
-        Largest damping ratio of a mode that is kept in the simplest start.
-    least_in_phase : float
-        Sum of the participations of modes, relative to the sum of their magnitudes, below which
-        they are not treated as modes of one structure in phase.
-    most_uncoupled : float
-        Largest damping ratio of a mode of a structure.
-    first_lag : float
-        Smallest initial time constant of a new lag, in sample periods.
-    faster_creep : float
-        Rate of a new creep pair, relative to the fastest rate.
-    widest_gap : float
-        Ratio of neighbouring creep rates above which a start gets another pair between them.
-    """
+    """Limits of the search."""
 
     steps: int = 12
+    """Largest number of steps of the fit from each start and of the last fit."""
     screening_steps: int = 2
+    """Largest number of steps for each structure that is tried."""
     followed_steps: int = 6
+    """Largest number of further steps for a promising structure."""
     followed: int = 2
+    """Number of structures per round that get further steps."""
     rounds: int = 10
+    """Largest number of changes of the structure."""
     promise: float = 100.0
+    """Largest deficit of log-evidence with which a structure is followed or tried again."""
     promise_of_start: float = 1000.0
+    """The same for a start with another kind of amplifier, whose loops were not yet estimated."""
     chance: float = 3.0
+    """Largest loss of log-likelihood on held-out rows that is attributed to chance."""
     modes_less: int = 2
+    """Number of modes per round, the least important ones, that are removed on trial."""
     above_noise: float = 1.05
+    """Smallest residual of a recording, relative to its noise, for which further parts are
+    tried."""
     adequate: float = 0.2
+    """Error of an adequate model, relative to that of a good one: 2e-5 of the travel, as in
+    `adequacy`."""
     wrong: float = 3.0
+    """Residual of the fastest recording, relative to its noise, above which every structure gets as
+    many steps as the first fit."""
     highest: float = 0.3
+    """Highest frequency of a mode, relative to the sampling frequency."""
     slowest: float = 1e-3
+    """Lowest frequency of a mode, relative to the highest; slower ones are creep."""
     most_damped: float = 0.5
+    """Largest damping ratio of a mode that is kept in the simplest start."""
     least_in_phase: float = 0.3
+    """Sum of the participations of modes, relative to the sum of their magnitudes, below which they
+    are not treated as modes of one structure in phase."""
     most_uncoupled: float = 0.3
+    """Largest damping ratio of a mode of a structure."""
     first_lag: float = 0.5
+    """Smallest initial time constant of a new lag, in sample periods."""
     faster_creep: float = 8.0
+    """Rate of a new creep pair, relative to the fastest rate."""
     widest_gap: float = 12.0
+    """Ratio of neighbouring creep rates above which a start gets another pair between them."""
 
 
 SETTINGS = SearchSettings()
@@ -106,20 +83,15 @@ Begun = tuple[WholeModel, WholeFit]
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """A structure to fit, with initial values.
-
-    Attributes
-    ----------
-    change : str
-        Difference from the structure before.
-    is_far : bool
-        True if its values are far from the optimum: it then gets as many steps as a start.
-    """
+    """A structure to fit, with initial values."""
 
     change: str
+    """Difference from the structure before."""
     model: StageModel
     delay_s: float | None
+
     is_far: bool = False
+    """True if its values are far from the optimum: it then gets as many steps as a start."""
 
 
 def begun(problem: WholeModel, given: StageModel, delay_s: float | None,

@@ -35,26 +35,19 @@ class Softening:
     slowly compared with the beats of the modes. Let ``a`` be the deviation of the amplitude from
     the reference, relative to the reference. The elongation of each actuator acts back on its
     voltage: ``v = u - sum over p of a^p (elongation_p of v + gain_p u)``, p from 1 on.
-
-    Attributes
-    ----------
-    elongations : (P, K, n, n) array of complex
-        Residue of each mode in the elongation of each actuator, by the axis that drives it.
-    gain : (P, n, n) array
-        Part of the voltage itself that acts back.
-    reference_v : float
-        RMS of all voltages about the operating point at which the linear part is valid, in V.
-    memory_s : float
-        Time constant in s of the running mean square of the voltage.
-    range_v : (float, float)
-        RMS voltages of the identification in V; beyond them the softening is held constant.
     """
 
     elongations: ComplexArray
+    """Residue of each mode in the elongation of each actuator, by the axis that drives it, (P, K,
+    n, n)."""
     gain: FloatArray
+    """Part of the voltage itself that acts back, (P, n, n)."""
     reference_v: float
+    """RMS of all voltages about the operating point at which the linear part is valid, in V."""
     memory_s: float
+    """Time constant in s of the running mean square of the voltage."""
     range_v: tuple[float, float]
+    """RMS voltages of the identification in V; beyond them the softening is held constant."""
 
     def strengths(self, amplitude_v: ArrayLike) -> FloatArray:
         """Return the powers a^p of the relative deviation, shape of the amplitudes and P."""
@@ -84,38 +77,29 @@ class CoupledModel:
     """Motion of several axes about an operating point: modes that all of them share.
 
     The voltage of each axis first passes its actuator, whose output is the drive of the modes.
-
-    Attributes
-    ----------
-    axes : tuple of str
-        Names of the axes, in the order of rows and columns.
-    sample_period_s : float
-        Sample period in s; the voltages are held between the samples.
-    poles_rad_per_s : (K,) array of complex
-        The upper one of each conjugate pair; real poles have no imaginary part.
-    residues_um_per_v : (K, n, n) array of complex
-        Residues of the sampled response by mode, moving axis and driven axis. The response is
-        the sum of ``R / (z - exp(pole T))`` and, for complex poles, their conjugates.
-    direct_um_per_v : (L, n, n) array
-        Motion that follows the voltage of the same sample, of the previous one, and so on.
-    latency_samples : (n,) array of int
-        Delay of each sensor in whole samples.
-    operating_voltage_v, operating_displacement_um : (n,) array
-        Drive and displacement about which the modes move.
-    actuators : tuple of Actuator
-        One for each axis; empty if no axis has hysteresis or creep.
     """
 
     axes: tuple[str, ...]
+    """Names of the axes, in the order of rows and columns."""
     sample_period_s: float
+    """Sample period in s; the voltages are held between the samples."""
     poles_rad_per_s: ComplexArray
+    """The upper one of each conjugate pair, (K,); real poles have no imaginary part."""
     residues_um_per_v: ComplexArray
+    """Residues of the sampled response by mode, moving axis and driven axis, (K, n, n). The
+    response is the sum of ``R / (z - exp(pole T))`` and, for complex poles, their conjugates."""
     direct_um_per_v: FloatArray
+    """Motion that follows the voltage of the same sample, of the previous one, and so on, (L, n,
+    n)."""
     latency_samples: np.ndarray
+    """Delay of each sensor in whole samples, (n,)."""
     operating_voltage_v: FloatArray
     operating_displacement_um: FloatArray
+    """Drive and displacement about which the modes move, (n,)."""
     softening: Softening | None = None
+
     actuators: tuple[Actuator, ...] = ()
+    """One for each axis; empty if no axis has hysteresis or creep."""
 
     def __post_init__(self) -> None:
         modes, n = self.poles_rad_per_s.size, len(self.axes)

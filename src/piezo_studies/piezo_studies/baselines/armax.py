@@ -23,30 +23,21 @@ differ in the eighth digit, so that more damping would keep them from moving."""
 
 @dataclass(frozen=True)
 class Armax:
-    """Model A y = B u + C e with polynomials in the shift to earlier samples.
-
-    Parameters
-    ----------
-    autoregressive : ndarray, shape (na + 1,)
-        Polynomial A, beginning with 1.
-    input : ndarray, shape (nb + 1,)
-        Polynomial B, beginning with 0: the output responds after one sample at the earliest.
-    noise : ndarray, shape (nc + 1,)
-        Polynomial C, beginning with 1.
-    covariance : ndarray, shape (na + nb + nc, na + nb + nc)
-        Covariance of the free coefficients, in this order.
-    residual : ndarray, shape (N,)
-        Errors of the one-step prediction.
-    parameters : int
-        Number of free parameters of the fit, including those of the unknown past.
-    """
+    """Model A y = B u + C e with polynomials in the shift to earlier samples."""
 
     autoregressive: FloatArray
+    """Polynomial A, beginning with 1, (na + 1,)."""
     input: FloatArray
+    """Polynomial B, beginning with 0, (nb + 1,): the output responds after one sample at the
+    earliest."""
     noise: FloatArray
+    """Polynomial C, beginning with 1, (nc + 1,)."""
     covariance: FloatArray
+    """Covariance of the free coefficients, in this order, (na + nb + nc, na + nb + nc)."""
     residual: FloatArray
+    """Errors of the one-step prediction, (N,)."""
     parameters: int
+    """Number of free parameters of the fit, including those of the unknown past."""
 
     def response(self, frequency_hz: ArrayLike, sample_period_s: float) -> ComplexArray:
         """Return the complex response B / A at the given frequencies."""

@@ -10,19 +10,13 @@ from piezo_common.arrays import FloatArray
 
 @dataclass(frozen=True)
 class Innovations:
-    """Discrete system x+ = A x + K e, y = C x + e, without its input.
-
-    Parameters
-    ----------
-    transition : ndarray, shape (n, n)
-        Matrix A.
-    innovation_gain, output_gain : ndarray, shape (n,)
-        Vectors K and C.
-    """
+    """Discrete system x+ = A x + K e, y = C x + e, without its input."""
 
     transition: FloatArray
+    """Matrix A, (n, n)."""
     innovation_gain: FloatArray
     output_gain: FloatArray
+    """Vectors K and C, (n,)."""
 
 
 def identify_subspace(

@@ -19,23 +19,16 @@ class TruncatedSvd:
     """M = A^T A reduced to its largest singular values, (2.9), and the right side A^T Y.
 
     M is symmetric and positive semidefinite, so U and V are equal.
-
-    Parameters
-    ----------
-    vectors : ndarray, shape (n, r)
-        Singular vectors U_r.
-    singular_values : ndarray, shape (r,)
-        Kept singular values in descending order.
-    right_side : ndarray, shape (n,)
-        Right side A^T Y.
-    all_singular_values : ndarray, shape (n,)
-        Singular values before the truncation.
     """
 
     vectors: np.ndarray
+    """Singular vectors U_r, (n, r)."""
     singular_values: np.ndarray
+    """Kept singular values in descending order, (r,)."""
     right_side: np.ndarray
+    """Right side A^T Y, (n,)."""
     all_singular_values: np.ndarray
+    """Singular values before the truncation, (n,)."""
 
     @property
     def rank(self) -> int:
@@ -105,18 +98,12 @@ def truncated_svd(equations: NormalEquations, ratio: float = 1e-3,
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SvdEstimate(DensityEstimate):
-    """A density by a truncated singular value decomposition.
-
-    Parameters
-    ----------
-    singular_values : ndarray
-        Singular values of the normal equations in descending order.
-    rank : int
-        Number of kept singular values.
-    """
+    """A density by a truncated singular value decomposition."""
 
     singular_values: np.ndarray
+    """Singular values of the normal equations in descending order."""
     rank: int
+    """Number of kept singular values."""
 
 
 def density_by_svd(decomposition: TruncatedSvd, voltage_v: FloatArray, levels_v: FloatArray,

@@ -16,13 +16,7 @@ SECTION = "changes in operation"
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Arguments; by default those of the command line.
-    """
+    """Run the command."""
     parser = argparse.ArgumentParser(prog="changes_in_operation", description=__doc__)
     parser.add_argument("--page", type=Path, default=Path("docs/diagnosis.md"),
                         help="page whose table is written anew; its text stays")

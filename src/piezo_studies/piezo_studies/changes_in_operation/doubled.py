@@ -43,26 +43,18 @@ CHANGES: dict[str, Callable[[PlantConfig], PlantConfig]] = {
 
 @dataclass(frozen=True)
 class Doubling:
-    """The report of the monitor on one change.
-
-    Attributes
-    ----------
-    kind, change : str
-        Kind of the reference, and a key of `CHANGES`.
-    before_um, after_um : float
-        RMS of the error (um) without the change and with it.
-    found_s : float
-        Time from the change to the first report; nan if there was none.
-    early : bool
-        Whether a change was reported before it happened.
-    """
+    """The report of the monitor on one change."""
 
     kind: str
     change: str
+    """Kind of the reference, and a key of `CHANGES`."""
     before_um: float
     after_um: float
+    """RMS of the error (um) without the change and with it."""
     found_s: float
+    """Time from the change to the first report; nan if there was none."""
     early: bool
+    """Whether a change was reported before it happened."""
 
 
 def watch_doubling(watched: WatchedStage, kind: str, change: str) -> Doubling:

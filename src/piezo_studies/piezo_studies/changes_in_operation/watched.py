@@ -26,31 +26,22 @@ LATER_KINDS = 5
 
 @dataclass(frozen=True)
 class Report:
-    """A change that was reported while nothing changed.
-
-    Attributes
-    ----------
-    kind : str
-        Kind of the reference.
-    """
+    """A change that was reported while nothing changed."""
 
     kind: str
+    """Kind of the reference."""
     suspicion: Suspicion
 
 
 @dataclass(eq=False)
 class WatchedStage:
-    """A stage, its monitor, and the number of the next sample.
-
-    Attributes
-    ----------
-    seed : int
-        Seed of the sensor's noise.
-    """
+    """A stage, its monitor, and the number of the next sample."""
 
     plant: PlantConfig
     identified: IdentifiedModel
+
     seed: int = 1
+    """Seed of the sensor's noise."""
     stage: SimulatedStage = field(init=False)
     monitor: StageMonitor = field(init=False)
     next_sample: int = 0

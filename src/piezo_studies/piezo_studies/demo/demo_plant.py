@@ -23,21 +23,14 @@ SENTENCES = {
 
 @dataclass(frozen=True)
 class DemoPlant:
-    """The plant of a demo.
-
-    Attributes
-    ----------
-    plant : str
-        Parameter of the stage node: a name, or the absolute path of a plant file.
-    name : str
-        Name for users and for the directory of the results.
-    sentence : str
-        Description of the stage for the report.
-    """
+    """The plant of a demo."""
 
     plant: str
+    """Parameter of the stage node: a name, or the absolute path of a plant file."""
     name: str
+    """Name for users and for the directory of the results."""
     sentence: str
+    """Description of the stage for the report."""
 
     @property
     def directory(self) -> Path:

@@ -39,15 +39,10 @@ def render_report(plant, command, sections):
 
 @dataclass(frozen=True, eq=False)
 class DrawnRuns:
-    """The runs with the identified model, and the sections of the report on them.
-
-    Attributes
-    ----------
-    errors : dict of str to float
-        Errors of the model on unseen data, by name.
-    """
+    """The runs with the identified model, and the sections of the report on them."""
 
     errors: dict
+    """Errors of the model on unseen data, by name."""
     runs: list
     sections: list
 
@@ -72,7 +67,7 @@ def draw_runs(errors, model, recordings, tracks, directory):
 
 
 def drawn_runs(errors, identified, recordings, runs, directory):
-    """Draw runs and recordings that have been read; see `draw_runs`."""
+    """Draw runs and recordings already read; see `draw_runs`."""
     return DrawnRuns(errors, runs, [
         _identification_section(errors, identified, recordings, directory),
         *(_frequency_section(frequency_hz, [run for run in runs

@@ -14,24 +14,16 @@ from piezo_studies.demo.summary import model_error_rows, tracking_error_rows
 
 @dataclass(frozen=True, eq=False)
 class ExtendedModel:
-    """The result of the diagnosis, and the runs with the extended model.
-
-    Attributes
-    ----------
-    sentence : str
-        The verdict in words.
-    verdict : dict
-        The content of ``verdict.json``.
-    pictures : tuple
-        Figures from `draw_models`.
-    runs : list of TrackedRun
-        Runs with the extended model.
-    """
+    """The result of the diagnosis, and the runs with the extended model."""
 
     sentence: str
+    """The verdict in words."""
     verdict: dict
+    """The content of ``verdict.json``."""
     pictures: tuple
+    """Figures from `draw_models`."""
     runs: list
+    """Runs with the extended model."""
 
 
 def draw_models(model, extended_model, validation):

@@ -31,57 +31,39 @@ LONGEST_S = 0.2
 
 @dataclass(frozen=True)
 class Monitored:
-    """The results for a mode that became faster while the stage tracked.
-
-    Attributes
-    ----------
-    change_s, since_s : float
-        Stage time of the change, and its estimate by the monitor.
-    sentence : str
-        Result of the monitor in words.
-    before_rms_um, after_rms_um : float
-        RMS of the residual of the original model, and of the offered model.
-    e_rms_before_percent, e_rms_after_percent : float
-        Tracking errors by the sensor with the original model and with the accepted one.
-    extended_model : str
-        Path of the offered model.
-    """
+    """The results for a mode that became faster while the stage tracked."""
 
     change_s: float
     since_s: float
+    """Stage time of the change, and its estimate by the monitor."""
     sentence: str
+    """Result of the monitor in words."""
     before_rms_um: float
     after_rms_um: float
+    """RMS of the residual of the original model, and of the offered model."""
     e_rms_before_percent: float
     e_rms_after_percent: float
+    """Tracking errors by the sensor with the original model and with the accepted one."""
     extended_model: str
+    """Path of the offered model."""
 
 
 @dataclass(frozen=True)
 class Decided:
-    """The decision by one proposed recording.
-
-    Attributes
-    ----------
-    hidden : str
-        Effect of the simulated stage that is unknown to the model.
-    experiment : str
-        Description of the played experiment.
-    before, after : dict of str to float
-        Probability of each explanation before and after it.
-    decision, sentence : str
-        The decision and the verdict in words.
-    report : str
-        Path of the report.
-    """
+    """The decision by one proposed recording."""
 
     hidden: str
+    """Effect of the simulated stage that is unknown to the model."""
     experiment: str
+    """Description of the played experiment."""
     before: dict[str, float]
     after: dict[str, float]
+    """Probability of each explanation before and after it."""
     decision: str
     sentence: str
+    """The decision and the verdict in words."""
     report: str
+    """Path of the report."""
 
 
 def start_changing_stage(session, plant, directory):

@@ -15,37 +15,30 @@ from piezo_recorder.reading.reader import GROUND_TRUTH, read_recording
 
 @dataclass(frozen=True, eq=False)
 class TrackedRun:
-    """The periodic part of a run, which follows the approach.
-
-    Attributes
-    ----------
-    frequency_hz, amplitude_um, centre_um : float
-        Frequency, peak-to-peak amplitude and centre of the harmonic reference.
-    reference_um, displacement_um, true_um : ndarray, shape (N,)
-        Reference, displacement measured by the sensor, and true displacement of the simulator.
-    voltage_v : ndarray, shape (N,)
-        Applied voltage.
-    loop_s, loop_wall_s : float
-        Stage time and wall time from the first block of the loop to the last.
-    missed_feedback : int
-        Number of ticks without new feedback.
-    path : str
-        Path of the recording.
-    """
+    """The periodic part of a run, which follows the approach."""
 
     mode: str
+
     frequency_hz: float
     amplitude_um: float
     centre_um: float
+    """Frequency, peak-to-peak amplitude and centre of the harmonic reference."""
     sample_rate_hz: float
+
     reference_um: np.ndarray
     displacement_um: np.ndarray
     true_um: np.ndarray
+    """Reference, displacement measured by the sensor, and true displacement of the simulator,
+    (N,)."""
     voltage_v: np.ndarray
+    """Applied voltage, (N,)."""
     loop_s: float
     loop_wall_s: float
+    """Stage time and wall time from the first block of the loop to the last."""
     missed_feedback: int
+    """Number of ticks without new feedback."""
     path: str
+    """Path of the recording."""
 
     @property
     def time_s(self):

@@ -20,29 +20,21 @@ seed."""
 
 @dataclass(frozen=True)
 class Reliability:
-    """How often statements of a given probability are true.
-
-    Attributes
-    ----------
-    edges : (B + 1,) tuple of float
-        Edges of the bins of probability.
-    stated, true : (B,) tuple of float or None
-        Mean probability and fraction of true statements in each bin; None in an empty bin.
-    counts : (B,) tuple of int
-        Number of statements in each bin.
-    expected_calibration_error : float
-        Mean distance of the two, weighted by the counts.
-    calibrated_mean, calibrated_most : float
-        Mean and 95 % quantile of this error for a perfectly calibrated program with the same cases.
-    """
+    """How often statements of a given probability are true."""
 
     edges: tuple
+    """Edges of the bins of probability, (B + 1,)."""
     stated: tuple
     true: tuple
+    """Mean probability and fraction of true statements in each bin, (B,); None in an empty bin."""
     counts: tuple
+    """Number of statements in each bin, (B,)."""
     expected_calibration_error: float
+    """Mean distance of the two, weighted by the counts."""
     calibrated_mean: float
     calibrated_most: float
+    """Mean and 95 % quantile of this error for a perfectly calibrated program with the same
+    cases."""
 
     def document(self):
         """Return the reliability as plain values."""

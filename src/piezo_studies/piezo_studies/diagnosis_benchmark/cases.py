@@ -29,34 +29,24 @@ LATER_ONLY = {"slew_limit"}
 
 @dataclass(frozen=True)
 class Case:
-    """One case, which is determined by seed and number.
-
-    Attributes
-    ----------
-    seed : int
-        Seed of the whole suite.
-    plant : int
-        Number of its plant.
-    causes : tuple of str
-        Hidden effects, as keys of `CAUSES` or `CAUSES_OUTSIDE`; empty if there are none.
-    multiples : tuple of float
-        Contribution of each effect, over the noise.
-    kind : str
-        Kind of the recording, a key of `records.KINDS`.
-    slow : bool
-        Whether it is recorded by a slow logger for tens of seconds.
-    later : bool
-        Whether the effects appeared after the identification.
-    """
+    """One case, which is determined by seed and number."""
 
     number: int
+
     seed: int
+    """Seed of the whole suite."""
     plant: int
+    """Number of its plant."""
     causes: tuple
+    """Hidden effects, as keys of `CAUSES` or `CAUSES_OUTSIDE`; empty if there are none."""
     multiples: tuple
+    """Contribution of each effect, over the noise."""
     kind: str
+    """Kind of the recording, a key of `records.KINDS`."""
     slow: bool
+    """Whether it is recorded by a slow logger for tens of seconds."""
     later: bool
+    """Whether the effects appeared after the identification."""
 
     @property
     def outside(self):

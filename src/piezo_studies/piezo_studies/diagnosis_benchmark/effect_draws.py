@@ -44,27 +44,18 @@ class DrawError(ValueError):
 
 @dataclass(frozen=True)
 class DrawnEffect:
-    """An effect with the wanted contribution.
-
-    Attributes
-    ----------
-    cause : str
-        Kind of the effect, a key of `CAUSES` or of `CAUSES_OUTSIDE`.
-    effect : piezo_sim.plant.plant_effect.Effect
-        The effect with its parameters.
-    contribution_rms_um : float
-        RMS of its contribution to the measured displacement, without the mean.
-    beyond_gain_rms_um : float
-        RMS of the part of the contribution that a change of the gain cannot explain.
-    plant : PlantConfig
-        The plant with the effect.
-    """
+    """An effect with the wanted contribution."""
 
     cause: str
+    """Kind of the effect, a key of `CAUSES` or of `CAUSES_OUTSIDE`."""
     effect: Effect
+    """The effect with its parameters."""
     contribution_rms_um: float
+    """RMS of its contribution to the measured displacement, without the mean."""
     beyond_gain_rms_um: float
+    """RMS of the part of the contribution that a change of the gain cannot explain."""
     plant: PlantConfig
+    """The plant with the effect."""
 
 
 @dataclass(frozen=True)

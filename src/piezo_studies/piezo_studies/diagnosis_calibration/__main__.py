@@ -14,13 +14,7 @@ from piezo_studies.diagnosis_calibration.study import figures, model_of, run_stu
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Arguments; by default those of the command line.
-    """
+    """Run the command."""
     parser = argparse.ArgumentParser(prog="diagnosis_calibration", description=__doc__)
     parser.add_argument("--cases", type=int, default=100, help="how many (%(default)s)")
     parser.add_argument("--seed", type=int, default=523, help="of everything random (%(default)s)")

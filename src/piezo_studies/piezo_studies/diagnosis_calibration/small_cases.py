@@ -23,29 +23,21 @@ TONES = 12
 
 @dataclass(frozen=True)
 class SmallCase:
-    """One case, which is determined by seed and number.
-
-    Attributes
-    ----------
-    plant : int
-        Number of its plant.
-    cause : str or None
-        A key of `CAUSES` or `CAUSES_OUTSIDE`; None for no effect.
-    multiple : float
-        Contribution of the cause, over the noise.
-    kind : str
-        Kind of the waveform, one of `KINDS`.
-    logger : str
-        A key of `RATES_HZ`.
-    """
+    """One case, which is determined by seed and number."""
 
     number: int
     seed: int
+
     plant: int
+    """Number of its plant."""
     cause: str | None
+    """A key of `CAUSES` or `CAUSES_OUTSIDE`; None for no effect."""
     multiple: float
+    """Contribution of the cause, over the noise."""
     kind: str
+    """Kind of the waveform, one of `KINDS`."""
     logger: str
+    """A key of `RATES_HZ`."""
 
     def random(self, purpose):
         """Return the random generator for one purpose."""

@@ -13,13 +13,7 @@ from piezo_studies.thesis.pictures import small_png
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Arguments; by default those of the command line.
-    """
+    """Run the command."""
     parser = argparse.ArgumentParser(prog="high_bandwidth", description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("runs/high_bandwidth"),
                         help="directory of the controller files, from which a run goes on, and of "

@@ -180,13 +180,7 @@ def _floats(values: Iterable[float]) -> tuple[float, ...]:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Arguments; by default those of the command line.
-    """
+    """Run the command."""
     parser = argparse.ArgumentParser(prog="high_bandwidth.search", description=SUMMARY)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--starts", type=int, default=4, help="drawn, about 15 s each")

@@ -38,19 +38,15 @@ LEAST_JUMP = 10.0
 
 @dataclass(frozen=True, eq=False)
 class JumpResponse:
-    """A rest, a jump, and the response.
-
-    Parameters
-    ----------
-    jump : int
-        First sample with the new voltage.
-    voltage_v, displacement_um : ndarray, shape (N,)
-    """
+    """A rest, a jump, and the response."""
 
     sample_period_s: float
+
     jump: int
+    """First sample with the new voltage."""
     voltage_v: FloatArray
     displacement_um: FloatArray
+    """Shape (N,)."""
 
     @property
     def time_s(self) -> FloatArray:

@@ -58,23 +58,18 @@ PARTS = 4
 
 @dataclass(frozen=True)
 class Figure:
-    """An error of our model compared with the one published with the data.
-
-    Parameters
-    ----------
-    note : float
-        Published figure.
-    bound : float
-        Largest acceptable value of ours.
-    """
+    """An error of our model compared with the one published with the data."""
 
     data: str
     quantity: str
     fitted_on: str
     tested_on: str
     unit: str
+
     note: float
+    """Published figure."""
     bound: float
+    """Largest acceptable value of ours."""
     ours: float
     remark: str = ""
 
@@ -86,15 +81,12 @@ class Figure:
 
 @dataclass(frozen=True, eq=False)
 class Ringing:
-    """Measured and modelled response to a jump.
-
-    Parameters
-    ----------
-    modelled_um : ndarray, shape (N,)
-    """
+    """Measured and modelled response to a jump."""
 
     response: JumpResponse
+
     modelled_um: np.ndarray
+    """Shape (N,)."""
     dynamics: ElectricVibrationDynamics
     standard_deviations: dict
 

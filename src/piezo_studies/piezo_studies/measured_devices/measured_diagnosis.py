@@ -42,26 +42,21 @@ RESONANCES = ResponseOrder(creep_pairs=0, modes=None, antiresonances=None)
 
 @dataclass(frozen=True)
 class Finding:
-    """The result of a diagnosis, with the errors before and after on held-out data.
-
-    Parameters
-    ----------
-    effects : tuple of str
-        Named effects, the strongest first.
-    before_percent, after_percent : float
-        Relative error e_y of the poor model, and of the extended model.
-    refitted_percent : float or None
-        Relative error e_y of a model fitted without the restriction of the poor one.
-    """
+    """The result of a diagnosis, with the errors before and after on held-out data."""
 
     data: str
     poor_model: str
     verdict: str
+
     effects: tuple
+    """Named effects, the strongest first."""
     held_out: str
+
     before_percent: float
     after_percent: float
+    """Relative error e_y of the poor model, and of the extended model."""
     refitted_percent: float | None = None
+    """Relative error e_y of a model fitted without the restriction of the poor one."""
     left: str = ""
 
     def text(self):

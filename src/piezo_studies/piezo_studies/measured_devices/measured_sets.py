@@ -27,21 +27,16 @@ COLUMNS = "columns time_s, voltage_v, displacement_um"
 
 @dataclass(frozen=True)
 class MeasuredSet:
-    """Files of one device below the directory of the measured sets.
-
-    Parameters
-    ----------
-    files : tuple of str
-        Required files, relative to the directory of the measured sets.
-    source, licence, fetch : str
-        Source, licence, and how to obtain the files, for messages.
-    """
+    """Files of one device below the directory of the measured sets."""
 
     name: str
+
     files: tuple[str, ...]
+    """Required files, relative to the directory of the measured sets."""
     source: str
     licence: str
     fetch: str
+    """Source, licence, and how to obtain the files, for messages."""
 
     def missing(self, directory: Path) -> str | None:
         """Return a message about the first missing file; None if all are present."""

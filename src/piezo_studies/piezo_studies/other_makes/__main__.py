@@ -20,13 +20,7 @@ CLOCK_PER_CPU = 10.0
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Arguments; by default those of the command line.
-    """
+    """Run the command."""
     parser = argparse.ArgumentParser(prog="other_makes", description=__doc__)
     parser.add_argument("--stage", nargs="+", choices=MAKES, default=tuple(MAKES))
     parser.add_argument("--seed", type=int, nargs="+", default=(0,),

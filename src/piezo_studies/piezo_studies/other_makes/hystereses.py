@@ -23,20 +23,15 @@ class Hysteresis(Protocol):
 
 @dataclass(frozen=True)
 class Plays:
-    """A sum of plays, whose two sides are different curves of the voltage.
-
-    Attributes
-    ----------
-    half_widths_v : ndarray, shape (P,)
-    weights_um_per_v : ndarray, shape (P,)
-    rising, falling : tuple of float
-        Polynomial coefficients of the curves of the two sides, from the first power on.
-    """
+    """A sum of plays, whose two sides are different curves of the voltage."""
 
     half_widths_v: FloatArray
+    """Shape (P,)."""
     weights_um_per_v: FloatArray
+    """Shape (P,)."""
     rising: tuple[float, ...]
     falling: tuple[float, ...]
+    """Polynomial coefficients of the curves of the two sides, from the first power on."""
 
     def __call__(self, voltage_v: FloatArray) -> FloatArray:
         """Return the input of the linear part (um), shape (N,)."""
@@ -65,20 +60,16 @@ class MaxwellSlip:
 
     Goldfarb and Celanovic (1997). The displacement is that without blocks, less the part that the
     blocks hold back.
-
-    Attributes
-    ----------
-    stiffnesses_um_per_v : ndarray, shape (B,)
-    limits_v : ndarray, shape (B,)
-        Change of the voltage after which a block slips.
-    curvature_per_v : float
-        Relative change of the gain with the voltage.
     """
 
     gain_um_per_v: float
+
     stiffnesses_um_per_v: FloatArray
+    """Shape (B,)."""
     limits_v: FloatArray
+    """Change of the voltage after which a block slips, (B,)."""
     curvature_per_v: float = 0.0
+    """Relative change of the gain with the voltage."""
 
     def __call__(self, voltage_v: FloatArray) -> FloatArray:
         """Return the input of the linear part (um), shape (N,)."""
@@ -101,16 +92,11 @@ def _blocks(voltage: FloatArray, stiffnesses: FloatArray, limits: FloatArray) ->
 
 @dataclass(frozen=True)
 class Duhem:
-    """The equation of Coleman and Hodgdon, ``s' = rate v' + slope |v'| (middle v - s)``.
-
-    Attributes
-    ----------
-    direct_um_per_v, state_um_per_v : float
-        Factors of voltage and state in the displacement.
-    """
+    """The equation of Coleman and Hodgdon, ``s' = rate v' + slope |v'| (middle v - s)``."""
 
     direct_um_per_v: float
     state_um_per_v: float
+    """Factors of voltage and state in the displacement."""
     rate: float
     slope_per_v: float
     middle: float
@@ -139,27 +125,19 @@ def _duhem(voltage: FloatArray, rate: float, slope: float, middle: float) -> Flo
 
 @dataclass(frozen=True)
 class JilesAtherton:
-    """Pinned domain walls (Jiles and Atherton, 1986) about a polarised state.
-
-    Attributes
-    ----------
-    gain_um_per_v, saturation_um : float
-        Linear gain, and the largest displacement of the domains.
-    shape_v, pinning_v : float
-        Width of the anhysteretic curve, and width of the loops.
-    coupling_v_per_um, reversible : float
-        Coupling field of the domains, and fraction of them that moves reversibly.
-    middle_v : float
-        Voltage about which the curves are odd functions.
-    """
+    """Pinned domain walls (Jiles and Atherton, 1986) about a polarised state."""
 
     gain_um_per_v: float
     saturation_um: float
+    """Linear gain, and the largest displacement of the domains."""
     shape_v: float
     pinning_v: float
+    """Width of the anhysteretic curve, and width of the loops."""
     coupling_v_per_um: float
     reversible: float
+    """Coupling field of the domains, and fraction of them that moves reversibly."""
     middle_v: float
+    """Voltage about which the curves are odd functions."""
 
     def __call__(self, voltage_v: FloatArray) -> FloatArray:
         """Return the input of the linear part (um), shape (N,)."""

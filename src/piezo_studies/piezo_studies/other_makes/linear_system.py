@@ -21,17 +21,12 @@ SMALL = 1e-3
 
 @dataclass(frozen=True)
 class LinearSystem:
-    """A transfer function with a direct part and a sum of residues / (s - poles).
-
-    Attributes
-    ----------
-    poles_per_s : ndarray of complex, shape (P,)
-        Distinct poles; one of each conjugate pair.
-    residues : ndarray of complex, shape (P,)
-    """
+    """A transfer function with a direct part and a sum of residues / (s - poles)."""
 
     poles_per_s: ComplexArray
+    """Distinct poles, (P,); one of each conjugate pair."""
     residues: ComplexArray
+    """Shape (P,)."""
     direct: float = 0.0
 
     def at(self, s: complex | ComplexArray) -> Any:

@@ -27,30 +27,23 @@ ANY_SLEW_V_PER_S = 1e9
 
 @dataclass(frozen=True)
 class Make:
-    """A stage with its instruments and its true parameters.
-
-    Attributes
-    ----------
-    noise_um : float
-        Standard deviation of the sensor's white noise.
-    true : dict of str to list of float
-        True values of parameters that the models have, too, by their names: frequencies and
-        dampings of the modes, `delay_s`, `front_lag_s` before the hysteresis, and `behind_lag_s`
-        after it. Parameters without a counterpart are missing.
-    drift_um, drift_s : float
-        Standard deviation and correlation time of the sensor's drift.
-    is_swept : bool
-        Whether its dynamics are recorded with a chirp instead of a square wave.
-    """
+    """A stage with its instruments and its true parameters."""
 
     name: str
     stage: Stage
     limits: StageLimits
+
     noise_um: float
+    """Standard deviation of the sensor's white noise."""
     true: dict[str, list[float]] = field(repr=False)
+    """True values of parameters that the models have, too, by their names: frequencies and dampings
+    of the modes, `delay_s`, `front_lag_s` before the hysteresis, and `behind_lag_s` after it.
+    Parameters without a counterpart are missing."""
     drift_um: float = 0.0
     drift_s: float = 200.0
+    """Standard deviation and correlation time of the sensor's drift."""
     is_swept: bool = False
+    """Whether its dynamics are recorded with a chirp instead of a square wave."""
 
     @property
     def first_mode_hz(self) -> float:

@@ -53,18 +53,12 @@ SLOW_SINES = ((0.17, 0.16, 0.0), (0.43, 0.12, 1.0), (1.1, 0.08, 2.0), (2.3, 0.04
 
 @dataclass(frozen=True)
 class Known:
-    """True values of a recording that are unknown in a laboratory.
-
-    Attributes
-    ----------
-    noise_percent : float
-        Noise and drift of the sensor relative to the displacement, in percent like e_y (4.20).
-    counted_s : (float, float)
-        Beginning and end of the unseen motion, without ramps, in which the error is computed.
-    """
+    """True values of a recording that are unknown in a laboratory."""
 
     noise_percent: float
+    """Noise and drift of the sensor relative to the displacement, in percent like e_y (4.20)."""
     counted_s: tuple[float, float]
+    """Beginning and end of the unseen motion, without ramps, in which the error is computed."""
 
 
 def record(make: Make, folder: Path, seed: int) -> None:

@@ -18,35 +18,25 @@ from piezo_studies.other_makes.linear_system import (
 
 @dataclass(frozen=True)
 class HeldVoltage:
-    """A voltage that is held for a period in each row.
-
-    Attributes
-    ----------
-    voltage_v : ndarray, shape (N,)
-    """
+    """A voltage that is held for a period in each row."""
 
     voltage_v: FloatArray
+    """Shape (N,)."""
     period_s: float
 
 
 @dataclass(frozen=True)
 class Stage:
-    """The cascade of a stage, which is independent of the models.
-
-    Attributes
-    ----------
-    behind : LinearSystem
-        Creep, modes and lags after the hysteresis.
-    front : LinearSystem
-        The amplifier, before the hysteresis.
-    delay_s : float
-        Delay of the reading.
-    """
+    """The cascade of a stage, which is independent of the models."""
 
     hysteresis: Hysteresis
+
     behind: LinearSystem
+    """Creep, modes and lags after the hysteresis."""
     front: LinearSystem = field(default_factory=unchanged)
+    """The amplifier, before the hysteresis."""
     delay_s: float = 0.0
+    """Delay of the reading."""
 
     def displacement_um(self, past: list[HeldVoltage], played: HeldVoltage) -> FloatArray:
         """Return the displacement at the times at which the voltages of rows change.

@@ -38,19 +38,15 @@ LAGS = {"amplifier_lag": ("front_lag_s", "time_constant_s"),
 
 @dataclass(frozen=True)
 class Interval:
-    """A parameter and its true value.
-
-    Attributes
-    ----------
-    value, deviation : float or None
-        Estimate and standard deviation; None if the model does not have the parameter, or gives
-        no interval.
-    """
+    """A parameter and its true value."""
 
     name: str
     true: float
+
     value: float | None
     deviation: float | None
+    """Estimate and standard deviation; None if the model does not have the parameter, or gives no
+    interval."""
 
     @property
     def holds(self) -> bool:
@@ -61,30 +57,22 @@ class Interval:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result for a make.
-
-    Attributes
-    ----------
-    cpu_s, wall_s : float
-        Processor time and wall time of the identification.
-    errors_percent, noise_percent : dict of str to float
-        Error e_y (4.20) on each unseen motion, and its part from the sensor.
-    inadequate : list of str
-        Components that are inadequate according to the model file.
-    failure : str
-        Reason if there is no model; empty otherwise.
-    verdict : str
-        Verdict and named effects of the diagnosis of the mixed motion; empty without a diagnosis.
-    """
+    """The result for a make."""
 
     cpu_s: float
     wall_s: float
+    """Processor time and wall time of the identification."""
     errors_percent: dict[str, float]
     noise_percent: dict[str, float]
+    """Error e_y (4.20) on each unseen motion, and its part from the sensor."""
     inadequate: list[str]
+    """Components that are inadequate according to the model file."""
     intervals: list[Interval]
+
     failure: str = ""
+    """Reason if there is no model; empty otherwise."""
     verdict: str = ""
+    """Verdict and named effects of the diagnosis of the mixed motion; empty without a diagnosis."""
     diagnosis_cpu_s: float = 0.0
 
     def is_small(self, motion: str) -> bool:

@@ -10,13 +10,7 @@ from piezo_studies.thesis.identified_stage import identified_stage
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Arguments; by default those of the command line.
-    """
+    """Run the command."""
     parser = argparse.ArgumentParser(prog="published_reference", description=__doc__)
     parser.add_argument("--page", type=Path, default=Path("docs/published_reference.md"),
                         help="page that is written")

@@ -29,28 +29,19 @@ MAX_FEEDBACK_V = 20.0
 
 @dataclass(frozen=True)
 class Followed:
-    """The errors of one run.
-
-    Attributes
-    ----------
-    preview_samples : int or None
-        Preview; None if the reference was known before the run.
-    composite : bool
-        Whether feedback was used.
-    e_rms_percent, largest_error_um : float
-        Errors by the sensor after `SETTLING_S`; e_rms is relative to `AMPLITUDE_UM`.
-    model_e_rms_percent : float
-        Error of the feedforward on the model itself, without noise.
-    delay_s : float
-        Time from the publication of the reference until it is followed.
-    """
+    """The errors of one run."""
 
     preview_samples: int | None
+    """Preview; None if the reference was known before the run."""
     composite: bool
+    """Whether feedback was used."""
     e_rms_percent: float
     largest_error_um: float
+    """Errors by the sensor after `SETTLING_S`; e_rms is relative to `AMPLITUDE_UM`."""
     model_e_rms_percent: float
+    """Error of the feedforward on the model itself, without noise."""
     delay_s: float
+    """Time from the publication of the reference until it is followed."""
 
 
 class _Publisher:

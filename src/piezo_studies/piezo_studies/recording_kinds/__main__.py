@@ -13,13 +13,7 @@ OUTCOMES = "outcomes.jsonl"
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Arguments; by default those of the command line.
-    """
+    """Run the command."""
     parser = argparse.ArgumentParser(prog="recording_kinds", description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("runs/recording-kinds"),
                         help="folder of recordings and models")

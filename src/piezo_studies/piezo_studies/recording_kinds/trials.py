@@ -35,24 +35,16 @@ REFUSED = 2
 
 @dataclass(frozen=True)
 class Trial:
-    """The input of an identification.
-
-    Attributes
-    ----------
-    stage : str
-        Key of `STAGES`.
-    kinds : dict of str to str
-        Kind of the recordings by experiment.
-    varied : str
-        Experiment whose recordings are a variant; empty if there is none.
-    variant : str
-        One of `VARIANTS`.
-    """
+    """The input of an identification."""
 
     stage: str
+    """Key of `STAGES`."""
     kinds: dict[str, str]
+    """Kind of the recordings by experiment."""
     varied: str = ""
+    """Experiment whose recordings are a variant; empty if there is none."""
     variant: str = VARIANTS[0]
+    """One of `VARIANTS`."""
 
     def __str__(self) -> str:
         given = ", ".join(f"{name}: {kind}" for name, kind in self.kinds.items())
@@ -62,22 +54,15 @@ class Trial:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of an identification.
-
-    Attributes
-    ----------
-    error_percent : float
-        Relative error (4.20) on the validation; nan without a model.
-    verdict : str
-        ``adequate``, ``inadequate`` with the components, ``refused`` with the reason, or
-        ``failed`` with the last line of a traceback.
-    cpu_s : float
-        Processor time, including start and reading.
-    """
+    """The result of an identification."""
 
     error_percent: float
+    """Relative error (4.20) on the validation; nan without a model."""
     verdict: str
+    """``adequate``, ``inadequate`` with the components, ``refused`` with the reason, or ``failed``
+    with the last line of a traceback."""
     cpu_s: float
+    """Processor time, including start and reading."""
 
 
 def trials(stages: tuple[str, ...] = tuple(STAGES)) -> Iterator[Trial]:

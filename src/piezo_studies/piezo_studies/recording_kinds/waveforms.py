@@ -26,21 +26,14 @@ of steps in a period is odd, edges occur at every step within a row."""
 
 @dataclass(frozen=True)
 class Played:
-    """A voltage, row by row.
-
-    Attributes
-    ----------
-    period_s : float
-        Period of the rows.
-    voltage_v : ndarray, shape (N,)
-        Voltage in steps that are `finer` times shorter than the rows.
-    lead_rows : int
-        Number of rows at the beginning that are played but not recorded.
-    """
+    """A voltage, row by row."""
 
     period_s: float
+    """Period of the rows."""
     voltage_v: FloatArray
+    """Voltage in steps that are `finer` times shorter than the rows, (N,)."""
     lead_rows: int = 0
+    """Number of rows at the beginning that are played but not recorded."""
     finer: int = 1
 
 

@@ -14,13 +14,7 @@ SECTIONS = "trials of "
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Arguments; by default those of the command line.
-    """
+    """Run the command."""
     parser = argparse.ArgumentParser(prog="recording_recipe", description=__doc__)
     parser.add_argument("--page", type=Path, default=Path("docs/recipe.md"),
                         help="page whose tables are written anew; its text stays")

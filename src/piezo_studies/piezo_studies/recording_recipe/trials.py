@@ -46,24 +46,16 @@ STEP_S, TONES_S, ARC_S = 100.0, 0.25, 0.25
 
 @dataclass(frozen=True)
 class Trial:
-    """One way to record, and the resulting error.
-
-    Attributes
-    ----------
-    asked : str
-        Changed condition.
-    recorded_s : float
-        Duration of the recording.
-    samples : int
-        Number of samples of the recording.
-    error_percent : float
-        Error on unseen data.
-    """
+    """One way to record, and the resulting error."""
 
     asked: str
+    """Changed condition."""
     recorded_s: float
+    """Duration of the recording."""
     samples: int
+    """Number of samples of the recording."""
     error_percent: float
+    """Error on unseen data."""
 
 
 LIMITS = StageLimits()

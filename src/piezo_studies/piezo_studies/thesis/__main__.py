@@ -13,13 +13,7 @@ from piezo_studies.thesis.table import as_json, as_text
 
 
 def main(arguments=None):
-    """Run the command.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Arguments; by default those of the command line.
-    """
+    """Run the command."""
     parser = argparse.ArgumentParser(prog="reproduce", description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("runs/reproduce"),
                         help="directory of table.json")

@@ -39,19 +39,14 @@ COMPARED = "thesis: composite; ours: "
 
 @dataclass(frozen=True)
 class LearnedRun:
-    """The result of a learning run.
-
-    Attributes
-    ----------
-    true_percent : float
-        Error e_rms of the true position with the best learned feedforward.
-    why : str
-        Reason for the end of the learning.
-    """
+    """The result of a learning run."""
 
     true_percent: float
+    """Error e_rms of the true position with the best learned feedforward."""
     iterations: int
+
     why: str
+    """Reason for the end of the learning."""
 
 
 def study():

@@ -14,17 +14,12 @@ from piezo_models.feedback_law.running_law import RunningLaw
 
 @dataclass(frozen=True)
 class PlayedRun:
-    """The played and measured samples of a run.
-
-    Attributes
-    ----------
-    voltage_v, feedback_v, displacement_um : ndarray, shape (N,)
-        Whole voltage, part of the feedback in it, and measured displacement.
-    """
+    """The played and measured samples of a run."""
 
     voltage_v: np.ndarray
     feedback_v: np.ndarray
     displacement_um: np.ndarray
+    """Whole voltage, part of the feedback in it, and measured displacement, (N,)."""
 
 
 def play_run(run: TrackingRun, plan: FeedforwardPlan,

@@ -32,30 +32,21 @@ def input_v(time_s):
 
 @dataclass(frozen=True)
 class OneSine:
-    """The samples, and properties of the Preisach plane.
-
-    Parameters
-    ----------
-    levels_v : ndarray, shape (L + 1,)
-    rows, output_um : ndarray, shape (N, n) and (N,)
-        Regression and noisy output of the relays.
-    area_v2 : ndarray, shape (n,)
-        Area s of each cell; half on the diagonal.
-    inner : ndarray of bool, shape (n,)
-        True for cells off the diagonal.
-    equations : NormalEquations
-        Normal equations of the samples before the update.
-    unseen : ndarray, shape (K, n)
-        Regression for other inputs.
-    """
+    """The samples, and properties of the Preisach plane."""
 
     levels_v: np.ndarray
+    """Shape (L + 1,)."""
     rows: np.ndarray
     output_um: np.ndarray
+    """Regression and noisy output of the relays, (N, n)."""
     area_v2: np.ndarray
+    """Area s of each cell, (n,); half on the diagonal."""
     inner: np.ndarray
+    """True for cells off the diagonal, (n,)."""
     equations: NormalEquations
+    """Normal equations of the samples before the update."""
     unseen: np.ndarray
+    """Regression for other inputs, (K, n)."""
 
     def density_error(self, weights_um):
         """Return the norm (2.26) of the density's error, absolute and relative in percent.

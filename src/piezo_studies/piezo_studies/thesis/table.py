@@ -7,29 +7,22 @@ from dataclasses import asdict, dataclass, field
 
 @dataclass(frozen=True)
 class Row:
-    """One figure of the thesis, and ours.
-
-    Parameters
-    ----------
-    section : str
-        Section of the thesis.
-    thesis : float or None
-        Figure of the thesis; None if it gives none.
-    unit : str
-        Unit; "1" for plain numbers.
-    remark : str
-        Reason for a difference, or explanation of our figure.
-    below : bool
-        Whether the thesis says "less than".
-    """
+    """One figure of the thesis, and ours."""
 
     section: str
+    """Section of the thesis."""
     quantity: str
+
     thesis: float | None
+    """Figure of the thesis; None if it gives none."""
     ours: float
+
     unit: str
+    """Unit; "1" for plain numbers."""
     remark: str = ""
+    """Reason for a difference, or explanation of our figure."""
     below: bool = False
+    """Whether the thesis says "less than"."""
 
     def __post_init__(self):
         # NumPy's integers cannot be written as JSON.
@@ -45,16 +38,12 @@ class Row:
 
 @dataclass(frozen=True)
 class Study:
-    """The results of a study.
-
-    Parameters
-    ----------
-    pictures : dict of str to matplotlib.figure.Figure
-        Figures by number of the corresponding figure in the thesis, such as "2.2".
-    """
+    """The results of a study."""
 
     rows: list
+
     pictures: dict = field(default_factory=dict)
+    """Figures by number of the corresponding figure in the thesis, such as "2.2"."""
 
 
 HEADER = ("section", "quantity", "thesis", "ours", "unit", "remark")

@@ -44,22 +44,16 @@ FAST = 1
 
 @dataclass(frozen=True)
 class Tracked:
-    """The errors of one tracking run.
-
-    Attributes
-    ----------
-    e_rms_percent, true_e_rms_percent, centred_e_rms_percent : float
-        Errors (2.32) in the steady state: by the sensor, of the true position, and by the sensor
-        with the offset removed.
-    error_um, reference_um : ndarray, shape (N,)
-        Error by the sensor, and reference, in the steady state.
-    """
+    """The errors of one tracking run."""
 
     e_rms_percent: float
     true_e_rms_percent: float
     centred_e_rms_percent: float
+    """Errors (2.32) in the steady state: by the sensor, of the true position, and by the sensor
+    with the offset removed."""
     error_um: np.ndarray
     reference_um: np.ndarray
+    """Error by the sensor, and reference, in the steady state, (N,)."""
     played: PlayedRun
 
     @property
