@@ -6,7 +6,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 unexport PYTHONDONTWRITEBYTECODE
 in_environment := source install/setup.bash &&
 
-.PHONY: help setup extras demo test test-repeat mutants style quick long coverage kernels soak bench paced reproduce high-bandwidth published-reference changes recipe measured recording-kinds other-makes diagnose-suite twins calibration constants tables gallery docs clean
+.PHONY: help setup extras demo test test-repeat mutants style quick long coverage kernels soak bench paced reproduce high-bandwidth published-reference changes recipe measured coupled-scans recording-kinds other-makes diagnose-suite twins calibration constants tables gallery docs clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 18
@@ -72,6 +72,9 @@ high-bandwidth: setup ## design feedbacks beyond the first mode; writes docs/hig
 
 recipe: setup ## record the simulated stage in shorter ways; writes the tables of docs/recipe.md
 	@$(in_environment) .venv/bin/python -m piezo_studies.recording_recipe
+
+coupled-scans: setup ## follow paths on the simulated XY stage; writes the tables of docs/several_axes.md
+	@$(in_environment) .venv/bin/python -m piezo_studies.coupled_scans
 
 recording-kinds: setup ## identify from every kind of recording of two foreign stages, for CPU_MINUTES; prints a table
 	@$(in_environment) .venv/bin/python -m piezo_studies.recording_kinds $(if $(CPU_MINUTES),--cpu-minutes $(CPU_MINUTES))

@@ -63,6 +63,8 @@ def with_drive(model: CoupledModel, recording: AxesRecording) -> AxesRecording:
     voltage_v = recording.voltage_v.reshape(periods, -1, len(model.axes)).mean(axis=0)
     drive_v = model.drive_v(
         voltage_v, bool(recording.periods), circumstances_of(model, recording).pasts)
+    resting = np.ptp(voltage_v, axis=0) == 0.0
+    drive_v[:, resting] = drive_v[0, resting]  # without the rounding of the creep
     if recording.periods:
         lines = np.fft.rfft(drive_v, axis=0)
         lines[~played_lines(np.fft.rfft(voltage_v, axis=0))] = 0.0

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Study of paths and cross-coupling of the simulated XY stage with its identified model."""

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Follow paths on the simulated XY stage, and write their errors into docs/several_axes.md."""
+
+import argparse
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+from piezo_studies.coupled_scans.trials import TABLES, Row
+from piezo_studies.coupled_scans.xy_stage import identified
+from piezo_studies.marked_sections import with_sections
+
+SECTIONS = "scans: "
+"""How the marks of the tables in the page begin."""
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        Those of the command line by default.
+    """
+    parser = argparse.ArgumentParser(prog="coupled_scans", description=__doc__)
+    parser.add_argument("--page", type=Path, default=Path("docs/several_axes.md"),
+                        help="page whose tables are written anew; its text stays")
+    options = parser.parse_args(arguments)
+    model = identified()
+    print(model.summary(), file=sys.stderr, flush=True)
+    tables = {}
+    for name, (_, _, trials) in TABLES.items():
+        tables[SECTIONS + name] = table(name, trials(model))
+        print(tables[SECTIONS + name], file=sys.stderr, flush=True)
+    options.page.write_text(with_sections(
+        options.page.read_text(encoding="utf-8"), tables, SECTIONS), encoding="utf-8")
+    print(f"{len(tables)} tables: {options.page}")
+
+
+def table(name: str, rows: Iterable[Row]) -> str:
+    """Return the rows of a table as Markdown."""
+    measured, unit, _ = TABLES[name]
+    lines = [f"| {measured}, {unit} | no inverse | inverse of the model | learned | runs | noise | "
+             "wanted |", "|---|---|---|---|---|---|---|"]
+    lines += [f"| {row.asked} | {_rounded(row.none)} | {_rounded(row.inverse)} | "
+              f"{_rounded(row.learned)} | {row.runs} | {_rounded(row.noise)} | {row.wanted:g} |"
+              for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def _rounded(number: float) -> str:
+    """Return a number with two digits that count."""
+    return f"{float(f'{number:.2g}'):g}"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The simulated XY stage: recordings of its experiments, and paths that it plays."""
+
+from pathlib import Path
+
+import numpy as np
+
+from piezo_client.scans import Scanned, StoredScan
+from piezo_common.arrays import FloatArray
+from piezo_controller.axes.path_plan import PathPlan
+from piezo_identification.axes.identify_axes import identify_several_axes
+from piezo_identification.experiments.catalogue import Experiment
+from piezo_identification.experiments.several_axes import axes_experiments
+from piezo_identification.experiments.stage_limits import StageLimits
+from piezo_models.axes.identified_axes import IdentifiedAxes
+from piezo_recorder.reading.axes import AxesRecording
+from piezo_sim.plant.plant_file import AxesPlantConfig, read_any_plant
+from piezo_sim.simulated_stage import SimulatedStage
+
+PLANT, CLOCK_HZ = "xy", 40_000.0
+LIMITS = {"x": StageLimits(), "y": StageLimits(slew_limit_v_per_s=1.5e6)}
+"""As in the parameter file of the simulated stage of two axes."""
+
+NOISE_UM = np.array([0.002, 0.003])
+"""Of the sensors of the plant, RMS."""
+
+APPROACH_S, SETTLING_S = 0.1, 0.2
+"""Ramp from rest to the first voltage, and what a path waits there."""
+
+SAMPLES_AT_ONCE = 400_000
+"""Clock samples that are simulated together."""
+
+
+def recorded(name: str, seed: int) -> list[AxesRecording]:
+    """Record the experiments of one name, each with the stage fresh from rest.
+
+    Parameters
+    ----------
+    seed : int
+        Of the sensors' noise in the first; each further one has the next.
+    """
+    return [_recorded(experiment, seed + number)
+            for number, experiment in enumerate(axes_experiments(name, LIMITS))]
+
+
+def _recorded(experiment: Experiment, seed: int) -> AxesRecording:
+    """Record an experiment; the displacement is the mean over the time of each voltage."""
+    held = round(experiment.sample_period_s * CLOCK_HZ)
+    stage = SimulatedStage(_plant(), seed)
+    stage.open()
+    stage.exchange(_ramp(experiment.voltage_v[0]))
+    played_v = np.tile(experiment.voltage_v, (experiment.repeats, 1))
+    block = max(1, SAMPLES_AT_ONCE // held)
+    displacement_um = np.concatenate([
+        stage.exchange(np.repeat(played_v[first:first + block], held, axis=0)).reshape(
+            -1, held, len(LIMITS)).mean(axis=1)
+        for first in range(0, len(played_v), block)])
+    kept = experiment.settling_repeats * len(experiment.voltage_v)
+    return AxesRecording(
+        experiment.name, tuple(LIMITS), experiment.sample_period_s, played_v[kept:],
+        displacement_um[kept:], experiment.repeats - experiment.settling_repeats if kept else 0)
+
+
+def _plant() -> AxesPlantConfig:
+    config = read_any_plant(PLANT)
+    assert isinstance(config, AxesPlantConfig)
+    return config
+
+
+def _ramp(voltage_v: FloatArray) -> FloatArray:
+    """Return the way from rest at 0 V, (N, axes)."""
+    return np.linspace(0.0, 1.0, round(APPROACH_S * CLOCK_HZ))[:, None] * voltage_v
+
+
+def identified() -> IdentifiedAxes:
+    """Identify the stage from steps and loops of each axis, and multisines of both."""
+    return identify_several_axes(
+        recorded("multisine", 5), recorded("validation", 9), creep=recorded("creep", 1),
+        hysteresis=recorded("hysteresis", 3))
+
+
+def stored(plan: PathPlan) -> StoredScan:
+    """Return a plan as it is played."""
+    return StoredScan(plan.path.axes, plan.path.sample_period_s, plan.begin_voltage_v,
+                      plan.voltage_v, plan.path.position_um)
+
+
+def followed(scan: StoredScan, periods: int, mean_of: int = 1, seed: int = 21) -> Scanned:
+    """Play a path on the stage, fresh from rest, and return how it was followed.
+
+    Parameters
+    ----------
+    periods : int
+        Played before those that count.
+    mean_of : int
+        Periods whose mean counts, which has less noise.
+    """
+    stage = SimulatedStage(_plant(), seed)
+    stage.open()
+    stage.exchange(_ramp(scan.begin_voltage_v[0]))
+    stage.exchange(np.tile(scan.begin_voltage_v[0], (round(SETTLING_S * CLOCK_HZ), 1)))
+    stage.exchange(scan.repeated_v(periods))
+    displacement_um = np.mean([stage.exchange(scan.voltage_v) for _ in range(mean_of)], axis=0)
+    return Scanned(Path(PLANT), scan, displacement_um)
