@@ -20,10 +20,10 @@ SPREAD = 7.0
 STEPS = 2.0
 """Typical steps around: a tip of a triangle is no larger than one."""
 
-ROUNDINGS, COMMON, ALIKE = 3.0, 0.25, 1e-9
+ROUNDINGS, COMMON = 3.0, 0.25
 """So many steps of a converter count as its rounding. Its step is that which this part of the
 distances between values do not exceed: rows that were put in between others have values of their
-own. Values that differ by less than this part of all are one, which arithmetic rounded."""
+own."""
 
 ANSWER = 40
 """Samples in which a step of the voltage may be answered, by ringing too."""
@@ -162,7 +162,6 @@ def _limits(left: FloatArray, answer: FloatArray, noise: float) -> tuple[FloatAr
     bends = np.abs(np.diff(left, 2, prepend=left[0], append=left[-1]))
     spread = 1.4826 / np.sqrt(6.0) * _beside(bends)
     apart = np.diff(np.unique(left))
-    apart = apart[apart > ALIKE * apart.sum()]
     rounding = float(np.quantile(apart, COMMON)) if apart.size else 0.0
     return np.maximum.reduce([
         SPREAD * np.maximum(spread, noise), walk, np.full(left.size, ROUNDINGS * rounding), answer,
