@@ -35,6 +35,8 @@ class UsualStage:
         Equal samples at the end of a sensor's range, at a resting voltage, that may be chance.
     stuck_ratio : float
         By which they outnumber equal samples elsewhere, where noise tells them apart.
+    common : float
+        Part of the distances between readings that its steps do not exceed.
     coarse : float
         Part of the displacement's range; a sensor whose steps are larger is coarse, not clipped.
     ahead : float
@@ -61,6 +63,7 @@ class UsualStage:
     repeated: float = 0.3
     stuck_samples: int = 8
     stuck_ratio: float = 5.0
+    common: float = 0.1
     coarse: float = 3e-3
     ahead: float = 0.03
     follows: float = 0.9
@@ -165,11 +168,13 @@ def clipped_ends(displacement_um: FloatArray, voltage_v: FloatArray,
         ``lowest`` or ``highest``, that value in um, and the part of the samples that stay there.
     """
     steps_um = np.diff(np.unique(displacement_um))
-    if not steps_um.size or steps_um.min() > USUAL.coarse * np.ptp(displacement_um):
+    # Rows that were put in between others have values of their own.
+    step_um = float(np.quantile(steps_um, USUAL.common)) if steps_um.size else np.inf
+    if step_um > USUAL.coarse * np.ptp(displacement_um):
         return []
     starts = np.flatnonzero(np.diff(displacement_um, prepend=np.nan) != 0.0)
     lengths = np.diff(np.append(starts, displacement_um.size))
-    quantum_v = float(steps_um.min() / np.ptp(displacement_um) * np.ptp(voltage_v))
+    quantum_v = float(step_um / np.ptp(displacement_um) * np.ptp(voltage_v))
     found = []
     for name, end_um in (("lowest", displacement_um.min()), ("highest", displacement_um.max())):
         at_end = displacement_um[starts] == end_um
