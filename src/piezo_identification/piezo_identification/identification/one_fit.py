@@ -34,6 +34,7 @@ from piezo_identification.fitting.whole_model import (
 )
 from piezo_identification.identification.fitted_model import FittedModel
 from piezo_identification.identification.given_data import Data
+from piezo_identification.simulation.simulated_recording import is_long_enough
 from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.vibration_mode import VibrationMode
@@ -195,7 +196,8 @@ def fitted_together(
     if len(samples) < len(recordings):
         # The fit simulates samples, which a response does not have.
         return fitted, dict(read_at)
-    used = {name: data for name, data in samples.items() if experiment_of(name) != "validation"}
+    used = _long_ones(fitted.model, {
+        name: data for name, data in samples.items() if experiment_of(name) != "validation"})
     parts = {name: played(data) for name, data in used.items()}
     waves = (two_levels(square_part(part)) for part in parts.values())
     if any(wave is not None and generator_edges(wave) is not None for wave in waves):
@@ -226,6 +228,14 @@ def fitted_together(
     if max(read_at_samples.values()) > LATEST_READING:
         return fitted, dict(read_at)
     return with_fit(fitted, best), read_at_samples
+
+
+def _long_ones(model: StageModel, recordings: Mapping[str, Recording]) -> dict[str, Recording]:
+    """Leave out the stretches between gaps that are short, unless an experiment has no others."""
+    long = [name for name, data in recordings.items() if is_long_enough(model, data)]
+    kinds = set(map(experiment_of, long))
+    return {name: data for name, data in recordings.items()
+            if name in long or experiment_of(name) not in kinds}
 
 
 def read_later(read_late_s: Mapping[str, float], fit: WholeFit) -> dict[str, float]:

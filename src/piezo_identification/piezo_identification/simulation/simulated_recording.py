@@ -56,6 +56,13 @@ KEPT = 32
 SETTINGS = SimulationSettings()
 
 
+def is_long_enough(model: StageModel, recording: Recording) -> bool:
+    """Tell whether a recording has the samples that it needs, once its start has settled."""
+    time_s = played(recording).time_s
+    settled = first_settled(model.dynamics, time_s - time_s[0], model.effects)
+    return bool(time_s.size - settled >= SETTINGS.fewest_samples)
+
+
 class SimulatedRecording:
     """The part of a recording in which a waveform is played, and its simulation by a model.
 

@@ -8,7 +8,7 @@ from piezo_identification.conditioning.outlier_samples import with_outliers_mark
 from piezo_identification.estimators.frequency_response.response_model import ANY_ORDER
 from piezo_identification.experiments import catalogue as experiments
 from piezo_identification.identification.fitted_model import FittedModel
-from piezo_identification.identification.one_fit import fitted_together
+from piezo_identification.identification.one_fit import _long_ones, fitted_together
 
 
 @pytest.mark.long
@@ -24,3 +24,10 @@ def test_rows_that_were_taken_for_late_are_read_with_their_voltage(plant, play):
         None, ANY_ORDER, lambda *_: None, lambda _: None)
     assert read_at == {"dynamics": 0.0, "hysteresis": 0.0}
     assert not fitted.model.effects
+
+
+def test_short_stretches_are_fitted_where_an_experiment_has_no_others_alone(plant, recorded):
+    rows = {"dynamics": 400, "hysteresis": 4000, "hysteresis 2": 300}
+    given = {name: recorded(name, np.arange(count) % 7.0, np.zeros(count), 1e-3)
+             for name, count in rows.items()}
+    assert [*_long_ones(plant, given)] == ["dynamics", "hysteresis"]

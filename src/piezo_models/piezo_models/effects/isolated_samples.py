@@ -20,10 +20,9 @@ SPREAD = 7.0
 STEPS = 2.0
 """Limit of a step in typical steps around it; the tip of a triangle is no larger than one."""
 
-ROUNDINGS, COMMON, ALIKE = 3.0, 0.25, 1e-9
+ROUNDINGS, COMMON = 3.0, 0.25
 """Limit of a step in steps of the converter, as its rounding. The converter's step is this quantile
-of the distances between values, as rows that were interpolated have values in between. Values that
-differ by less than the last fraction of the range are equal up to rounding."""
+of the distances between values, as rows that were interpolated have values in between."""
 
 ANSWER = 40
 """Samples within which the signal may respond to a step of the voltage, including ringing."""
@@ -162,7 +161,6 @@ def _limits(left: FloatArray, answer: FloatArray, noise: float) -> tuple[FloatAr
     bends = np.abs(np.diff(left, 2, prepend=left[0], append=left[-1]))
     spread = 1.4826 / np.sqrt(6.0) * _beside(bends)
     apart = np.diff(np.unique(left))
-    apart = apart[apart > ALIKE * apart.sum()]
     rounding = float(np.quantile(apart, COMMON)) if apart.size else 0.0
     return np.maximum.reduce([
         SPREAD * np.maximum(spread, noise), walk, np.full(left.size, ROUNDINGS * rounding), answer,

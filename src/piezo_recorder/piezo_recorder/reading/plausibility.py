@@ -41,6 +41,9 @@ class UsualStage:
     stuck_ratio: float = 5.0
     """Largest ratio of their number to that of equal samples elsewhere, which noise
     distinguishes."""
+    common: float = 0.1
+    """Quantile of the distances between readings that is the step of the sensor, as rows that were
+    interpolated have values in between."""
     coarse: float = 3e-3
     """Part of the displacement's range; a sensor with larger steps is coarse, not clipped."""
     ahead: float = 0.03
@@ -151,11 +154,12 @@ def clipped_ends(displacement_um: FloatArray, voltage_v: FloatArray,
         ``lowest`` or ``highest``, the value there (um), and the part of the samples at it.
     """
     steps_um = np.diff(np.unique(displacement_um))
-    if not steps_um.size or steps_um.min() > USUAL.coarse * np.ptp(displacement_um):
+    step_um = float(np.quantile(steps_um, USUAL.common)) if steps_um.size else np.inf
+    if step_um > USUAL.coarse * np.ptp(displacement_um):
         return []
     starts = np.flatnonzero(np.diff(displacement_um, prepend=np.nan) != 0.0)
     lengths = np.diff(np.append(starts, displacement_um.size))
-    quantum_v = float(steps_um.min() / np.ptp(displacement_um) * np.ptp(voltage_v))
+    quantum_v = float(step_um / np.ptp(displacement_um) * np.ptp(voltage_v))
     found = []
     for name, end_um in (("lowest", displacement_um.min()), ("highest", displacement_um.max())):
         at_end = displacement_um[starts] == end_um

@@ -36,6 +36,9 @@ class TimeSettings:
     ticks."""
 
 
+SAME_ROW = 1e-6
+"""Part of a row by which arithmetic may take an instant away from the row that it is that of."""
+
 SETTINGS = TimeSettings()
 
 
@@ -242,4 +245,7 @@ def _grid(time_s: FloatArray, gaps: np.ndarray, period_s: float) -> tuple[np.nda
         index = np.arange(np.ceil(tick[0] - 1e-9), np.floor(tick[-1] + 1e-9) + 1, dtype=np.int64)
         indices.append(index)
         places.append(np.interp(index, tick, np.arange(start, end, dtype=float)))
-    return np.concatenate(indices), np.concatenate(places)
+    place = np.concatenate(places)
+    row = np.round(place)
+    # A row that is there keeps its values to the last digit, in which a converter's steps show.
+    return np.concatenate(indices), np.where(np.abs(place - row) < SAME_ROW, row, place)

@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pytest
 
+from piezo_recorder.reading.plausibility import clipped_ends
 from piezo_recorder.reading.reader import read_recording
 
 INDEX = np.arange(4000)
@@ -71,3 +72,14 @@ def test_clipped_sensor_is_said_with_its_end(tmp_path, noise_um, shape):
     assert "stays at its highest value, 19.99 um" in said
     said = notes(tmp_path, 100.0 * shape, np.maximum(displacement_um, 0.01))
     assert "stays at its lowest value, 0.01 um" in said
+
+
+def test_the_crest_of_a_sine_is_not_clipped_by_a_converter_where_a_row_was_put_in():
+    time_s = 1e-3 * np.arange(6000)
+    voltage_v = 50.0 + 45.0 * np.sin(2.0 * np.pi * 1.5 * time_s)
+    step_um = 0.0244
+    noise_um = 0.1 * step_um * np.random.default_rng(0).normal(size=time_s.size)
+    displacement_um = step_um * np.round((0.6 * voltage_v + noise_um) / step_um)
+    displacement_um[4000] += 1e-13
+    displacement_um[5000] += 0.5 * step_um
+    assert not clipped_ends(displacement_um, voltage_v)

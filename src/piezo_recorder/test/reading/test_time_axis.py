@@ -88,6 +88,18 @@ def test_rows_that_were_lost_one_by_one_are_put_in(tmp_path):
     assert any("4 rows are missing" in note for note in recording.notes)
 
 
+def test_the_rows_beside_one_that_was_put_in_stay_as_they_are(tmp_path):
+    """To the last digit: a converter's values are few."""
+    values = 0.0244 * (np.arange(4000) * 37 % 11)
+    rows = np.delete(np.arange(4000), 1700)
+    path = tmp_path / "lost.csv"
+    np.savetxt(path, np.column_stack([1e-4 * rows, values[rows], values[rows]]), "%.9g", ",",
+               header="time_s,voltage_v,displacement_um", comments="")
+    recording = read_recording(path)
+    assert np.unique(recording.displacement_um).size <= 12
+
+
+
 def test_a_voltage_that_is_held_is_held_where_it_is_resampled(tmp_path):
     random = np.random.default_rng(1)
     time_s = PERIOD_S * (np.arange(1000) + 0.25 * random.uniform(-1, 1, 1000))
