@@ -85,7 +85,7 @@ def fitted_modes(
     late = latencies(reference, start)
     if late.any():
         levels = [[each.advanced(late) for each in level] for level in levels]
-        reference = [each.advanced(late) for each in reference]
+        reference = _reference(levels)
         start = _ordered(reference, pairs, progress)
     fit, everything = _best_fit(reference, levels, start, note, progress)
     if behind_actuators:

@@ -72,3 +72,11 @@ def test_the_model_interpolates_between_levels(identified):
     for frequency in flexure.FREQUENCY_RAD_PER_S:
         ratio = abs(identified.model.mode_near(frequency / (2.0 * np.pi), 2.5)) / frequency
         assert np.sqrt(flexure.SOFTER[2]) < ratio < np.sqrt(flexure.SOFTER[1])
+
+
+def test_of_one_level_no_softening_is_sought(fitted):
+    notes = []
+    identified = identify_several_axes(levels_of(fitted)[0], note=notes.append)
+    assert identified.model.latency_samples.any()
+    assert identified.model.softening is None
+    assert not any("amplitude" in note for note in notes)
