@@ -77,3 +77,27 @@ def played_segments(recordings: Recordings) -> list[Recording]:
                 "the voltage moves: record it again")
         segments += kept
     return segments
+
+
+def longest_stretch(recording: Recording) -> tuple[Recording, list[str]]:
+    """Return the longest stretch between the gaps of a recording, and a message about it.
+
+    Returns
+    -------
+    recording : Recording
+        The recording itself if it has no gaps while a waveform is played.
+    sentences : list of str
+
+    Raises
+    ------
+    ValueError
+        See `played_segments`.
+    """
+    part = recording.select(recording.playing | recording.tracking)
+    if not part.gaps:
+        return recording, []
+    longest = max(played_segments(recording), key=lambda each: each.voltage_v.size)
+    return longest, [
+        f"{recording.path} has {len(part.gaps)} gaps: its longest stretch without one is simulated, "
+        f"samples {longest.sample_index[0]} to {longest.sample_index[-1]}, "
+        f"{longest.voltage_v.size} of {part.voltage_v.size}"]

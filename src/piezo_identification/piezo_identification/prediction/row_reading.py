@@ -9,6 +9,7 @@ from piezo_identification.conditioning.row_alignment import (
     reading_at_jumps,
     rows_read_at_start,
 )
+from piezo_identification.conditioning.segments import longest_stretch
 from piezo_identification.conditioning.sensor_sign import sign_text
 from piezo_identification.prediction.prediction import Prediction, predict
 from piezo_identification.simulation.model_run import ModelRun, conditioned
@@ -82,6 +83,8 @@ def predict_as_identified(
 ) -> tuple[Prediction, list[str]]:
     """Simulate a model for a recording whose rows are aligned by `all_as_identified`.
 
+    Of a recording with gaps the longest stretch between them is simulated.
+
     Parameters
     ----------
     model, recording, said_at_samples
@@ -91,14 +94,16 @@ def predict_as_identified(
     -------
     prediction : Prediction
     sentences : list of str
-        Messages on the assumed reading time, sign, outliers and past.
+        Messages on gaps and on the assumed reading time, sign, outliers and past.
 
     Raises
     ------
     ValueError
-        If the recording has gaps, or is too short.
+        If the recording, or its longest stretch, is too short.
     """
-    (read,), sentences = all_as_identified(model, [recording], said_at_samples)
+    recording, sentences = longest_stretch(recording)
+    (read,), more = all_as_identified(model, [recording], said_at_samples)
+    sentences += more
     prediction = predict(model if isinstance(model, StageModel) else model.model, read)
     if prediction.reversed:
         sentences.append(sign_text(recording.path))

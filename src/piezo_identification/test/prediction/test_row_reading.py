@@ -90,3 +90,14 @@ def test_a_sign_that_a_simulation_changed_is_said():
 def test_what_was_aligned_is_said():
     assert "read 0.5 sample periods after" in rows_sentence("b.csv", 0.5)
     assert rows_sentence("b.csv", 0.0) == ""
+
+
+def test_the_longest_stretch_between_gaps_is_simulated_and_said():
+    whole = recorded(0.0)
+    kept = np.r_[0:1200, 1300:3300, 3400:whole.voltage_v.size]
+    rows = whole.select(np.isin(np.arange(whole.voltage_v.size), kept))
+    with_gaps = replace(rows, gaps=[(1200, 100), (3300, 100)])
+    prediction, sentences = predict_as_identified(identified(0.0), with_gaps)
+    assert len(sentences) == 1 and "has 2 gaps" in sentences[0] and "2000 of" in sentences[0]
+    assert prediction.e_y_percent() < 1.0
+    assert prediction.sample_index[0] >= 1300 and prediction.sample_index[-1] < 3300
