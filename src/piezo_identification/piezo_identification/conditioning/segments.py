@@ -98,6 +98,6 @@ def longest_stretch(recording: Recording) -> tuple[Recording, list[str]]:
         return recording, []
     longest = max(played_segments(recording), key=lambda each: each.voltage_v.size)
     return longest, [
-        f"{recording.path} has {len(part.gaps)} gaps: its longest stretch without one is simulated, "
+        f"{recording.path} has {len(part.gaps)} gaps: its longest part between them is simulated, "
         f"samples {longest.sample_index[0]} to {longest.sample_index[-1]}, "
         f"{longest.voltage_v.size} of {part.voltage_v.size}"]
