@@ -5,6 +5,7 @@ import base64
 import csv
 import fcntl
 import gc
+import gzip
 import html
 import importlib.util
 import io
@@ -389,7 +390,8 @@ class PageParts:
         """Return the numbers of a picture by the heads of their columns."""
         figure = re.search(rf'<img alt="{re.escape(html.escape(name))}".*?</figure>', self.text,
                            re.S)[0]
-        data = base64.b64decode(re.search(r"data:text/csv;base64,(.*?)\"", figure)[1]).decode()
+        data = gzip.decompress(base64.b64decode(re.search(
+            r"data:application/gzip;base64,(.*?)\"", figure)[1])).decode()
         heads, *rows = csv.reader(io.StringIO(data))
         return {head: [float(row[index]) for row in rows if row[index]]
                 for index, head in enumerate(heads)}

@@ -174,10 +174,13 @@ def _add_map(plot: Any, mesh: QuadMesh) -> None:
     corners = np.asarray(mesh.get_coordinates(), dtype=float)
     (left, bottom), (right, top) = corners[0, 0], corners[-1, -1]
     values: Any = np.ma.asarray(mesh.get_array()).reshape(corners.shape[0] - 1, -1)
-    palette = [to_hex(color) for color in mesh.cmap(np.linspace(0.0, 1.0, SHOWN_COLORS))]
-    plot.image([np.ma.filled(values.astype(np.float32), np.nan)], x=left, y=bottom,
-               dw=right - left, dh=top - bottom, color_mapper=LinearColorMapper(
-                   palette=palette, low=low, high=high, nan_color="#ffffff"))
+    # One byte for the colour of a cell; the last one is for cells without a value.
+    none = SHOWN_COLORS - 1
+    palette = [*(to_hex(color) for color in mesh.cmap(np.linspace(0.0, 1.0, none))), "#ffffff"]
+    color = np.clip(np.rint((values - low) / (high - low) * (none - 1)), 0, none - 1)
+    plot.image([np.ma.filled(color, none).astype(np.uint8)], x=left, y=bottom,
+               dw=right - left, dh=top - bottom,
+               color_mapper=LinearColorMapper(palette=palette, low=0, high=none))
 
 
 def _scale(name: str) -> str:

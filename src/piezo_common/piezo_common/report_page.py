@@ -214,9 +214,9 @@ def _data_link(picture: Picture) -> str:
     if not picture.data:
         return ""
     file = re.sub(r"\W+", "_", picture.name.lower()).strip("_")
-    return (f'<p class="beside"><a download="{file}.csv" '
-            f'href="data:text/csv;base64,{_base64(picture.data.encode())}">'
-            "numbers of this picture (CSV)</a></p>")
+    return (f'<p class="beside"><a download="{file}.csv.gz" '
+            f'href="data:application/gzip;base64,{packed(picture.data)}">'
+            "numbers of this picture (CSV, gzip)</a></p>")
 
 
 def _closer(picture: Picture) -> str:

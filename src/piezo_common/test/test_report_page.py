@@ -58,7 +58,7 @@ def test_a_page_without_bokeh_has_its_static_pictures_alone(figure, monkeypatch)
     monkeypatch.setattr(interactive_picture, "is_available", lambda: False)
     text = render_page("T", [], [Section("S", pictures=[
         pictured("P", figure, "Caption.", closer=True)])])
-    assert "<script" not in text and "<details" not in text and "data:text/csv" in text
+    assert "<script" not in text and "<details" not in text and "data:application/gzip" in text
 
 
 @pytest.mark.usefixtures("interactive_pages")
@@ -98,3 +98,13 @@ def test_no_word_of_a_narrow_table_is_broken_on_a_phone(page_faults):
     rows = [["can stand for", "verdict", "because"], ["hysteresis", "no", reason],
             ["validation", "yes", "any motion that the others did not have"]]
     assert page_faults(render_page("A page", [], [Section("S", table=rows)]), "phone") == []
+
+
+@pytest.mark.usefixtures("interactive_pages")
+def test_a_map_to_look_closer_at_takes_one_byte_for_each_cell():
+    pytest.importorskip("bokeh")
+    figure = new_figure()
+    values = np.ma.masked_less(np.arange(400.0 * 300.0).reshape(400, 300), 500.0)
+    figure.subplots().pcolormesh(values)
+    text = json.dumps(interactive_item(figure))
+    assert '"dtype": "uint8"' in text and len(text) < 1.5 * values.size
