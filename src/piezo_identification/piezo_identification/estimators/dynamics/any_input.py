@@ -174,10 +174,9 @@ def _first_kept(part: Recording) -> int:
     # another height than the later ones leaves all modes ringing; a smooth approach does not.
     reached = max(high, low)
     has_steps = np.abs(np.diff(voltage_v[: reached + 1])).max(initial=0.0) > near_v
-    if not has_steps:
-        first = max(first, min(reached, most))
-    elif reached + round(USUAL_SETTLING_S / part.sample_period_s) <= most:
-        settling_s = USUAL_SETTLING_S if _comes_back(part) else WARM_UP_S
+    usual_s = USUAL_SETTLING_S if has_steps else 0.0
+    if reached + round(usual_s / part.sample_period_s) <= most:
+        settling_s = WARM_UP_S if has_steps and not _comes_back(part) else usual_s
         first = max(first, min(reached + round(settling_s / part.sample_period_s), most))
     return first
 
