@@ -135,7 +135,7 @@ def diagnose_axes(identified: IdentifiedAxes, recording: AxesRecording) -> AxesD
     before = _errors(identified.model, recording)
     errors = _Errors(identified, recording)
     seen = [each for each in all_effects(recording.axes)
-            if errors.columns((each,), np.zeros(1)).any()]
+            if errors.linearised((each,), np.zeros(1))[1].any()]
     fits = {found: _fitted(errors, found) for found in [(), *((each,) for each in seen)]}
     best_first = sorted(seen, key=lambda each: fits[each,].mean_square)
     fits |= {found: _fitted(errors, found) for found in combinations(best_first, 2)
@@ -215,24 +215,26 @@ class _Errors:
         left: FloatArray = self._left_um(self.extended(effects, values)) / self.tolerance_um
         return left
 
-    def columns(self, effects: Sequence[AxisEffect], values: FloatArray) -> FloatArray:
-        """Return the derivatives of the displacement by the parameters, (N, n, p)."""
+    def linearised(self, effects: Sequence[AxisEffect],
+                   values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the errors, (N, n), and the derivatives of the displacement, (N, n, p)."""
         unmoved, columns = self.left(effects, values), []
         for number, effect in enumerate(effects):
             moved = values.copy()
             step = SMALL_STEP * (self._model.sample_period_s if effect.name == "delay" else 1.0)
             moved[number] += step
             columns.append((unmoved - self.left(effects, moved)) / step)
-        return np.stack(columns, axis=-1) if columns else np.zeros((*unmoved.shape, 0))
+        return unmoved, (np.stack(columns, axis=-1) if columns
+                         else np.zeros((*unmoved.shape, 0)))
 
     def values(self, effects: Sequence[AxisEffect], values: FloatArray,
                rows: BoolArray) -> FloatArray:
         """Return the parameters that fit some rows best, (p,), from initial values."""
         least = [effect.least(self._model) for effect in effects]
         for _ in range(MOST_STEPS if effects else 0):
-            columns = self.columns(effects, values)[rows].reshape(-1, len(effects))
-            left = self.left(effects, values)[rows].ravel()
-            step = np.linalg.lstsq(columns, left, rcond=1e-12)[0]
+            left, columns = self.linearised(effects, values)
+            columns = columns[rows].reshape(-1, len(effects))
+            step = np.linalg.lstsq(columns, left[rows].ravel(), rcond=1e-12)[0]
             values = np.maximum(values + step, least)
             if np.sqrt(np.mean((columns @ step) ** 2)) < SMALL_STEP:
                 break
@@ -265,7 +267,7 @@ class _Fit:
 
 def _fitted(errors: _Errors, effects: Sequence[AxisEffect]) -> _Fit:
     values = errors.values(effects, np.zeros(len(effects)), errors.fitted | True)
-    left, columns = errors.left(effects, values), errors.columns(effects, values)
+    left, columns = errors.linearised(effects, values)
     held = errors.left(effects, errors.values(effects, values, errors.fitted))[~errors.fitted]
     deviations, sizes = np.zeros(len(effects)), np.sqrt(np.mean(columns**2, axis=(0, 1)))
     if effects:
