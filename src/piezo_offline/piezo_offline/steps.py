@@ -19,6 +19,7 @@ from piezo_controller.feedback.design_choices import (
 from piezo_controller.feedback.feedback_design import FeedbackController
 from piezo_controller.feedback.sample_rate.named_feedbacks import feedback_at_margin
 from piezo_controller.feedback.stage_design import design_for_stage
+from piezo_identification.axes.diagnose_axes import AxesDiagnosis, diagnose_axes
 from piezo_identification.axes.identify_axes import identify_several_axes
 from piezo_identification.axes.predict_axes import AxesPrediction, predict_several_axes
 from piezo_identification.commands.row_options import READINGS
@@ -51,6 +52,7 @@ from piezo_offline.given_data import (
     recordings_of,
     response_in,
 )
+from piezo_recorder.reading.axes import AxesRecording
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -180,30 +182,27 @@ def simulate(model: AnyModel | IdentifiedAxes, data: Any, *, columns: Sequence[s
     >>> print(f"{prediction.e_y_percent():.2f} %")
     0.96 %
     """
-    if not isinstance(model, IdentifiedModel | StageModel):
-        opened = load_any_model(model) if isinstance(model, str | PathLike) else model
-        if isinstance(opened, IdentifiedAxes):
-            found = axes_recordings_of(data, "data")
-            if len(found) != 1:
-                raise ValueError(f"the data hold {len(found)} recordings of several axes: give one")
-            return predict_several_axes(opened.model, found[0])
-        model = opened
+    opened = _opened(model)
+    if isinstance(opened, IdentifiedAxes):
+        return predict_several_axes(opened.model, _one_of_axes(data))
     recording = read(data, columns)
-    prediction, sentences = predict_as_identified(_opened(model), recording, _read_at(rows_read))
+    prediction, sentences = predict_as_identified(opened, recording, _read_at(rows_read))
     for sentence in sentences:
         warnings.warn(sentence, DataWarning, stacklevel=2)
     return prediction
 
 
-def diagnose(model: AnyModel, data: Any, holdout: Any = None, *, identified_from: Any = None,
-             columns: Sequence[str] = (),
+def diagnose(model: AnyModel | IdentifiedAxes, data: Any, holdout: Any = None, *,
+             identified_from: Any = None, columns: Sequence[str] = (),
              progress: Callable[[str, float], None] | None = None,
-             budget_s: float | None = None) -> Verdict:
+             budget_s: float | None = None) -> Verdict | AxesDiagnosis:
     """Find what a model lacks to explain recordings.
+
+    A model of several axes takes one recording and no other option.
 
     Parameters
     ----------
-    model : IdentifiedModel, StageModel or path-like
+    model : IdentifiedModel, StageModel, IdentifiedAxes or path-like
     data : path, arrays by name, pandas.DataFrame or Recording, or a list of several
         Recordings, or one frequency response.
     holdout : the same, one, optional
@@ -221,8 +220,9 @@ def diagnose(model: AnyModel, data: Any, holdout: Any = None, *, identified_from
 
     Returns
     -------
-    Verdict
-        Has `summary`, `plot` and the extended model; `extend` prepares it for saving.
+    Verdict or AxesDiagnosis
+        Has `summary`, `plot` and the extended model; `extend` prepares it for saving. That of
+        several axes has `summary` and `extended`, which `save_model` takes.
 
     Raises
     ------
@@ -239,6 +239,11 @@ def diagnose(model: AnyModel, data: Any, holdout: Any = None, *, identified_from
     ('explained', ['delay'])
     """
     opened = _opened(model)
+    if isinstance(opened, IdentifiedAxes):
+        if holdout is not None or identified_from is not None:
+            raise ValueError("holdout and identified_from are for a model of one axis: leave them "
+                             "out")
+        return diagnose_axes(opened, _one_of_axes(data))
     stage_model = opened if isinstance(opened, StageModel) else opened.model
     response = response_in(data)
     if response is not None:
@@ -365,9 +370,17 @@ def design(
         model_sha256=digest, sample_rate_hz=sample_rate_hz).controller
 
 
-def _opened(model: AnyModel) -> IdentifiedModel | StageModel:
+def _opened(model: AnyModel | IdentifiedAxes) -> IdentifiedModel | StageModel | IdentifiedAxes:
     """Return a model, read from its file if necessary."""
-    return model if isinstance(model, IdentifiedModel | StageModel) else load_model(model)
+    return load_any_model(model) if isinstance(model, str | PathLike) else model
+
+
+def _one_of_axes(data: Any) -> AxesRecording:
+    """Return the recording of several axes."""
+    found = axes_recordings_of(data, "data")
+    if len(found) != 1:
+        raise ValueError(f"the data hold {len(found)} recordings of several axes: give one")
+    return found[0]
 
 
 def _identified(model: AnyModel) -> tuple[StageModel, str]:

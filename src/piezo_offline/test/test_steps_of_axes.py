@@ -48,6 +48,19 @@ def test_several_recordings_are_refused_where_one_is_simulated(identified):
         piezo_offline.simulate(identified, [columns(3), columns(4)])
 
 
+def test_an_axis_that_moves_more_is_named(identified, tmp_path):
+    more = columns(3)
+    more["x_displacement_um"] *= 1.05
+    verdict = piezo_offline.diagnose(identified, more)
+    assert (verdict.verdict, verdict.effects[0]["name"]) == ("explained", "gain")
+    assert verdict.effects[0]["parameters"]["axis"] == "x"
+    piezo_offline.save_model(tmp_path / "extended.json", verdict.extended)
+    again = piezo_offline.diagnose(tmp_path / "extended.json", more)
+    assert (again.verdict, again.effects) == ("none", [])
+    with pytest.raises(ValueError, match="holdout and identified_from are for a model of one axis"):
+        piezo_offline.diagnose(identified, more, columns(4))
+
+
 def test_a_file_of_two_axes_is_not_read_alone(tmp_path):
     path = tmp_path / "both.csv"
     table = columns(1)

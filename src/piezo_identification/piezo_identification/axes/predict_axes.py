@@ -96,7 +96,7 @@ def predict_several_axes(model: CoupledModel, recording: AxesRecording) -> AxesP
     displacement_um = simulated_um(model, recording, circumstances_of(model, recording))
     if not recording.periods:
         displacement_um = displacement_um + _fitted(
-            _decays(model, recording), recording.displacement_um - displacement_um)
+            decays(model, recording), recording.displacement_um - displacement_um)
     return AxesPrediction(
         recording.axes, recording.sample_period_s * np.arange(len(displacement_um), dtype=float),
         recording.voltage_v, recording.displacement_um, displacement_um)
@@ -146,16 +146,16 @@ def simulated_um(model: CoupledModel, recording: AxesRecording,
     return np.tile(displacement_um, (periods, 1))
 
 
-def _decays(model: CoupledModel, recording: AxesRecording) -> FloatArray:
-    """Return what may be left from before a recording, (N, columns)."""
+def decays(model: CoupledModel, recording: AxesRecording) -> FloatArray:
+    """Return the courses by which motion from before a recording decays, (N, columns)."""
     time_s = recording.sample_period_s * np.arange(len(recording.voltage_v))[:, None]
     rates = [rate for each in model.actuators for rate in each.creep.poles_rad_per_s]
-    decays = np.exp(-time_s * rates)
+    crept = np.exp(-time_s * rates)
     if np.all(np.ptp(recording.voltage_v[:AT_REST], axis=0) == 0.0):
-        return decays
+        return crept
     poles = model.poles_rad_per_s
     ringing = np.exp(time_s * poles)
-    return np.hstack([decays, ringing.real, ringing.imag[:, poles.imag > 0.0]])
+    return np.hstack([crept, ringing.real, ringing.imag[:, poles.imag > 0.0]])
 
 
 def _fitted(courses: FloatArray, left_um: FloatArray) -> FloatArray:

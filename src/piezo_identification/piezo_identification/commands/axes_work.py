@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The work of `identify`, `simulate` and `check` for files of several axes."""
+"""The work of `identify`, `simulate`, `diagnose` and `check` for files of several axes."""
 
 import argparse
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from piezo_common.command_line import INTERRUPTED, budget_of, print_next
 from piezo_common.picture_style import to_png
 from piezo_common.progress_lines import progress_printed
 from piezo_common.summary_table import SummaryTable
+from piezo_identification.axes.diagnose_axes import diagnose_axes
 from piezo_identification.axes.identify_axes import identify_several_axes
 from piezo_identification.axes.predict_axes import predict_several_axes
 from piezo_identification.axes.spectra import levels_of
@@ -91,6 +93,25 @@ def simulate_axes_file(options: argparse.Namespace) -> None:
             print(f"drawn {picture}")
     print("e_y: norm of the difference over that of the measured displacement without its mean "
           "(4.20), percent")
+
+
+def diagnose_axes_file(options: argparse.Namespace) -> None:
+    """Diagnose one recording with a model of several axes, and write and print the results."""
+    for name in ("holdout", "identified_from"):
+        if getattr(options, name):
+            raise ValueError(f"--{name.replace('_', '-')} is for a model of one axis: leave it out")
+    identified = load_axes_model(options.model)
+    recordings = _read(options.data)
+    if len(recordings) != 1:
+        raise ValueError(f"--data holds {len(recordings)} recordings: give one recording for a "
+                         "model of several axes")
+    diagnosis = diagnose_axes(identified, recordings[0])
+    options.output.mkdir(parents=True, exist_ok=True)
+    (options.output / "verdict.json").write_text(
+        json.dumps(diagnosis.document(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    save_axes_model(options.output / "extended_model.json", diagnosis.extended)
+    print(diagnosis)
+    print(f"written to {options.output}")
 
 
 def check_axes_file(path: Path) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 from piezo_common.command_line import INTERRUPTED, budget_of, print_next
 from piezo_common.progress_lines import progress_printed
+from piezo_identification.commands.axes_work import diagnose_axes_file
 from piezo_identification.commands.response_options import (
     hold_s_of,
     useless_response_options,
@@ -20,7 +21,7 @@ from piezo_identification.diagnosis.response.response_results import (
 )
 from piezo_identification.diagnosis.verdict import Verdict
 from piezo_identification.estimators.frequency_response.response_file import is_frequency_response
-from piezo_models.model_file import announced_model
+from piezo_models.model_file import announced_model, is_of_several_axes
 from piezo_recorder.reading.data_options import read_all_given
 
 PAGE_S, RESPONSE_PAGE_S = 5.0, 1.0
@@ -38,6 +39,9 @@ def diagnose_given(options: argparse.Namespace) -> int | None:
     int or None
         Exit status if the comparison was interrupted.
     """
+    if is_of_several_axes(options.model):
+        diagnose_axes_file(options)
+        return None
     if is_frequency_response(options.data[0]):
         if len(options.data) > 1 or options.holdout or options.identified_from:
             raise ValueError(f"{options.data[0]} is a frequency response: give it alone")

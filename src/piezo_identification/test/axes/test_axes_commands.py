@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from piezo_identification.commands.check_command import main as check_main
-from piezo_identification.commands.diagnose_command import main as diagnose_main
 from piezo_identification.commands.identify_command import main as identify_main
 from piezo_identification.commands.simulate_command import main as simulate_main
 from piezo_models.axes_model_file import load_axes_model, save_axes_model
@@ -89,12 +88,9 @@ def test_options_of_one_axis_are_refused(files, tmp_path, capsys):
     assert "--grid is for one axis" in capsys.readouterr().err
 
 
-def test_steps_of_one_axis_refuse_a_model_of_several(model, files, tmp_path, capsys):
+def test_steps_of_one_axis_refuse_a_model_of_several(model):
     with pytest.raises(ModelFileError, match="a model of several axes"):
         load_model(model)
-    assert diagnose_main(["--model", str(model), "--data", str(files[0]), "--output",
-                          str(tmp_path)]) == 2
-    assert "several axes" in capsys.readouterr().err
 
 
 def test_a_matrix_of_another_size_is_refused(model, tmp_path):
