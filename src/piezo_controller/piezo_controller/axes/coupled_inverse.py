@@ -39,7 +39,7 @@ class Inverted(NamedTuple):
     voltage_v: FloatArray
     """Shape (N, n)."""
     drive_v: FloatArray
-    """Of the modes, behind hysteresis and creep, (N, n)."""
+    """Drive of the modes after hysteresis and creep, (N, n)."""
     missed_um: FloatArray
     """Part of the path that the limit of the gain leaves out, (N, n)."""
     amplitude_v: float
@@ -65,7 +65,7 @@ def invert_path(position_um: FloatArray, model: CoupledModel, inverse: str = "co
     Raises
     ------
     ValueError
-        If the axes of the model cannot be told apart at rest, or a hysteresis has no inverse.
+        If the axes of the model cannot be distinguished at rest, or a hysteresis has no inverse.
     """
     found = _inverted(position_um - model.operating_displacement_um, model, inverse, gain_limit,
                       None)

@@ -11,7 +11,7 @@ from piezo_controller.references.kind import InvalidReference
 SUFFIX = "_displacement_um"
 
 LARGEST_STEP = 3.0
-"""From the last position to the first, in steps of a smooth path beside it: more is a jump."""
+"""Largest distance from the last position to the first, in steps of the path, that is no jump."""
 
 
 def points_of_file(path: str | Path) -> tuple[tuple[str, ...], FloatArray]:

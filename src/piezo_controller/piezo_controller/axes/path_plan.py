@@ -60,7 +60,7 @@ class PathPlan:
     """Voltages of one period of a path, to be repeated."""
 
     path: ScanPath
-    """Of all axes of the model; those that it does not move stay at the operating point."""
+    """Path of all axes of the model; an axis that does not move stays at the operating point."""
     model: CoupledModel
 
     voltage_v: FloatArray
@@ -129,7 +129,7 @@ def plan_path(path: ScanPath, model: CoupledModel | IdentifiedAxes,
     Parameters
     ----------
     path : ScanPath
-        Of some axes of the model, at its sample period.
+        Path of some axes of the model, at its sample period.
     voltage_range_v : (2,) or (n, 2) array_like, optional
         Lowest and highest voltage, of all axes or of each; by default those of the identification,
         and no limit of a model that knows none.

@@ -64,11 +64,11 @@ def predict_path(path: ScanPath, model: CoupledModel, voltage_v: FloatArray, gai
     Parameters
     ----------
     path : ScanPath
-        Of all axes of the model.
+        Path of all axes of the model.
     voltage_v : (N, n) array
-        Of the coupled inverse.
+        Voltages of the coupled inverse.
     identified : IdentifiedAxes, optional
-        Knows the deviations of the model.
+        Identified model, which has the standard deviations.
     """
     travel_um = np.ptp(path.position_um, axis=0)
     moved = travel_um > 0.0

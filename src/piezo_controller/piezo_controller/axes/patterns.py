@@ -49,27 +49,28 @@ class ScanPattern:
     kind: str = "raster"
     """One of `PATTERNS`."""
     size_um: tuple[float, float] = (10.0, 10.0)
-    """Of the image: fast and slow axis, or the two diameters."""
+    """Size of the image along the fast and the slow axis, or the two diameters."""
     centre_um: tuple[float, ...] = (0.0, 0.0)
 
     rate_hz: float = 10.0
     """Lines a second of a raster; turns of a spiral (at its fastest), of a rosette through its
     centre and of a cycloid; of the first axis of a Lissajous figure; points or frames."""
     lines: int = 64
-    """Of a raster; turns of a spiral from centre to rim and of a cycloid along its way; periods of
-    the first axis of a Lissajous figure, of which the other has one less; lobes of a rosette."""
+    """Number of lines of a raster, of turns of a spiral from centre to rim and of a cycloid, of
+    periods of the first axis of a Lissajous figure (the other has one less), or of lobes of a
+    rosette."""
     pixels: int | None = None
-    """Of a line, or of a turn; as many as lines by default, if there are samples enough."""
+    """Pixels of a line or of a turn; by default as many as lines if there are enough samples."""
     both_directions: bool = False
     """Lines of a raster go forward and backward."""
     flyback_s: float | None = None
-    """From the end of a line to the beginning of the next."""
+    """Time in s from the end of a line to the beginning of the next."""
     frame_flyback_s: float | None = None
-    """From the last line to the first."""
+    """Time in s from the last line to the first."""
     linear_velocity: bool = False
-    """A spiral at constant speed, in place of constant angular velocity."""
+    """True for a spiral at constant speed instead of constant angular velocity."""
     points_um: ArrayLike | None = None
-    """Of the kind ``points``, (K, m)."""
+    """Positions of the kind ``points``, (K, m)."""
     file: str | Path | None = None
     """CSV with the columns ``x_displacement_um,y_displacement_um``: points, or with ``time_s`` one
     period."""

@@ -32,11 +32,11 @@ def scan(model: CoupledModel | IdentifiedAxes | str | PathLike[str], pattern: An
         ``raster``, ``spiral``, ``lissajous``, ``rosette``, ``cycloid``, ``points``, ``file``, or
         ``scanspec`` (a file); a specification of scanspec; or a path.
     axes : sequence of str, optional
-        That a pattern moves, the fast one first; the first two of the model by default.
+        Axes that a pattern moves, the fast one first; by default the first two of the model.
     voltage_range_v : (2,) or (n, 2) array_like, optional
-        Of the amplifier; that of the identification by default.
+        Voltage range of the amplifier; by default that of the identification.
     slew_limit_v_per_s : float
-        Of the amplifier.
+        Limit of the amplifier.
     gain_limit : float
         Voltage for a displacement, in multiples of that at rest, up to which the model is inverted.
     **fields

@@ -40,7 +40,7 @@ class ScanPath:
     """
 
     kind: str
-    """Of its pattern, such as ``raster``."""
+    """Name of its pattern, such as ``raster``."""
     axes: tuple[str, ...]
     """That it moves."""
     sample_period_s: float
@@ -52,7 +52,7 @@ class ScanPath:
     rate_hz: float
     """Lines, turns, points or periods a second, as the kind counts them."""
     size_um: FloatArray
-    """Of the image along each axis, (m,); turns go beyond it."""
+    """Size of the image along each axis, (m,); turns go beyond it."""
     centre_um: FloatArray
     """Shape (m,)."""
 

@@ -24,7 +24,7 @@ from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 
 ROUGH_LEVELS, ROUGH_SMOOTHING = 8, 1e-7
-"""Levels and smoothing of a hysteresis that only tells how much of a step is passed on."""
+"""Levels and smoothing of a hysteresis that only gives the transmitted part of a step."""
 
 MOST_ROWS = 20_000
 """Rows of loops that are fitted: four for each cell of 100 along both thresholds."""
@@ -34,18 +34,18 @@ def estimate_actuators(model: CoupledModel, creep: Sequence[AxesRecording],
                        hysteresis: Sequence[AxesRecording], levels: int,
                        near: Sequence[DensityEstimate | None] = (),
                        ) -> tuple[tuple[Actuator, ...], tuple[DensityEstimate | None, ...]]:
-    """Estimate hysteresis and creep of each axis beside all else that a model has.
+    """Estimate hysteresis and creep of each axis, with all other parts of a model given.
 
     Parameters
     ----------
     model : CoupledModel
-        With actuators, or modes that were fitted without them.
+        Model with actuators, or with modes that were fitted without them.
     creep, hysteresis : sequence of AxesRecording
-        That show them.
+        Recordings that show them.
     levels : int
-        Of the voltage, at most: two cells of the hysteresis from one to the next.
+        Largest number of levels of the voltage, with two cells of the hysteresis between levels.
     near : sequence of DensityEstimate or None, optional
-        Of each axis, beside a model that explained less.
+        Earlier estimate of each axis, with a model that explained less.
 
     Returns
     -------

@@ -56,8 +56,8 @@ class FittedStage:
 def with_drive(model: CoupledModel, recording: AxesRecording) -> AxesRecording:
     """Return a recording with the drive of the modes in place of its voltage.
 
-    That of a periodic voltage has its lines alone: between them hysteresis adds too little to tell
-    a response by.
+    The drive of a periodic voltage is reduced to the lines of the voltage: between them hysteresis
+    adds too little to determine a response.
     """
     periods = recording.periods or 1
     voltage_v = recording.voltage_v.reshape(periods, -1, len(model.axes)).mean(axis=0)
@@ -103,7 +103,7 @@ def in_rounds(
     fit: CoupledFit, late: np.ndarray, by_experiment: Mapping[str, Sequence[AxesRecording]],
     fast: Sequence[AxesRecording], pairs: int | None, note: Note, progress: Progress,
 ) -> FittedStage | None:
-    """Estimate hysteresis and creep of each axis beside the modes, and the modes behind them.
+    """Estimate hysteresis and creep of each axis with the modes given, and then the modes.
 
     Each round begins with the modes as they are known by then, at first without hysteresis. The
     best one counts.
@@ -111,7 +111,7 @@ def in_rounds(
     Parameters
     ----------
     fit : CoupledFit
-        Of the modes alone.
+        Fit of the modes alone.
     late : (n,) array of int
         Latency of each sensor.
     by_experiment : mapping of str to sequence of AxesRecording
@@ -164,7 +164,7 @@ def in_rounds(
 
 def _behind(model: CoupledModel, fast: Sequence[AxesRecording], slow: Sequence[AxesRecording],
             pairs: int | None) -> FittedStage:
-    """Fit the modes behind hysteresis and creep; the large motion tells the gain of each axis."""
+    """Fit the modes behind hysteresis and creep; the large motion determines each axis' gain."""
     actuators, driven = model.actuators, [with_drive(model, each) for each in fast]
     fit, spectra, late = fitted_modes(driven, pairs, _silent, _silent, behind_actuators=True)
     scales = _scales(coupled_model(fit.numbers, late, driven, actuators), slow)
@@ -195,7 +195,7 @@ def _scales(model: CoupledModel, slow: Sequence[AxesRecording]) -> FloatArray:
 
 
 def _silent(*_: object) -> None:
-    """Note nothing, and tell no progress."""
+    """Ignore notes and progress."""
 
 
 def _left(model: CoupledModel, recordings: Sequence[AxesRecording]) -> float:

@@ -98,7 +98,7 @@ def softened_numbers(linear: CoupledNumbers, levels: Sequence[Sequence[Spectrum]
 
     With the response ``G`` of a level and that of the reference, ``G back`` is their difference,
     linear in the gains of the modes in ``back``. Modes beyond the lines have none, nor have those
-    that are narrower than the distance of two lines: nothing tells what they do at their resonance.
+    that are narrower than the distance of two lines, as no line shows their resonance.
 
     Parameters
     ----------

@@ -29,12 +29,12 @@ class CoupledNumbers:
     steps: ComplexArray
     """Poles in the z plane, as `shared_poles.relocated` gives them."""
     gains: FloatArray
-    """Of the columns, by axis that moves and axis that is driven, (m, n, n)."""
+    """Gains of the columns, by moving axis and driven axis, (m, n, n)."""
     direct: FloatArray
     """Shape (L, n, n)."""
     back: FloatArray
-    """Of the columns in the elongations of the softening, by power of the amplitude, (P, m, n, n);
-    P is 0 where there is none."""
+    """Gains of the columns in the elongations of the softening, by power of the amplitude,
+    (P, m, n, n); P is 0 without softening."""
     back_gain: FloatArray
     """Shape (P, n, n)."""
     reference_v: float
@@ -95,7 +95,7 @@ class CoupledNumbers:
         return np.array([away**power for power in range(1, len(self.back) + 1)])
 
     def is_stable(self, amplitude_v: float) -> bool:
-        """Tell whether what acts back leaves the motion stable."""
+        """Return whether the motion is stable with the feedback of the softening."""
         m, n, _ = self.gains.shape
         back = np.tensordot(self.strengths(amplitude_v), self.back, 1)
         dynamics, drive = real_form(self.steps)

@@ -29,7 +29,7 @@ MEMORIES_S = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Time constants of the running RMS that are compared, three to a decade."""
 
 COUPLING_FREQUENCIES = 20
-"""Frequencies at which the model file tells the response, beside those of the modes."""
+"""Frequencies, in addition to those of the modes, at which the model file gives the response."""
 
 
 def identify_several_axes(

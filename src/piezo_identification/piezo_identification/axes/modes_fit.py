@@ -36,18 +36,18 @@ ORDERS, SOFTENINGS = 0.5, 0.8
 of what was found follows."""
 
 RIDGES = (0.0, 1e-2)
-"""Of the starts of the softening: none, and one that leaves out what the levels tell to less than a
-tenth. With many modes the first is unstable, and is reduced to little."""
+"""Ridge parameters of the starts of the softening: none, and one that suppresses gains that the
+levels determine to less than a tenth. With many modes the first is unstable."""
 
 FINAL_STEPS = 20
 """Gauss-Newton steps of a model that is kept."""
 
 REWEIGHTINGS = 3
-"""Of recordings without scatter, by what the refined model leaves; set on the simulated flexure,
-where the misfit then is that of the noise to 1 %, from a sixth of it."""
+"""Number of reweightings of recordings without scatter by the residual of the refined model. Set on
+the simulated flexure, where the misfit then equals the noise to 1 %."""
 
 JUDGED_STEPS = 3
-"""Those of a model that is compared."""
+"""Gauss-Newton steps of a model that is compared."""
 
 SLOWEST_POLE = 0.9
 """Rate of the slowest pole over that of the lowest resonance, where there is hysteresis or creep:
@@ -91,7 +91,7 @@ def fitted_modes(
     if behind_actuators:
         numbers = without_slow_poles(fit.numbers)
         highest = max(np.angle(spectrum.z).max() for spectrum in everything)
-        # Nothing tells a resonance beyond the lines; what bends there stands for hysteresis.
+        # No line shows a resonance beyond the lines; poles there represent hysteresis.
         fit = refined(numbers.with_poles(np.angle(numbers.steps) <= highest), everything,
                       FINAL_STEPS)
     if not all(_is_response(level) for level in levels):
@@ -149,7 +149,7 @@ def _reference(levels: list[list[Spectrum]]) -> list[Spectrum]:
 
 
 def _is_response(level: Sequence[Spectrum]) -> bool:
-    """Tell whether the spectra of a level are its responses to each axis alone."""
+    """Return whether the spectra of a level are its responses to each axis alone."""
     n = level[0].drive.shape[1]
     return len(level) == n and all(
         not each.transient and each.driven == (axis,) and np.all(each.drive[:, axis] == 1.0)

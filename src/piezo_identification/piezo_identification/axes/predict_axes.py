@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a model of several axes says beside what recordings measured."""
+"""Predictions of a model of several axes, compared with recordings."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -75,7 +75,7 @@ class Circumstances:
 
 
 def predict_several_axes(model: CoupledModel, recording: AxesRecording) -> AxesPrediction:
-    """Return what a model predicts from the voltage of a recording, beside what it measured.
+    """Return the prediction of a model for the voltage of a recording, with the measurement.
 
     A recording of periods is predicted as one that has repeated for long, and one whose first
     voltages are all the same from rest. Any other begins in motion: what the modes still ring by is
@@ -118,7 +118,7 @@ def circumstances_of(model: CoupledModel, recording: AxesRecording) -> Circumsta
 
 
 def _answers_later(recording: AxesRecording) -> bool:
-    """Tell whether a voltage jumps, and the displacement answers in the next row."""
+    """Return whether the voltage jumps and the displacement follows in the next row."""
     changes, moved = (np.diff(each, axis=0) for each in (
         recording.voltage_v, recording.displacement_um))
     goes_on = np.sum(changes[1:] * changes[:-1]) > 0.5 * np.sum(changes**2)
@@ -161,7 +161,7 @@ def decays(model: CoupledModel, recording: AxesRecording) -> FloatArray:
 def _fitted(courses: FloatArray, left_um: FloatArray) -> FloatArray:
     """Return the part of what is left that follows some courses about their means, (N, n)."""
     about = courses - courses.mean(axis=0)
-    # Beside an offset, which no error has.
+    # Together with an offset, which no error includes.
     gains = np.linalg.lstsq(np.hstack([about, np.ones((len(about), 1))]), left_um, rcond=1e-9)[0]
     fitted_um: FloatArray = about @ gains[:-1]
     return fitted_um

@@ -19,7 +19,7 @@ ALIKE = 1.05
 among the poles may gain so much by one that is not there."""
 
 MOST_DAMPED = 0.1
-"""Damping ratio beyond which a mode's phase tells no delay: its shape is seldom real."""
+"""Damping ratio beyond which a mode's phase shows no delay, as its shape is seldom real."""
 
 POINTS_OF_SAMPLE = 50
 """Delays that are compared within a sample period; the best is interpolated."""
@@ -31,7 +31,7 @@ def latencies(spectra: Sequence[Spectrum], fit: CoupledFit) -> np.ndarray:
     Parameters
     ----------
     fit : CoupledFit
-        Of some order. Its light modes alone are taken: others may stand for the delay.
+        Fit of some order. Only its lightly damped modes are used: others may represent the delay.
     """
     n, tried = spectra[0].motion.shape[1], np.arange(MOST_LATE)
     steps = fit.numbers.steps
@@ -58,12 +58,12 @@ def sensor_delays(model: CoupledModel, deviations: ComplexArray) -> tuple[FloatA
     Parameters
     ----------
     deviations : (K, n, n) array of complex
-        Of the residues.
+        Standard deviations of the residues.
 
     Returns
     -------
     delays_s, deviations_s : (n,) array
-        Infinite deviations where no mode tells it.
+        Infinite deviations if no mode shows it.
     """
     period_s, poles = model.sample_period_s, model.poles_rad_per_s
     light = (poles.imag > 0.0) & (-poles.real < MOST_DAMPED * np.abs(poles))

@@ -76,9 +76,9 @@ def relocated(spectra: Sequence[Spectrum], pairs: int, taps: int,
     pairs : int
         Pairs of poles, some of which may turn out as two real ones.
     taps : int
-        Of the direct part.
+        Number of taps of the direct part.
     steps : (m,) array of complex, optional
-        To start from, in place of poles spread over the lines.
+        Initial poles; by default they are spread over the lines.
 
     Returns
     -------

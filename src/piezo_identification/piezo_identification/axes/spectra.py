@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What recordings of several axes tell at the lines of their spectra."""
+"""Spectra of recordings of several axes at the excited lines."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -73,7 +73,7 @@ def levels_of(recordings: Sequence[AxesRecording]) -> list[list[AxesRecording]]:
 
 
 def spectra_of_level(recordings: Sequence[AxesRecording]) -> list[Spectrum]:
-    """Return what recordings of one level tell.
+    """Return the spectra of recordings of one level.
 
     Where there are more realisations of equal periods than axes, it is the best linear
     approximation, with the scatter of the realisations about it, noise and distortion alike, as
@@ -150,7 +150,7 @@ def _lines(recording: AxesRecording) -> tuple[ComplexArray, np.ndarray, list[Com
 
 
 def played_lines(voltage: ComplexArray) -> BoolArray:
-    """Tell which lines of the spectrum of a periodic voltage, (K, n), are played; 0 is not."""
+    """Return which lines of the spectrum of a periodic voltage, (K, n), are played; 0 is not."""
     size = np.abs(voltage).max(axis=1)
     size[0] = 0.0
     played: BoolArray = size > EXCITED * size.max()
