@@ -79,10 +79,9 @@ def _delayed(model: CoupledModel, row: int, samples: float) -> CoupledModel:
     part, latency = samples - whole, model.latency_samples.copy()
     latency[row] += whole
     steps = np.exp(model.poles_rad_per_s * model.sample_period_s)
-    multiples = np.where(model.poles_rad_per_s.imag > 0.0, 2.0, 1.0)
     residues, seen = model.residues_um_per_v.copy(), model.residues_um_per_v[:, row]
     residues[:, row] = seen * (steps**-part)[:, None]
-    within = multiples * ((1.0 - steps ** (1.0 - part)) / (1.0 - steps) - steps**-part)
+    within = model.multiples * ((1.0 - steps ** (1.0 - part)) / (1.0 - steps) - steps**-part)
     direct = np.pad(model.direct_um_per_v, ((0, 1), (0, 0), (0, 0)))
     direct[:, row] = (1.0 - part) * direct[:, row] + part * np.roll(direct[:, row], 1, axis=0)
     direct[1, row] += (within @ seen).real

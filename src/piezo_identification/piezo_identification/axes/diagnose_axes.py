@@ -8,6 +8,7 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
+from scipy.special import softmax
 
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_common.summary_table import SummaryTable
@@ -266,7 +267,7 @@ class _Fit:
 
 
 def _fitted(errors: _Errors, effects: Sequence[AxisEffect]) -> _Fit:
-    values = errors.values(effects, np.zeros(len(effects)), errors.fitted | True)
+    values = errors.values(effects, np.zeros(len(effects)), np.ones_like(errors.fitted))
     left, columns = errors.linearised(effects, values)
     held = errors.left(effects, errors.values(effects, values, errors.fitted))[~errors.fitted]
     deviations, sizes = np.zeros(len(effects)), np.sqrt(np.mean(columns**2, axis=(0, 1)))
@@ -288,11 +289,8 @@ def _without_one(found: tuple[AxisEffect, ...]) -> list[tuple[AxisEffect, ...]]:
 
 def _shares(evidence: dict[str, float]) -> dict[str, float]:
     """Return the probability of each alternative, in descending order."""
-    largest = max(evidence.values())
-    weights = {name: float(np.exp(value - largest)) for name, value in evidence.items()}
-    total = sum(weights.values())
-    return dict(sorted(((name, weight / total) for name, weight in weights.items()),
-                       key=lambda each: -each[1]))
+    shares = softmax(list(evidence.values())).tolist()
+    return dict(sorted(zip(evidence, shares, strict=True), key=lambda each: -each[1]))
 
 
 def _errors(model: CoupledModel, recording: AxesRecording) -> dict[str, dict[str, float]]:

@@ -130,7 +130,8 @@ class CoupledModel:
                 f"{1.0 / self.sample_period_s:.6g} Hz{soft}>")
 
     @property
-    def _multiples(self) -> FloatArray:
+    def multiples(self) -> FloatArray:
+        """Return how often each pole counts, (m,): a complex one also for its conjugate."""
         return np.where(self.poles_rad_per_s.imag > 0.0, 2.0, 1.0)
 
     def response(self, frequency_hz: ArrayLike, amplitude_v: float | None = None) -> ComplexArray:
@@ -242,7 +243,7 @@ class CoupledModel:
                 pasts or PASTS[:1] * len(self.axes), strict=True)])
 
     def _run(self, drive_v: FloatArray, periodic: bool) -> FloatArray:
-        n, multiples = len(self.axes), self._multiples[:, None, None]
+        n, multiples = len(self.axes), self.multiples[:, None, None]
         steps = np.exp(self.poles_rad_per_s * self.sample_period_s)
         strengths, gain = np.zeros((len(drive_v), 0)), np.zeros((0, n, n))
         elongations = np.zeros((0, steps.size, n, n), dtype=complex)
@@ -305,7 +306,7 @@ class CoupledModel:
         states = step - (1.0 - kept) * line
 
         def directly(*parts: ComplexArray) -> FloatArray:
-            return np.array([np.einsum("k,kij->ij", self._multiples, (
+            return np.array([np.einsum("k,kij->ij", self.multiples, (
                 part * self.residues_um_per_v).real) for part in parts])
 
         taps = directly(line_seen, step_seen - line_seen - ago * (step - line))
@@ -315,7 +316,7 @@ class CoupledModel:
         softening = self.softening and replace(
             self.softening, elongations=states * self.softening.elongations,
             gain=self.softening.gain + np.einsum(
-                "k,pkij->pij", self._multiples, (line * self.softening.elongations).real))
+                "k,pkij->pij", self.multiples, (line * self.softening.elongations).real))
         return replace(
             self, sample_period_s=sample_period_s,
             residues_um_per_v=ago * states * self.residues_um_per_v, direct_um_per_v=taps,

@@ -22,7 +22,7 @@ LIMITS = {"x": StageLimits(), "y": StageLimits(slew_limit_v_per_s=1.5e6)}
 """As in the parameter file of the simulated stage of two axes."""
 
 NOISE_UM = np.array([0.002, 0.003])
-"""Of the sensors of the plant, RMS."""
+"""RMS noise of the plant's sensors, in um."""
 
 APPROACH_S, SETTLING_S = 0.1, 0.2
 """Ramp from rest to the first voltage, and what a path waits there."""
@@ -37,7 +37,7 @@ def recorded(name: str, seed: int) -> list[AxesRecording]:
     Parameters
     ----------
     seed : int
-        Of the sensors' noise in the first; each further one has the next.
+        Seed of the sensors' noise in the first recording; each further one has the next seed.
     """
     return [_recorded(experiment, seed + number)
             for number, experiment in enumerate(axes_experiments(name, LIMITS))]
