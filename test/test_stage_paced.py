@@ -140,8 +140,9 @@ def test_ground_truth_has_no_wrong_samples_around_a_slow_waveform(stage):
         SampleBlock, "ground_truth", truth.append, SAMPLES)
     stage.until(lambda: truth)
     result = stage.play(np.full(100, 10.0), sample_period_s=0.001)
-    samples = stage.samples(result.last_sample + 1)
-    stage.until(lambda: truth[-1].first_sample > result.last_sample)
+    end = result.last_sample + 1 + 20 * 40  # twenty blocks at rest after the waveform
+    samples = stage.samples(end)
+    stage.until(lambda: truth[-1].first_sample > end)
     stage.node.destroy_subscription(subscription)
     measured_um = {block.first_sample: block.displacement_um for block in samples.blocks
                    if block.sample_period_s == 25e-6}
