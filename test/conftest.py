@@ -145,8 +145,9 @@ class StageClient(Client):
     def connect(self):
         """Make sure that no block is missed from here on."""
         while not self.blocks:
-            self.play([0.0])
+            last_sample = self.play([0.0]).last_sample
             self.spin_until(lambda: self.blocks, 0.2)
+        self.samples(last_sample)  # a block that comes later would be taken for one of the test
         self.until(lambda: self._feedback.get_subscription_count() > 0)
         self.forget()
 
@@ -297,6 +298,7 @@ def patient_clients():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(client_module, "SERVER_TIMEOUT_S", TIMEOUT_S)
         patch.setattr(client_module, "CALL_TIMEOUT_S", TIMEOUT_S)
+        patch.setattr(client_module, "CANCEL_TIMEOUT_S", TIMEOUT_S)
         for module in overview, rejections:
             patch.setattr(module, "DIAGNOSTICS_S", TIMEOUT_S)
         patch.setattr(client_module, "ACCEPTANCE_TIMEOUT_S", TIMEOUT_S)
