@@ -447,6 +447,23 @@ def test_node_that_waits_names_the_one_that_it_waits_for(spinning, monkeypatch):
                      "waiting" for waited_s in (5, 10)]
 
 
+def test_node_that_waits_for_one_without_a_name_does_not_say_that_nobody_serves(
+        spinning, monkeypatch):
+    # As after the middleware took a starved process for dead: its services come back alone.
+    monkeypatch.setattr(servers, "server_of", lambda node, service: "")
+    server, asking = spinning("server"), spinning("asking")
+    words = []
+    monkeypatch.setattr(asking.node, "get_logger", lambda: SimpleNamespace(warning=words.append))
+    waiting = Waiting(asking.node, "stage/get_state")
+    waiting.look(5.0)
+    server.make(server.node.create_service, GetState, "stage/get_state", None)
+    meet(asking.node, "stage/get_state")
+    waiting.look(10.0)
+    assert words == ["nobody has served stage/get_state for 5 s: waiting for its node",
+                     "the node that serves stage/get_state has not answered stage/get_state for "
+                     "10 s: waiting"]
+
+
 def test_call_ends_when_the_node_that_serves_is_gone(spinning):
     asked = threading.Event()
     server, asking = spinning("server"), spinning("asking")
