@@ -299,6 +299,7 @@ def patient_clients():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(client_module, "SERVER_TIMEOUT_S", TIMEOUT_S)
         patch.setattr(client_module, "CALL_TIMEOUT_S", TIMEOUT_S)
+        patch.setattr(client_module, "CANCEL_TIMEOUT_S", TIMEOUT_S)
         for module in overview, rejections:
             patch.setattr(module, "DIAGNOSTICS_S", TIMEOUT_S)
         patch.setattr(client_module, "ACCEPTANCE_TIMEOUT_S", TIMEOUT_S)

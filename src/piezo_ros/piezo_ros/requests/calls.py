@@ -26,7 +26,7 @@ from std_srvs.srv import Trigger
 from piezo_ros.deadlines import set_deadline
 from piezo_ros.messages import Message, MessageType
 from piezo_ros.requests.lost_answers import PatientActionClient
-from piezo_ros.requests.servers import WORD_AFTER_S, Waiting, server_of
+from piezo_ros.requests.servers import WORD_AFTER_S, Waiting, described_server
 
 InvalidHandle = rclpy_implementation.InvalidHandle
 
@@ -292,7 +292,7 @@ def _await(send: Callable[[], Future], node: Node, is_served: Callable[[], bool]
             raise CallFailed(f"the node that serves {name} has ended: start it again")
         if timeout_s is not None:
             if now_s - begin_s > timeout_s:
-                raise NoAnswer(f"{server_of(node, name) or 'nobody'} did not answer {name} within "
+                raise NoAnswer(f"{described_server(node, name)} did not answer {name} within "
                                f"{timeout_s:g} s: look at its log")
             waiting.look(now_s - begin_s)
         if repeatable and now_s - sent_s > resend_s:
