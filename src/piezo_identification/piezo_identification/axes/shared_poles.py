@@ -122,7 +122,7 @@ def _condition(group: Sequence[Spectrum], output: int, steps: ComplexArray, taps
         motion = spectrum.motion[:, output, None]
         columns = [gains * spectrum.drive[:, axis, None] for axis in driven]
         columns += [-motion * basis, motion]
-        # Each transient is that of one recording: eliminating it there is far cheaper than together.
+        # Each recording has its own transient: eliminating it here is far cheaper than together.
         transient = [transient_basis(spectrum, steps)] * spectrum.transient
         parts.append(_eliminated(
             sum(each.shape[1] for each in transient),
