@@ -75,7 +75,7 @@ def test_index_of_the_docs_lists_every_page():
 
 
 def test_every_room_and_function_on_the_way_of_a_sample_exists():
-    page = (ROOT / "docs" / "how_it_works.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     way = page.partition("## The way of one sample")[2].partition("\n## ")[0]
     rows = re.findall(r"^\| `(piezo_[\w/]+)` \| `([\w.]+)` \|", way, re.M)
     assert len(rows) > 15
