@@ -144,7 +144,7 @@ class Estimate:
                 continue
             mark = ""
             if trial.order == self.order:
-                mark = "  <- asked for" if self.order_given else "  <- least information"
+                mark = "  <- given" if self.order_given else "  <- least information"
             lines.append(
                 f"{trial.order!s:>5}  {trial.parameters:10d}  {trial.residual_rms:12.6g}  "
                 f"{trial.information:11.1f}{mark}{'  ' if trial.refusal else ''}{trial.refusal}"

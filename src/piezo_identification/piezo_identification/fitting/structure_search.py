@@ -496,7 +496,7 @@ def _without_cancelled_mode(model: StageModel, delay_s: float | None) -> Structu
     mode, zero = np.unravel_index(
         np.argmin(np.abs(np.log(frequencies[:, None] / zeros))), (frequencies.size, zeros.size))
     return Structure(
-        f"without the mode of {frequencies[mode]:.4g} rad/s beside an antiresonance",
+        f"without the mode of {frequencies[mode]:.4g} rad/s near an antiresonance",
         replace(model, dynamics=ElectricVibrationDynamics(
             dynamics.time_constant_s, _but(dynamics.mode_frequencies_rad_per_s, int(mode)),
             _but(dynamics.damping_ratios, int(mode)),

@@ -34,7 +34,7 @@ class AmplifierLag(Lag):
 
     name: ClassVar[str] = "amplifier_lag"
     place: ClassVar[str] = "voltage"
-    experiment: ClassVar[str] = "dynamics beside hysteresis: a fast square wave, and slow loops"
+    experiment: ClassVar[str] = "dynamics and hysteresis: a fast square wave, and slow loops"
     indistinguishable_from: ClassVar[tuple[str, ...]] = ("delay", "sensor_lag")
 
     def lag(self) -> control.StateSpace | None:
