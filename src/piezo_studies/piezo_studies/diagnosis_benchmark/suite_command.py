@@ -24,7 +24,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
                              "which a run goes on (%(default)s)")
     parser.add_argument("--page", type=Path,
                         help="page whose section on calibration is written again, such as "
-                             "docs/diagnosis.md")
+                             "docs/studies/diagnosis_rates.md")
 
 
 COMMAND = Command(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The section of docs/diagnosis.md on the calibration with small cases."""
+"""The section of docs/studies/diagnosis_rates.md on the calibration with small cases."""
 
 from collections import Counter
 

@@ -33,7 +33,7 @@ class ErrorSettings:
     carried_spread: float = 0.6
     """RMS of the logarithm of the error of a complete model in another recording, relative to the
     worst of those that it was fitted to. Set on 40 recordings of five drawn stages:
-    docs/diagnosis.md."""
+    docs/diagnosis_method.md."""
     independent: float = 10.0
     """Number of independent errors of a model in one recording. Set on the same data: the best of
     the known effects explains a third or half of them."""
