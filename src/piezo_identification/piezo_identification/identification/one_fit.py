@@ -93,7 +93,9 @@ class _Search:
         with while_time_lasts("the search from another start"):
             for number, start in enumerate(states[1:], 1):
                 check_cancelled()
-                if not is_at_noise(state.problem, state.best):
+                # It has to make up for what the search before has gained, too.
+                is_promising = start.best.evidence_over(state.best) > -SETTINGS.promise_of_start
+                if is_promising and not is_at_noise(state.problem, state.best):
                     other = self._from(start, BEGUN + number * length, length)
                     state = other if is_better(other.best, state.best) else state
         return self._or_of_a_line(state, delay_s)
