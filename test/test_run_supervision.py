@@ -204,7 +204,7 @@ def test_run_whose_answers_came_late_fails_and_says_how_many(paced, fields):
         controller.send_signal(signal.SIGCONT)
     status, result = stage.result(goal)
     assert status == GoalStatus.STATUS_ABORTED
-    assert re.search(r"^\d+ of \d+ answers came late, more than max_late_percent, 1: ",
+    assert re.search(r"^\d+ of \d+ answers were late, more than max_late_percent, 1: ",
                      result.message)
     assert result.missed_feedback > late
     assert result.e_rms_percent > 0.0

@@ -263,7 +263,7 @@ class Client:
         if handle is None:
             self._withdraw(client, number, action_type, topic)
             raise GoalFailed(name, action_type.Result(message=(
-                f"{self._server(topic)} did not say whether it took the goal: look at its log, "
+                f"{self._server(topic)} did not report whether it took the goal: see its log, "
                 "send the goal again")))
         if not handle.accepted:
             raise GoalFailed(name, action_type.Result(message=(

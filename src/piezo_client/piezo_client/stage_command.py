@@ -68,7 +68,7 @@ def _parser() -> argparse.ArgumentParser:
                                      dest="command")
     for name, text in (
             ("list", "list the stages that can be seen, with their nodes"),
-            ("status", "tell how the stage is, what runs on it, and which nodes are there")):
+            ("status", "report the state of the stage, what runs on it, and its nodes")):
         commands.add_parser(name, help=text, description=text)
     _add_experiment(commands)
     _add_probe(commands)
@@ -143,7 +143,7 @@ def _add_play(commands: Commands) -> None:
 
 
 def _add_scan(commands: Commands) -> None:
-    parser = _add(commands, "scan", "play a planned path of several axes, and tell its error")
+    parser = _add(commands, "scan", "play a planned path of several axes, and report its error")
     parser.add_argument("scan", type=Path, metavar="DIR",
                         help="folder that `scan` wrote path.csv and begin.csv into")
     parser.add_argument("--periods", type=int, default=2, metavar="NUMBER",
@@ -163,7 +163,7 @@ def _add_diagnose(commands: Commands) -> None:
     parser.add_argument("--holdout", type=Path, default="", metavar="FILE",
                         help="recording on which the errors are measured")
     parser.add_argument("--experiments", type=int, default=0, metavar="NUMBER",
-                        help="that may be played until one explanation is left (default: none)")
+                        help="that may be played until one explanation remains (default: none)")
     parser.add_argument("--longest-s", type=float, default=0.0, metavar="SECONDS",
                         help="that each of them may last (default: 30 s)")
 

@@ -127,7 +127,7 @@ def add_budget_option(parser: argparse.ArgumentParser) -> None:
     """Add ``--budget``, the time that the work of a command may take."""
     parser.add_argument("--budget", metavar="SECONDS", type=float,
                         help="time that the command may take: it ends with the best result so far, "
-                        "and says what it has not tried; by default as long as it takes")
+                        "and reports what it has not tried; by default as long as it takes")
 
 
 def budget_of(options: argparse.Namespace, to_write_s: float = 0.0) -> Budget:

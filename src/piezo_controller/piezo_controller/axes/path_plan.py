@@ -92,7 +92,7 @@ class PathPlan:
         """Return the errors and the cross-coupling to expect as a table with notes."""
         return self.prediction.summary(str(self.path), (
             *self._voltages(),
-            f"the gain is limited to {self.gain_limit:g} times that at rest: it leaves out "
+            f"the gain is limited to {self.gain_limit:g} times that at rest: it omits "
             f"{self.left_out_um.max():.2g} um RMS at most"))
 
     def _voltages(self) -> Iterator[str]:

@@ -168,12 +168,12 @@ class LivePlan:
         texts = ("held, as nothing was published",
                  "clipped to {:.4g} to {:.4g} um".format(*self.range_um),
                  "faster than the declared band and amplitude",
-                 "a straight line, as values were left out")
+                 "a straight line, as values were skipped")
         period_ms = 1e3 * self._limits.sample_period_s
         told = [f"for {period_ms * count:.3g} ms it was {text}"
                 for count, text in zip(samples, texts, strict=True) if count]
         if skipped:
-            told.append(f"values were left out {skipped} times, as more were published than "
+            told.append(f"values were skipped {skipped} times, as more were published than "
                         "the stage plays")
         return ", ".join(told)
 

@@ -154,7 +154,7 @@ def short_preview_inverse(system: control.StateSpace, sample_period_s: float,
     if left > MOST_LEFT:
         raise ValueError(
             f"with {preview_samples} samples of preview {100 * left:.0f} % of a reference at "
-            f"{band_hz:g} Hz would be left: declare a lower frequency, or publish "
+            f"{band_hz:g} Hz would remain: declare a lower frequency, or publish "
             f"{PREVIEW_SAMPLES} samples ahead")
     return inverse
 

@@ -308,7 +308,7 @@ class StreamPlanner:
             raise UnreachableReference(
                 f"the inverse with {self.preview.preview_samples} samples of preview leaves an "
                 f"error of {100 * left_um / travel_um:.2g} % of this reference, as it moves too "
-                "fast for it: leave out what is above 2 kHz, or choose another inversion", math.nan)
+                "fast for it: omit what is above 2 kHz, or choose another inversion", math.nan)
 
     def _approach(self,
                   first_um: float) -> tuple[FloatArray, PreisachMemory, FloatArray, FloatArray]:

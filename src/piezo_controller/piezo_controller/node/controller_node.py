@@ -55,7 +55,7 @@ class ControllerNode(LifecycleNode):
         self._feedback_settings = FeedbackSettings(
             max_feedback_v=declare(
                 self, "max_feedback_v", 20.0,
-                "Largest feedback voltage beside a feedforward (V).", 0.001, 1000.0),
+                "Largest feedback voltage added to a feedforward (V).", 0.001, 1000.0),
             weights=self._weights(declare(
                 self, "weights", "",
                 "Weights of the feedback design: a file (YAML), thesis, or empty for the default."

@@ -148,7 +148,7 @@ def test_axes_that_look_in_one_direction_are_refused(model):
     alike = CoupledModel(
         ("x", "y"), 1e-4, np.zeros(0, complex), np.zeros((0, 2, 2), complex),
         np.array([[[1.0, 1.0], [1.0, 1.0001]]]), np.zeros(2, int), np.zeros(2), np.zeros(2))
-    with pytest.raises(ValueError, match="cannot be told apart"):
+    with pytest.raises(ValueError, match="cannot be separated"):
         scan(alike, "spiral")
     with pytest.raises(InvalidReference, match="the path moves z"):
         scan(model, "spiral", axes=("x", "z"))

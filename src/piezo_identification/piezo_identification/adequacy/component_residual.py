@@ -25,7 +25,11 @@ from piezo_identification.conditioning.waveforms import (
     samples_per_mean,
     two_levels,
 )
-from piezo_identification.estimators.creep.square_wave_creep import FEWEST_STEPS, left_out_s
+from piezo_identification.estimators.creep.square_wave_creep import (
+    FEWEST_STEPS,
+    left_out_s,
+    longest_step_s,
+)
 from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_hold import without_hold
@@ -133,7 +137,8 @@ def _of_square_wave(
         # Exclude the fast dynamics, which this recording does not resolve.
         since = np.arange(time_s.size) - np.concatenate([[0], wave.steps])[
             np.searchsorted(wave.steps, np.arange(time_s.size), side="right")]
-        settled_s = left_out_s(slow_dynamics(model.dynamics, model.effects), behind_s + delay_s)
+        settled_s = left_out_s(slow_dynamics(model.dynamics, model.effects), behind_s + delay_s,
+                               longest_step_s(part, wave))
         good = good & (since[first:] * part.sample_period_s >= settled_s)
         # A free-running generator steps between two rows.
         good[wave.steps[wave.steps > first] - first - 1] = False

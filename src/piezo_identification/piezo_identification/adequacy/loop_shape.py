@@ -220,7 +220,7 @@ def _refuse_open_loops(loops: Loops) -> None:
         raise ValueError(
             f"{loops.path} holds minor loops that do not close: the displacement is "
             f"{100 * typical:+.0f} % of their swing off where they began, so that a former extreme "
-            "does not wipe out what came after it, which no Preisach model can do: look for drift, "
+            "does not wipe out later extremes, which no Preisach model can do: look for drift, "
             "or give the creep")
 
 

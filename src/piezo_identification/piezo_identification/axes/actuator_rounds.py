@@ -35,7 +35,7 @@ WORTHWHILE = 0.5
 """Logarithm by which the mean square that is left of each recording falls, on average, in a round
 that another one follows."""
 
-FURTHER_ROUND, ROUNDS = "hysteresis and creep once more beside the modes", 0.6
+FURTHER_ROUND, ROUNDS = "second estimate of hysteresis and creep, with the modes", 0.6
 """What is left out, and from which share of the time: one round takes up to a third of it."""
 
 

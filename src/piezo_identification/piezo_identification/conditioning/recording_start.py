@@ -97,11 +97,18 @@ def motion_um_per_s(recording: Recording) -> float:
     if count < SETTINGS.fewest_samples:
         return 0.0
     time_s = recording.time_s[:count] - recording.time_s[:count].mean()
-    displacement_um = recording.displacement_um[:count]
-    slope = float(time_s @ displacement_um / (time_s @ time_s))
-    # Differences of neighbours give the noise even if the displacement moves along a curve.
-    noise_um = float(np.std(np.diff(displacement_um)) / np.sqrt(2.0))
+    slope = _significant_slope(time_s, recording.displacement_um[:count])
     moved_um = abs(slope) * 2.0 * time_s[-1]
     least_um = SETTINGS.least_motion * float(np.ptp(recording.displacement_um))
-    sure = abs(slope) > SETTINGS.significant * noise_um / np.sqrt(time_s @ time_s)
-    return slope if sure and moved_um > least_um else 0.0
+    # A slow ramp stays near its first voltage for a while, and moves the stage.
+    is_driven = _significant_slope(time_s, recording.voltage_v[:count]) != 0.0
+    return slope if moved_um > least_um and not is_driven else 0.0
+
+
+def _significant_slope(time_s: FloatArray, values: FloatArray) -> float:
+    """Return the slope of values over centred times; 0 if it is within their noise."""
+    # Relative to the first value, so that a resting voltage has no slope by rounding.
+    slope = float(time_s @ (values - values[0]) / (time_s @ time_s))
+    # Differences of neighbours give the noise even if the values move along a curve.
+    noise = float(np.std(np.diff(values)) / np.sqrt(2.0))
+    return slope if abs(slope) > SETTINGS.significant * noise / np.sqrt(time_s @ time_s) else 0.0

@@ -103,7 +103,7 @@ def rows_read_at_start(recording: Recording, read_at_samples: float) -> Recordin
     """
     if not abs(read_at_samples) <= LATEST_READING:
         raise ValueError(
-            f"{recording.path} is said to be read {read_at_samples:g} sample periods after each "
+            f"{recording.path} is declared as read {read_at_samples:g} sample periods after each "
             f"voltage: give a number from 0, the start of the hold, to {LATEST_READING:g}")
     if abs(read_at_samples) < WHOLE:
         return recording

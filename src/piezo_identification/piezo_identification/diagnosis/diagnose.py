@@ -472,7 +472,7 @@ def _undecided(selection: Selection, decision: Decision,
                if name not in named}
     for name, found in _not_told_from(selection, effects).items():
         reasons[name] = Undecided(
-            Reason.LIKE_ANOTHER, f"the data does not tell it from {found}")
+            Reason.LIKE_ANOTHER, f"the data does not distinguish it from {found}")
     kinds = known_effects()
     for found in sorted(named & kinds.keys()):
         for name in kinds[found].same_without_dynamics:

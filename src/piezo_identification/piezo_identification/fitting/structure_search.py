@@ -39,7 +39,8 @@ class SearchSettings:
     promise: float = 100.0
     """Largest deficit of log-evidence with which a structure is followed or tried again."""
     promise_of_start: float = 1000.0
-    """The same for a start with another kind of amplifier, whose loops were not yet estimated."""
+    """The same for a start with another kind of amplifier, whose loops were not yet estimated, before
+    and after the search from the best start."""
     chance: float = 3.0
     """Largest loss of log-likelihood on held-out rows that is attributed to chance."""
     modes_less: int = 2
@@ -496,7 +497,7 @@ def _without_cancelled_mode(model: StageModel, delay_s: float | None) -> Structu
     mode, zero = np.unravel_index(
         np.argmin(np.abs(np.log(frequencies[:, None] / zeros))), (frequencies.size, zeros.size))
     return Structure(
-        f"without the mode of {frequencies[mode]:.4g} rad/s beside an antiresonance",
+        f"without the mode of {frequencies[mode]:.4g} rad/s near an antiresonance",
         replace(model, dynamics=ElectricVibrationDynamics(
             dynamics.time_constant_s, _but(dynamics.mode_frequencies_rad_per_s, int(mode)),
             _but(dynamics.damping_ratios, int(mode)),

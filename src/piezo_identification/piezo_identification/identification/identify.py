@@ -145,8 +145,8 @@ def identify(
     with checking(stages.check), spending(budget), failures_explained(
             lambda: stages.current, paths):
         if refine or method != OUTPUT_ERROR:
-            tell("nothing is to be asked for: identify always fits all components together at "
-                 "the end, by their output error")
+            tell("refine and method have no effect: identify always fits all components together "
+                 "at the end, by their output error")
         said = conditioned_data(given, tell, read_at_samples)
         tell_implausible(implausible_data(said), tell)
         fast = of_kind(said, "dynamics")
@@ -227,8 +227,8 @@ def tell_starts(recordings: Mapping[str, Data], cycled: Mapping[str, Data],
             words.append(linear.estimates[name].start)
         if first_rise is not None and cycled[name] is not data:
             words.append(
-                f"on a stage that was never cycled: its first rise leaves {first_rise.whole_um:.3g}"
-                " um for good, which the model keeps apart")
+                f"on a stage that was never cycled: its first rise has {first_rise.whole_um:.3g}"
+                " um that never return, which the model describes separately")
         tell(f"start of the {name}: {'; '.join(words)}")
 
 
@@ -246,8 +246,8 @@ def tell_uncertain_parameters(fitted: FittedModel, tell: Callable[[str], object]
     """Report the parameters whose standard deviation is larger than their value, if any."""
     untold = unidentified_parameters(fitted.model, fitted.uncertainties)
     if untold:
-        tell(f"the recordings do not tell {', '.join(untold)}: the standard deviation is larger "
-             "than the value; ask for a lower order, or record more")
+        tell(f"the recordings do not determine {', '.join(untold)}: the standard deviation is "
+             "larger than the value; give a lower order, or record more")
 
 
 def validation_errors(model: StageModel, recordings: Mapping[str, Any]) -> dict[str, Any]:

@@ -205,11 +205,11 @@ def estimate_linear_dynamics(
     def estimated(found: LinearDynamics, driving: DensityEstimate | None,
                   turn: int) -> tuple[LinearDynamics, DensityEstimate | None]:
         if creep:
-            begin("creep beside the dynamics" if turn else "creep", 0.5 * turn)
+            begin("creep, given the dynamics" if turn else "creep", 0.5 * turn)
             found = found.with_creep(*creep_of(creep, found, bool(turn), order.creep_pairs))
         if not given:
             return found, driving
-        begin("dynamics beside the creep" if turn else "dynamics", 0.5 * turn + 0.3)
+        begin("dynamics, given the creep" if turn else "dynamics", 0.5 * turn + 0.3)
         if isinstance(dynamics, FrequencyResponse):
             return found.with_response(_from_response(dynamics, found, order)), driving
         if needs_hysteresis:
@@ -222,7 +222,7 @@ def estimate_linear_dynamics(
         return found.with_dynamics(estimate), driving
 
     found, driving = estimated(found, driving, 0)
-    with while_time_lasts("creep and dynamics once more beside each other", SECOND_PASS):
+    with while_time_lasts("second estimates of creep and dynamics", SECOND_PASS):
         for turn in range(1, passes):
             check_cancelled()
             found, driving = estimated(found, driving, turn)

@@ -93,7 +93,9 @@ class _Search:
         with while_time_lasts("the search from another start"):
             for number, start in enumerate(states[1:], 1):
                 check_cancelled()
-                if not is_at_noise(state.problem, state.best):
+                # It has to make up for what the search before has gained, too.
+                is_promising = start.best.evidence_over(state.best) > -SETTINGS.promise_of_start
+                if is_promising and not is_at_noise(state.problem, state.best):
                     other = self._from(start, BEGUN + number * length, length)
                     state = other if is_better(other.best, state.best) else state
         return self._or_of_a_line(state, delay_s)
@@ -138,14 +140,14 @@ class _Search:
         """
         if self.loops_beside is None or is_at_noise(before.problem, before.best):
             return before
-        self.report("loops anew", fraction)
-        with while_time_lasts("the loops anew beside the fit"):
+        self.report("hysteresis, given the fit", fraction)
+        with while_time_lasts("second estimate of the hysteresis, given the fit"):
             check_cancelled()
             density = self._loops_beside(before.best)
             problem = before.problem.with_hysteresis(density.model(), width)
             again = problem.fit(replace(before.best.model, hysteresis=density.model()),
                                 before.best.delay_s, SETTINGS.steps)
-            self.tried.append(("loops anew", again))
+            self.tried.append(("hysteresis estimated again", again))
             if is_better(again, before.best):
                 return _State(replace(before.fitted, visited=density.visited), again, problem)
         return before
@@ -201,8 +203,8 @@ def fitted_together(
     parts = {name: played(data) for name, data in used.items()}
     waves = (two_levels(square_part(part)) for part in parts.values())
     if any(wave is not None and generator_edges(wave) is not None for wave in waves):
-        tell("the model is as the separate steps left it: a generator that runs freely changes its "
-             "voltage between the rows, which only the steps heed")
+        tell("the model is that of the separate steps: a generator that runs freely changes its "
+             "voltage between the rows, which only the steps consider")
         return fitted, dict(read_at)
     # Rows read within their hold are a negative delay, which the search may remove.
     within_s = _within_hold_s(read_at, parts)
@@ -216,7 +218,7 @@ def fitted_together(
             fitted.model, list(used.values()),
             [read_late_s[name] for name in parts])
     except ValueError as error:
-        tell(f"the model is as the separate steps left it, as {error}")
+        tell(f"the model is that of the separate steps, as {error}")
         return fitted, dict(read_at)
     search = _Search(
         problem, fitted, read_late_s, loops_beside, partial(_has_order, order), report)
@@ -293,7 +295,7 @@ def reliable(uncertainties: Mapping[str, Any], adequacy: Mapping[str, Mapping[st
 def table_of(tried: list[tuple[str, WholeFit]], best: WholeFit) -> str:
     """Return a table of all fits for the user, with the best one marked."""
     first = tried[0][1]
-    lines = [f"{'structure':45}{'parameters':>12}{'evidence':>12}  left (um)"]
+    lines = [f"{'structure':45}{'parameters':>12}{'evidence':>12}  residual (um)"]
     for change, fit in tried:
         left_um = ", ".join(f"{np.sqrt(np.mean(left**2)):.3g}" for left, _ in fit.left_um)
         lines.append(f"{change:45}{fit.numbers:12d}{fit.evidence_over(first):12.1f}  {left_um}"

@@ -142,10 +142,10 @@ def tell_row_delays(rows: Mapping[str, RowDelay], tell: Callable[[str], object])
         is_short = max(abs(row.delay_s), row.standard_deviation_s) < SHORT_S
         scale, unit = (1e6, "us") if is_short else (1.0, "s")
         deviation = f"{scale * row.standard_deviation_s:.2g} {unit}"
-        left = "whether a delay is left is not identifiable from these rows"
+        left = "a remaining delay is not identifiable from these rows"
         if row.is_significant:
-            left = f"a delay of {scale * row.delay_s:.3g} +- {deviation} is left"
+            left = f"a delay of {scale * row.delay_s:.3g} +- {deviation} remains"
         elif row.is_identifiable:
-            left = f"no significant delay is left (+- {deviation})"
+            left = f"no significant delay remains (+- {deviation})"
         tell(f"rows of the {name}: read {row.read_at_samples:.4g} sample periods after their "
              f"voltage; {left}")

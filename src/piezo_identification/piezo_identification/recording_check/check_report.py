@@ -90,7 +90,7 @@ def _distortion(check: RecordingCheck) -> list[tuple[str, str]]:
     text = f"noise of a period {found.noise_percent:.3g} %"
     for name, percent in ("even", found.even_percent), ("odd", found.odd_percent):
         least = "" if percent > found.significant_percent else (
-            f" not told from the noise, below {found.significant_percent:.2g} %")
+            f" not significant, below {found.significant_percent:.2g} %")
         text += f", {name} {percent:.3g} %{least}"
     return [("distortion", f"{text}; of the answer up to {found.frequency_hz[-1]:.4g} Hz")]
 

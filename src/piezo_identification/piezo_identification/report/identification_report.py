@@ -22,7 +22,7 @@ from piezo_models.identified_model import IdentifiedModel
 from piezo_recorder.reading.recording import Recording
 
 E_Y = ("e_y is the norm of the difference over the norm of the measured displacement without its "
-       "mean, in percent (4.20): 100 % is a model that says nothing.")
+       "mean, in percent (4.20): 100 % is a model without any prediction.")
 ERRORS = {"e_y_percent": "whole recording", "hysteresis_e_y_percent": "slow branches (hysteresis)",
           "dynamics_e_y_percent": "fast branches (dynamics)"}
 
@@ -66,7 +66,7 @@ def _on_fit(identified: IdentifiedModel) -> str:
     if not lacking:
         return "The model fits all its recordings down to their noise"
     worst = max(lacking.items(), key=lambda item: item[1]["error_percent"])
-    return (f"The model leaves more than the noise of its recordings: "
+    return (f"The residual is larger than the noise of the recordings: "
             f"{worst[1]['error_percent']:.2g} % of the {worst[0]}"
             + (" at most" if len(lacking) > 1 else ""))
 
@@ -86,8 +86,8 @@ def _parameters(identified: IdentifiedModel) -> Section:
         return Section("Parameters", [*told, "No linear dynamics were identified: the model is of "
                                       "the hysteresis alone."])
     return Section("Parameters", [
-        *told, "Standard deviations follow from the sensitivities of the fit and what it leaves. "
-        "The interval holds the parameter in 95 of 100 repeats, if what is left is white noise."],
+        *told, "Standard deviations follow from the sensitivities of the fit and its residual. "
+        "The interval holds the parameter in 95 of 100 repeats, if the residual is white noise."],
         table)
 
 
@@ -95,17 +95,17 @@ def _adequacy(identified: IdentifiedModel) -> Iterator[Section]:
     if not identified.adequacy:
         return
     rows: list[tuple[str, ...]] = [
-        ("component", "left (nm)", "noise (nm)", "left over noise", "e_y (%)", "verdict")]
+        ("component", "residual (nm)", "noise (nm)", "residual over noise", "e_y (%)", "verdict")]
     rows += [(name, f"{1e3 * part['residual_rms_um']:.3g}", f"{1e3 * part['noise_rms_um']:.3g}",
               f"{part['ratio']:.3g}", f"{part['error_percent']:.2g}", part["verdict"])
              for name, part in identified.adequacy.items()]
     told = [f"{name} is inadequate: {part['left']}. To do: {part['advice']}."
             for name, part in identified.adequacy.items() if part["verdict"] == INADEQUATE]
     yield Section("Does each component fit its recording?", [
-        "On the data that were fitted. What is left is the RMS of measured minus fitted "
+        "On the data that were fitted. The residual is the RMS of measured minus fitted "
         "displacement, of the mean period where the voltage repeats itself; the noise is that in "
-        "the same samples. A component is adequate if noise alone would leave as much, or if what "
-        "it leaves is below 0.002 % of the travel. " + E_Y, *told], rows)
+        "the same samples. A component is adequate if noise alone explains the residual, or if "
+        "the residual is below 0.002 % of the travel. " + E_Y, *told], rows)
 
 
 def _errors(identified: IdentifiedModel, validation: list[Data]) -> Iterator[Section]:

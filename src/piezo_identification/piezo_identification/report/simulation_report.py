@@ -35,7 +35,7 @@ def simulation_page(prediction: Prediction, origin: Sequence[str], told: Sequenc
     rows = [
         ("error", "value"),
         ("e_y (%)", f"{prediction.e_y_percent():.3g}"),
-        ("RMS of what is left (nm)", f"{1e3 * np.sqrt(np.mean(left_um**2)):.3g}"),
+        ("RMS of the residual (nm)", f"{1e3 * np.sqrt(np.mean(left_um**2)):.3g}"),
         ("largest (nm)", f"{1e3 * np.abs(left_um).max():.3g}"),
         ("noise of the sensor (nm)", f"{1e3 * noise_um:.3g}"),
         ("travel (um)", f"{np.ptp(prediction.measured_um[prediction.good]):.4g}"),
@@ -45,8 +45,8 @@ def simulation_page(prediction: Prediction, origin: Sequence[str], told: Sequenc
             Section("Errors", [
                 "e_y is the norm of the difference over the norm of the measured displacement "
                 "without its mean (4.20). Offset, initial creep and, as far as the recording does "
-                "not tell it, the past of the hysteresis are fitted. The noise is the least that "
-                "rests, repeats and the highest frequencies tell.", *told], rows),
+                "not show it, the past of the hysteresis are fitted. The noise is the lowest "
+                "estimate from rests, repeats and the highest frequencies.", *told], rows),
             Section("Measured and simulated", pictures=list(
                 prediction_pictures(prediction, deviation_um)))])
 
@@ -109,20 +109,20 @@ def prediction_pictures(prediction: Prediction,
     view = view_of(prediction.voltage_v, _sample_period_s(prediction))
     noise_um, left_um = noise_of(prediction), left_of(prediction)
     yield pictured("Displacement", displacement_figure(prediction, deviation_um, noise_um),
-                   f"Measured and simulated displacement, {view.title}; below, what is left; "
+                   f"Measured and simulated displacement, {view.title}; below, the residual; "
                    "dotted, twice the noise.", wide=True, closer=True)
     yield from _beside(prediction, view, left_um, noise_um)
     if view.is_mean:
         figure = new_figure(3.4)
         signals.draw_difference(figure.subplots(), view.whole(left_um.size), left_um, noise_um,
                                 deviation_um)
-        yield pictured("What is left over time", figure, "Measured minus simulated displacement "
+        yield pictured("Residual over time", figure, "Measured minus simulated displacement "
                        "of all samples; dotted, twice the noise, between which 95 % of it lies.",
                        closer=True)
     figure = new_figure(3.4)
     signals.draw_residual_spectrum(figure.subplots(), left_um, prediction.measured_um,
                                    view.sample_period_s, noise_um)
-    yield pictured("What is left over frequency", figure, "Density of what is left, and of the "
+    yield pictured("Residual over frequency", figure, "Density of the residual, and of the "
                    "measured displacement; dotted, white noise as large as the sensor's.",
                    closer=True)
 
@@ -159,7 +159,7 @@ def _loops(drawn: Sequence[FloatArray], noise_um: float, title: str) -> Picture:
     signals.draw_loop_difference(below, voltage_v, left_um, noise_um)
     above.set_xlabel("")
     return pictured("Loops", figure, f"Displacement over voltage, measured and simulated: {title}; "
-                    "below, what is left; dotted, twice the noise.", closer=True)
+                    "below, the residual; dotted, twice the noise.", closer=True)
 
 
 def _sample_period_s(prediction: Prediction) -> float:

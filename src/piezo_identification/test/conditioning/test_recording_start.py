@@ -86,6 +86,11 @@ def test_a_motion_at_the_start_is_told_from_noise(recorded):
     assert first_run_length(voltage_v) == 300
 
 
+def test_a_slow_ramp_is_no_motion_at_rest(recorded):
+    voltage_v = np.linspace(0.0, 100.0, 20_000)
+    assert motion_um_per_s(recorded("ramp", voltage_v, 0.1 * voltage_v, 0.01, 0.001)) == 0.0
+
+
 @pytest.mark.parametrize("late", [
     pytest.param(0, id="start of hold"),
     pytest.param(1, id="end of hold", marks=pytest.mark.long)])

@@ -76,7 +76,7 @@ def test_where_only_other_parameters_leave_noise_the_extended_model_has_them(pla
     diagnosis = diagnose(off, [record()])
     assert (diagnosis.verdict, diagnosis.effects) == ("none", [])
     assert diagnosis.after["rms_um"] < 2.0 * diagnosis.noise_floor_um < diagnosis.before["rms_um"]
-    assert "estimated anew" in verdict_sentence(diagnosis)
+    assert "estimated again" in verdict_sentence(diagnosis)
 
 
 @pytest.mark.kernels

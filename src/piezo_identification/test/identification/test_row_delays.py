@@ -34,7 +34,7 @@ def test_a_delay_of_a_third_of_a_row_is_told_as_far_as_the_noise_lets_it(noise_u
 
 def test_a_delay_of_several_rows_with_a_deviation_as_large_is_not_reported():
     text = told(RowDelay(0.0, 3.2, 2.9, PERIOD_S))
-    assert text.endswith("whether a delay is left is not identifiable from these rows")
+    assert text.endswith("a remaining delay is not identifiable from these rows")
     assert "3.2" not in text
     # That it differs from none by many deviations does not make rows tell it.
     assert not RowDelay(0.0, 5.0, 0.4, PERIOD_S).is_significant

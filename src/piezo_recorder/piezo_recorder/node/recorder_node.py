@@ -192,7 +192,7 @@ class Recorder(LifecycleNode):
                 ("paths", request.attachment_paths, True),
                 ("hashes", request.attachment_sha256, True)):
             if len(given) != count and (given or not may_lack):
-                return (f"{count} attachment names came with {len(given)} {what}: "
+                return (f"{count} attachment names were given with {len(given)} {what}: "
                         "give one for each.")
         try:
             path = self._path(request)
@@ -273,7 +273,7 @@ class Recorder(LifecycleNode):
             response.message = f"The recording was closed early: {session.ended_early}."
         elif late:
             response.message = (f"{late} samples up to {request.last_sample} had not arrived, "
-                                f"and none came for {ARRIVAL_TIMEOUT_S:g} s; the recording ends "
+                                f"and none arrived for {ARRIVAL_TIMEOUT_S:g} s; the recording ends "
                                 "before them.")
         response.success = not response.message
         response.path = session.path

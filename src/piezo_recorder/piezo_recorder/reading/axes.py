@@ -82,7 +82,7 @@ class AxesRecording:
 class ChannelsPart(Part):
     """An array of the channels of all axes."""
 
-    file: str = entry("NumPy file (.npy), beside the description.")
+    file: str = entry("NumPy file (.npy), next to the description.")
     unit: str = entry("Unit of its numbers, such as V, mV, um, nm or m.")
     signs: list[Number] = entry(
         "Sign or factor of each channel, such as [1, 1, -1]; 1 by default.", default=[])
@@ -195,7 +195,7 @@ def axes_recording_of(recording: Recording) -> AxesRecording:
         row = np.arange(len(recording.sample_index))
         part = recording.select((row >= played[0]) & (row <= played[-1]))
     if part.gaps:
-        raise RecordingError(f"{recording.path} lacks samples: record it again")
+        raise RecordingError(f"{recording.path} has gaps: record it again")
     settling, periods = _repeats_told(recording.attachments)
     first, equal = 0, periods - settling
     if settling and not len(part.voltage_v) % periods:
@@ -286,7 +286,8 @@ def axes_recordings_of_arrays(
                              f"to {MOST_AXES}, a name for each")
     displacements_um = _signed(displacements_um, signs, dimensions, name)
     if not (np.all(np.isfinite(voltages_v)) and np.all(np.isfinite(displacements_um))):
-        raise RecordingError(f"{name} holds a number that is not finite: mend it or leave it out")
+        raise RecordingError(
+            f"{name} holds a number that is not finite: correct it or leave it out")
     return [
         _with_hash(AxesRecording(
             name, tuple(axes), 1.0 / sample_rate_hz, voltage, displacement,
@@ -369,10 +370,10 @@ def _joined(name: str, axes: tuple[str, ...],
     for parts in zip(*by_axis, strict=True):
         first = parts[0]
         if any(not np.array_equal(part.sample_index, first.sample_index) for part in parts):
-            raise RecordingError(f"{name}: an axis lacks values that another one has: give rows "
+            raise RecordingError(f"{name}: an axis has no values where another one has: give rows "
                                  "with values of all axes")
         if first.gaps:
-            raise RecordingError(f"{name} lacks rows: give the parts between the gaps as files of "
+            raise RecordingError(f"{name} has gaps: give the parts between the gaps as files of "
                                  "their own")
         joined.append(_with_hash(AxesRecording(
             name, axes, first.sample_period_s,

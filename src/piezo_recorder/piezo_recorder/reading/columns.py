@@ -30,7 +30,7 @@ class RecordingColumn(Part):
     """Column that distinguishes the recordings of one file."""
 
     column: str = entry("Label of a column that numbers them; none where they are groups of the "
-                        "file, or where the time begins anew.", default="")
+                        "file, or where the time begins again.", default="")
     only: str = entry("The one to read; all by default.", default="")
 
 
@@ -46,7 +46,7 @@ class ColumnsDocument(Document):
     sample_rate_hz: Positive | None = entry(
         "Rows a second, for a file without a time.", unit="Hz", default=None)
     recording: RecordingColumn | None = entry(
-        "How several recordings in the file are told apart.", default=None)
+        "How several recordings in the file are distinguished.", default=None)
 
 
 GUESSED = ColumnsDocument()

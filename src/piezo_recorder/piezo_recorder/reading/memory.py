@@ -50,7 +50,7 @@ def recording_of(data: "Mapping[str, ArrayLike] | pandas.DataFrame | xarray.Data
     """
     found = recordings_in(data, columns, name)
     if len(found) > 1:
-        raise RecordingError(f"{name} holds {len(found)} recordings, as its time begins anew: "
+        raise RecordingError(f"{name} holds {len(found)} recordings, as its time begins again: "
                              "give one of them, or read all by recordings_in")
     return found[0]
 

@@ -170,7 +170,7 @@ def _axis(table: Table, sources: dict[str, SignalSource], signals: dict[str, np.
     assert rate_hz is not None  # otherwise a column of time is required
     axis = time_axis(rows / rate_hz, place, "the number of the row")
     return replace(axis, period_s=1.0 / rate_hz, notes=[
-        f"there is no time; {rate_hz:g} rows a second are assumed as told", *axis.notes])
+        f"there is no time; {rate_hz:g} rows a second are assumed as given", *axis.notes])
 
 
 def _in_unit(table: Table, source: SignalSource) -> np.ndarray:
@@ -198,8 +198,8 @@ def _rows_of_samples(table: Table, sources: dict[str, SignalSource],
             f"{table.place(row)}: {label} {what}: mend the value or cut the file there")
     notes = []
     if missing.size:
-        notes.append(f"{missing.size} rows lack a value, the first of them "
-                     f"{table.place(int(missing[0])).rpartition(', ')[2]}: they are left out")
+        notes.append(f"{missing.size} rows have no value, the first of them "
+                     f"{table.place(int(missing[0])).rpartition(', ')[2]}: they are skipped")
     rows = np.flatnonzero(good)
     if "time" in signals and rows.size:
         others = [values[rows] for signal, values in signals.items() if signal != "time"]
@@ -207,7 +207,7 @@ def _rows_of_samples(table: Table, sources: dict[str, SignalSource],
         if twice.any():
             notes.append(f"{int(twice.sum())} rows are there twice, the first of them "
                          f"{table.place(int(rows[twice][0])).rpartition(', ')[2]}: one of each is "
-                         "left out")
+                         "skipped")
         rows = rows[~twice]
     return rows, notes
 

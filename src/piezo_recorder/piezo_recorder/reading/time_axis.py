@@ -126,7 +126,7 @@ def time_axis(time_s: FloatArray, place: Callable[[int], str], label: str) -> Ti
         usual_s = float(np.median(steps_s))
         raise RecordingError(
             f"{place(row)}: {label} steps by {steps_s[row - 1]:g} s where {usual_s:g} s is usual: "
-            "sort the rows, or tell recordings in one file apart by a column that numbers them "
+            "sort the rows, or number the recordings of one file in a column "
             "(--columns recording=NAME)")
     if time_s[-1] <= time_s[0]:
         raise RecordingError(f"{place(1)}: {label} steps by 0 s in every row: give the time of "

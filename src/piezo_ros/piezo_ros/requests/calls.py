@@ -195,7 +195,7 @@ class ActionCaller:
                              CALL_TIMEOUT_S, self._settle_late())
         if not handle.accepted:
             raise CallFailed(f"{self._name} rejected the goal: its node is busy or not active, "
-                             "its log tells which")
+                             "its log states which")
         result = self._end(handle, lambda: bool(failures) or cancelled()).result
         if cancelled():
             return result
@@ -243,7 +243,7 @@ class ActionCaller:
         while sent.empty():
             _check_alive(self._node, self._name)
             if time.monotonic() - begin_s > CALL_TIMEOUT_S:
-                raise CallFailed(f"{self._name} was not asked within {CALL_TIMEOUT_S:g} s: this "
+                raise CallFailed(f"{self._name} was not called within {CALL_TIMEOUT_S:g} s: this "
                                  "node hangs, start it again")
             time.sleep(POLL_S / 10)
         return _await(sent.get, self._node, self._client.server_is_ready, self._name, timeout_s,

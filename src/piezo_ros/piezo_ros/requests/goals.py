@@ -161,7 +161,7 @@ class GoalServers(ManagedEntity):
         """Return whether a goal is accepted; the response has no field for a reason."""
         reason = ""
         if late := why_too_late(goal):
-            reason = f"is asked too late: {late}"
+            reason = f"was sent too late: {late}"
         elif self._why_ending or not self._active:
             reason = "is not active: activate it first"
         elif self.busy:

@@ -38,7 +38,7 @@ class RealTime:
         self._switch_interval_s = sys.getswitchinterval()
         self._raised: set[int] = set()
         self._locked = self._begun = False
-        self.told = "not asked for"
+        self.told = "not requested"
 
     def begin(self) -> None:
         """Raise the priority of all threads, lock the memory, and stop long garbage collections.

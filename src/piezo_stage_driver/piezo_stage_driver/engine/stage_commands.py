@@ -183,7 +183,7 @@ class StageCommands:
             return
         self._require_ready()
         if self._feedforward is None:
-            raise StageRefusal("no feedforward is loaded beside which the feedback law could act: "
+            raise StageRefusal("no feedforward is loaded that the feedback law could correct: "
                                "call load_feedforward first")
         self._law = law
 

@@ -167,5 +167,5 @@ class StageLoop:
         except Exception as error:  # of a vendor's library
             self.supervisor.give_up(f"the backend hangs, and cannot come to rest: {error}")
         else:
-            self.supervisor.give_up("the backend hung, and came to rest in its own way",
+            self.supervisor.give_up("the backend hung, and the amplifier went to rest",
                                     at_rest=True)

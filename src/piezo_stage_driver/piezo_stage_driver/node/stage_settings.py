@@ -154,8 +154,8 @@ class StageSettings:
              "Samples of one message of samples while nobody has to answer it; at least a tick.",
              1, 40000)
         take("real_time_priority", 40,
-             "Priority of the loop of a paced stage, from 1 to 99, with memory that stays; 0 asks "
-             "the system for neither.", 0, 99)
+             "Priority of the loop of a paced stage, from 1 to 99, with locked memory; 0 requests "
+             "neither.", 0, 99)
         take("joint_name", "stage", "Name of the joint in joint_states.")
         take("joint_state_rate_hz", 50.0,
              "Rate of joint_states (Hz), as far as blocks of samples come so often.", 0.1, 1000.0)

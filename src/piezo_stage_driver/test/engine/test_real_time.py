@@ -83,7 +83,7 @@ def test_no_priority_asks_the_system_for_nothing(system):
     real.begin()
     real.raise_loop()
     assert system == {"priorities": {}, "locked": None}
-    assert real.told == "not asked for"
+    assert real.told == "not requested"
     real.end()
 
 

@@ -19,7 +19,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the command."""
     parser = argparse.ArgumentParser(prog="changes_in_operation", description=__doc__)
     parser.add_argument("--page", type=Path, default=Path("docs/monitor.md"),
-                        help="page whose table is written anew; its text stays")
+                        help="page whose table is written again; its text stays")
     parser.add_argument("--output", type=Path, default=Path("runs/changes-in-operation"),
                         help="folder of the model; one that it has is taken as it is")
     parser.add_argument("--hours", type=float, default=10.0,

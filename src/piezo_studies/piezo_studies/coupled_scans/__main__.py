@@ -24,7 +24,7 @@ def main(arguments: list[str] | None = None) -> None:
     """
     parser = argparse.ArgumentParser(prog="coupled_scans", description=__doc__)
     parser.add_argument("--page", type=Path, default=Path("docs/several_axes.md"),
-                        help="page whose tables are written anew; its text stays")
+                        help="page whose tables are written again; its text stays")
     options = parser.parse_args(arguments)
     model = identified()
     print(model.summary(), file=sys.stderr, flush=True)

@@ -8,7 +8,7 @@ import yaml
 
 from piezo_sim.plant.named_plants import PLANTS
 
-SOURCE = "the demo: a change that the model is not told of"
+SOURCE = "the demo: a change that is hidden from the model"
 
 
 def with_faster_mode(plant, factor, begin_s):

@@ -142,7 +142,7 @@ class Session:
 
     def track(self, reference, model, duration_s, directory):
         """Rest, track a reference with composite control, and return the result of the action."""
-        self._show(f"track beside the monitor, {directory.name}")
+        self._show(f"track while the monitor watches, {directory.name}")
         rest(self.client, self.rest_v)
         return self.client.track(reference, model, "composite", duration_s, directory)
 

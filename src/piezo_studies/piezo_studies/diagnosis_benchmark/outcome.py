@@ -146,7 +146,7 @@ def _percent(part, whole):
 
 def as_text(document):
     """Return the summary as text."""
-    lines = ["what was there -> what came first (contributions above "
+    lines = ["what was there -> most probable effect (contributions above "
              f"{CLEAR:g} x noise; clean and outside the list: the verdict)"]
     for row, counts in document["confusion"].items():
         named = ", ".join(f"{name} {count}" for name, count in

@@ -79,11 +79,11 @@ class Ceiling:
             f"{1e3 * value:.3g} nm" for value in (self.left_um, self.predictable_um,
                                                   self.from_voltage_um, self.random_um))
         if self.predictable_um == 0.0:
-            return (f"Of the {left} left on held-out stretches no learner predicts any: it is "
-                    "random, or has a cause that voltage and displacement do not show.")
-        return (f"Of the {left} left on held-out stretches a learner predicts {told} from voltage, "
-                f"displacement and their past ({voltage} from the voltage alone): this part "
-                f"repeats and has no name yet. {other} are random.")
+            return (f"No learner predicts any of the residual of {left} on held-out stretches: it "
+                    "is random, or has a cause that voltage and displacement do not show.")
+        return (f"Of the residual of {left} on held-out stretches a learner predicts {told} from "
+                f"voltage, displacement and their past ({voltage} from the voltage alone): this "
+                f"part repeats and has no name yet. {other} are random.")
 
 
 def ceiling(regression: Regression, fit: Fit) -> Ceiling:

@@ -95,7 +95,7 @@ def noise_of_model(identified: IdentifiedModel) -> KnownNoise:
 
 def noise_of_residuals(regression: Regression) -> list[NoiseSource]:
     """Return the noise that each recording of a regression shows with the model."""
-    return [NoiseSource(noise_um, part.sample_period_s, f"{recording.path} beside the model",
+    return [NoiseSource(noise_um, part.sample_period_s, f"the residual of {recording.path}",
                         shows_noise(part.measured_um[part.begin :], part.voltage_v[part.begin :]))
             for recording, part, noise_um in zip(
                 regression.dataset.recordings, regression.dataset.simulated,

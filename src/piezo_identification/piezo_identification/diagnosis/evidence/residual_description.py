@@ -38,7 +38,7 @@ def _sentence(regression: Regression, fit: Fit, index: int) -> str:
     strongest = max(found, key=lambda dependence: dependence.share)
     worst = part.begin + int(np.argmax(np.abs(residual)))
     text = (
-        f"{part.path}: {1e3 * np.sqrt(np.mean(residual**2)):.3g} nm RMS beside "
+        f"{part.path}: {1e3 * np.sqrt(np.mean(residual**2)):.3g} nm RMS, against "
         f"{1e3 * noise.noise_um[index]:.3g} nm of noise; largest at "
         f"{part.time_s[worst]:.4g} s, {part.voltage_v[worst]:.4g} V; most of it from "
         f"{low:.3g} to {high:.3g} Hz, strongest at {peak_hz:.4g} Hz"

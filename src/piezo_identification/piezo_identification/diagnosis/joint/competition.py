@@ -202,7 +202,7 @@ def with_plain_model(competition: Competition, model: StageModel, new: Sequence[
         return competition
     regression = selection.regression
     left_um = regression.left_um(regression.as_given())
-    with while_time_lasts("effects beside a line and one mode"):
+    with while_time_lasts("effects added to a line and one mode"):
         check_cancelled()
         plain = plain_model(model, [*new, *old], left_um)
         if plain is None:

@@ -43,7 +43,7 @@ def diagnose_table(options: argparse.Namespace) -> None:
             print(f"{name}: {verdict} {effects}".rstrip() + again)
     for each in histories(rows, results):
         if each.since is not None:
-            print(f"stage {each.stage} lacks something since {each.since.date()}")
+            print(f"stage {each.stage}: its model lacks an effect since {each.since.date()}")
     for sentence in errors_of(results):
         print(f"{options.prog}: {sentence}", file=sys.stderr)
     print(f"report: {page}")

@@ -78,11 +78,11 @@ def fleet_section(found: Sequence[StageHistory]) -> Section:
     """Return the section of a page that compares the stages."""
     lacking = sum(each.since is not None for each in found)
     return Section("Stages", [
-        f"{lacking} of {len(found)} stages show something that their model lacks. Since: the first "
+        f"{lacking} of {len(found)} stages show an effect that their model lacks. Since: the first "
         "recording from which on each of a stage does. Error: RMS of the given model."],
         [FLEET_HEADS, *(each.row() for each in found)],
         [pictured("Errors of the stages", fleet_figure(found),
-                  "Error of the model in each recording; filled where the model lacks something.",
+                  "Error of the model in each recording; filled where the model lacks an effect.",
                   wide=True)])
 
 

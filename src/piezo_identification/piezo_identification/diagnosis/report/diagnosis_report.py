@@ -50,18 +50,18 @@ def _sentence(diagnosis: Diagnosis) -> str:
     names = " and ".join(map(name_of, diagnosis.effects))
     if diagnosis.verdict == "none":
         anew = "" if after == before else (
-            f", and {after:.3g} nm with its parameters estimated anew")
-        return f"The model lacks nothing that the data shows: {before:.3g} nm RMS are left{anew}."
+            f", and {after:.3g} nm with its parameters estimated again")
+        return f"The data shows no missing effect: {before:.3g} nm RMS remain{anew}."
     if diagnosis.verdict == "explained":
         if [entry["name"] for entry in diagnosis.effects] == ["outliers"]:
             # Outliers are excluded before and after; the model's own parameters differ.
-            return (f"The sensor has outliers: without them {before:.3g} nm RMS are left on "
+            return (f"The sensor has outliers: without them {before:.3g} nm RMS remain on "
                     f"held-out data, and {after:.3g} nm with the model tuned to the other samples.")
         return (f"The model lacks {names}: with it the error on held-out data falls from "
                 f"{before:.3g} to {after:.3g} nm RMS.")
-    beside = f" beside {names}" if names else ""
+    residual = f"With {names} a residual" if names else "A residual"
     compared = "effect compared until then" if diagnosis.not_tried else "known effect"
-    return (f"Something is left{beside} that no {compared} explains: {after:.3g} nm RMS on "
+    return (f"{residual} remains that no {compared} explains: {after:.3g} nm RMS on "
             f"held-out data.")
 
 
@@ -126,7 +126,7 @@ def _on_intervals(diagnosis: Diagnosis) -> Iterator[str]:
     if stand_ins:
         yield (f"What the model lacks behaves like {' and '.join(stand_ins)}, which fits but "
                "cannot be believed: a parameter ended at its bound, the probability is below "
-               f"{LEAST_PROBABILITY:g}, or it contributes less than the noise beside a stronger "
+               f"{LEAST_PROBABILITY:g}, or it contributes less than the noise next to a stronger "
                "effect. So there is no interval.")
 
 
@@ -175,16 +175,16 @@ def _left(diagnosis: Diagnosis) -> Iterator[Section]:
     if diagnosis.ceiling is not None:
         ceiling = {name: 1e3 * value for name, value in diagnosis.ceiling.items()}
         told.append(
-            "The ceiling: a learner that knows nothing of stages predicts what is left from "
+            "The ceiling: a learner that knows nothing of stages predicts the residual from "
             "voltage, displacement and their past, on data held out. What it predicts is "
             "deterministic and has no name yet; the rest is random.")
-        rows = [("part of what is left", "RMS (nm)"), *(
+        rows = [("part of the residual", "RMS (nm)"), *(
             (what, f"{ceiling[name]:.3g}") for what, name in (
                 ("predictable by a learner", "predictable_um"),
                 ("predictable from the voltage alone", "from_voltage_um"),
                 ("random", "random_um")))]
     if told:
-        yield Section("What is left", told, rows)
+        yield Section("Residual", told, rows)
 
 
 def _recording(diagnosis: Diagnosis, part: SimulatedRecording, before_um: FloatArray,
@@ -227,10 +227,10 @@ def _on_whiteness(diagnosis: Diagnosis, part: SimulatedRecording, after_um: Floa
     extended = "after the extension " if diagnosis.effects else ""
     return [*told, (
         f"That {100.0 * test.share_outside:.0f} % do {extended}is no contradiction to "
-        f"the verdict. The test asks whether what is left is noise alone, not how large it is: of "
-        f"{after_um.size - part.begin} samples it sees a correlation of {test.band:.2g}. What is "
-        f"left here is {1e3 * left_um:.3g} nm beside a noise of {1e3 * noise_um:.3g} nm, within "
-        "what a model identified on noisy data may be wrong by.")]
+        f"the verdict. The test asks whether the residual is noise alone, not how large it is: of "
+        f"{after_um.size - part.begin} samples it sees a correlation of {test.band:.2g}. The "
+        f"residual is {1e3 * left_um:.3g} nm at a noise of {1e3 * noise_um:.3g} nm, within "
+        "the error that a model identified on noisy data may have.")]
 
 
 def _tests_table(part: SimulatedRecording, before_um: FloatArray,
@@ -250,8 +250,8 @@ def _tests_table(part: SimulatedRecording, before_um: FloatArray,
 def _tried(selection: Selection) -> Iterator[Section]:
     yield Section("What was tried", (
         "Significance is in standard deviations of a gain by chance; more than "
-        f"{CRITERIA.significant:g} are asked for. The tolerance is the noise and what a "
-        "good model may be wrong by.",))
+        f"{CRITERIA.significant:g} are required. The tolerance is the noise and the "
+        "error that a good model may have.",))
     for number, attempts in enumerate(selection.rounds, 1):
         rows: list[tuple[str, ...]] = [
             ("candidate", "error reduction (%)", "significance", "size / tolerance", "outcome")]
@@ -268,12 +268,12 @@ def _outcome(attempt: Attempt, best: Attempt, selection: Selection) -> str:
     """Return the outcome of a candidate in words."""
     added = {effect.name for effect in selection.end.effects}
     if attempt.fit is None:
-        among = "added already" if attempt.name in added else "nothing hints at it"
+        among = "added already" if attempt.name in added else "no initial guess was found"
         return attempt.undecided.sentence if attempt.undecided else among
     if attempt.name in added:
         return "added" if attempt is best else "added in the end"
     if attempt.name in selection.indistinguishable:
-        return f"cannot be told from {selection.indistinguishable[attempt.name]}"
+        return f"cannot be distinguished from {selection.indistinguishable[attempt.name]}"
     if attempt.undecided:
         return attempt.undecided.sentence
     if attempt.reduction_percent <= 0.0:
@@ -306,8 +306,8 @@ def _would_decide(diagnosis: Diagnosis) -> Iterator[Section]:
             "both recordings together. The probability that one explanation has more than 95 % "
             f"afterwards is {_percent(chance)} %."]
     if chance < UNLIKELY:
-        told.append("No waveform of the families that were tried tells the explanations apart more "
-                    "surely: within these limits the stage does not show which one is right.")
+        told.append("No waveform of the families that were tried decides between them more surely: "
+                    "within these limits the stage does not show which one is right.")
     rows: list[tuple[str, ...]] = [(
         "if it lacks", "probability (%)", "probability that this is decided (%)",
         "RMS difference from the others (nm)")]
@@ -332,9 +332,9 @@ def _other_parameters(before: StageModel, after: StageModel) -> Section:
     if density[0]:
         rows.append(("density of the hysteresis, sum", *map(_number, density),
                      f"{100.0 * (density[1] / density[0] - 1.0):+.2f}"))
-    return Section("What changed beside", (
+    return Section("Changes of the model's own parameters", (
         "Without the effects the model's own parameters had been fitted to make up for them. "
-        "Beside the effects they were free to move as far as they are uncertain.",), rows)
+        "With the effects they were free to change within their uncertainty.",), rows)
 
 
 def _number(value: float | Sequence[float], digits: int = 5) -> str:

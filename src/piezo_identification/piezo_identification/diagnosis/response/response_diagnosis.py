@@ -187,7 +187,8 @@ def _told(problem: ResponseProblem, selection: ResponseSelection,
     is_changed = bool(effects) or selection.is_explained and not is_explained(problem, given)
     final = selection.fit if is_changed else given
     faults = [wrong_sign(problem.measured.path)] if is_reversed else []
-    undecided = {name: Undecided(Reason.LIKE_ANOTHER, f"the response does not tell it from {found}")
+    undecided = {name: Undecided(Reason.LIKE_ANOTHER,
+                                 f"the response does not distinguish it from {found}")
                  for name, found in selection.not_told_from.items()} | selection.refused
     verdict, left = "explained" if effects else "none", ""
     if not selection.is_explained:

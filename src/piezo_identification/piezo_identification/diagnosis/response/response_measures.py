@@ -86,7 +86,7 @@ def describe_residual(problem: ResponseProblem, fit: ResponseFit) -> str:
     return (
         f"What remains is {held_out_errors(problem, fit)['rms_um'] / problem.noise:.3g} times the "
         "noise that neighbouring frequencies show. "
-        f"Left is {np.sqrt(np.mean(left)):.3g} times the tolerance of "
+        f"The residual is {np.sqrt(np.mean(left)):.3g} times the tolerance of "
         f"{100 * SETTINGS.tolerance:g} % and the noise, most of it from {low_hz:.3g} to "
         f"{high_hz:.3g} Hz, largest at {frequency_hz[worst]:.4g} Hz."
     )

@@ -186,8 +186,8 @@ class _Problem:
                          settling_s / 3.0)
         if self.rows < 20 or 0.3 / longest_s >= 0.5 / shortest_s:
             raise ValueError(
-                f"{parts[0].path} leaves too little beside the {settling_s:.3g} s after each "
-                "jump, too fast to show creep: give the recording of a creep experiment")
+                f"{parts[0].path} has too few samples apart from the {settling_s:.3g} s after each "
+                "jump, which are too fast to show creep: give the recording of a creep experiment")
         self.rates = np.log([0.3 / longest_s, 1.0 / shortest_s])
         self.gains = np.log(GAINS)
 

@@ -150,7 +150,7 @@ def _signals(
         left = part.voltage_v.size - LATE_ROWS - first
         if left < FEWEST_SAMPLES:
             raise ValueError(
-                f"{part.path} leaves {max(left, 0)} samples after its start has settled, "
+                f"{part.path} has {max(left, 0)} samples after its start has settled, "
                 f"fewer than {FEWEST_SAMPLES}: record the dynamics longer or faster")
     return joined_signals(parts, inputs, first_kept, creep)
 

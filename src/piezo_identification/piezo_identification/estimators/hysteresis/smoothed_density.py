@@ -151,8 +151,9 @@ def density_of_segments(
     elif smoothing_weight is None:
         choice, plays, segments, parts = _choice_for(
             segments, levels_v, translation_weight, near)
-        if size % 2 == 0 and size >= 2 * CELLS_FOR_THE_WEIGHT and (
-                plays is not None or not has_time_for("a density of more cells", WEIGHTS)):
+        is_fine = plays is None and (whole_plane or _many(segments, size))
+        if size % 2 == 0 and size >= 2 * CELLS_FOR_THE_WEIGHT and not (
+                is_fine and has_time_for("a density of more cells", WEIGHTS)):
             # A smooth density needs fewer cells.
             levels_v, size = levels_v[::2], size // 2
             parts = parts if plays is None else 2 * parts

@@ -90,12 +90,12 @@ def _remarks(findings: Findings, limits: StageLimits, percent: Mapping[str, floa
     if response.settling_s * rate_hz < FEWEST_SETTLING_SAMPLES:
         remarks.append(
             f"the stage settles within {FEWEST_SETTLING_SAMPLES:g} samples of {1.0 / rate_hz:.2g} "
-            "s: its fast motion cannot be told apart; use a faster clock")
+            "s: its fast motion cannot be resolved; use a faster clock")
     if model_percent > NOTABLE_PERCENT:
         worst = max(percent, key=percent.__getitem__)
         remarks.append(
-            f"the noise of {findings.rest.noise_rms_um:.2g} um leaves about "
-            f"{model_percent:.2g} % in the model after {duration_s / 60.0:.3g} min of "
+            f"the noise of {findings.rest.noise_rms_um:.2g} um causes about "
+            f"{model_percent:.2g} % error of the model after {duration_s / 60.0:.3g} min of "
             f"experiments, most of it in the {worst}: only four times that time would halve it; "
             "use a quieter sensor")
     if findings.creep.time_s and not findings.creep.ended:
