@@ -67,10 +67,11 @@ def test_architecture_lists_every_package_and_help_every_target_that_a_page_name
     assert set(re.findall(r"`make ([a-z-]+)", pages)) <= told
 
 
-def test_index_of_the_docs_lists_every_page():
-    index = (ROOT / "docs" / "README.md").read_text(encoding="utf-8")
-    linked = set(re.findall(r"\]\(([\w./]+\.md)\)", index))
-    pages = {path.name for path in ROOT.glob("docs/*.md")} - {"README.md"}
+@pytest.mark.parametrize("index", sorted(ROOT.glob("docs/**/README.md")),
+                         ids=lambda index: index.parent.name)
+def test_index_of_a_folder_of_the_docs_lists_every_page(index):
+    linked = set(re.findall(r"\]\(([\w./]+\.md)\)", index.read_text(encoding="utf-8")))
+    pages = {path.name for path in index.parent.glob("*.md")} - {"README.md"}
     assert pages <= linked
 
 
