@@ -53,9 +53,9 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print usage and message, and exit."""
-        lacking = "required" in message and "--model" in message
+        needs_model = "required" in message and "--model" in message
         super().error(message + (
-            f"; identify makes a model: {IDENTIFY}" if lacking else ""))
+            f"; identify makes a model: {IDENTIFY}" if needs_model else ""))
 
 
 def _parser() -> argparse.ArgumentParser:

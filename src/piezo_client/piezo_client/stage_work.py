@@ -29,9 +29,9 @@ def drive(options: argparse.Namespace) -> int:
     for number in signal.SIGINT, signal.SIGTERM:
         signal.signal(number, signal.default_int_handler)
     progress = ProgressLine()
-    lacking = _shortfall(getattr(options, "model", None))
-    if lacking:
-        print(lacking, flush=True)
+    shortfall = _shortfall(getattr(options, "model", None))
+    if shortfall:
+        print(shortfall, flush=True)
     try:
         with Stage(options.namespace, progress.show, options.wait_s) as stage:
             lines = WORK[options.command](stage, options)
@@ -161,8 +161,8 @@ def _accept(stage: Stage, options: argparse.Namespace) -> list[str]:
     if not model or extended is None:
         raise ValueError("the monitor offers no model: give --model and --extended-model, or look "
                          "at its diagnostics")
-    told = [offer.sentence] if offer is not None and extended is offer else []
-    return [*told, stage.accept_extended_model(model, extended),
+    sentences = [offer.sentence] if offer is not None and extended is offer else []
+    return [*sentences, stage.accept_extended_model(model, extended),
             _next(options, "track", "--model", model, "--output", "<DIR>")]
 
 

@@ -186,13 +186,13 @@ def next_line(prog: str, package: str, name: str, *arguments: object) -> str:
     >>> next_line("piezo design", "piezo_client", "stage", "reset")
     'next, where ROS 2 runs the stage: ros2 run piezo_client stage reset'
     """
-    said, words = "next:", ["./run", package, name]
+    prefix, words = "next:", ["./run", package, name]
     if prog.startswith(f"{UMBRELLA} "):
         words = [UMBRELLA, name]
         if package == OF_THE_STAGE:
-            said, words = "next, where ROS 2 runs the stage:", ["ros2", "run", package, name]
+            prefix, words = "next, where ROS 2 runs the stage:", ["ros2", "run", package, name]
     typed = [word if word.startswith("<") else shlex.quote(word) for word in map(str, arguments)]
-    return " ".join([said, *words, *typed])
+    return " ".join([prefix, *words, *typed])
 
 
 def print_progress(stage: str, fraction: float) -> None:

@@ -82,11 +82,11 @@ def to_control(model: StageModel, sample_period_s: float | None = None, lags: bo
     array([  -25.1+1256.7j,   -25.1-1256.7j, -1000. +0.j ])
     """
     system = model.linear()
-    beside = [effect for effect in model.effects if effect.place not in IN_LINEAR]
-    found = {index: effect.lag() for index, effect in enumerate(beside)} if lags else {}
+    nonlinear = [effect for effect in model.effects if effect.place not in IN_LINEAR]
+    found = {index: effect.lag() for index, effect in enumerate(nonlinear)} if lags else {}
     for lag in found.values():
         system = system if lag is None else lag * system
-    left_out = [effect.name for index, effect in enumerate(beside) if found.get(index) is None]
+    left_out = [effect.name for index, effect in enumerate(nonlinear) if found.get(index) is None]
     left_out += [name for name, part in (("hysteretic_creep", model.hysteretic_creep),
                                          ("first_rise", model.first_rise)) if part is not None]
     if left_out:

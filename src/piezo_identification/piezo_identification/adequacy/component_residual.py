@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import BoolArray, FloatArray
-from piezo_identification.adequacy.generator_residual import left_of_generator
+from piezo_identification.adequacy.generator_residual import generator_residual_um
 from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.generator_edges import (
     free_running_level,
@@ -158,7 +158,7 @@ def _of_square_wave(
     edges, own_um = generator_edges(wave), None
     has_exact_answer = samples == 1 and not model.effects_at("voltage") and not system.D.any()
     if edges is not None and component == "dynamics" and has_exact_answer:
-        own_um = left_of_generator(
+        own_um = generator_residual_um(
             system, HeldInput(wave.level, part.sample_period_s, False), behind_s + delay_s,
             edges, measured_um, beside, good)
     elif (own := free_running_level(wave)) is not None:

@@ -140,7 +140,7 @@ def _eliminated(count: int, equations: ComplexArray | FloatArray) -> FloatArray:
 
 
 def transient_basis(spectrum: Spectrum, steps: ComplexArray) -> ComplexArray:
-    """Return the spectra of what is left from before a recording and beyond it."""
+    """Return the spectra of the transients at both ends of a recording."""
     z = spectrum.z
     return np.hstack([mode_basis(z, steps), z[:, None] ** np.arange(spectrum.ahead + 1)])
 

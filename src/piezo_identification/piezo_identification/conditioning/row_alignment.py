@@ -76,8 +76,8 @@ class RowDelay:
 
     def fields(self) -> dict[str, float]:
         """Return the numbers by their names in a model file; the delay only if identifiable."""
-        told = {"delay_s": self.delay_s} if self.is_identifiable else {}
-        return {"read_at_samples": self.read_at_samples, **told,
+        delay = {"delay_s": self.delay_s} if self.is_identifiable else {}
+        return {"read_at_samples": self.read_at_samples, **delay,
                 "standard_deviation_s": self.standard_deviation_s}
 
 

@@ -42,7 +42,7 @@ def component_pictures(evidence: ComponentEvidence) -> Iterator[Picture]:
 
 
 def fit_picture(evidence: ComponentEvidence) -> Picture:
-    """Return the fit of a component beside its recording."""
+    """Return the fit of a component with its recording."""
     name = f"Fit of the {evidence.name}"
     if evidence.is_response:
         return pictured(name, _response(evidence), "Measured frequency response at the travel of "
@@ -64,12 +64,12 @@ def _fit(evidence: ComponentEvidence) -> tuple[Figure, str]:
     if evidence.component == "hysteresis" and not view.has_levels and (
             not view.kind.is_broadband):
         signals.draw_loops(above, residual.voltage_v, residual.measured_um, evidence.fitted_um)
-        signals.draw_loop_difference(below, residual.voltage_v, evidence.left_um,
+        signals.draw_loop_difference(below, residual.voltage_v, evidence.residual_um,
                                      evidence.noise_um)
         above.set_xlabel("")
         return figure, "Loops, measured and modelled; below, the residual, and twice the noise."
     signals.draw_measured(above, view, residual.measured_um, evidence.fitted_um)
-    signals.draw_difference(below, view, evidence.left_um, evidence.noise_um)
+    signals.draw_difference(below, view, evidence.residual_um, evidence.noise_um)
     above.set_xlabel("")
     of_mean = ", and twice the noise in a mean of so many periods" if view.is_mean else ""
     return figure, f"Measured and modelled, {view.title}; below, the residual{of_mean}."
@@ -79,14 +79,14 @@ def _over_time(evidence: ComponentEvidence) -> Figure:
     figure = new_figure(3.0)
     axes = figure.subplots()
     whole = evidence.view.whole(evidence.residual.time_s.size)
-    signals.draw_difference(axes, whole, evidence.left_um, evidence.noise_um)
+    signals.draw_difference(axes, whole, evidence.residual_um, evidence.noise_um)
     return figure
 
 
 def _over_frequency(evidence: ComponentEvidence) -> Figure:
     figure = new_figure(3.6)
     signals.draw_residual_spectrum(
-        figure.subplots(), evidence.left_um, evidence.residual.measured_um,
+        figure.subplots(), evidence.residual_um, evidence.residual.measured_um,
         evidence.residual.sample_period_s, evidence.noise_um)
     return figure
 
@@ -95,12 +95,12 @@ def _response(evidence: ComponentEvidence) -> Figure:
     residual = evidence.residual
     assert residual.frequency_hz is not None
     half = residual.frequency_hz.size // 2
-    measured, fitted, left = (values[:half] + 1j * values[half:] for values in (
+    measured, fitted, residuals = (values[:half] + 1j * values[half:] for values in (
         residual.measured_um, evidence.fitted_um, residual.residual_um))
     figure = new_figure(4.4)
     axes = figure.subplots()
     for values, style in ((measured, MEASURED), (fitted, MODELLED),
-                          (left, {"color": BLACK, "linewidth": 0.8, "label": "residual"})):
+                          (residuals, {"color": BLACK, "linewidth": 0.8, "label": "residual"})):
         axes.loglog(residual.frequency_hz[:half], np.abs(values), **style)
     axes.legend(loc="lower left")
     label(axes, "frequency (Hz)", "magnitude (um)")
@@ -132,10 +132,10 @@ def density_picture(identified: IdentifiedModel) -> Picture:
     density_on(axes, identified.model.hysteresis, identified.visited)
     axes.set_aspect("equal")
     visited = identified.visited
-    told = ""
+    coverage = ""
     if visited is not None:
-        told = f" The recordings visited {100.0 * visited_fraction(visited):.0f} % of the plane"
-        told += "." if np.all(visited[np.tril_indices(len(visited))]) else (
+        coverage = f" The recordings visited {100.0 * visited_fraction(visited):.0f} % of the plane"
+        coverage += "." if np.all(visited[np.tril_indices(len(visited))]) else (
             "; in the hatched rest the density is a continuation.")
     return pictured("Density", figure, "Density of the relays over the voltages at which they "
-                    f"switch.{told}", tall=True, closer=True)
+                    f"switch.{coverage}", tall=True, closer=True)

@@ -75,10 +75,10 @@ def draw_difference(axes: Axes, view: WaveformView, difference_um: FloatArray,
         axes.fill_between(x, -high, high, color=BLUE, alpha=0.2, linewidth=0.0,
                           label="outside the identification")
         axes.legend(loc="upper right")
-    left_nm = NANOMETRES * view.mean(difference_um)
+    residual_nm = NANOMETRES * view.mean(difference_um)
     # Many points would merge into a solid block, so their envelope is drawn.
-    style: dict[str, Any] = DIFFERENCE if left_nm.size <= MOST_POINTS else ENVELOPE
-    axes.plot(*outline(view.time, left_nm), **style)
+    style: dict[str, Any] = DIFFERENCE if residual_nm.size <= MOST_POINTS else ENVELOPE
+    axes.plot(*outline(view.time, residual_nm), **style)
     if noise_um is not None and np.isfinite(noise_um):
         draw_noise(axes, noise_um / np.sqrt(view.periods))
     label(axes, view.time_label, "residual (nm)")
@@ -144,8 +144,8 @@ def draw_creep(above: Axes, below: Axes, steps: NDArray[np.intp], voltage_v: Flo
     above.legend(loc="upper left")
     label(above, y="creep (um)", title=f"mean of {count} steps, falling ones turned round"
           if count > 1 else "after one step")
-    left_um = (measured - modelled)[shown]
-    below.semilogx(since_s[shown], NANOMETRES * (left_um - left_um.mean()), **DIFFERENCE)
+    residual_um = (measured - modelled)[shown]
+    below.semilogx(since_s[shown], NANOMETRES * (residual_um - residual_um.mean()), **DIFFERENCE)
     label(below, "time since the step (s)", "residual (nm)")
     plain_numbers(below.xaxis)
 

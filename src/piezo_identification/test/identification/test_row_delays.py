@@ -6,14 +6,14 @@ import pytest
 
 from piezo_identification.conditioning.row_alignment import RowDelay, remaining_delay
 from piezo_identification.estimators.estimate import DelayEstimate
-from piezo_identification.identification.row_delays import tell_row_delays
+from piezo_identification.identification.row_delays import report_row_delays
 
 PERIOD_S = 0.5
 
 
 def told(row):
     texts = []
-    tell_row_delays({"hysteresis": row}, texts.append)
+    report_row_delays({"hysteresis": row}, texts.append)
     return texts[0]
 
 

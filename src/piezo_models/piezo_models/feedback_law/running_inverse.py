@@ -40,7 +40,7 @@ class RunningInverse:
 
         Returns
         -------
-        mean_v, lacking_v : float
+        mean_v, clipped_v : float
             Mean of `feedback_v`, and of what its bounds cut off (V).
         """
         self._make_room(len(planned_v))

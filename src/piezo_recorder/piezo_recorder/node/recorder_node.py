@@ -187,11 +187,11 @@ class Recorder(LifecycleNode):
         if self._recording:
             return f"{self._recording.path} is being recorded: stop it first."
         count = len(request.attachment_names)
-        for what, given, may_lack in (
+        for what, given, is_optional in (
                 ("contents", request.attachment_contents, False),
                 ("paths", request.attachment_paths, True),
                 ("hashes", request.attachment_sha256, True)):
-            if len(given) != count and (given or not may_lack):
+            if len(given) != count and (given or not is_optional):
                 return (f"{count} attachment names were given with {len(given)} {what}: "
                         "give one for each.")
         try:

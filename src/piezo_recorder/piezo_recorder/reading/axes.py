@@ -24,7 +24,7 @@ from piezo_recorder.reading.reader import (
     read_recordings,
 )
 from piezo_recorder.reading.recording import Recording, RecordingError
-from piezo_recorder.reading.tables.array_files import damage_told
+from piezo_recorder.reading.tables.array_files import damage_reported
 from piezo_recorder.reading.tables.file_kinds import read_tables
 from piezo_recorder.reading.tables.table import no_progress
 from piezo_recorder.reading.units import scale_of
@@ -128,7 +128,7 @@ def is_of_axes(path: str | PathLike[str]) -> bool:
     with open(path, "rb") as file:
         head = file.read(HEAD_BYTES)
     if head.startswith(ZIP_MAGIC):
-        with damage_told(path, "NumPy file"), zipfile.ZipFile(path) as archive:
+        with damage_reported(path, "NumPy file"), zipfile.ZipFile(path) as archive:
             head = " ".join(archive.namelist()).encode()
     text = head.decode(errors="replace")
     if path.suffix.lower() in (".yaml", ".yml"):
@@ -196,7 +196,7 @@ def axes_recording_of(recording: Recording) -> AxesRecording:
         part = recording.select((row >= played[0]) & (row <= played[-1]))
     if part.gaps:
         raise RecordingError(f"{recording.path} has gaps: record it again")
-    settling, periods = _repeats_told(recording.attachments)
+    settling, periods = _declared_repeats(recording.attachments)
     first, equal = 0, periods - settling
     if settling and not len(part.voltage_v) % periods:
         first = len(part.voltage_v) // periods * settling
@@ -205,11 +205,11 @@ def axes_recording_of(recording: Recording) -> AxesRecording:
         part.displacement_um[first:], equal if first else 0, notes=tuple(recording.notes)))
 
 
-def _repeats_told(attachments: Mapping[str, bytes]) -> tuple[int, int]:
+def _declared_repeats(attachments: Mapping[str, bytes]) -> tuple[int, int]:
     """Return the number of settling repeats, and of all repeats; 0 and 1 if they are unknown."""
     try:
-        told = json.loads(attachments.get(PARAMETERS, b"{}"))
-        return int(told.get("settling_repeats", 0)), int(told.get("repeats", 1))
+        parameters = json.loads(attachments.get(PARAMETERS, b"{}"))
+        return int(parameters.get("settling_repeats", 0)), int(parameters.get("repeats", 1))
     except (ValueError, TypeError, AttributeError):
         return 0, 1
 
@@ -335,7 +335,7 @@ def _array(path: Path, document: ArraysDocument, signal: str) -> np.ndarray:
     file = path.parent / part.file
     if not file.is_file():
         raise RecordingError(f"{path} names {part.file}, which is missing: copy it there")
-    with damage_told(file, "NumPy file"):
+    with damage_reported(file, "NumPy file"):
         values = np.load(file).astype(float)
     return _signed(values, part.signs, document.dimensions, f"{path}: {signal}") * scale_of(
         signal, part.unit)

@@ -60,10 +60,10 @@ class DescribedStage:
     def contradiction(self) -> str:
         """Parameters of this node that contradict the stage; empty if there are none."""
         return "; ".join(
-            f"parameter {name} is {value}, but {self.topic} publishes {told}: "
+            f"parameter {name} is {value}, but {self.topic} publishes {published}: "
             "set it at the stage alone"
             for name, value in self._given.items()
-            if self._heard is not None and value != (told := getattr(self._heard, name)))
+            if self._heard is not None and value != (published := getattr(self._heard, name)))
 
     @property
     def too_many_axes(self) -> str:

@@ -118,9 +118,9 @@ class OnboardFeedback:
         """Return planned voltages with the feedback that acts, shape (n,), in V."""
         return planned_v + self._law.begin(planned_v)
 
-    def limit(self, lacking_v: np.ndarray) -> None:
+    def limit(self, clipped_v: np.ndarray) -> None:
         """Take the correction by the limits to the last result of `add`, shape (n,), in V."""
-        self._law.correct(float(lacking_v.mean()))
+        self._law.correct(float(clipped_v.mean()))
 
     def take_sample(self, displacement_um: np.ndarray) -> None:
         """Take the sample that was measured while the last one was played, shape (1,)."""

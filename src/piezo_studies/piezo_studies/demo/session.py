@@ -38,9 +38,9 @@ class RunningGoal:
     def __init__(self, client, name, show, **fields):
         self._client, self._name, self._show = client, name, show
         self._waits, self.stage = False, ""
-        self._ended = client.send(name, self._tell, **fields).get_result_async()
+        self._ended = client.send(name, self._report, **fields).get_result_async()
 
-    def _tell(self, feedback):
+    def _report(self, feedback):
         self.stage = feedback.stage
         if self._waits:
             self._show(feedback)

@@ -76,7 +76,7 @@ class KnownNoise:
         """Return whether the noise for a sample period is known, not only bounded."""
         return any(source.at(period_s).is_shown for source in self.sources)
 
-    def beside(self, sources: Sequence[NoiseSource]) -> "KnownNoise":
+    def including(self, sources: Sequence[NoiseSource]) -> "KnownNoise":
         """Return the noise with more sources."""
         return replace(self, sources=(*self.sources, *sources))
 

@@ -48,17 +48,17 @@ def expected_errors(findings: Findings, limits: StageLimits,
     creep, dynamics, hysteresis = (
         parameters[name] for name in ("creep", "dynamics", "hysteresis"))
 
-    def left_percent(travel_v: float, samples: float) -> float:
+    def error_percent(travel_v: float, samples: float) -> float:
         noise_um = findings.rest.of_mean_um(max(1, round(samples)))
         return float(100.0 * noise_um / (travel_v * gain_um_per_v))
 
     # The fastest creep appears after both steps, from one to about ten settling times.
     percent = {
-        "creep": left_percent(
+        "creep": error_percent(
             creep["swing_v"], 10.0 * findings.response.settling_s * rate_hz),
-        "dynamics": left_percent(
+        "dynamics": error_percent(
             dynamics["swing_v"], dynamics["duration_s"] / dynamics["period_s"]),
-        "hysteresis": left_percent(
+        "hysteresis": error_percent(
             limits.span_v,
             hysteresis["harmonic_period_s"] * rate_hz / (2 * hysteresis["level_count"])),
     }
