@@ -57,7 +57,7 @@ bench: extras ## measure speed and accuracy beside peers
 	@$(in_environment) .venv/bin/python benchmarks/run.py
 
 SECONDS_OF_PACE ?= 600
-paced: setup ## pace the loop on board for SECONDS_OF_PACE idle and busy, in pieces; writes docs
+paced: setup ## pace the loop on board for SECONDS_OF_PACE idle and busy; writes docs/studies/paced_loop.md
 	@$(in_environment) .venv/bin/python benchmarks/paced_table.py $(SECONDS_OF_PACE)
 
 DATA ?= ../shared/data
