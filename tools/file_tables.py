@@ -29,6 +29,7 @@ DOCUMENTS = {
     "calibration": "piezo_stage_driver.backends.calibration:Calibration",
     "axes_calibration": "piezo_stage_driver.backends.calibration:AxesCalibration",
     "pi_gcs": "piezo_stage_driver.backends.pi_gcs_stage:PiSettings",
+    "axes_pi_gcs": "piezo_stage_driver.backends.pi_gcs_stage:PiAxesSettings",
     "nv200": "piezo_stage_driver.backends.nv200_stage:Nv200Settings",
     "columns": "piezo_recorder.reading.columns:ColumnsDocument",
     "arrays": "piezo_recorder.reading.axes:ArraysDocument",

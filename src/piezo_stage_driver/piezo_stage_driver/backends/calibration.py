@@ -1,17 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Calibration file of a stage behind a data acquisition card."""
 
-import re
 from os import PathLike
 from typing import ClassVar, TypeVar
 
 import numpy as np
 from pydantic import model_validator
 
-from piezo_common.regular_file import UnreadableFile
-from piezo_common.schema import Document, Number, Part, SchemaError, entry, parsed, violation
-from piezo_common.schema.checking import quoted
-from piezo_common.text_file import read_bounded_text
+from piezo_common.schema import Document, Number, Part, SchemaError, entry, violation
+from piezo_stage_driver.backends.axes_file import check_axes, load_axes_file
 
 # Terminal configurations of NI-DAQmx.
 TERMINALS = ("DEFAULT", "DIFF", "RSE", "NRSE", "PSEUDO_DIFF")
@@ -116,14 +113,10 @@ class AxesCalibration(Document):
     def _check_axes(self) -> "AxesCalibration":
         first = next(iter(self.axes.values()))
         for axis, own in self.axes.items():
-            if not re.fullmatch("[a-z][a-z0-9]*", axis):
-                raise violation(f"has the name {quoted(axis)}", "give short ones such as x", "axes")
             if own.device != first.device:
                 raise violation(f"is on {own.device}, another axis on {first.device}",
                                 "use channels of one card", f"axes.{axis}.input_channel")
-        for name in ("output_channel", "input_channel"):
-            if len({getattr(own, name) for own in self.axes.values()}) < len(self.axes):
-                raise violation(f"name one {name} twice", "give each its own", "axes")
+        check_axes(self.axes, ("output_channel", "input_channel"))
         return self
 
     @property
@@ -141,11 +134,6 @@ def load_calibration(path: str | PathLike[str]) -> Calibration | AxesCalibration
         If the file cannot be read, or an entry is unknown, missing or impossible.
     """
     try:
-        text = read_bounded_text(path)
-        if re.search(r"^axes:", text, re.MULTILINE):
-            return parsed(AxesCalibration, text)
-        return parsed(Calibration, text)
-    except UnreadableFile as error:
-        raise CalibrationError(f"{path}: {error}; give a {Calibration.TITLE}") from None
+        return load_axes_file(Calibration, AxesCalibration, path)
     except SchemaError as error:
         raise CalibrationError(f"{path}: {error}") from None

@@ -93,7 +93,7 @@ class NidaqmxStage:
         self.lead_samples = calibration.lead_ticks * settings.samples_per_tick
         self.axes = tuple(filter(None, calibration.by_axis))
         self._channels = list(calibration.by_axis.values())
-        own = [settings.of_axis(axis) if axis else settings for axis in calibration.by_axis]
+        own = [settings.of_axis(axis) for axis in calibration.by_axis]
         for axis, channel, limits in zip(calibration.by_axis, self._channels, own, strict=True):
             lowest_v, highest_v = channel.voltage_range_v
             if not lowest_v <= limits.minimum_voltage_v < limits.maximum_voltage_v <= highest_v:

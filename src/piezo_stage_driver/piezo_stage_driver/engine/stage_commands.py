@@ -358,7 +358,7 @@ class StageCommands:
             raise StageRefusal("the backend plays stored waveforms, which end at rest: "
                                "set hold_at_end to false")
         # A return that begins at any moment must fit as well, and one sample at rest.
-        farthest_v = voltage_v[np.argmax(np.abs(voltage_v - engine.rest_voltage_v))]
+        farthest_v = engine.rest_voltage_v + np.abs(voltage_v - engine.rest_voltage_v).max(axis=0)
         needed = int(samples + self._ramps.phase(
             "return", farthest_v, engine.rest_voltage_v).samples) + self._ticks.samples_per_tick
         if needed > longest:

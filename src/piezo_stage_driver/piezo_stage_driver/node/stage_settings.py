@@ -192,9 +192,10 @@ class StageSettings:
 
         Raises
         ------
-        LimitError
-            If the limits contradict each other.
+        ValueError
+            If the limits contradict each other, or are of an axis that the backend does not have.
         """
+        self._refuse_limits_of_others(getattr(backend, "axes", ()))
         # In lockstep time stops after the last block, which reports the end.
         # A backend with stored waveforms begins to play one only when it is complete.
         lasting = self.lockstep or getattr(backend, "longest_program_samples", None) is not None
@@ -215,6 +216,17 @@ class StageSettings:
             lead_ticks=self._lead_ticks(backend), **described,
             axes=[StageAxis(name=axis, **{name: getattr(own, name) for name in fields})
                   for axis, own in zip(names, settings, strict=False)])
+
+    def _refuse_limits_of_others(self, axes: Sequence[str]) -> None:
+        """Refuse parameters of axes that the backend lacks, which would limit nothing."""
+        # rclpy tells nobody else which parameters were given and never declared.
+        for name in self._node._parameter_overrides:
+            axis, _, limit = name.partition(".")
+            if limit in AxisSettings._fields and axis not in axes:
+                raise ValueError(
+                    f"parameter {name} is of an axis that the backend does not have, which has "
+                    f"{', '.join(axes) or 'one axis without a name'}: correct the name, or the "
+                    "axes in the file of the backend")
 
     def _lead_ticks(self, backend: StageBackend) -> int:
         return getattr(backend, "lead_samples", 0) // self.samples_per_tick
