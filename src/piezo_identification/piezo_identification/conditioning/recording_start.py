@@ -49,11 +49,10 @@ def square_part(recording: Recording) -> Recording:
         does not have two levels, or the voltage never returns to one of them.
     """
     voltage_v = recording.voltage_v
-    middle = voltage_v[voltage_v.size // 4 : voltage_v.size - voltage_v.size // 4]
-    low_v, high_v = middle.min(), middle.max()
-    slack_v = WAVEFORM.level_tolerance * (high_v - low_v)
-    off = np.flatnonzero(
-        np.minimum(np.abs(voltage_v - low_v), np.abs(voltage_v - high_v)) > slack_v)
+    middle = slice(voltage_v.size // 4, voltage_v.size - voltage_v.size // 4)
+    low_v, high_v = voltage_v[middle].min(), voltage_v[middle].max()
+    off_v = np.minimum(np.abs(voltage_v - low_v), np.abs(voltage_v - high_v))
+    off = np.flatnonzero(off_v > WAVEFORM.level_tolerance * (high_v - low_v))
     if off.size == 0 or low_v == high_v:
         return recording
     half = voltage_v.size // 2
@@ -63,8 +62,10 @@ def square_part(recording: Recording) -> Recording:
     is_high = voltage_v[begin:end] > 0.5 * (low_v + high_v)
     if end - begin < half or np.count_nonzero(np.diff(is_high)) < SETTINGS.fewest_steps:
         return recording
+    # A slow ramp stays near its level for a while.
+    at_level = begin + np.flatnonzero(off_v[begin:end] <= off_v[middle].max())
     kept = np.zeros(voltage_v.size, dtype=bool)
-    kept[begin:end] = True
+    kept[at_level[0] : at_level[-1] + 1] = True
     return recording.select(kept)
 
 
