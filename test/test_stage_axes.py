@@ -7,7 +7,7 @@ from pathlib import Path
 import control
 import numpy as np
 import pytest
-from piezo_interfaces.msg import SampleBlock
+from piezo_interfaces.msg import Marks, SampleBlock
 from piezo_interfaces.srv import StartTracking
 from sensor_msgs.msg import JointState
 
@@ -16,6 +16,7 @@ from piezo_client.scans import StoredScan, read_scan, write_scan
 from piezo_client.stage import Stage
 from piezo_models.axes.coupled import CoupledModel
 from piezo_recorder.reading.axes import read_axes
+from piezo_ros.quality import SAMPLES
 from piezo_sim.simulated_stage import SimulatedStage
 
 AXES, SEED = ("x", "y"), 5
@@ -53,6 +54,26 @@ def test_recording_holds_what_was_played_and_measured_of_both_axes(xy, tmp_path)
     assert np.allclose(recording.voltage_v, circle(), rtol=1e-13)
     # 60 V, at 0.24 um/V of the less sensitive axis.
     assert np.all(np.ptp(recording.displacement_um, axis=0) > 14.0)
+
+
+def test_marks_are_published_recorded_and_told_on_a_topic_of_their_own(xy, tmp_path):
+    told = []
+    xy.node.create_subscription(Marks, "marks", told.append, SAMPLES)
+    marks = np.zeros(800, np.uint8)
+    marks[[0, 400, 799]] = Marks.FRAME | Marks.LINE, Marks.PIXEL, Marks.PIXEL | Marks.BACKWARD
+    xy.until(lambda: xy.node.count_publishers("/xy/marks"))
+    with Stage("/xy") as stage:
+        played = xy.beside(stage.play, circle(), 5e-5, directory=tmp_path, marks=marks)
+    recording, = read_axes(played)
+    assert np.array_equal(recording.marks, marks)
+    xy.until(lambda: sum(len(each.sample) for each in told) == 3)
+    samples = np.concatenate([each.sample for each in told]).astype(int)
+    assert np.array_equal(np.diff(samples), [800, 798])  # two samples of the clock for each value
+    assert [kind for each in told for kind in each.kind] == [6, 1, 9]
+    stamps_s = [stamp.sec + 1e-9 * stamp.nanosec for each in told for stamp in each.stamp]
+    assert np.allclose(stamps_s, samples / 40_000.0, atol=1e-9)
+    with pytest.raises(GoalFailed, match="800 samples and 3 marks: give a mark for each sample"):
+        xy.play(circle(), marks=[1, 2, 3])
 
 
 @pytest.fixture

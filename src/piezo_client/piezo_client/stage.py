@@ -89,8 +89,8 @@ class Stage:
         return self.client.description(self._stage)
 
     def play(self, voltage_v: ArrayLike, sample_period_s: float | None = None, repeats: int = 1,
-             directory: AnyPath = "runs", name: str = "waveform",
-             axes: Sequence[str] = ()) -> Played:
+             directory: AnyPath = "runs", name: str = "waveform", axes: Sequence[str] = (),
+             marks: ArrayLike = (), attachments: Mapping[str, str] | None = None) -> Played:
         """Play a voltage and record it; stop if the recording fails.
 
         Parameters
@@ -104,16 +104,23 @@ class Stage:
             Name of the recording; a number is added if it is already used.
         axes : sequence of str
             Names of the columns, if there are several; by default all axes of the stage.
+        marks : array_like of uint8, shape (N,)
+            Bits of `piezo_interfaces.msg.Marks` for each sample, if any has one.
+        attachments : dict of str to str
+            Texts to keep in the recording, by the names of their files.
         """
         if sample_period_s is None:
             sample_period_s = 1.0 / self.description.sample_rate_hz
+        attachments = attachments or {}
         path = self._call("recorder/start_recording", StartRecording,
                           directory=directory, name=free_name(directory, name),
+                          attachment_names=list(attachments),
+                          attachment_contents=list(attachments.values()),
                           client=self._name).path
         recording, last_sample = self._news.about(path), 0
         try:
             last_sample = self._play("", voltage_v, sample_period_s, repeats,
-                                     lambda: recording.failure, axes).last_sample
+                                     lambda: recording.failure, axes, marks).last_sample
         finally:
             if not recording.failure:
                 self._call("recorder/stop_recording", StopRecording, last_sample=last_sample,
@@ -327,8 +334,8 @@ class Stage:
         self._call("reset", Trigger)
 
     def _play(self, step: str, voltage_v: ArrayLike, sample_period_s: float, repeats: int = 1,
-              why_stop: Callable[[], str] | None = None,
-              axes: Sequence[str] = ()) -> PlayWaveform.Result:
+              why_stop: Callable[[], str] | None = None, axes: Sequence[str] = (),
+              marks: ArrayLike = ()) -> PlayWaveform.Result:
         if np.ndim(voltage_v) > 1 and not axes:
             axes = [axis.name for axis in self.description.axes]
             if np.shape(voltage_v)[1:] != (len(axes),):
@@ -338,7 +345,8 @@ class Stage:
         return self.client.goal(
             "play_waveform", self._shown(step), why_stop=why_stop,
             sample_period_s=float(sample_period_s),
-            voltage_v=_doubles(voltage_v), repeats=repeats, axes=list(axes))
+            voltage_v=_doubles(voltage_v), repeats=repeats, axes=list(axes),
+            marks=array.array("B", np.asarray(marks, dtype=np.uint8).tobytes()))
 
     def _call(self, name: str, service_type: MessageType, /, **fields: Any) -> Message:
         response = self.client.call(service_type, name, **fields)

@@ -14,7 +14,7 @@ from piezo_common.summary_table import SummaryTable
 from piezo_controller.axes.coupled_inverse import GAIN_LIMIT, invert_path
 from piezo_controller.axes.path_prediction import PathPrediction, predict_path
 from piezo_controller.axes.repeated_period import faded_in
-from piezo_controller.axes.scan_path import MOST_SAMPLES, Mark, ScanPath, size_text
+from piezo_controller.axes.scan_path import MOST_SAMPLES, ScanPath, size_text
 from piezo_controller.feedforward.feasibility import (
     BISECTIONS,
     Infeasible,
@@ -26,6 +26,7 @@ from piezo_controller.feedforward.feasibility import (
 from piezo_controller.references.kind import InvalidReference
 from piezo_models.axes.coupled import CoupledModel
 from piezo_models.axes.identified_axes import IdentifiedAxes
+from piezo_recorder.sample_block import Mark
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
