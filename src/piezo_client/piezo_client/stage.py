@@ -28,6 +28,7 @@ from piezo_client.results import (
     Tracking,
 )
 from piezo_client.scans import Scanned, StoredScan, read_scan, scanned, write_scan
+from piezo_recorder.images.scan_frame import SCAN_FILE
 from piezo_ros.messages import Message, MessageType
 from piezo_ros.stage_runs.described_stage import DescribedStage
 from piezo_ros.stage_runs.recording_calls import RecorderNews, free_name
@@ -127,14 +128,14 @@ class Stage:
                            client=self._name)
         return Played(Path(path))
 
-    def scan(self, scan: AnyPath, periods: int = 2, directory: AnyPath = "runs",
+    def scan(self, scan: AnyPath | StoredScan, periods: int = 2, directory: AnyPath = "runs",
              name: str = "scan") -> Scanned:
         """Play and record a path that `scan` has planned, and compare its last period.
 
         Parameters
         ----------
-        scan : path-like
-            Folder that `scan` wrote its voltages into.
+        scan : path-like or StoredScan
+            Folder that `scan` wrote its voltages into, or the voltages.
         periods : int
             Periods to play; the first ones let the motion settle.
         directory : path-like
@@ -142,9 +143,9 @@ class Stage:
         name : str
             Name of the recording; a number is added if it is already used.
         """
-        return self._scan(read_scan(scan), periods, directory, name)
+        return self._scan(_voltages(scan), periods, directory, name)
 
-    def learn_scan(self, scan: AnyPath, model: "AnyPath | CoupledModel", runs: int = 6,
+    def learn_scan(self, scan: AnyPath | StoredScan, model: "AnyPath | CoupledModel", runs: int = 6,
                    periods: int = 2, directory: AnyPath = "runs",
                    name: str = "scan") -> list[Scanned]:
         """Play a planned path repeatedly, each time with voltages learned from the last run.
@@ -172,7 +173,7 @@ class Stage:
         from piezo_models.axes_model_file import load_axes_model
 
         coupled = model if isinstance(model, CoupledModel) else load_axes_model(model).model
-        planned, done = read_scan(scan), []
+        planned, done = _voltages(scan), []
         for _ in range(runs):
             done.append(self._scan(planned, periods, directory, name))
             worst = [max(run.error_percent) for run in done[-2:]]
@@ -184,8 +185,11 @@ class Stage:
         return done
 
     def _scan(self, planned: StoredScan, periods: int, directory: AnyPath, name: str) -> Scanned:
+        frame = planned.frame
         played = self.play(planned.repeated_v(periods), planned.sample_period_s,
-                           directory=directory, name=name, axes=planned.axes)
+                           directory=directory, name=name, axes=planned.axes,
+                           marks=planned.repeated_marks(periods),
+                           attachments={SCAN_FILE: frame.model_dump_json()} if frame else None)
         return scanned(planned, played, periods)
 
     def settle(self, lowest_voltage_v: float | None = None, rest_s: int = 60) -> None:
@@ -359,6 +363,10 @@ class Stage:
         progress = self._progress
         return progress and (lambda feedback: progress(
             step + getattr(feedback, "stage", ""), feedback.fraction, feedback.seconds_left))
+
+
+def _voltages(scan: AnyPath | StoredScan) -> StoredScan:
+    return scan if isinstance(scan, StoredScan) else read_scan(scan)
 
 
 def _doubles(values: ArrayLike) -> array.array:

@@ -7,7 +7,6 @@ import numpy as np
 
 from piezo_client.scans import Scanned, StoredScan
 from piezo_common.arrays import FloatArray
-from piezo_controller.axes.path_plan import PathPlan
 from piezo_identification.axes.identify_axes import identify_several_axes
 from piezo_identification.experiments.catalogue import Experiment
 from piezo_identification.experiments.several_axes import axes_experiments
@@ -77,12 +76,6 @@ def identified() -> IdentifiedAxes:
     return identify_several_axes(
         recorded("multisine", 5), recorded("validation", 9), creep=recorded("creep", 1),
         hysteresis=recorded("hysteresis", 3))
-
-
-def stored(plan: PathPlan) -> StoredScan:
-    """Return a plan as it is played."""
-    return StoredScan(plan.path.axes, plan.path.sample_period_s, plan.begin_voltage_v,
-                      plan.voltage_v, plan.path.position_um)
 
 
 def followed(scan: StoredScan, periods: int, mean_of: int = 1, seed: int = 21) -> Scanned:
