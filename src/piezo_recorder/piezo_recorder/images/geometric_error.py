@@ -21,6 +21,10 @@ STEPS = 10
 STEP_UM = 0.02
 """Distance over which slopes of the specimen are taken: a fraction of its edges."""
 
+WHOLE = 0.9
+"""Part of a block's pixels that must be reached. At the rim of what was reached, there are too few
+edges, and the stage may not have moved evenly."""
+
 DAMPING = 0.01
 """Part of the mean curvature that is added to that of each block. A block without edges then keeps
 the shift that the sensors saw; others converge as fast."""
@@ -56,17 +60,19 @@ def error_by_specimen(image: ScanImage, specimen: Field) -> GeometricError:
     """Find which part of a specimen each pixel shows, with the errors of the sensors.
 
     To the shifts that the sensors saw, each of 8 x 8 blocks adds one that minimises the squared
-    difference from the specimen, without an offset (damped Gauss-Newton).
+    difference from the specimen, without an offset (damped Gauss-Newton). Blocks that were not
+    reached as a whole do not count.
 
     Parameters
     ----------
     specimen : Field
         What the image shows, in its unit and in the coordinates of the stage.
     """
-    reached = _reached(image)
-    _, block, count = np.unique(
-        _blocks(image.values.shape)[reached], return_inverse=True, return_counts=True)
-    seen_um = (image.frame.places_um() + image.moved_um)[reached]
+    numbers, reached = _blocks(image.values.shape), _reached(image)
+    share = np.bincount(numbers.ravel(), reached.ravel()) / np.bincount(numbers.ravel())
+    used = reached & (share >= WHOLE)[numbers]
+    _, block, count = np.unique(numbers[used], return_inverse=True, return_counts=True)
+    seen_um = (image.frame.places_um() + image.moved_um)[used]
     surface = spline_filter(specimen.values, mode="mirror")
 
     def height(position_um: FloatArray) -> FloatArray:
@@ -80,7 +86,7 @@ def error_by_specimen(image: ScanImage, specimen: Field) -> GeometricError:
     more_um = np.zeros((len(count), 2))
     for _ in range(STEPS):
         at_um = seen_um + more_um[block]
-        left = image.values[reached] - height(at_um)
+        left = image.values[used] - height(at_um)
         slopes = np.column_stack([
             (height(at_um + step) - height(at_um - step)) / (2.0 * STEP_UM)
             for step in STEP_UM * np.eye(2)])
@@ -91,8 +97,8 @@ def error_by_specimen(image: ScanImage, specimen: Field) -> GeometricError:
         damping = DAMPING * 0.5 * np.trace(curvature, axis1=1, axis2=2).mean()
         target = np.column_stack([of_blocks(column * left) for column in slopes.T])
         more_um += np.linalg.solve(curvature + damping * np.eye(2), target[..., None])[..., 0]
-    shift_um = image.moved_um[reached] + more_um[block]
-    return GeometricError(shift_um / image.frame.pixel_um, _places(image)[reached])
+    shift_um = image.moved_um[used] + more_um[block]
+    return GeometricError(shift_um / image.frame.pixel_um, _places(image)[used])
 
 
 def _reached(image: ScanImage) -> NDArray[np.bool_]:
