@@ -39,6 +39,10 @@ class ScanImage:
     visited_values: FloatArray
     """Their mean signal, (K,)."""
 
+    def __repr__(self) -> str:
+        columns, rows = self.frame.pixels
+        return f"<ScanImage: {self.signal} of a {self.frame.path}, {columns} x {rows} pixels>"
+
     @property
     def unit(self) -> str:
         """Return the unit of the signal; empty if its name has none."""
@@ -71,6 +75,24 @@ def image_of(recording: AxesRecording, signal: str = "", frame: ScanFrame | None
     ------
     RecordingError
         If the recording lacks a signal, marks or a whole frame.
+
+    Examples
+    --------
+    Ten pixels of four samples in each of 30 lines:
+
+    >>> import numpy as np
+    >>> from piezo_recorder import ScanFrame, axes_recordings_in
+    >>> row, column = np.divmod(np.arange(1200), 40)
+    >>> x_um, y_um = 0.1 * column, 0.1 * row
+    >>> recording, = axes_recordings_in({
+    ...     "time_s": 1e-3 * np.arange(1200), "x_voltage_v": x_um, "y_voltage_v": y_um,
+    ...     "x_displacement_um": x_um, "y_displacement_um": y_um,
+    ...     "pixel": np.where(column % 4 == 2, 1.0, 0.0), "camera_signal": np.sin(x_um)})
+    >>> frame = ScanFrame(
+    ...     format="piezo_scan", version=1, path="raster", axes=["x", "y"], pixels=[10, 30],
+    ...     pixel_um=[0.4, 0.1], centre_um=[2.0, 1.45], marked_pixels=300, sensor_delay_s=[0, 0])
+    >>> image_of(recording, frame=frame)
+    <ScanImage: camera of a raster, 10 x 30 pixels>
     """
     frame = frame or frame_in(recording.attachments, recording.path)
     signals = recording.signals
