@@ -123,7 +123,7 @@ def _shortfall(model: Path | None) -> str:
 def _play(stage: Stage, options: argparse.Namespace) -> list[str]:
     waveform = read_waveform(options.waveform)
     played = stage.play(waveform.voltage_v, waveform.sample_period_s, options.repeats,
-                        options.output, options.waveform.stem, waveform.axes)
+                        options.output, options.waveform.stem, waveform.axes, waveform.marks)
     return [f"recorded {played.path}", _check_of(played.path)]
 
 
