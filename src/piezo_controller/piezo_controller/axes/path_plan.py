@@ -210,12 +210,19 @@ def plan_path(path: ScanPath, model: CoupledModel | IdentifiedAxes,
 
 
 def _sensor_delays(model: CoupledModel | IdentifiedAxes) -> FloatArray:
-    """Return the delays that a model knows; whole samples if no mode showed them."""
+    """Return the delays that a model knows; whole samples if no mode showed them.
+
+    Identified delays contain the lag of the electronics. Real poles that are faster than all modes
+    are taken for the amplifiers, in front of the modes.
+    """
     coupled = model.model if isinstance(model, IdentifiedAxes) else model
-    whole_s: FloatArray = np.asarray(coupled.latency_samples) * coupled.sample_period_s
-    if not isinstance(model, IdentifiedAxes):
-        return whole_s
-    return np.where(np.isfinite(model.delay_deviations_s), model.delays_s, whole_s)
+    late_s: FloatArray = np.asarray(coupled.latency_samples) * coupled.sample_period_s
+    if isinstance(model, IdentifiedAxes):
+        late_s = np.where(np.isfinite(model.delay_deviations_s), model.delays_s, late_s)
+    poles = coupled.poles_rad_per_s
+    highest = np.abs(poles[poles.imag != 0.0]).max(initial=0.0)
+    fast = poles.real[(poles.imag == 0.0) & (-poles.real > highest)]
+    return np.maximum(late_s - np.sum(-1.0 / fast), 0.0)
 
 
 def _of_all_axes(path: ScanPath, model: CoupledModel) -> ScanPath:

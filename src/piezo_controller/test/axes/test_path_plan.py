@@ -14,7 +14,7 @@ from piezo_controller.axes.path_plan import UnreachablePath
 from piezo_controller.axes.repeated_period import repeated
 from piezo_controller.axes.scan import scan
 from piezo_controller.references.kind import InvalidReference
-from piezo_models import CoupledModel, Softening
+from piezo_models import CoupledModel, Coupling, IdentifiedAxes, Softening
 from piezo_models.axes.actuator import Actuator
 from piezo_models.hysteresis.preisach import PreisachModel
 
@@ -132,6 +132,22 @@ def test_marks_come_before_the_readings_by_the_delay_of_the_axis_that_moves_fast
         assert plan.columns()["pixel"].sum() == 100
     whole = plan_of(model, "raster", **fields)  # the model knows whole samples alone
     assert np.array_equal(whole.sensor_delay_s, model.latency_samples * model.sample_period_s)
+
+
+def test_lag_of_the_amplifiers_is_no_delay_of_the_sensors():
+    s, omega = control.tf("s"), 2.0 * np.pi * np.array([300.0, 400.0])
+    modes = [control.ss(0.2 * w**2 / ((s**2 + 0.02 * w * s + w**2) * (1.0 + 8e-5 * s)))
+             for w in omega]
+    lagging = CoupledModel.from_control(
+        control.sample_system(control.append(*modes), xy_flexure.PERIOD_S), ("x", "y"))
+    frequency_hz = np.geomspace(1.0, 1e4, 10)
+    gain, poles = lagging.response(frequency_hz), lagging.poles_rad_per_s.size
+    identified = IdentifiedAxes(
+        lagging, np.array([[-60.0, 60.0]] * 2), Coupling(frequency_hz, gain, 0.0 * gain),
+        np.zeros(poles, complex), 0.0 * lagging.residues_um_per_v,
+        np.array([1e-4, 5e-5]), np.array([1e-6, 1e-6]))
+    plan = plan_of(identified, "raster", size_um=(5.0, 5.0), rate_hz=100.0, lines=10)
+    assert plan.sensor_delay_s == pytest.approx([2e-5, 0.0], abs=2e-6)
 
 
 @pytest.mark.parametrize(("kind", "fields", "axes", "pixels", "pixel_um"), [
