@@ -147,7 +147,9 @@ def weights_content(path):
 
 
 def calibration_content(path):
-    return vars(load_calibration(path))
+    content = dict(vars(load_calibration(path)))
+    assert content.pop("mark_lines") == ""  # an entry that came later
+    return content
 
 
 def plant_content(path):

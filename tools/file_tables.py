@@ -33,6 +33,7 @@ DOCUMENTS = {
     "nv200": "piezo_stage_driver.backends.nv200_stage:Nv200Settings",
     "columns": "piezo_recorder.reading.columns:ColumnsDocument",
     "arrays": "piezo_recorder.reading.axes:ArraysDocument",
+    "scan": "piezo_recorder.images.scan_frame:ScanFrame",
     "probe": "piezo_identification.experiments.probing.probe_file:ProbeDocument",
     "plant": "piezo_sim.plant.plant_file:PlantDocument",
     "axes_plant": "piezo_sim.plant.plant_file:AxesPlantDocument",

@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import NoReturn, TypeAlias
 
 from piezo_common.command_line import BAD_INPUT, INTERRUPTED
+from piezo_controller.commands.scan_command import add_path_options
 from piezo_ros.starting import without_ros_arguments
 
 WAIT_S = 3.0
 """Time in s to look for nodes; running ones are visible within a second."""
 Commands: TypeAlias = "argparse._SubParsersAction[_Parser]"
 INPUTS = ("model", "file", "waveform", "scan", "controller", "data", "holdout", "recordings",
-          "extended_model")
+          "extended_model", "specimen")
 SHAPES = "harmonic", "triangle"
 IDENTIFY = "`./run piezo_client stage identify --output DIR`"
 
@@ -143,16 +144,24 @@ def _add_play(commands: Commands) -> None:
 
 
 def _add_scan(commands: Commands) -> None:
-    parser = _add(commands, "scan", "play a planned path of several axes, and report its error")
-    parser.add_argument("scan", type=Path, metavar="DIR",
-                        help="folder that `scan` wrote path.csv and begin.csv into")
+    parser = _add(commands, "scan", "play a path of several axes, report its error and make images")
+    parser.add_argument("scan", type=Path, metavar="DIR", nargs="?",
+                        help="folder that `scan` wrote path.csv and begin.csv into; or give "
+                        "--pattern and --model")
     parser.add_argument("--periods", type=int, default=2, metavar="NUMBER",
                         help="how often it is followed; the last one counts (default: %(default)s)")
     parser.add_argument("--learn", type=int, default=0, metavar="RUNS",
                         help="play it so often at most, each time with voltages learned from the "
                         "run before")
     parser.add_argument("--model", type=Path, metavar="FILE",
-                        help="model of the axes, to learn with")
+                        help="model of the axes, to plan or to learn with")
+    add_path_options(parser, None)
+    parser.add_argument("--compare", action="store_true",
+                        help="play the pattern without an inverse, too")
+    parser.add_argument("--signal", default="", metavar="NAME",
+                        help="detector of the images; the first one by default")
+    parser.add_argument("--specimen", type=Path, metavar="FILE",
+                        help="what the images show (.gsf), to tell their geometric error")
 
 
 def _add_diagnose(commands: Commands) -> None:

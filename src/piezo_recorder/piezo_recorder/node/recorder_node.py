@@ -56,12 +56,12 @@ class Recorder(LifecycleNode):
     def __init__(self) -> None:
         super().__init__("recorder")
         declare(self, "topics", ["samples", "feedback", "ground_truth", "applied_feedback",
-                                 "reference", "controller/reference"],
+                                 "reference", "controller/reference", "marks"],
                 "Topics to record; the first of samples is the one that is counted.")
         declare(self, "types", [sample_block.TYPE_NAME, "piezo_interfaces/msg/FeedbackVoltage",
                                 sample_block.TYPE_NAME, "piezo_interfaces/msg/AppliedFeedback",
                                 "piezo_interfaces/msg/ReferenceSamples",
-                                tracked_reference.TYPE_NAME],
+                                tracked_reference.TYPE_NAME, "piezo_interfaces/msg/Marks"],
                 "Message types of the topics, in the same order.")
         declare(self, "minimum_free_mb", 200,
                 "Free disk space (megabyte) below which a recording is refused or closed.",

@@ -6,7 +6,7 @@ import json
 import re
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from piezo_common.schema import Document, Number, Part, Positive, SchemaError, entry, load_document
 from piezo_recorder.reading.columns import ColumnsDocument, SignalColumn
+from piezo_recorder.reading.detected import marks_in, signals_in
 from piezo_recorder.reading.memory import IN_MEMORY, recordings_in
 from piezo_recorder.reading.reader import (
     axes_of_messages,
@@ -63,6 +64,10 @@ class AxesRecording:
     """Hash of the samples."""
     notes: tuple[str, ...] = ()
     """Assumptions and corrections made while reading, for users."""
+    columns: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Further columns, each of shape (N,), such as ``pixel`` and ``camera_signal``."""
+    attachments: Mapping[str, bytes] = field(default_factory=dict)
+    """Files that are stored in the recording."""
 
     def __repr__(self) -> str:
         return (f"<AxesRecording {self.name}: {len(self.voltage_v)} samples of "
@@ -72,6 +77,16 @@ class AxesRecording:
     def name(self) -> str:
         """Return path and title."""
         return f"{self.path} {self.title}".rstrip()
+
+    @property
+    def marks(self) -> np.ndarray:
+        """Return the bits of `piezo_recorder.sample_block.Mark`, (N,); empty without marks."""
+        return marks_in(self.columns)
+
+    @property
+    def signals(self) -> dict[str, np.ndarray]:
+        """Return what each detector measured at the instants of the displacements, (N,)."""
+        return signals_in(self.columns)
 
     @property
     def amplitude_v(self) -> float:
@@ -146,8 +161,7 @@ def read_axes(path: str | PathLike[str]) -> list[AxesRecording]:
         A recording of a stage of several axes, without the approach to the first sample of a
         waveform and the return from it; a table with columns such as ``time_s,x_voltage_v,
         y_voltage_v,x_displacement_um,y_displacement_um`` in any format that can be read for one
-        axis; or the description of arrays (YAML), see `ArraysDocument`. Columns that belong to no
-        axis are ignored.
+        axis; or the description of arrays (YAML), see `ArraysDocument`.
 
     Raises
     ------
@@ -202,7 +216,9 @@ def axes_recording_of(recording: Recording) -> AxesRecording:
         first = len(part.voltage_v) // periods * settling
     return _with_hash(AxesRecording(
         recording.path, recording.axes, part.sample_period_s, part.voltage_v[first:],
-        part.displacement_um[first:], equal if first else 0, notes=tuple(recording.notes)))
+        part.displacement_um[first:], equal if first else 0, notes=tuple(recording.notes),
+        columns={name: values[first:] for name, values in part.columns.items()},
+        attachments=recording.attachments))
 
 
 def _declared_repeats(attachments: Mapping[str, bytes]) -> tuple[int, int]:
@@ -379,7 +395,9 @@ def _joined(name: str, axes: tuple[str, ...],
             name, axes, first.sample_period_s,
             np.column_stack([part.voltage_v for part in parts]),
             np.column_stack([part.displacement_um for part in parts]), title=first.title,
-            notes=_joined_notes(axes, parts))))
+            notes=_joined_notes(axes, parts),
+            columns={label: values for label, values in first.columns.items()
+                     if label.partition("_")[0] not in axes})))
     return joined
 
 

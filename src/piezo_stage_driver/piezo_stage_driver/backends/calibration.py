@@ -77,7 +77,16 @@ class AxisCalibration(Part):
         return self.sensor_um_per_v * card_v + self.sensor_offset_um
 
 
-class Calibration(AxisCalibration, Document):
+class CardPart(Part):
+    """Entries of a card, whatever the number of axes."""
+
+    lead_ticks: int = entry("How many ticks ahead the output is written.",
+                            at_least=1, at_most=1_000_000_000)
+    mark_lines: str = entry("Digital lines that put out the marks, from line 0 of a port: pixel, "
+                            "line, frame and backward; none by default.", default="")
+
+
+class Calibration(AxisCalibration, CardPart, Document):
     """The calibration of a stage of one axis.
 
     The output is written `lead_ticks` ahead. That is the tolerated delay of the computer, which
@@ -88,16 +97,13 @@ class Calibration(AxisCalibration, Document):
     SYNTAX: ClassVar[str] = "yaml"
     RENEW: ClassVar[str] = "add it"
 
-    lead_ticks: int = entry("How many ticks ahead the output is written.",
-                            at_least=1, at_most=1_000_000_000)
-
     @property
     def by_axis(self) -> dict[str, AxisCalibration]:
         """Return the only axis, without a name."""
         return {"": self}
 
 
-class AxesCalibration(Document):
+class AxesCalibration(CardPart, Document):
     """The calibration of a stage of several axes on one card."""
 
     TITLE: ClassVar[str] = "calibration file"
@@ -106,8 +112,6 @@ class AxesCalibration(Document):
 
     axes: dict[str, AxisCalibration] = entry(
         "Channels and factors of each axis, by its short lower-case name.", shortest=2, longest=3)
-    lead_ticks: int = entry("How many ticks ahead the output is written.",
-                            at_least=1, at_most=1_000_000_000)
 
     @model_validator(mode="after")
     def _check_axes(self) -> "AxesCalibration":

@@ -214,6 +214,7 @@ class StageSettings:
         return StageDescription(
             backend=getattr(backend, "name", type(backend).__name__),
             lead_ticks=self._lead_ticks(backend), **described,
+            signals=list(getattr(backend, "signals", ())),
             axes=[StageAxis(name=axis, **{name: getattr(own, name) for name in fields})
                   for axis, own in zip(names, settings, strict=False)])
 

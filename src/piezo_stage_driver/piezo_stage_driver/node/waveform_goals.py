@@ -109,7 +109,7 @@ class WaveformGoals:
         self._submit(Command(
             Event.PLAY, lambda stage: stage.play(
                 wanted.voltage_v, wanted.sample_period_s, wanted.repeats, wanted.hold_at_end,
-                wanted.client, wanted.axes),
+                wanted.client, wanted.axes, wanted.marks),
             on_done=goal.begin, goal=goal))
 
     def _answer(self, goal: WaveformGoal, result: PlayWaveform.Result) -> None:
