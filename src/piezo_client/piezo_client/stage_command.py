@@ -14,8 +14,8 @@ from piezo_ros.starting import without_ros_arguments
 WAIT_S = 3.0
 """Time in s to look for nodes; running ones are visible within a second."""
 Commands: TypeAlias = "argparse._SubParsersAction[_Parser]"
-INPUTS = ("model", "file", "waveform", "scan", "controller", "data", "holdout", "recordings",
-          "extended_model")
+INPUTS = ("model", "file", "waveform", "scan", "controller", "feedback", "data", "holdout",
+          "recordings", "extended_model")
 SHAPES = "harmonic", "triangle"
 IDENTIFY = "`./run piezo_client stage identify --output DIR`"
 
@@ -153,6 +153,8 @@ def _add_scan(commands: Commands) -> None:
                         "run before")
     parser.add_argument("--model", type=Path, metavar="FILE",
                         help="model of the axes, to learn with")
+    parser.add_argument("--feedback", type=Path, metavar="LAW",
+                        help="law file of `design`: play it without feedback, then with this one")
 
 
 def _add_diagnose(commands: Commands) -> None:

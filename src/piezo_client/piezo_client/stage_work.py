@@ -130,6 +130,8 @@ def _play(stage: Stage, options: argparse.Namespace) -> list[str]:
 def _scan(stage: Stage, options: argparse.Namespace) -> list[str]:
     if options.learn and options.model is None:
         raise ValueError("learning divides the error by the response of a model: give --model")
+    if options.feedback:
+        return _scan_with_feedback(stage, options)
     runs = (stage.learn_scan(options.scan, options.model, options.learn, options.periods,
                              options.output) if options.learn
             else [stage.scan(options.scan, options.periods, options.output)])
@@ -138,6 +140,15 @@ def _scan(stage: Stage, options: argparse.Namespace) -> list[str]:
             f"recorded {run.path}",
             next_line("stage", "piezo_identification", "simulate", "--model",
                       options.model or "<MODEL>", "--data", run.path, "--output", options.output)]
+
+
+def _scan_with_feedback(stage: Stage, options: argparse.Namespace) -> list[str]:
+    if options.learn:
+        raise ValueError("voltages are learned without feedback: leave out --learn or --feedback")
+    runs = {text: stage.scan(options.scan, options.periods, options.output, feedback=law)
+            for text, law in (("without feedback", None), ("with feedback", options.feedback))}
+    return [line for text, run in runs.items() for line in (
+        f"{text}:", str(run.summary()), f"recorded {run.path}")]
 
 
 def _errors_of(run: Scanned) -> str:

@@ -113,8 +113,8 @@ def _text(value: float | None, layout: str, unit: str) -> str:
 
 def _margins_sentence(robustness: Robustness) -> str:
     return (
-        "The peak of the largest singular value of the sensitivity guarantees the margins: the "
-        "gains or the phases of all axes may change by as much independently. The loop is stable "
+        "The peak of the largest singular value of the sensitivity guarantees the margins: at the "
+        "sensors, the gains or the phases of all axes may change independently. The loop is stable "
         "at every combination of the lowest and highest gains of the hysteresis. Of "
         f"{robustness.samples} models with gains within this spread, and random errors of up to "
         f"{100 * PARAMETER_ERROR:.0f} % of the frequency, the damping and the share of each mode, "

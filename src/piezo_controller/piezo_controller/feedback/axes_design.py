@@ -128,6 +128,10 @@ def linear_part(model: CoupledModel) -> control.StateSpace:
     if model.actuators:
         linear = linear * control.append(*(
             each.creep_system(model.sample_period_s) for each in model.actuators))
+    if np.any(linear.D):  # a stage takes a sample before its voltage acts
+        one, none = np.eye(len(model.axes)), np.zeros((len(model.axes),) * 2)
+        linear = (control.ss(linear.A, linear.B, linear.C, none, linear.dt)
+                  + control.ss(none, one, linear.D, none, linear.dt))
     return linear * np.diag(gain_ranges(model).mean(axis=1))
 
 

@@ -111,7 +111,7 @@ def measure_axes_loop(plant: control.StateSpace, controller: control.StateSpace,
         ``bandwidth_hz`` (where the largest singular value of the sensitivity first reaches -3 dB),
         ``bandwidth_hz_of_axis`` (where the sensitivity of each axis to its own disturbance does),
         ``peak_sensitivity`` (the largest singular value) and its ``peak_frequency_hz``; and what
-        this peak guarantees, with the gains or phases of all axes changed independently:
+        this peak guarantees, with gains or phases that change independently at the sensors:
         ``gain_margin`` and ``phase_margin_deg``.
     """
     frequency_hz = _frequencies(plant.dt)
