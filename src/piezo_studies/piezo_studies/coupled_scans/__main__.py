@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
+from piezo_studies.coupled_scans.feedback_trials import feedback_table, rasters_with_feedback
 from piezo_studies.coupled_scans.trials import TABLES, Row
 from piezo_studies.coupled_scans.xy_stage import identified
 from piezo_studies.marked_sections import with_sections
@@ -32,6 +33,8 @@ def main(arguments: list[str] | None = None) -> None:
     for name, (_, _, trials) in TABLES.items():
         tables[SECTIONS + name] = table(name, trials(model))
         print(tables[SECTIONS + name], file=sys.stderr, flush=True)
+    tables[SECTIONS + "feedback"] = feedback_table(rasters_with_feedback(model))
+    print(tables[SECTIONS + "feedback"], file=sys.stderr, flush=True)
     options.page.write_text(with_sections(
         options.page.read_text(encoding="utf-8"), tables, SECTIONS), encoding="utf-8")
     print(f"{len(tables)} tables: {options.page}")
