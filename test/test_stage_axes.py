@@ -19,6 +19,8 @@ from piezo_client.stage import Stage
 from piezo_common.gsf import Field, read_gsf, write_gsf
 from piezo_models import Coupling, IdentifiedAxes, save_axes_model
 from piezo_models.axes.coupled import CoupledModel
+from piezo_models.feedback_law.axes_law import AxesLaw, save_axes_law
+from piezo_models.feedback_law.feedback_law import DeclaredPlant, LinearBlock
 from piezo_recorder.images.scan_image import image_of
 from piezo_recorder.reading.axes import read_axes
 from piezo_ros.quality import SAMPLES
@@ -195,12 +197,57 @@ def test_fault_of_one_axis_brings_both_to_rest(nodes, tmp_path):
         stage.play(circle())
 
 
+GAINS_UM_PER_V = np.array([0.3, 0.25])
+"""About those of the plant."""
+
+
+def integral_law(path, factor=1.0):
+    """Write a law that integrates the error of each axis, for gains that are off by a factor."""
+    one = np.eye(2)
+    late = DeclaredPlant(LinearBlock(0.5 * one, one, 0.5 * one, 0.0 * one),
+                         factor * GAINS_UM_PER_V[None, :])
+    tick = LinearBlock(one, 0.05 * one, np.diag(1.0 / GAINS_UM_PER_V / factor), 0.0 * one)
+    save_axes_law(path, AxesLaw(AXES, 25e-6, 40, tick, np.diag(factor * GAINS_UM_PER_V), late,
+                                GAINS_UM_PER_V * 70.0, {}, {}))
+    return path
+
+
+@pytest.fixture
+def slow_circle(tmp_path):
+    """A folder with a circle at the stage's sample rate, whose positions are only about right."""
+    voltage_v = circle(40_000)
+    write_scan(StoredScan(AXES, 25e-6, np.tile(voltage_v[0], (800, 1)), voltage_v,
+                          GAINS_UM_PER_V * voltage_v), tmp_path / "slow")
+    return tmp_path / "slow"
+
+
+def test_law_on_board_removes_the_errors_of_a_planned_path(xy, tmp_path, slow_circle):
+    xy.restart()
+    law = integral_law(tmp_path / "law.json")
+    with Stage("/xy") as stage:
+        without, led = (xy.beside(stage.scan, slow_circle, 2, tmp_path, feedback=feedback)
+                        for feedback in (None, law))
+    assert np.all(np.abs(without.offset_um) > 0.1) and np.all(np.abs(led.offset_um) < 0.003)
+    assert np.all(led.error_percent < 0.3 * without.error_percent)
+    recording = led.recording()
+    added_v = recording.voltage_v[recording.tracking][-40_000:] - circle(40_000)
+    assert np.allclose(np.mean(added_v, axis=0) * GAINS_UM_PER_V, -without.offset_um, rtol=0.2)
+
+
+def test_run_with_a_law_for_another_stage_ends_at_rest_with_the_cause(xy, tmp_path, slow_circle):
+    law = integral_law(tmp_path / "law.json", 5.0)
+    with Stage("/xy") as stage:
+        with pytest.raises(GoalFailed, match=r"the end: x: the stage moved by 0.\d* um/V, and the"):
+            xy.beside(stage.scan, slow_circle, 2, tmp_path, feedback=law)
+        stage.reset()
+
+
 def test_what_takes_one_axis_refuses_by_name(xy, tmp_path):
     loaded = xy.load(np.zeros(40))
-    assert not loaded.success and "takes a stage of one axis, this one has the axes x, y" in (
+    assert not loaded.success and "the stage has the axes x, y: give a voltage of each" in (
         loaded.message)
-    assert "start_tracking takes a stage of one axis" in xy.call(
-        StartTracking, "start_tracking").message
+    assert "nobody answers the blocks of several axes" in xy.call(
+        StartTracking, "start_tracking", feedback=True).message
     with pytest.raises(GoalFailed, match="identification takes a stage of one axis, this one has"):
         xy.identify(tmp_path)
 

@@ -24,6 +24,7 @@ DOCUMENTS = {
     "model": "piezo_models.model_document:ModelDocument",
     "axes_model": "piezo_models.axes_model_file:AxesDocument",
     "controller": "piezo_controller.feedback.controller_file:ControllerDocument",
+    "law": "piezo_models.feedback_law.axes_law:LawDocument",
     "weights": "piezo_controller.feedback.synthesis.weights_document:WeightsDocument",
     "learned": "piezo_controller.learning.learned_file:LearnedDocument",
     "calibration": "piezo_stage_driver.backends.calibration:Calibration",

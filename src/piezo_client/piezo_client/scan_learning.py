@@ -54,10 +54,10 @@ def learned(run: Scanned, model: CoupledModel) -> StoredScan:
     begin = len(scan.begin_voltage_v)
     before = np.arange(-begin, 0) % samples
     return replace(scan, voltage_v=scan.voltage_v + more_v,
-                   begin_voltage_v=scan.begin_voltage_v + _rise(begin) * more_v[before])
+                   begin_voltage_v=scan.begin_voltage_v + smooth_rise(begin) * more_v[before])
 
 
-def _rise(samples: int) -> FloatArray:
+def smooth_rise(samples: int) -> FloatArray:
     """Return a minimum-jerk rise from 0 to 1, shape (samples, 1)."""
     at = np.arange(samples)[:, None] / max(samples, 1)
     rise: FloatArray = at**3 * (10.0 + at * (6.0 * at - 15.0))

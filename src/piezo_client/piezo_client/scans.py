@@ -171,8 +171,13 @@ class Scanned(Played):
             ("error: RMS by the sensor over the travel (2.32), offset removed",))
 
 
-def scanned(scan: StoredScan, played: Played, periods: int) -> Scanned:
+def scanned(scan: StoredScan, played: Played, periods: int, before: int = 0) -> Scanned:
     """Return how the last of the periods was followed.
+
+    Parameters
+    ----------
+    before : int
+        Samples of the run before the first period; by default those of the way into the path.
 
     Raises
     ------
@@ -180,8 +185,8 @@ def scanned(scan: StoredScan, played: Played, periods: int) -> Scanned:
         If the recording does not contain the whole scan.
     """
     recording = played.recording()
-    displacement_um = recording.displacement_um[recording.playing]
-    end = len(scan.begin_voltage_v) + periods * len(scan.voltage_v)
+    displacement_um = recording.displacement_um[recording.playing | recording.tracking]
+    end = (before or len(scan.begin_voltage_v)) + periods * len(scan.voltage_v)
     if recording.gaps or len(displacement_um) < end:
         raise ValueError(f"{played.path} does not hold the whole scan: play it again")
     return Scanned(played.path, scan, displacement_um[end - len(scan.voltage_v):end])

@@ -27,7 +27,10 @@ from piezo_client.results import (
     Played,
     Tracking,
 )
+from piezo_client.scan_feedback import MAX_FEEDBACK_V, followed_scan
+from piezo_client.scan_follower import ScanFollower
 from piezo_client.scans import Scanned, StoredScan, read_scan, scanned, write_scan
+from piezo_models.feedback_law.axes_law import load_axes_law
 from piezo_recorder.images.scan_frame import SCAN_FILE
 from piezo_ros.messages import Message, MessageType
 from piezo_ros.stage_runs.described_stage import DescribedStage
@@ -73,6 +76,7 @@ class Stage:
         self._news = RecorderNews(self.client.node)
         self._stage = DescribedStage(self.client.node)
         self._progress = progress
+        self._follower: ScanFollower | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -112,24 +116,13 @@ class Stage:
         """
         if sample_period_s is None:
             sample_period_s = 1.0 / self.description.sample_rate_hz
-        attachments = attachments or {}
-        path = self._call("recorder/start_recording", StartRecording,
-                          directory=directory, name=free_name(directory, name),
-                          attachment_names=list(attachments),
-                          attachment_contents=list(attachments.values()),
-                          client=self._name).path
-        recording, last_sample = self._news.about(path), 0
-        try:
-            last_sample = self._play("", voltage_v, sample_period_s, repeats,
-                                     lambda: recording.failure, axes, marks).last_sample
-        finally:
-            if not recording.failure:
-                self._call("recorder/stop_recording", StopRecording, last_sample=last_sample,
-                           client=self._name)
-        return Played(Path(path))
+        period_s, texts = sample_period_s, attachments or {}
+        return self._record(directory, name, lambda why_stop: self._play(
+            "", voltage_v, period_s, repeats, why_stop, axes, marks).last_sample, texts)
 
     def scan(self, scan: AnyPath | StoredScan, periods: int = 2, directory: AnyPath = "runs",
-             name: str = "scan") -> Scanned:
+             name: str = "scan", feedback: AnyPath | None = None,
+             max_feedback_v: float = MAX_FEEDBACK_V) -> Scanned:
         """Play and record a path that `scan` has planned, and compare its last period.
 
         Parameters
@@ -142,8 +135,17 @@ class Stage:
             Folder for the recording.
         name : str
             Name of the recording; a number is added if it is already used.
+        feedback : path-like, optional
+            Law file that `design` wrote for the model of the scan: the stage then adds its feedback
+            to the planned voltages, from the first period on.
+        max_feedback_v : float
+            Largest voltage of the feedback of each axis, of either sign (V).
         """
-        return self._scan(_voltages(scan), periods, directory, name)
+        planned = _voltages(scan)
+        if feedback is None:
+            return self._scan(planned, periods, directory, name)
+        return self._scan_with_feedback(planned, feedback, periods, directory, name,
+                                        max_feedback_v)
 
     def learn_scan(self, scan: AnyPath | StoredScan, model: "AnyPath | CoupledModel", runs: int = 6,
                    periods: int = 2, directory: AnyPath = "runs",
@@ -191,6 +193,39 @@ class Stage:
                            marks=planned.repeated_marks(periods),
                            attachments={SCAN_FILE: frame.model_dump_json()} if frame else None)
         return scanned(planned, played, periods)
+
+    def _scan_with_feedback(self, planned: StoredScan, feedback: AnyPath, periods: int,
+                            directory: AnyPath, name: str, max_feedback_v: float) -> Scanned:
+        axes = self.description.axes
+        if tuple(axis.name for axis in axes) != planned.axes:
+            raise ValueError(f"the scan has the axes {', '.join(planned.axes)}, and the stage "
+                             f"{', '.join(axis.name for axis in axes) or 'one without a name'}: "
+                             "plan it with a model of this stage")
+        run = followed_scan(
+            planned, load_axes_law(feedback), periods, [axis.rest_voltage_v for axis in axes],
+            [axis.ramp_rate_v_per_s for axis in axes], max_feedback_v)
+        follower = self._follower = self._follower or ScanFollower(self.client)
+        played = self._record(directory, name, lambda why_stop: follower.follow(
+            run, why_stop, self._progress), {})
+        return scanned(planned, played, periods, len(run.once_voltage_v))
+
+    def _record(self, directory: AnyPath, name: str,
+                run: Callable[[Callable[[], str]], int],
+                attachments: Mapping[str, str]) -> Played:
+        """Record a run, which takes why it must stop, and returns its last sample."""
+        path = self._call("recorder/start_recording", StartRecording,
+                          directory=directory, name=free_name(directory, name),
+                          attachment_names=list(attachments),
+                          attachment_contents=list(attachments.values()),
+                          client=self._name).path
+        recording, last_sample = self._news.about(path), 0
+        try:
+            last_sample = run(lambda: recording.failure)
+        finally:
+            if not recording.failure:
+                self._call("recorder/stop_recording", StopRecording, last_sample=last_sample,
+                           client=self._name)
+        return Played(Path(path))
 
     def settle(self, lowest_voltage_v: float | None = None, rest_s: int = 60) -> None:
         """Remove the past: go to the lowest voltage, then rest until creep is over.

@@ -15,8 +15,8 @@ from piezo_ros.starting import without_ros_arguments
 WAIT_S = 3.0
 """Time in s to look for nodes; running ones are visible within a second."""
 Commands: TypeAlias = "argparse._SubParsersAction[_Parser]"
-INPUTS = ("model", "file", "waveform", "scan", "controller", "data", "holdout", "recordings",
-          "extended_model", "specimen")
+INPUTS = ("model", "file", "waveform", "scan", "controller", "feedback", "data", "holdout",
+          "recordings", "extended_model", "specimen")
 SHAPES = "harmonic", "triangle"
 IDENTIFY = "`./run piezo_client stage identify --output DIR`"
 
@@ -162,6 +162,8 @@ def _add_scan(commands: Commands) -> None:
                         help="detector of the images; the first one by default")
     parser.add_argument("--specimen", type=Path, metavar="FILE",
                         help="what the images show (.gsf), to tell their geometric error")
+    parser.add_argument("--feedback", type=Path, metavar="LAW",
+                        help="law file of `design`: play it without feedback, then with this one")
 
 
 def _add_diagnose(commands: Commands) -> None:

@@ -133,8 +133,12 @@ def _scan(stage: Stage, options: argparse.Namespace) -> list[str]:
                          "--pattern with --model")
     if options.learn and options.model is None:
         raise ValueError("learning divides the error by the response of a model: give --model")
+    if options.learn and options.feedback:
+        raise ValueError("voltages are learned without feedback: leave out --learn or --feedback")
     scans = {"planned": options.scan} if options.pattern is None else _planned(options)
     *compared, (name, scan) = scans.items()
+    if options.feedback:
+        return _scan_with_feedback(stage, scan, options)
     runs = (stage.learn_scan(scan, options.model, options.learn, options.periods, options.output)
             if options.learn else [stage.scan(scan, options.periods, options.output)])
     run = min(runs, key=lambda each: max(each.error_percent))
@@ -174,6 +178,14 @@ def _images(stage: Stage, runs: Mapping[str, Scanned],
               for name, image in images_of(run, options.periods, what, options.signal).items()}
     specimen = options.specimen and read_gsf(options.specimen)
     return write_images(images, options.output, specimen)
+
+
+def _scan_with_feedback(stage: Stage, scan: Path | StoredScan,
+                        options: argparse.Namespace) -> list[str]:
+    runs = {text: stage.scan(scan, options.periods, options.output, feedback=law)
+            for text, law in (("without feedback", None), ("with feedback", options.feedback))}
+    return [line for text, run in runs.items() for line in (
+        f"{text}:", str(run.summary()), f"recorded {run.path}")]
 
 
 def _errors_of(run: Scanned) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The command `design`: from a model file to a controller file, with a report and figures."""
+"""The command `design`: from a model file to a controller or law file, with report and figures."""
 
 import argparse
 import sys
@@ -23,7 +23,9 @@ OF_A_TICK = ("method", "weights", "scaling", "full_order", "at_once", "delay_tic
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--model", type=Path, required=True, help="model file")
+    parser.add_argument("--model", type=Path, required=True,
+                        help="model file; that of several axes gives a law for a stage that "
+                        "evaluates it by itself")
     parser.add_argument("--method", choices=METHODS, default=METHODS[0],
                         help="how to design: %(choices)s")
     parser.add_argument("--feedback", choices=(*FEEDBACKS, ALL),
@@ -50,7 +52,8 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--samples-per-tick", type=int,
                         help="feedback period in samples; by the rules (5.10) by default")
     parser.add_argument("--output", type=Path, required=True,
-                        help="controller file to write; page and pictures are put next to it")
+                        help="controller file to write, or law file if the model is of several "
+                        "axes; page and pictures are put next to it")
     add_report_option(parser, "CONTROLLER_report.html next to the controller")
 
 

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from piezo_common.command_line import print_next, print_progress, write_report
 from piezo_common.picture_style import to_png
+from piezo_controller.commands.axes_design_work import design_axes_law
 from piezo_controller.feedback.controller_file import save_controller
 from piezo_controller.feedback.controller_view import REPORT_ROWS
 from piezo_controller.feedback.design_choices import ALL, FEEDBACKS
@@ -41,7 +42,7 @@ from piezo_controller.feedback.synthesis.generalised_plant import design_plant, 
 from piezo_controller.feedback.synthesis.h_infinity import is_stable
 from piezo_controller.feedback.synthesis.weights import DesignWeights
 from piezo_models.cascade import StageModel
-from piezo_models.model_file import announced_model
+from piezo_models.model_file import announced_model, is_of_several_axes
 
 GAIN_SPREAD = 0.12
 DRAWN = 40
@@ -55,6 +56,9 @@ DOTS_PER_INCH = 120
 
 def design_controller(options: argparse.Namespace) -> None:
     """Design the controller; write it, print its margins and draw its loop."""
+    if is_of_several_axes(options.model):
+        design_axes_law(options)
+        return
     model = announced_model(options.model).model
     if options.feedback:
         _design_named(options, model)

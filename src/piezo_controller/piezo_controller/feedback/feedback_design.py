@@ -164,7 +164,7 @@ def design_feedback(model: StageModel, weights: DesignWeights, clock_period_s: f
         raise ValueError("PID is found by a relay that answers by messages: give delay_ticks 1")
     plant, gain_um_per_v = design_plant(model, tick_s, clock_period_s, at_once, delay_ticks)
     if method == "h_infinity":
-        controller, found = _h_infinity(plant, gain_um_per_v, weights, scaling, reduce)
+        controller, found = h_infinity_feedback(plant, gain_um_per_v, weights, scaling, reduce)
     else:
         controller, found = _ziegler_nichols(method, model, plant, tick_s, clock_period_s)
     report = {"method": method, "at_once": at_once, "delay_ticks": delay_ticks, **found,
@@ -269,7 +269,8 @@ def structured_singular_value(problem: control.StateSpace,
     frequency_hz = tick_frequencies(problem.dt, FREQUENCIES)
     responses = sampled_response(close(problem, controller),
                                  np.exp(2j * np.pi * frequency_hz * problem.dt))
-    return frequency_hz, structured_singular_values(responses, UNCERTAINTIES)[0]
+    return frequency_hz, structured_singular_values(
+        responses, UNCERTAINTIES * controller.ninputs)[0]
 
 
 def _measures(controller: control.StateSpace, model: StageModel, plant: control.StateSpace,
@@ -281,13 +282,29 @@ def _measures(controller: control.StateSpace, model: StageModel, plant: control.
             **measure_loop(gain_um_per_v * plant, controller, spread)}
 
 
-def _h_infinity(plant: control.StateSpace, gain_um_per_v: float, weights: DesignWeights,
-                scaling: str, reduce: bool) -> tuple[control.StateSpace, dict[str, Any]]:
-    problem = generalised_plant(plant, gain_um_per_v, weights)
-    synthesis = iterate(problem, UNCERTAINTIES, scaling == "dynamic", SLACK)
+def h_infinity_feedback(
+    plant: control.StateSpace, gain_um_per_v: float, weights: DesignWeights, scaling: str,
+    reduce: bool,
+) -> tuple[control.StateSpace, dict[str, Any]]:
+    """Return the H-infinity feedback of a plant of one axis or several, and its part of the report.
+
+    Parameters
+    ----------
+    plant, gain_um_per_v
+        See `generalised_plant`.
+    scaling, reduce
+        See `design_feedback`; the scaling is constant if there are several axes.
+
+    Raises
+    ------
+    NoController
+        If the weights cannot be satisfied.
+    """
+    problem, axes = generalised_plant(plant, gain_um_per_v, weights), plant.ninputs
+    synthesis = iterate(problem, UNCERTAINTIES, scaling == "dynamic", SLACK, axes)
     controller = synthesis.controller
     if reduce:
-        scaled = scale(problem, synthesis.scalings)
+        scaled = scale(problem, synthesis.scalings, axes)
         limit = (1 + REDUCTION_COST) * control.linfnorm(close(scaled, controller))[0]
         controller = reduce_order(controller, lambda candidate: (
             is_stable(close(scaled, candidate))

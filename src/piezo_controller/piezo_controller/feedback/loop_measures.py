@@ -2,12 +2,14 @@
 """Performance of a feedback loop: bandwidth, margins, settling."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import control
 import numpy as np
 
 from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
 from piezo_controller.feedback.synthesis.h_infinity import is_stable
+from piezo_controller.feedback.synthesis.structured_singular_value import sampled_response
 
 BAND_EDGE = 1 / np.sqrt(2)
 SETTLED = 0.05
@@ -89,6 +91,43 @@ def measure_loop(plant: control.StateSpace, controller: control.StateSpace,
         measures["gain_margin" + where] = margins.gain
         measures["phase_margin_deg" + where] = margins.phase_deg
     return measures
+
+
+def sensitivity_of_axes(plant: control.StateSpace, controller: control.StateSpace,
+                        frequency_hz: FloatArray) -> ComplexArray:
+    """Return the response of the sensitivity of several axes, shape (F, n, n)."""
+    points = np.exp(2j * np.pi * frequency_hz * plant.dt)
+    loop = sampled_response(plant, points) @ sampled_response(controller, points)
+    return np.asarray(np.linalg.inv(np.eye(plant.noutputs) + loop), dtype=complex)
+
+
+def measure_axes_loop(plant: control.StateSpace, controller: control.StateSpace,
+                      axes: tuple[str, ...]) -> dict[str, Any]:
+    """Measure the closed loop of several axes.
+
+    Returns
+    -------
+    dict
+        ``bandwidth_hz`` (where the largest singular value of the sensitivity first reaches -3 dB),
+        ``bandwidth_hz_of_axis`` (where the sensitivity of each axis to its own disturbance does),
+        ``peak_sensitivity`` (the largest singular value) and its ``peak_frequency_hz``; and what
+        this peak guarantees, with gains or phases that change independently at the sensors:
+        ``gain_margin`` and ``phase_margin_deg``.
+    """
+    frequency_hz = _frequencies(plant.dt)
+    sensitivity = sensitivity_of_axes(plant, controller, frequency_hz)
+    size = np.linalg.norm(sensitivity, 2, axis=(1, 2))
+    own = np.abs(np.diagonal(sensitivity, axis1=1, axis2=2))
+    peak = float(size.max())
+    return {
+        "bandwidth_hz": _first_rise_hz(frequency_hz, size > BAND_EDGE),
+        "bandwidth_hz_of_axis": {
+            axis: _first_rise_hz(frequency_hz, column > BAND_EDGE)
+            for axis, column in zip(axes, own.T, strict=True)},
+        "peak_sensitivity": peak, "peak_frequency_hz": float(frequency_hz[size.argmax()]),
+        "gain_margin": peak / (peak - 1.0) if peak > 1.0 else None,
+        "phase_margin_deg": float(np.degrees(2.0 * np.arcsin(min(0.5 / peak, 1.0)))),
+    }
 
 
 def _first_rise_hz(frequency_hz: FloatArray, holds: BoolArray) -> float | None:

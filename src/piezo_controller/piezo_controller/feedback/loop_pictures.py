@@ -27,6 +27,7 @@ from piezo_controller.feedback.loop_measures import (
     Margins,
     loop_margins,
     loop_responses,
+    sensitivity_of_axes,
 )
 from piezo_controller.feedback.synthesis.weights import DesignWeights, Weight
 
@@ -212,6 +213,35 @@ def sensitivity_figure(plant: control.StateSpace, controller: control.StateSpace
     axes.set_ylim(1e-3, None)
     label(axes, "frequency (Hz)", "gain (um/um)")
     axes.legend(loc="lower center")
+    return figure
+
+
+def axes_sensitivity_figure(plant: control.StateSpace, controller: control.StateSpace,
+                            axes: Sequence[str], drawn: Sequence[control.StateSpace]) -> Figure:
+    """Draw the sensitivity of several axes, and the band of its size for perturbed models.
+
+    Parameters
+    ----------
+    plant, controller : control.StateSpace
+        Discrete, with an input and an output for each axis.
+    """
+    frequency_hz = _frequencies(plant.dt)[::4]
+    figure = new_figure(4.4)
+    shown = figure.subplots()
+    sizes = np.linalg.norm([sensitivity_of_axes(each, controller, frequency_hz) for each in drawn],
+                           2, axis=(2, 3))
+    shown.fill_between(frequency_hz, sizes.min(axis=0), sizes.max(axis=0), color=GREY, alpha=0.5,
+                       linewidth=0.0, label=f"{len(drawn)} models with errors, largest")
+    sensitivity = sensitivity_of_axes(plant, controller, frequency_hz)
+    curves = {"largest singular value of S": np.linalg.norm(sensitivity, 2, axis=(1, 2))} | {
+        f"{axis} from its own disturbance": np.abs(sensitivity[:, at, at])
+        for at, axis in enumerate(axes)}
+    for (name, values), style in zip(curves.items(), CURVES, strict=False):
+        shown.loglog(frequency_hz, values, label=name, **style)
+    shown.axhline(1.0, **LIMIT)
+    shown.set_ylim(1e-3, None)
+    label(shown, "frequency (Hz)", "gain (um/um)")
+    shown.legend(loc="lower right")
     return figure
 
 

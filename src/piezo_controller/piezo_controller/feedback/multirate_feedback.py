@@ -34,7 +34,7 @@ class MultirateFeedback:
         self._b = np.ravel(controller.B)
         self._c = np.ravel(controller.C)
         self._d = float(np.squeeze(controller.D))
-        self._observer = observer_gain(controller)
+        self._observer = observer_gain(controller)[:, 0]
         self._max_v = float(max_feedback_v)
         self.reset()
 
@@ -64,13 +64,18 @@ class MultirateFeedback:
 
 
 def observer_gain(controller: FeedbackController | control.StateSpace) -> FloatArray:
-    """Return the gain that corrects the state by the part of the voltage that was cut off.
+    """Return the gain that corrects the state by the parts of the voltages that were cut off.
 
-    It is that of the Kalman predictor for an unknown error of 1 um and a voltage known to 1 V.
+    It is that of the Kalman predictor for unknown errors of 1 um and voltages known to 1 V.
+
+    Returns
+    -------
+    ndarray, shape (n, outputs)
     """
     a, b, c, d = (np.atleast_2d(m) for m in (controller.A, controller.B, controller.C,
                                              controller.D))
-    output_noise = d @ d.T + 1.0
+    output_noise = d @ d.T + np.eye(len(d))
     covariance = solve_discrete_are(a.T, c.T, b @ b.T, output_noise, s=b @ d.T)
-    gain = (a @ covariance @ c.T + b @ d.T) / (c @ covariance @ c.T + output_noise)
-    return gain[:, 0]
+    gain: FloatArray = np.linalg.solve(
+        c @ covariance @ c.T + output_noise, (a @ covariance @ c.T + b @ d.T).T).T
+    return gain

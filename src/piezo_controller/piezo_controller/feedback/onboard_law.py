@@ -66,7 +66,7 @@ def onboard_law(controller: FeedbackController, model: StageModel, plan: Feedfor
             block = _one_later(block)
         tick, observer, sample = LinearBlock(), np.zeros(0), block
     else:
-        tick, observer, sample = block, observer_gain(controller), LinearBlock()
+        tick, observer, sample = block, observer_gain(controller)[:, 0], LinearBlock()
     return FeedbackLaw(
         tick=tick, observer=observer, sample=sample, max_feedback_v=max_feedback_v,
         once_um=plan.reference_once_um, period_um=plan.reference_period_um,

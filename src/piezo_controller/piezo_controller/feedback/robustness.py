@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Robustness of a feedback against errors of the model: random errors, and the worst case."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import control
@@ -9,6 +10,7 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_controller.feedback.synthesis.generalised_plant import design_plant
 from piezo_controller.feedback.synthesis.h_infinity import is_stable
+from piezo_controller.feedback.synthesis.structured_singular_value import sampled_response
 from piezo_models.cascade import StageModel
 from piezo_models.linear.creep_errors import with_creep_errors
 from piezo_models.linear.dynamics_vector import dynamics_of_vector, dynamics_vector
@@ -52,19 +54,36 @@ def check_robustness(model: StageModel, controller: control.StateSpace, clock_pe
     delay_ticks : int
         Ticks of computing time, see `design_plant`.
     """
+    return robustness_of(
+        lambda errors: _plant(model, errors, controller.dt, clock_period_s, gain_spread, at_once,
+                              delay_ticks), 1 + _parameters(model), controller, samples)
+
+
+def robustness_of(plant_of: Callable[[FloatArray], control.StateSpace], count: int,
+                  controller: control.StateSpace, samples: int = SAMPLES) -> Robustness:
+    """Close the loop with plants of random errors, then search for the worst ones.
+
+    Parameters
+    ----------
+    plant_of : callable
+        Takes errors between -1 and 1; returns a plant (um/V) of as many axes as the controller.
+    count : int
+        Number of errors.
+    """
     frequency_hz = np.geomspace(0.1, 0.5 / controller.dt, FREQUENCIES)
     points = np.exp(2j * np.pi * frequency_hz * controller.dt)
-    fed_back = controller(points, squeeze=True)
-    draws = _draws(model, samples)
-    count = draws.shape[1]
+    fed_back = sampled_response(controller, points)
+    one = np.eye(controller.ninputs)
 
     def peak(errors: FloatArray) -> float:
-        plant = _plant(model, errors, controller.dt, clock_period_s, gain_spread, at_once,
-                       delay_ticks)
-        if not is_stable(control.feedback(plant * controller, 1)):
+        plant = plant_of(errors)
+        if not is_stable(control.feedback(plant * controller, one)):
             return np.inf
-        return np.abs(1 / (1 + plant(points, squeeze=True) * fed_back)).max()
+        # The smallest singular value.
+        return float(1 / np.linalg.norm(
+            one + sampled_response(plant, points) @ fed_back, -2, axis=(1, 2)).min())
 
+    draws = error_draws(count, samples)
     peaks = np.array([peak(errors) for errors in draws])
     errors = np.sign(draws[np.argmax(peaks)])
     worst = peak(errors)
@@ -93,11 +112,12 @@ def drawn_plants(model: StageModel, tick_s: float, clock_period_s: float, gain_s
         Ticks of computing time, see `design_plant`.
     """
     return [_plant(model, errors, tick_s, clock_period_s, gain_spread, at_once, delay_ticks)
-            for errors in _draws(model, samples)]
+            for errors in error_draws(1 + _parameters(model), samples)]
 
 
-def _draws(model: StageModel, samples: int) -> FloatArray:
-    return np.random.default_rng(0).uniform(-1, 1, (samples, 1 + _parameters(model)))
+def error_draws(count: int, samples: int) -> FloatArray:
+    """Return the random errors of `robustness_of`, between -1 and 1, shape (samples, count)."""
+    return np.random.default_rng(0).uniform(-1, 1, (samples, count))
 
 
 def _plant(model: StageModel, errors: FloatArray, tick_s: float, clock_period_s: float,

@@ -16,7 +16,6 @@ from rclpy.lifecycle import LifecycleNode
 
 from piezo_controller.feedback.synthesis.weights import BUILT_IN
 from piezo_controller.node.followed_reference import FollowedReference
-from piezo_controller.node.law_message import message_of
 from piezo_controller.node.model_service import ModelService
 from piezo_controller.node.present_run import PresentRun
 from piezo_controller.node.reference_topic import ReferenceTopic
@@ -39,6 +38,7 @@ from piezo_ros.requests.calls import CallFailed
 from piezo_ros.requests.goals import GoalServers, Progress
 from piezo_ros.spinning import autostart, run_node
 from piezo_ros.stage_runs.described_stage import DescribedStage
+from piezo_ros.stage_runs.law_message import message_of
 from piezo_ros.stage_runs.recording_calls import Attachment, RecorderCaller, RunRecording
 from piezo_ros.stage_runs.run_account import RunAccount, declare_run_limits
 from piezo_ros.stage_runs.stage_tracking import REPORT_PERIOD_S, StageTracker

@@ -4,10 +4,10 @@
 from collections.abc import Callable
 from dataclasses import replace
 
-from piezo_controller.node.law_message import message_of
 from piezo_controller.tracking.accepted_models import ModelText
 from piezo_controller.tracking.track import PreparedRun, TrackRequest
 from piezo_ros.requests.calls import CallFailed
+from piezo_ros.stage_runs.law_message import message_of
 from piezo_ros.stage_runs.stage_tracking import StageTracker
 
 FROM_THE_NEXT = "from the next run on"

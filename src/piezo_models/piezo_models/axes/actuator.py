@@ -3,6 +3,7 @@
 
 from dataclasses import dataclass
 
+import control
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.signal import lfilter
@@ -103,6 +104,13 @@ class Actuator:
             kept = np.exp(-rate * sample_period_s)
             response += gain * (1.0 - kept) * z / (z - kept)
         return response
+
+    def creep_system(self, sample_period_s: float) -> control.StateSpace:
+        """Return the creep from sample to sample as a discrete system, see `creep_response`."""
+        kept = np.exp(-np.array(self.creep.poles_rad_per_s) * sample_period_s)
+        gains = self.creep_gains * (1.0 - kept)
+        return control.ss(np.diag(kept), np.ones((kept.size, 1)), (gains * kept)[None, :],
+                          [[1.0 + gains.sum()]], sample_period_s)
 
     def inverse_v(self, drive_v: FloatArray, sample_period_s: float) -> FloatArray:
         """Return the periodic voltage that produces a periodic drive.

@@ -19,19 +19,29 @@ class FeedbackLawError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class LinearBlock:
-    """A discrete linear system with one input and one output: x+ = A x + B u, y = C x + D u."""
+    """A discrete linear system x+ = A x + B u, y = C x + D u, with one input and one output.
+
+    That of several axes has an input and an output for each.
+    """
 
     a: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     """Shape (n, n)."""
     b: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """Shape (n,), or (n, axes)."""
     c: FloatArray = field(default_factory=lambda: np.zeros(0))
-    """Shape (n,)."""
-    d: float = 0.0
+    """Shape (n,), or (axes, n)."""
+    d: float | FloatArray = 0.0
+    """A number, or shape (axes, axes)."""
 
     @classmethod
     def of(cls, a: npt.ArrayLike, b: npt.ArrayLike, c: npt.ArrayLike,
-           d: npt.ArrayLike) -> "LinearBlock":
+           d: npt.ArrayLike, axes: int = 0) -> "LinearBlock":
         """Make a block from matrices in any layout: A row by row, B and C as rows or columns.
+
+        Parameters
+        ----------
+        axes : int
+            Number of axes; B, C and D are then row by row. By default a single one, without a name.
 
         Raises
         ------
@@ -39,6 +49,15 @@ class LinearBlock:
             If the numbers of elements do not fit each other.
         """
         a, b, c, d = (np.ravel(np.asarray(part, dtype=float)) for part in (a, b, c, d))
+        if axes:
+            order = b.size // axes
+            if a.size != order**2 or not b.size == c.size == order * axes or d.size != axes**2:
+                raise FeedbackLawError(
+                    f"a linear block of {axes} axes has {a.size}, {b.size}, {c.size} and {d.size} "
+                    f"elements of A, B, C and D: give n x n, n x {axes}, {axes} x n and "
+                    f"{axes} x {axes}")
+            return cls(a.reshape(order, order), b.reshape(order, axes), c.reshape(axes, order),
+                       d.reshape(axes, axes))
         if d.size != 1 or a.size != b.size**2 or c.size != b.size:
             raise FeedbackLawError(
                 f"a linear block has {a.size}, {b.size}, {c.size} and {d.size} elements of A, B, "
@@ -53,14 +72,22 @@ class LinearBlock:
     @property
     def empty(self) -> bool:
         """Return True if the output is zero for every input."""
-        return self.order == 0 and self.d == 0.0
+        return self.order == 0 and not np.any(self.d)
+
+    @property
+    def matrices(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return A, B, C and D, all of two dimensions."""
+        if self.b.ndim > 1:
+            return self.a, self.b, self.c, np.asarray(self.d)
+        return self.a, self.b[:, None], self.c[None, :], np.full((1, 1), self.d)
 
     def response(self, points: ComplexArray) -> ComplexArray:
-        """Return the transfer function at points of the complex plane, shape (F,)."""
-        states = np.linalg.solve(
-            points[:, None, None] * np.eye(self.order) - self.a,
-            np.broadcast_to(self.b[:, None], (len(points), self.order, 1)))
-        return np.asarray(self.d + (self.c @ states)[:, 0], dtype=complex)
+        """Return the transfer function at points of the plane, shape (F,) or (F, axes, axes)."""
+        a, b, c, d = self.matrices
+        states = np.linalg.solve(points[:, None, None] * np.eye(self.order) - a,
+                                 np.broadcast_to(b, (len(points), *b.shape)))
+        response = np.asarray(d + c @ states, dtype=complex)
+        return response if self.b.ndim > 1 else response[:, 0, 0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +109,7 @@ class DeclaredPlant:
     linear: LinearBlock
     """The stage behind its hysteresis (um per um), at the sample rate of the stage."""
     gains_um_per_v: FloatArray
-    """Gains of the hysteresis in um/V at which the loop must be stable, (k,)."""
+    """Gains of the hysteresis in um/V at which the loop must be stable, (k,), or (k, axes)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +117,8 @@ class FeedbackLaw:
     """A feedback at the tick's rate, at the sample rate, or both, with its reference and limits.
 
     The error is reference minus displacement. The sum of the voltages of both blocks is limited.
+    A law of several axes has a block at the tick's rate only, and no inverse; its limits are those
+    of each axis.
 
     Raises
     ------
@@ -101,13 +130,13 @@ class FeedbackLaw:
     """Block at the tick's rate: from the mean error of a tick (um) to a voltage (V)."""
     observer: FloatArray
     """Factors that correct the state of `tick` by the voltage that the limits cut (anti-windup),
-    (n,)."""
+    (n,), or (n, axes)."""
     max_feedback_v: float
 
     once_um: FloatArray
     period_um: FloatArray
-    """Expected displacement of each sample of the run in um, (N,): `once_um` first, then
-    `period_um` repeatedly; without a period the last value is held."""
+    """Expected displacement of each sample of the run in um, (N,), or (N, axes): `once_um` first,
+    then `period_um` repeatedly; without a period the last value is held."""
     plant: DeclaredPlant
 
     start_sample: int = 0
@@ -124,6 +153,8 @@ class FeedbackLaw:
     fade_samples: int = 0
     """Samples over which the initial error is faded in. At first the law responds only to the
     change of the error, so that its voltage starts at 0. With 0 it responds to all of it."""
+    axes: tuple[str, ...] = ()
+    """Names of the axes in their order, if there are several."""
 
     def __post_init__(self) -> None:
         blocks = {"tick": self.tick, "sample": self.sample, "model": self.plant.linear}
@@ -156,13 +187,27 @@ class FeedbackLaw:
         if self.fade_samples < 0:
             raise FeedbackLawError(f"fade_samples is {self.fade_samples}: give 0 or more")
         gains = np.asarray(self.plant.gains_um_per_v)
-        if not self.plant.linear.order or self.plant.linear.d or not gains.size or not (
+        if not self.plant.linear.order or np.any(self.plant.linear.d) or not gains.size or not (
                 np.isfinite(gains) & (gains > 0.0)).all():
             raise FeedbackLawError("the declared model has no dynamics, answers at once, or has "
                                    "gains that are not positive: declare the model that the law "
                                    "was designed for")
         if self.inverse is not None:
             self._check_inverse(self.inverse)
+        self._check_axes()
+
+    def _check_axes(self) -> None:
+        own = (len(self.axes),) if self.axes else ()
+        if self.axes and not (self.sample.empty and self.inverse is None):
+            raise FeedbackLawError("a law of several axes has sample, or an inverse: use "
+                                   "tick alone")
+        arrays = {"tick": self.tick.b, "observer": self.observer, "model": self.plant.linear.b,
+                  "model_gains_um_per_v": np.asarray(self.plant.gains_um_per_v),
+                  "once_expected_um": self.once_um, "period_expected_um": self.period_um}
+        for name, values in arrays.items():
+            if values.size and values.shape[1:] != own:
+                raise FeedbackLawError(f"{name} of the law has {values.shape[1:]} columns for the "
+                                       f"axes {self.axes}: give one for each")
 
     def _check_inverse(self, inverse: InverseHysteresis) -> None:
         if not 0.0 < inverse.gain_um_per_v < np.inf:

@@ -44,15 +44,16 @@ def check_law(law: FeedbackLaw, samples_per_tick: int, lead_ticks: int = 0) -> N
     # Behind its inverse the hysteresis has the gain 1, and the law's own gain is known.
     gains = law.plant.gains_um_per_v if law.inverse is None else [law.inverse.gain_um_per_v]
     for gain_um_per_v in gains:
-        a, b, c = _tick_plant(law, float(gain_um_per_v), samples_per_tick,
-                              law.delay_ticks + lead_ticks)
-        where = f"with the declared model at a hysteresis gain of {gain_um_per_v:.3g} um/V"
+        a, b, c = _tick_plant(law, gain_um_per_v, samples_per_tick, law.delay_ticks + lead_ticks)
+        gain = " and ".join(f"{each:.3g}" for each in np.atleast_1d(gain_um_per_v))
+        where = f"with the declared model at a hysteresis gain of {gain} um/V"
         largest = np.abs(np.linalg.eigvals(_closed(a, b, c, law.tick))).max()
         if not largest <= LARGEST_EIGENVALUE:
             raise FeedbackLawError(f"the feedback law is not stable {where} (an eigenvalue has the "
                                    f"size {largest:.4g}): design it for this stage")
-        sensitivity = max(_peak_sensitivity(LinearBlock.of(a, b, c, [0.0]), law.tick),
-                          _sampled_peak(law, float(gain_um_per_v)))
+        sensitivity = max(
+            _peak_sensitivity(LinearBlock(a, b, c, np.zeros((len(c), b.shape[1]))), law.tick),
+            _sampled_peak(law, gain_um_per_v))
         if not sensitivity <= LARGEST_SENSITIVITY:
             raise FeedbackLawError(
                 f"the feedback law makes errors up to {sensitivity:.3g} times as large {where}, "
@@ -73,7 +74,7 @@ def _check_inverse_gain(law: FeedbackLaw) -> None:
             f"declares {lowest:.3g} to {highest:.3g} um/V: take both from one model")
 
 
-def declared_plant(plant: DeclaredPlant, gain_um_per_v: float,
+def declared_plant(plant: DeclaredPlant, gain_um_per_v: float | FloatArray,
                    sample: LinearBlock) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the plant from voltage to displacement at the sample rate.
 
@@ -81,13 +82,14 @@ def declared_plant(plant: DeclaredPlant, gain_um_per_v: float,
 
     Returns
     -------
-    a, b, c : ndarray, shape (n, n), (n, 1), (1, n)
+    a, b, c : ndarray, shape (n, n), (n, 1), (1, n), or with a column of b and a row of c for each
+        axis
     """
-    linear = plant.linear
-    a, b, c = linear.a, gain_um_per_v * linear.b[:, None], linear.c[None, :]
+    a, b, c, _ = plant.linear.matrices
+    b = gain_um_per_v * b
     if sample.empty:
         return a, b, c
-    n, m = linear.order, sample.order
+    n, m = plant.linear.order, sample.order
     closed = np.zeros((n + m + 1, n + m + 1))
     closed[:n, :n], closed[:n, n + m:] = a, b
     closed[n:n + m, :n], closed[n:n + m, n:n + m] = -sample.b[:, None] * c, sample.a
@@ -96,7 +98,7 @@ def declared_plant(plant: DeclaredPlant, gain_um_per_v: float,
     return closed, np.r_[b, padding], np.c_[c, padding.T]
 
 
-def _tick_plant(law: FeedbackLaw, gain_um_per_v: float, samples_per_tick: int,
+def _tick_plant(law: FeedbackLaw, gain_um_per_v: float | FloatArray, samples_per_tick: int,
                 delay_ticks: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     return lift(*declared_plant(law.plant, gain_um_per_v, law.sample), samples_per_tick,
                 delay_ticks)
@@ -104,11 +106,11 @@ def _tick_plant(law: FeedbackLaw, gain_um_per_v: float, samples_per_tick: int,
 
 def _closed(a: FloatArray, b: FloatArray, c: FloatArray, block: LinearBlock) -> FloatArray:
     """Return the system matrix of the loop with negative feedback."""
-    return np.block([[a - block.d * b @ c, b @ block.c[None, :]],
-                     [-block.b[:, None] @ c, block.a]])
+    own_a, own_b, own_c, own_d = block.matrices
+    return np.block([[a - b @ own_d @ c, b @ own_c], [-own_b @ c, own_a]])
 
 
-def _sampled_peak(law: FeedbackLaw, gain_um_per_v: float) -> float:
+def _sampled_peak(law: FeedbackLaw, gain_um_per_v: float | FloatArray) -> float:
     """Return the peak sensitivity of the loop at the sample rate, which acts one sample late."""
     if law.sample.empty:
         return 1.0
@@ -119,4 +121,7 @@ def _sampled_peak(law: FeedbackLaw, gain_um_per_v: float) -> float:
 
 def _peak_sensitivity(plant: LinearBlock, block: LinearBlock) -> float:
     points = np.exp(2j * np.pi * np.geomspace(LOWEST_FREQUENCY, 0.5, FREQUENCIES))
-    return float(np.abs(1.0 / (1.0 + plant.response(points) * block.response(points))).max())
+    loop = plant.response(points) @ block.response(points).reshape(
+        len(points), plant.b.shape[1], -1)
+    # The smallest singular value.
+    return float(1.0 / np.linalg.norm(np.eye(len(plant.c)) + loop, -2, axis=(1, 2)).min())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A sampled system at the tick rate of a feedback: one voltage and one mean for each tick."""
+"""A sampled system at the tick rate of a feedback: voltages and means of each tick."""
 
 import numpy as np
 
@@ -15,31 +15,34 @@ def lift(a: FloatArray, b: FloatArray, c: FloatArray, samples_per_tick: int,
 
     Parameters
     ----------
-    a, b, c : ndarray, shape (n, n), (n, 1), (1, n)
+    a, b, c : ndarray, shape (n, n), (n, i), (o, n)
         Strictly proper system at the sample rate.
 
     Returns
     -------
-    a, b, c : ndarray, shape (m, m), (m, 1), (1, m)
-        System at the tick rate, m = n + 1 + `delay_ticks`. Its states are those of the sampled
-        system at the start of the tick, the known mean, and the decided inputs that have not acted
+    a, b, c : ndarray, shape (m, m), (m, i), (o, m)
+        System at the tick rate, m = n + o + i * `delay_ticks`. Its states are those of the sampled
+        system at the start of the tick, the known means, and the decided inputs that have not acted
         yet, the oldest first.
     """
-    order, size = len(a), len(a) + 1 + delay_ticks
-    power, held, mean, through = np.eye(order), np.zeros_like(b), np.zeros_like(c), 0.0
+    order, inputs, outputs = len(a), b.shape[1], len(c)
+    known, size = order + outputs, order + outputs + inputs * delay_ticks
+    power, held, mean = np.eye(order), np.zeros_like(b), np.zeros_like(c)
+    through = np.zeros((outputs, inputs))
     for _ in range(samples_per_tick):
         mean = mean + c @ power / samples_per_tick
-        through = through + (c @ held).item() / samples_per_tick
+        through = through + c @ held / samples_per_tick
         held = a @ held + b
         power = a @ power
-    acting = np.r_[held[:, 0], through]
-    lifted_a, lifted_b, lifted_c = np.zeros((size, size)), np.zeros((size, 1)), np.zeros((1, size))
-    lifted_a[:order, :order], lifted_a[order, :order] = power, mean[0]
+    acting = np.r_[held, through]
+    lifted_a, lifted_b = np.zeros((size, size)), np.zeros((size, inputs))
+    lifted_c = np.zeros((outputs, size))
+    lifted_a[:order, :order], lifted_a[order:known, :order] = power, mean
     if delay_ticks:
-        lifted_a[:order + 1, order + 1] = acting
-        lifted_a[order + 1:-1, order + 2:] = np.eye(delay_ticks - 1)
-        lifted_b[-1, 0] = 1.0
+        lifted_a[:known, known:known + inputs] = acting
+        lifted_a[known:-inputs, known + inputs:] = np.eye(inputs * (delay_ticks - 1))
+        lifted_b[-inputs:] = np.eye(inputs)
     else:
-        lifted_b[:order + 1, 0] = acting
-    lifted_c[0, order] = 1.0
+        lifted_b[:known] = acting
+    lifted_c[:, order:known] = np.eye(outputs)
     return lifted_a, lifted_b, lifted_c

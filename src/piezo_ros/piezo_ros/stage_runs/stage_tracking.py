@@ -4,7 +4,7 @@
 import array
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 from piezo_interfaces.msg import FeedbackLaw, FeedbackVoltage, SampleBlock
@@ -69,13 +69,13 @@ class StageTracker:
     def run(self, once_voltage_v: FloatArray, period_voltage_v: FloatArray, ticks: int,
             take: Callable[[SampleBlock], float], answering: bool, cancelled: Callable[[], bool],
             report: Callable[[], object], more: More | None = None,
-            law: FeedbackLaw | None = None) -> None:
+            law: FeedbackLaw | None = None, axes: Sequence[str] = ()) -> None:
         """Play a feedforward for some ticks and wait until the stage is at rest.
 
         Parameters
         ----------
         once_voltage_v, period_voltage_v : ndarray
-            Voltages as in `LoadFeedforward`.
+            Voltages as in `LoadFeedforward`, or of shape (n, axes).
         ticks : int
             Duration in ticks; 0 to play until cancelled.
         take : callable
@@ -91,6 +91,8 @@ class StageTracker:
             are then always answered.
         law : FeedbackLaw, optional
             Law that the stage evaluates itself; there are then no responses.
+        axes : sequence of str
+            Names of all axes of the stage, if it has several; the blocks are then not answered.
 
         Raises
         ------
@@ -101,7 +103,7 @@ class StageTracker:
         for event in self._at_rest, self._awake, self._begun:
             event.clear()
         self._blocks = self.last_sample = self.missed_feedback = self._feedforward_id = 0
-        self._load_voltages(once_voltage_v, period_voltage_v)
+        self._load_voltages(once_voltage_v, period_voltage_v, axes=axes)
         if law is not None:
             call_service(self._node, self._load_law, LoadFeedback.Request(
                 law=law, feedforward_id=self._feedforward_id))
@@ -165,11 +167,11 @@ class StageTracker:
             raise
 
     def _load_voltages(self, once_voltage_v: FloatArray, period_voltage_v: FloatArray | bytes = b"",
-                       append: bool = False) -> None:
+                       append: bool = False, axes: Sequence[str] = ()) -> None:
         self._feedforward_id = call_service(self._node, self._load, LoadFeedforward.Request(
             once_voltage_v=array.array("d", bytes(once_voltage_v)),
             period_voltage_v=array.array("d", bytes(period_voltage_v)), append=append,
-            feedforward_id=self._feedforward_id)).feedforward_id
+            feedforward_id=self._feedforward_id, axes=list(axes))).feedforward_id
 
     def _append(self, voltage_v: FloatArray) -> None:
         self._load_voltages(voltage_v, append=True)
@@ -240,6 +242,7 @@ class StageTracker:
             elif self._answering:
                 self._publish(block.tick, voltage_v)
         elif self._blocks and not block.flags & SampleBlock.FLAG_RAMPING:
-            self.last_sample = block.first_sample + len(block.displacement_um) - 1
+            samples = len(block.displacement_um) // max(len(block.axes), 1)
+            self.last_sample = block.first_sample + samples - 1
             self._at_rest.set()
             self._awake.set()

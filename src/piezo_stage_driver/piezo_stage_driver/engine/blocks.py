@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from piezo_stage_driver.engine.sources import Volts
+
 # Flags of a block in addition to those of limits.py; the values are those of SampleBlock.
 FLAG_FEEDBACK_HELD = 4
 FLAG_RAMPING = 8
@@ -32,7 +34,8 @@ class Block:
     flags: int
     missed_feedback: int
     feedback_v: np.ndarray | None = None
-    """Feedback of each tick, shape (ticks,), if the stage evaluates the feedback by itself."""
+    """Feedback of each tick, shape (ticks,) or (ticks, axes), if the stage evaluates the feedback
+    by itself."""
     marks: np.ndarray | None = None
     """Marks of the samples, shape (n,); None if no sample has one."""
     signal: np.ndarray | None = None
@@ -56,7 +59,7 @@ class Filled(NamedTuple):
     voltage_v: np.ndarray
     displacement_um: np.ndarray
     flags: int
-    feedback_v: list[float]
+    feedback_v: list[Volts]
     detected: Detected
 
 
@@ -80,13 +83,13 @@ class BlockCollector:
     def _clear(self) -> None:
         self._voltage_v: list[np.ndarray] = []
         self._displacement_um: list[np.ndarray] = []
-        self._feedback_v: list[float] = []
+        self._feedback_v: list[Volts] = []
         self._marks: list[np.ndarray] = []
         self._signal: list[np.ndarray] = []
         self.pending_samples = self._flags = 0
 
     def add(self, voltage_v: np.ndarray, displacement_um: np.ndarray, flags: int, ends: bool,
-            feedback_v: float | None = None,
+            feedback_v: Volts | None = None,
             detected: Detected = NOTHING_DETECTED) -> "Filled | None":
         """Add samples, and return a block as soon as one is full.
 
@@ -97,7 +100,7 @@ class BlockCollector:
         voltage_v, displacement_um : ndarray, shape (n,) or (n, axes)
         ends : bool
             Whether the samples that follow belong to another block.
-        feedback_v : float, optional
+        feedback_v : float or ndarray, shape (axes,), optional
             Voltage of a feedback on board, if there is one (V).
         detected : Detected
             Marks and signals of the samples.

@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Feedback on board: an uploaded law instead of answers to blocks."""
 
+from typing import Any
+
 import numpy as np
 
 from piezo_models.feedback_law.feedback_law import FeedbackLaw, FeedbackLawError
 from piezo_models.feedback_law.law_check import check_law
+from piezo_models.feedback_law.running_axes_law import RunningAxesLaw
 from piezo_models.feedback_law.running_law import RunningLaw
 from piezo_stage_driver.engine.feedback_hold import FeedbackError
-from piezo_stage_driver.safety.law_guard import LawGuard
+from piezo_stage_driver.safety.law_guard import AxesLawGuard, LawGuard
 from piezo_stage_driver.safety.limits import FeedbackLimits
 
 
@@ -21,7 +24,7 @@ class CheckedLaw:
     """
 
     def __init__(self, law: FeedbackLaw, samples_per_tick: int, lead_ticks: int,
-                 rest_voltage_v: float, limits: FeedbackLimits) -> None:
+                 rest_voltage_v: Any, limits: FeedbackLimits) -> None:
         if law.max_feedback_v > limits.maximum_v:
             raise FeedbackLawError(f"max_feedback_v of the law is {law.max_feedback_v:g} V, more "
                                    f"than this stage takes, {limits.maximum_v:g} V: lower it")
@@ -31,9 +34,12 @@ class CheckedLaw:
         # Compiles the tables of the hysteresis here rather than between two ticks.
         self.running()
 
-    def running(self) -> RunningLaw:
+    def running(self) -> RunningLaw | RunningAxesLaw:
         """Return the law in its initial state."""
-        return RunningLaw(*self._arguments)
+        law, samples_per_tick, rest_voltage_v, largest_step_v = self._arguments
+        if law.axes:
+            return RunningAxesLaw(law, samples_per_tick, largest_step_v)
+        return RunningLaw(law, samples_per_tick, rest_voltage_v, largest_step_v)
 
 
 class OnboardFeedback:
@@ -48,7 +54,7 @@ class OnboardFeedback:
 
     Attributes
     ----------
-    voltage_v : float
+    voltage_v : float or ndarray, shape (axes,)
         Voltage that acts: the mean over the tick (V).
     missed, missed_in_a_row : int
         Always 0, as no answers are needed.
@@ -64,11 +70,13 @@ class OnboardFeedback:
                  limits: FeedbackLimits) -> None:
         self._law, self.each_sample = checked.running(), not checked.law.sample.empty
         self._first_tick, self._lead_ticks, self._limits = first_tick, lead_ticks, limits
-        self._guard, self._cause = LawGuard(checked.law), ""
+        self._guard: LawGuard | AxesLawGuard = (
+            AxesLawGuard if checked.law.axes else LawGuard)(checked.law)
+        self._cause = ""
         self.limited = self.limited_in_a_row = 0
 
     @property
-    def voltage_v(self) -> float:
+    def voltage_v(self) -> Any:
         """Return the voltage that acts (V)."""
         return self._law.voltage_v
 
@@ -86,11 +94,16 @@ class OnboardFeedback:
         Raises
         ------
         FeedbackLawError
-            If the law cannot take over, see `RunningLaw.take_over`; the present law then continues.
+            If the law cannot take over, see `RunningLaw.take_over`, or is of several axes; the
+            present law then continues.
         """
-        law = checked.running()
-        law.take_over(self._law)
-        self._guard = self._guard.of_next(checked.law)
+        law, present, guard = checked.running(), self._law, self._guard
+        if not (isinstance(law, RunningLaw) and isinstance(present, RunningLaw)
+                and isinstance(guard, LawGuard)):
+            raise FeedbackLawError("a law of several axes is not replaced within a run: load it "
+                                   "between two runs")
+        law.take_over(present)
+        self._guard = guard.of_next(checked.law)
         self._law, self.each_sample = law, not law.law.sample.empty
 
     def answer(self, tick: int, voltage_v: float, present_tick: int) -> None:
@@ -115,24 +128,25 @@ class OnboardFeedback:
         return False
 
     def add(self, planned_v: np.ndarray) -> np.ndarray:
-        """Return planned voltages with the feedback that acts, shape (n,), in V."""
+        """Return planned voltages with the feedback that acts, of the same shape, in V."""
         return planned_v + self._law.begin(planned_v)
 
     def limit(self, clipped_v: np.ndarray) -> None:
-        """Take the correction by the limits to the last result of `add`, shape (n,), in V."""
-        self._law.correct(float(clipped_v.mean()))
+        """Take the correction by the limits to the last result of `add`, of its shape, in V."""
+        self._law.correct(clipped_v.mean(axis=0))
 
     def take_sample(self, displacement_um: np.ndarray) -> None:
         """Take the sample that was measured while the last one was played, shape (1,)."""
         self._law.take(displacement_um)
 
     def take(self, tick: int, voltage_v: np.ndarray, displacement_um: np.ndarray) -> None:
-        """Take the samples measured while ``tick`` was played, shape (n,)."""
+        """Take the samples measured while ``tick`` was played, shape (n,) or (n, axes)."""
         if tick < self._first_tick + self._lead_ticks:
             return
         if not self.each_sample:
             self._law.take(displacement_um)
+        error_um: Any = self._law.error_um
         if self._law.begun:
-            self._cause = self._cause or self._guard.examine(self._law.error_um)
+            self._cause = self._cause or self._guard.examine(error_um)
         else:
-            self._guard.watch(voltage_v, displacement_um, self._law.error_um)
+            self._guard.watch(voltage_v, displacement_um, error_um)

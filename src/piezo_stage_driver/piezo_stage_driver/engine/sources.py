@@ -112,16 +112,16 @@ class Feedforward:
 
     @property
     def sequence_v(self) -> np.ndarray:
-        """Return all voltages loaded first, up to the repetition, shape (n,), in V."""
-        return np.r_[self._once_v, self._period_v, self._period_v[:1]]
+        """Return all voltages loaded first, up to the repetition, in V."""
+        return np.concatenate([self._once_v, self._period_v, self._period_v[:1]])
 
     @property
-    def first_v(self) -> float:
+    def first_v(self) -> Volts:
         """Return the voltage that is played first (V)."""
         return self._once_v[0] if len(self._once_v) else self._period_v[0]
 
     @property
-    def last_v(self) -> float | None:
+    def last_v(self) -> Volts | None:
         """Return the last voltage before the next appended part (V)."""
         return self._last_v
 
@@ -185,7 +185,8 @@ class Feedforward:
     def _take_behind_once(self, count: int) -> np.ndarray:
         if not self.periodic:
             self._held = True
-            return np.full(count, self._last_v)
+            assert self._last_v is not None
+            return held(self._last_v, count)
         first = max(self._at - len(self._once_v), 0)
         first %= len(self._period_v)
         if first + count <= len(self._period_v):

@@ -114,17 +114,21 @@ class StageCommands:
         return self._engine.last_sample + 1 + int(approach.samples), waveform.samples
 
     def load_feedforward(self, once_voltage_v: npt.ArrayLike, period_voltage_v: npt.ArrayLike,
-                         append: bool = False, feedforward_id: int = 0) -> int:
+                         append: bool = False, feedforward_id: int = 0,
+                         axes: Sequence[str] = ()) -> int:
         """Load the feedforward that ``start_tracking`` plays.
 
         Parameters
         ----------
         once_voltage_v, period_voltage_v : ndarray, shape (n,), (m,)
-            Played once, then repeated; at the rate of the sample clock.
+            Played once, then repeated; at the rate of the sample clock. With several axes a value
+            of each axis, sample by sample.
         append : bool
             Whether to append ``once_voltage_v`` to what is loaded, also while it plays.
         feedforward_id : int
             Number of the feedforward to append to; 0 for the loaded one.
+        axes : sequence of str
+            Names of all axes in the order of the stage, if it has several.
 
         Returns
         -------
@@ -135,8 +139,8 @@ class StageCommands:
         ------
         LimitError, StageRefusal
         """
-        limits = self._limits_of_one_axis("load_feedforward")
-        once_voltage_v = np.array(once_voltage_v, dtype=float)
+        limits = self._limits
+        once_voltage_v = self._by_sample(np.array(once_voltage_v, dtype=float), axes)
         if self._engine.longest_program_samples is not None:
             raise StageRefusal("the backend plays stored waveforms only, and cannot be led sample "
                                "by sample: play a waveform instead of tracking")
@@ -150,7 +154,8 @@ class StageCommands:
             self._feedforward.append(once_voltage_v)
             return self._feedforward_id
         self._require_ready()
-        feedforward = Feedforward(once_voltage_v, np.array(period_voltage_v, dtype=float))
+        feedforward = Feedforward(
+            once_voltage_v, self._by_sample(np.array(period_voltage_v, dtype=float), axes))
         limits.check(feedforward.sequence_v, self._ticks.sample_period_s)
         self._feedforward, self._law = feedforward, None
         # Random, so that a restarted stage does not reuse its numbers.
@@ -164,9 +169,11 @@ class StageCommands:
         ------
         FeedbackLawError, StageRefusal
         """
-        self._limits_of_one_axis("load_feedback")
+        if law.axes != self._engine.axes:
+            raise StageRefusal(f"the feedback law is of {_axes_text(law.axes)}, the stage has "
+                               f"{_axes_text(self._engine.axes)}: design it for this stage")
         return CheckedLaw(law, self._ticks.samples_per_tick, self._engine.lead_ticks,
-                          float(self._engine.rest_voltage_v), self._feedback_limits)
+                          self._engine.rest_voltage_v, self._feedback_limits)
 
     def load_feedback(self, law: CheckedLaw, feedforward_id: int = 0) -> None:
         """Load the law that ``start_tracking`` evaluates together with the loaded feedforward.
@@ -272,15 +279,16 @@ class StageCommands:
         ------
         LimitError, StageRefusal
         """
-        limits = self._limits_of_one_axis("start_tracking")
         self._require_ready()
+        if feedback and self._engine.axes:
+            raise StageRefusal("nobody answers the blocks of several axes: load a feedback law")
         if self._feedforward is None:
             raise StageRefusal("no feedforward is loaded: call load_feedforward first")
         self._require_loaded(feedforward_id)
         if self._feedforward.forgotten:
             raise StageRefusal("the streamed feedforward has been played: load it again")
-        limits.check_start(self._feedforward.first_v, float(self._engine.voltage_v),
-                           float(self._ramps.v_per_tick))
+        self._limits.check_start(self._feedforward.first_v, self._engine.voltage_v,
+                                 self._ramps.v_per_tick)
         beginning = self._engine.tick, self._engine.lead_ticks, self._feedback_limits
         added: FeedbackHold | OnboardFeedback | None = None
         if onboard:
@@ -339,7 +347,7 @@ class StageCommands:
         own = self._engine.axes
         if tuple(axes) != own:
             raise StageRefusal(
-                f"the waveform is of {_axes_text(axes)}, the stage has {_axes_text(own)}: give a "
+                f"the voltages are of {_axes_text(axes)}, the stage has {_axes_text(own)}: give a "
                 "voltage of each, sample by sample, and their names in this order")
         if not own:
             return voltage_v

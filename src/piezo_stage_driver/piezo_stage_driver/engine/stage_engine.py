@@ -23,8 +23,8 @@ from piezo_stage_driver.engine.ramps import Ramps
 from piezo_stage_driver.engine.sources import Source, Volts, held
 from piezo_stage_driver.engine.stage_commands import StageCommands
 from piezo_stage_driver.engine.ticks import Ticks
-from piezo_stage_driver.safety.guard_set import GuardSet, SensorGuards
-from piezo_stage_driver.safety.guards import FeedbackOscillation, StopLatch
+from piezo_stage_driver.safety.guard_set import FeedbackGuard, GuardSet, SensorGuards
+from piezo_stage_driver.safety.guards import StopLatch
 from piezo_stage_driver.safety.limits import FeedbackLimits, Limits
 
 LONGEST_STRETCH_SAMPLES = 16000
@@ -48,8 +48,8 @@ class StageEngine:
         Largest number of samples between two checks for commands while a waveform plays.
     sensor_guards : sequence, or dict of str to sequence
         Guards that examine every stretch of samples; see `GuardSet`.
-    feedback_guard : FeedbackOscillation, optional
-        Guard that examines every answer before it acts.
+    feedback_guard : FeedbackOscillation, optional, or dict of str to such guards
+        Guard that examines every answer before it acts; see `GuardSet`.
     latch : StopLatch, optional
         Latch of a stop, which outlives the engine; any thread may set it, for the next tick.
     feedback_limits : FeedbackLimits, optional
@@ -78,7 +78,7 @@ class StageEngine:
                  max_missed_feedback: int = 5,
                  longest_stretch_samples: int = LONGEST_STRETCH_SAMPLES,
                  sensor_guards: SensorGuards = (),
-                 feedback_guard: FeedbackOscillation | None = None, latch: StopLatch | None = None,
+                 feedback_guard: FeedbackGuard = None, latch: StopLatch | None = None,
                  feedback_limits: FeedbackLimits | None = None, samples_per_block: int = 1):
         limits.check_rest(rest_voltage_v)
         self._backend = backend
@@ -99,7 +99,7 @@ class StageEngine:
         # Ticks written ahead: their voltages, the flags of their blocks, the voltage of a feedback
         # on board, and their marks.
         lead_ticks = getattr(backend, "lead_samples", 0) // samples_per_tick
-        self._ahead = deque[tuple[np.ndarray, int, float | None, np.ndarray | None]](
+        self._ahead = deque[tuple[np.ndarray, int, Volts | None, np.ndarray | None]](
             [(held(rest_voltage_v, samples_per_tick), 0, None, None)] * lead_ticks)
         self.lead_ticks = lead_ticks
         self.longest_program_samples = getattr(backend, "longest_program_samples", None)
@@ -350,7 +350,7 @@ class StageEngine:
 
     def _count_played(
             self, voltage_v: np.ndarray, flags: int, marks: np.ndarray | None,
-    ) -> tuple[np.ndarray, int, float | None, np.ndarray | None]:
+    ) -> tuple[np.ndarray, int, Volts | None, np.ndarray | None]:
         """Count samples; return the voltages and so on that were measured with them."""
         last_v = voltage_v[-1]
         self.voltage_v = last_v.copy() if self.axes else float(last_v)
@@ -361,7 +361,7 @@ class StageEngine:
         return self._ahead.popleft()
 
     def _collect(self, voltage_v: np.ndarray, displacement_um: np.ndarray, flags: int,
-                 ends: bool, feedback_v: float | None, detected: Detected) -> Block | None:
+                 ends: bool, feedback_v: Volts | None, detected: Detected) -> Block | None:
         """Return the block that these samples complete, if any."""
         answered = isinstance(self._feedback, FeedbackHold) or self.phase_name != "track"
         self._blocks.samples_per_block = 1 if answered else self._samples_per_block

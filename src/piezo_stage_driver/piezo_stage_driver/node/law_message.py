@@ -2,11 +2,13 @@
 """Conversion of a message to the feedback law."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from piezo_interfaces.msg import FeedbackLaw as FeedbackLawMessage
 from piezo_interfaces.msg import PreisachHysteresis, StateSpace
 
+from piezo_common.arrays import FloatArray
 from piezo_models.feedback_law.feedback_law import (
     DeclaredPlant,
     FeedbackLaw,
@@ -25,22 +27,35 @@ def law_of(message: FeedbackLawMessage) -> FeedbackLaw:
     FeedbackLawError, ValueError
         If the parts do not match.
     """
-    inverse = None
+    inverse, axes = None, len(message.axes)
     if message.inverse_gain_um_per_v:
         inverse = InverseHysteresis(
             _hysteresis(message.hysteresis), message.inverse_gain_um_per_v, message.hold_inverse)
     return FeedbackLaw(
-        tick=_block(message.tick), observer=np.array(message.observer),
-        max_feedback_v=message.max_feedback_v, once_um=np.array(message.once_expected_um),
-        period_um=np.array(message.period_expected_um),
-        plant=DeclaredPlant(_block(message.model), np.array(message.model_gains_um_per_v)),
+        tick=_block(message.tick), observer=_by_axis(message.observer, axes),
+        max_feedback_v=message.max_feedback_v, once_um=_by_axis(message.once_expected_um, axes),
+        period_um=_by_axis(message.period_expected_um, axes),
+        plant=DeclaredPlant(_block(message.model), _by_axis(message.model_gains_um_per_v, axes)),
         start_sample=message.start_sample, delay_ticks=message.delay_ticks,
         sample=_block(message.sample), inverse=inverse,
-        max_error_um=message.max_error_um or math.inf, fade_samples=message.fade_samples)
+        max_error_um=message.max_error_um or math.inf, fade_samples=message.fade_samples,
+        axes=tuple(message.axes))
 
 
 def _block(message: StateSpace) -> LinearBlock:
-    return LinearBlock.of(message.a, message.b, message.c, [message.d])
+    if message.inputs != message.outputs:
+        raise FeedbackLawError(f"a linear block has {message.inputs} inputs and {message.outputs} "
+                               "outputs: give one of each for each axis")
+    return LinearBlock.of(message.a, message.b, message.c, message.direct or [message.d],
+                          message.inputs)
+
+
+def _by_axis(values: Sequence[float], axes: int) -> FloatArray:
+    """Return numbers as an array, with a column for each axis if there are several."""
+    if len(values) % max(axes, 1):
+        raise FeedbackLawError(f"an array of the law has {len(values)} elements for {axes} axes: "
+                               "give as many of each")
+    return np.reshape(values, (-1, axes) if axes else -1)
 
 
 def _hysteresis(message: PreisachHysteresis) -> PreisachModel:

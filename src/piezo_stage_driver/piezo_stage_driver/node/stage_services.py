@@ -122,7 +122,7 @@ class StageServices:
             self._ask(late, "load_feedforward", Event.APPEND if request.append else Event.LOAD,
                       lambda stage: stage.load_feedforward(
                           request.once_voltage_v, request.period_voltage_v, request.append,
-                          request.feedforward_id), fill)
+                          request.feedforward_id, request.axes), fill)
 
     def _on_replace_feedforward(self, request: ReplaceFeedforward.Request,
                                 late: LateResponse) -> None:

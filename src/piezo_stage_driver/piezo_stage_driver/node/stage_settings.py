@@ -253,7 +253,8 @@ class StageSettings:
             self.samples_per_tick, self.max_missed_feedback,
             LONGEST_STRETCH_SAMPLES if self.lockstep else self.samples_per_tick,
             sensor_guards={axis: own.guards for axis, own in by_axis.items()} or one.guards,
-            feedback_guard=FeedbackOscillation(self.max_feedback_oscillation_v),
+            feedback_guard={axis: FeedbackOscillation(self.max_feedback_oscillation_v)
+                            for axis in axes or ("",)},
             latch=latch,
             feedback_limits=FeedbackLimits(
                 self.max_feedback_v, self.max_feedback_step_v, self.max_limited_feedback),

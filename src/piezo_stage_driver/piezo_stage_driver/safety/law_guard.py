@@ -19,10 +19,15 @@ class LawGuard:
 
     Before the feedback begins, the stage is moved by its feedforward, which reveals its gain. A law
     that was designed for another gain is stopped before it acts.
+
+    Parameters
+    ----------
+    axis : int
+        Column of the axis that is watched, if the law has several.
     """
 
-    def __init__(self, law: FeedbackLaw) -> None:
-        gains = np.asarray(law.plant.gains_um_per_v)
+    def __init__(self, law: FeedbackLaw, axis: int = 0) -> None:
+        gains = np.atleast_2d(np.transpose(law.plant.gains_um_per_v))[axis]
         self._gains_um_per_v = float(gains.min()), float(gains.max())
         self._max_error_um = law.max_error_um
         self._errors_um: deque[float] = deque([0.0], maxlen=WATCHED_TICKS)
@@ -66,3 +71,27 @@ class LawGuard:
             return ""
         return (f"the stage moved by {gain:.3g} um/V, and the feedback law declares {lowest:.3g} "
                 f"to {highest:.3g} um/V: design it for this stage")
+
+
+class AxesLawGuard:
+    """The guards of all axes of a law; a cause names the axis."""
+
+    def __init__(self, law: FeedbackLaw) -> None:
+        self._guards = {axis: LawGuard(law, at) for at, axis in enumerate(law.axes)}
+        gains_um_per_v = np.mean(law.plant.gains_um_per_v, axis=0)
+        at_rest = law.plant.linear.response(np.ones(1, dtype=complex))[0].real
+        self._alone = at_rest * gains_um_per_v / (at_rest.diagonal() * gains_um_per_v)[:, None]
+
+    def watch(self, voltage_v: np.ndarray, displacement_um: np.ndarray,
+              error_um: np.ndarray) -> None:
+        """Take the samples and mean errors of a tick, shape (n, axes) and (axes,)."""
+        # Voltages that would move each axis as far without those of the others.
+        alone_v = voltage_v @ self._alone.T
+        for at, guard in enumerate(self._guards.values()):
+            guard.watch(alone_v[:, at], displacement_um[:, at], error_um[at])
+
+    def examine(self, error_um: np.ndarray) -> str:
+        """Return what is wrong with the mean errors of a tick; empty if nothing is."""
+        causes = [(axis, guard.examine(float(of_axis_um))) for (axis, guard), of_axis_um in zip(
+            self._guards.items(), error_um, strict=True)]
+        return next((f"{axis}: {cause}" for axis, cause in causes if cause), "")

@@ -40,6 +40,9 @@ class Limits(Protocol):
     def check(self, voltage_v: np.ndarray, sample_period_s: float, previous_v: Any = None) -> None:
         """Raise `LimitError` if voltages leave the range or jump."""
 
+    def check_start(self, voltage_v: Any, present_v: Any, largest_step_v: Any) -> None:
+        """Raise `LimitError` if the stage would have to jump to a first voltage."""
+
     def apply(self, voltage_v: np.ndarray, previous_v: Any,
               sample_period_s: float) -> tuple[np.ndarray, int]:
         """Return voltages held within the limits, and the flags of the limits that took effect."""
@@ -176,6 +179,14 @@ class AxesLimits:
             with _named(axis):
                 limits.check(voltage_v[:, at], sample_period_s,
                              None if previous_v is None else previous_v[at])
+
+    def check_start(self, voltage_v: np.ndarray, present_v: np.ndarray,
+                    largest_step_v: np.ndarray) -> None:
+        """Raise `LimitError` if the stage would have to jump to the first voltages."""
+        for (axis, limits), *of_axis_v in zip(
+                self._by_axis.items(), voltage_v, present_v, largest_step_v, strict=True):
+            with _named(axis):
+                limits.check_start(*of_axis_v)
 
     def apply(self, voltage_v: np.ndarray, previous_v: np.ndarray,
               sample_period_s: float) -> tuple[np.ndarray, int]:

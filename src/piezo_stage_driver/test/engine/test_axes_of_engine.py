@@ -222,14 +222,10 @@ def test_waveform_that_lacks_a_voltage_of_one_axis_is_refused():
         play(engine, np.zeros(3))
 
 
-@pytest.mark.parametrize(("service", "arguments"), [
-    ("load_feedforward", (np.zeros(40), ())), ("start_tracking", (False,)),
-    ("checked", (None,)), ("replacement", (np.zeros(40), (), None)),
-])
-def test_what_takes_one_axis_says_so(service, arguments):
+def test_replacement_within_a_run_takes_one_axis():
     engine, _ = make_engine()
     with pytest.raises(StageRefusal, match="takes a stage of one axis, this one has the axes x, y"):
-        getattr(engine.commands, service)(*arguments)
+        engine.commands.replacement(np.zeros(40), (), None)
 
 
 def rest_after(engine, blocks=400):

@@ -16,7 +16,14 @@ from piezo_controller.axes.path_plan import PathPlan
 from piezo_controller.axes.scan import scan
 from piezo_controller.axes.scan_path import ScanPath
 from piezo_models.axes.identified_axes import IdentifiedAxes
-from piezo_studies.coupled_scans.xy_stage import CLOCK_HZ, LIMITS, NOISE_UM, followed
+from piezo_studies.coupled_scans.xy_stage import (
+    CLOCK_HZ,
+    LIMITS,
+    NOISE_UM,
+    VOLTAGE_RANGE_V,
+    followed,
+    stored,
+)
 
 LEARNED_RUNS = 8
 BELOW_HZ = (50.0, 150.0, 250.0)
@@ -32,8 +39,6 @@ the amplifiers."""
 
 BEYOND = 1.5
 """Rate of the fast figures over the frequency of the lowest mode."""
-
-VOLTAGE_RANGE_V = [(each.voltage_min_v, each.voltage_max_v) for each in LIMITS.values()]
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,8 @@ PLANT, CLOCK_HZ = "xy", 40_000.0
 LIMITS = {"x": StageLimits(), "y": StageLimits(slew_limit_v_per_s=1.5e6)}
 """As in the parameter file of the simulated stage of two axes."""
 
+VOLTAGE_RANGE_V = [(each.voltage_min_v, each.voltage_max_v) for each in LIMITS.values()]
+
 NOISE_UM = np.array([0.002, 0.003])
 """RMS noise of the plant's sensors, in um."""
 
@@ -47,9 +49,9 @@ def recorded(name: str, seed: int) -> list[AxesRecording]:
 def _recorded(experiment: Experiment, seed: int) -> AxesRecording:
     """Record an experiment; the displacement is the mean over the time of each voltage."""
     held = round(experiment.sample_period_s * CLOCK_HZ)
-    stage = SimulatedStage(_plant(), seed)
+    stage = SimulatedStage(plant_of_study(), seed)
     stage.open()
-    stage.exchange(_ramp(experiment.voltage_v[0]))
+    stage.exchange(ramp_of_study(experiment.voltage_v[0]))
     played_v = np.tile(experiment.voltage_v, (experiment.repeats, 1))
     block = max(1, SAMPLES_AT_ONCE // held)
     displacement_um = np.concatenate([
@@ -62,13 +64,14 @@ def _recorded(experiment: Experiment, seed: int) -> AxesRecording:
         displacement_um[kept:], experiment.repeats - experiment.settling_repeats if kept else 0)
 
 
-def _plant() -> AxesPlantConfig:
+def plant_of_study() -> AxesPlantConfig:
+    """Return the plant of the study."""
     config = read_any_plant(PLANT)
     assert isinstance(config, AxesPlantConfig)
     return config
 
 
-def _ramp(voltage_v: FloatArray) -> FloatArray:
+def ramp_of_study(voltage_v: FloatArray) -> FloatArray:
     """Return the way from rest at 0 V, (N, axes)."""
     return np.linspace(0.0, 1.0, round(APPROACH_S * CLOCK_HZ))[:, None] * voltage_v
 
@@ -109,9 +112,9 @@ def imaged(scan: StoredScan, specimen: Field, seed: int = 21) -> AxesRecording:
 def _moving(scan: StoredScan, periods: int, seed: int,
             specimen: Field | None = None) -> SimulatedStage:
     """Return the stage after some periods of a scan."""
-    stage = SimulatedStage(_plant(), seed, specimen=specimen)
+    stage = SimulatedStage(plant_of_study(), seed, specimen=specimen)
     stage.open()
-    stage.exchange(_ramp(scan.begin_voltage_v[0]))
+    stage.exchange(ramp_of_study(scan.begin_voltage_v[0]))
     stage.exchange(np.tile(scan.begin_voltage_v[0], (round(SETTLING_S * CLOCK_HZ), 1)))
     stage.exchange(scan.repeated_v(periods))
     return stage

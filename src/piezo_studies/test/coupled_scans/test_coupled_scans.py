@@ -10,8 +10,11 @@ import pytest
 
 from piezo_client.scans import StoredScan
 from piezo_models.axes.coupled import CoupledModel
-from piezo_studies.coupled_scans import xy_stage
+from piezo_models.feedback_law.axes_law import AxesLaw
+from piezo_models.feedback_law.feedback_law import DeclaredPlant, LinearBlock
+from piezo_studies.coupled_scans import feedback_trials, xy_stage
 from piezo_studies.coupled_scans.__main__ import IMAGES, SECTIONS, table
+from piezo_studies.coupled_scans.feedback_trials import FeedbackRow, feedback_table
 from piezo_studies.coupled_scans.images import image_table, images_figure, images_of_grating
 from piezo_studies.coupled_scans.trials import TABLES, Row
 from piezo_studies.marked_sections import with_sections
@@ -23,11 +26,33 @@ ROW = Row("spiral", 49.0, 0.0721, 0.0282, 0.0281, 0.1, 5)
 def test_page_has_a_table_of_every_trial():
     before = PAGE.read_text(encoding="utf-8")
     sections = {SECTIONS + name: table(name, [ROW]) for name in TABLES}
-    after = with_sections(before, sections | {SECTIONS + IMAGES: image_table({}, None)}, SECTIONS)
+    after = with_sections(before, sections | {
+        SECTIONS + IMAGES: image_table({}, None),
+        SECTIONS + "feedback": feedback_table(iter(()))}, SECTIONS)
     assert image_table({}, None) in before, "run make coupled-scans"
     assert after.count("| spiral | 49 | 0.072 | 0.028 | 5 | 0.028 | 0.1 |") == len(TABLES)
     for name in TABLES:
         assert table(name, []) in before, "run make coupled-scans"
+    assert feedback_table(iter(())) in before, "run make coupled-scans"
+
+
+def test_raster_is_followed_better_with_the_law_than_without():
+    turn = 2.0 * np.pi * np.arange(40_000) / 40_000
+    voltage_v = 50.0 + 20.0 * np.column_stack([np.cos(turn), np.sin(turn)])
+    gains, one = np.array([0.3, 0.25]), np.eye(2)
+    scan = StoredScan(("x", "y"), 1.0 / xy_stage.CLOCK_HZ, np.tile(voltage_v[:1], (400, 1)),
+                      voltage_v, gains * voltage_v)
+    law = AxesLaw(
+        ("x", "y"), 1.0 / xy_stage.CLOCK_HZ, 40,
+        LinearBlock(one, 0.05 * one, np.diag(1.0 / gains), 0.0 * one), np.diag(gains),
+        DeclaredPlant(LinearBlock(0.5 * one, one, 0.5 * one, 0.0 * one), gains[None, :]),
+        gains * 50.0, {}, {})
+    without, led = (feedback_trials.followed_with_law(scan, law, 0.0, acts)
+                    for acts in (False, True))
+    assert np.all(led.error_percent < 0.3 * without.error_percent)
+    assert np.all(np.abs(led.offset_um) < 0.01) and np.all(np.abs(without.offset_um) > 0.1)
+    row = FeedbackRow("slow", "none", without, [led, led])
+    assert feedback_table(iter([row])).count("| slow | none |") == 1
 
 
 def test_mean_of_periods_has_less_noise():

@@ -40,7 +40,7 @@ def record(monkeypatch):
         xy_stage.LIMITS, period_s=0.2, highest_hz=1500.0))
 
     def recorded(config, seed):
-        monkeypatch.setattr(xy_stage, "_plant", lambda: config)
+        monkeypatch.setattr(xy_stage, "plant_of_study", lambda: config)
         return xy_stage.recorded("multisine", seed)
 
     return recorded

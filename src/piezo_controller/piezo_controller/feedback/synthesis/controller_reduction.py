@@ -42,6 +42,6 @@ def _truncate(system: control.StateSpace, order: int) -> control.StateSpace:
     with warnings.catch_warnings():
         # An order above that of a minimal realisation is lowered to it, which is intended.
         warnings.simplefilter("ignore", SlycotResultWarning)
-        _, a, b, c, _ = ab09ad("D", "B", "N", system.nstates, 1, 1, system.A, system.B, system.C,
-                               nr=order)
+        _, a, b, c, _ = ab09ad("D", "B", "N", system.nstates, system.ninputs, system.noutputs,
+                               system.A, system.B, system.C, nr=order)
     return control.ss(a, b, c, system.D, system.dt)

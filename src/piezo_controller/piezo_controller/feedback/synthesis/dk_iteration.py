@@ -48,7 +48,7 @@ class RobustSynthesis:
 
 
 def iterate(plant: control.StateSpace, scalars: int, dynamic: bool = False,
-            slack: float = 0.0) -> RobustSynthesis:
+            slack: float = 0.0, axes: int = 1) -> RobustSynthesis:
     """Alternate between synthesis (K) and scaling (D), and keep the best controller.
 
     The iteration converges slowly, as an optimal K levels the peaks that the next D could lower.
@@ -61,21 +61,23 @@ def iterate(plant: control.StateSpace, scalars: int, dynamic: bool = False,
         Generalised plant; see `structured_singular_values` for the order of its inputs and
         outputs, `synthesise` for the last of each.
     scalars : int
-        Number of scalar uncertainties.
+        Number of scalar uncertainties of each axis.
     dynamic : bool
         Whether the scalings depend on frequency; they add to the controller's order.
     slack : float
         Slack of the final synthesis, see `synthesise`.
+    axes : int
+        Number of axes, whose uncertainties of one kind have a common, constant scaling.
 
     Raises
     ------
     NoController
         If there is none even without scalings.
     """
-    iteration = _Iteration(plant, scalars)
+    iteration = _Iteration(plant, scalars, axes)
     iteration.synthesise(np.ones(scalars))
     for _ in range(ITERATIONS - 1):
-        iteration.synthesise(constant_scaling(iteration.responses, scalars))
+        iteration.synthesise(constant_scaling(iteration.responses, scalars, axes))
     iteration.search()
     if dynamic:
         for _ in range(ITERATIONS):
@@ -86,9 +88,9 @@ def iterate(plant: control.StateSpace, scalars: int, dynamic: bool = False,
 class _Iteration:
     """State of an iteration, and the best result so far."""
 
-    def __init__(self, plant: control.StateSpace, scalars: int) -> None:
+    def __init__(self, plant: control.StateSpace, scalars: int, axes: int) -> None:
         self._plant = plant
-        self._scalars = scalars
+        self._scalars, self._axes = scalars, axes
         self._frequency_hz = tick_frequencies(plant.dt)
         self._points = np.exp(2j * np.pi * self._frequency_hz * plant.dt)
         self._history: list[float] = []
@@ -96,13 +98,14 @@ class _Iteration:
 
     def synthesise(self, scalings: Sequence[Scaling] | FloatArray) -> None:
         """Design the controller for the present scalings (K-step)."""
-        controller, _ = synthesise(scale(self._plant, scalings), tolerance=COARSE)
+        controller, _ = synthesise(self._scaled(scalings), tolerance=COARSE, axes=self._axes)
         self._take(scalings, controller)
 
     def _take(self, scalings: Sequence[Scaling] | FloatArray,
               controller: control.StateSpace) -> None:
         self.responses = sampled_response(close(self._plant, controller), self._points)
-        self.mu, self._profiles = structured_singular_values(self.responses, self._scalars)
+        self.mu, self._profiles = structured_singular_values(
+            self.responses, self._scalars * self._axes)
         self._history.append(float(self.mu.max()))
         self._best = min(self._best, (self._history[-1], scalings), key=lambda pair: pair[0])
 
@@ -110,8 +113,8 @@ class _Iteration:
         """Search the constant scalings of smallest norm, beginning with the best so far."""
         def norm(log_d: FloatArray) -> float:
             try:
-                return synthesise(scale(self._plant, np.exp(log_d)), largest_norm=10.0,
-                                  tolerance=COARSE)[1]
+                return synthesise(self._scaled(np.exp(log_d)), largest_norm=10.0,
+                                  tolerance=COARSE, axes=self._axes)[1]
             except NoController:
                 return np.inf
 
@@ -129,9 +132,12 @@ class _Iteration:
 
     def best(self, slack: float) -> RobustSynthesis:
         """Synthesise with the best scalings and the given slack."""
-        controller, gamma = synthesise(scale(self._plant, self._best[1]), slack)
+        controller, gamma = synthesise(self._scaled(self._best[1]), slack, axes=self._axes)
         self._take(self._best[1], controller)
         return RobustSynthesis(controller, gamma, tuple(self._best[1]), self._history)
+
+    def _scaled(self, scalings: Sequence[Scaling] | FloatArray) -> control.StateSpace:
+        return scale(self._plant, scalings, self._axes)
 
 
 def tick_frequencies(tick_s: float, count: int = FREQUENCIES) -> FloatArray:
@@ -139,7 +145,7 @@ def tick_frequencies(tick_s: float, count: int = FREQUENCIES) -> FloatArray:
     return np.r_[0.0, np.geomspace(LOWEST_HZ, 0.5 / tick_s, count)]
 
 
-def constant_scaling(responses: ComplexArray, scalars: int) -> FloatArray:
+def constant_scaling(responses: ComplexArray, scalars: int, axes: int = 1) -> FloatArray:
     """Return positive numbers d with the lowest peak of the largest singular value of D M D^-1.
 
     Parameters
@@ -154,7 +160,8 @@ def constant_scaling(responses: ComplexArray, scalars: int) -> FloatArray:
 
     def peak(log_d: FloatArray) -> float:
         left, right = np.ones(outputs), np.ones(inputs)
-        left[:scalars], right[:scalars] = np.exp(log_d), np.exp(-log_d)
+        scaled = slice(scalars * axes)
+        left[scaled], right[scaled] = np.repeat((np.exp(log_d), np.exp(-log_d)), axes, axis=1)
         return np.linalg.norm(left[:, None] * responses * right, ord=2, axis=(1, 2)).max()
 
     # The peak is convex in the logarithms, but has kinks.
@@ -198,17 +205,18 @@ def fit_scaling(frequency_hz: FloatArray, magnitude: FloatArray, importance: Flo
     return control.ss(*zpk2ss(zeros, poles, np.exp(found[-1])), tick_s)
 
 
-def scale(plant: control.StateSpace,
-          scalings: Sequence[Scaling] | FloatArray) -> control.StateSpace:
+def scale(plant: control.StateSpace, scalings: Sequence[Scaling] | FloatArray,
+          axes: int = 1) -> control.StateSpace:
     """Scale the outputs of the uncertainties by D, their inputs by the inverse.
 
     Parameters
     ----------
     scalings : sequence of float or control.StateSpace
-        Scaling of each scalar uncertainty; a system must have a stable inverse.
+        Scaling of each scalar uncertainty of an axis; a system must have a stable inverse.
     """
     systems = [scaling if isinstance(scaling, control.StateSpace)
-               else control.ss([], [], [], [[scaling]], plant.dt) for scaling in scalings]
+               else control.ss([], [], [], [[scaling]], plant.dt)
+               for scaling in scalings for _ in range(axes)]
     others_out, others_in = (
         control.ss([], [], [], np.eye(count - len(systems)), plant.dt)
         for count in (plant.noutputs, plant.ninputs))

@@ -6,11 +6,13 @@ import numpy as np
 
 from piezo_controller.feedback.synthesis.weights import DesignWeights
 from piezo_models.cascade import StageModel
+from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import zoh
 from piezo_models.linear.lifted import lift as lift_matrices
 
 UNCERTAINTIES = 2
-"""Scalar uncertainties of `generalised_plant`, which are its first inputs and outputs."""
+"""Scalar uncertainties of `generalised_plant` for each axis, which are its first inputs and
+outputs."""
 
 
 def design_plant(model: StageModel, tick_s: float, clock_period_s: float,
@@ -55,7 +57,11 @@ def clock_plant(model: StageModel, period_s: float) -> control.StateSpace:
 
 def hysteresis_gain_range(model: StageModel) -> tuple[float, float]:
     """Return the lowest and highest secant gain (3.16) of the hysteresis at mid-travel (um/V)."""
-    hysteresis = model.hysteresis
+    return secant_gain_range(model.hysteresis)
+
+
+def secant_gain_range(hysteresis: PreisachModel) -> tuple[float, float]:
+    """Return the lowest and highest secant gain (3.16) of a hysteresis at mid-travel (um/V)."""
     middle_v = (hysteresis.voltage_min_v + hysteresis.voltage_max_v) / 2
     return hysteresis.gain_um_per_v([middle_v])
 
@@ -67,53 +73,62 @@ def nominal_hysteresis_gain(model: StageModel) -> float:
 
 def generalised_plant(plant: control.StateSpace, hysteresis_gain_um_per_v: float,
                       weights: DesignWeights) -> control.StateSpace:
-    """Return the generalised plant of thesis figs. 5.2 and 5.5.
+    """Return the generalised plant of thesis figs. 5.2 and 5.5, for each axis of a plant.
 
-    There are two complex uncertainties of at most 1: the hysteresis' gain differs from its nominal
-    value by ``w_u`` times the first, and the feedforward has an error of ``w_delta`` times the
-    second, relative to the reference (5.12). The performance is the third block.
+    There are two complex uncertainties of at most 1 for each axis: the hysteresis' gain differs
+    from its nominal value by ``w_u`` times the first, and the feedforward has an error of
+    ``w_delta`` times the second, relative to the reference (5.12). The performance is one more
+    block.
 
     Parameters
     ----------
     plant, hysteresis_gain_um_per_v
-        Results of `design_plant`.
+        Results of `design_plant`; the plant has as many inputs as outputs.
 
     Returns
     -------
     control.StateSpace
-        Inputs: outputs of the two uncertainties, reference, disturbance, noise, control. Outputs:
-        inputs of the two uncertainties, weighted error, weighted control, measured error.
+        Inputs: outputs of the uncertainties, reference, disturbance, noise, control. Outputs:
+        inputs of the uncertainties, weighted error, weighted control, measured error. Each has
+        an element for each axis.
     """
-    dt = plant.dt
+    dt, axes = plant.dt, plant.ninputs
+
+    def each(signal: str) -> list[str]:
+        return [f"{signal}[{axis}]" for axis in range(axes)]
 
     def named(system: control.StateSpace, name: str, source: str, sink: str) -> control.StateSpace:
         return control.ss(system.A, system.B, system.C, system.D, dt, name=name,
-                          inputs=[source], outputs=[sink])
+                          inputs=each(source), outputs=each(sink))
 
     def gain(value: float, name: str, source: str, sink: str) -> control.StateSpace:
-        return control.ss([], [], [], [[value]], dt, name=name, inputs=[source], outputs=[sink])
+        return named(control.ss([], [], [], value * np.eye(axes), dt), name, source, sink)
 
     def weight(name: str, source: str, sink: str) -> control.StateSpace:
-        return named(getattr(weights, name).state_space(dt), name, source, sink)
+        own = getattr(weights, name).state_space(dt)
+        return named(control.append(*[own] * axes), name, source, sink)
+
+    def total(sources: list[str], sink: str, name: str) -> control.StateSpace:
+        return control.summing_junction(sources, sink, axes, name=name, dt=dt)
 
     return control.interconnect(
         [
             gain(weights.hysteresis_uncertainty, "uncertain_gain", "u", "gain_in"),
-            control.summing_junction(["u", "gain_out"], "u_total", name="input", dt=dt),
+            total(["u", "gain_out"], "u_total", "input"),
             named(hysteresis_gain_um_per_v * plant, "plant", "u_total", "y"),
             weight("reference", "r", "feedforward_in"),
             gain(weights.feedforward_error, "uncertain_feedforward", "feedforward_out",
                  "feedforward_error"),
             weight("disturbance", "d", "offset"),
-            control.summing_junction(["-feedforward_error", "-offset", "-y"], "e", name="error",
-                                     dt=dt),
+            total(["-feedforward_error", "-offset", "-y"], "e", "error"),
             weight("performance", "e", "weighted_error"),
             weight("control", "u", "weighted_control"),
             weight("noise", "n", "sensor_noise"),
-            control.summing_junction(["e", "-sensor_noise"], "m", name="measurement", dt=dt),
+            total(["e", "-sensor_noise"], "m", "measurement"),
         ],
-        inputs=["gain_out", "feedforward_out", "r", "d", "n", "u"],
-        outputs=["gain_in", "feedforward_in", "weighted_error", "weighted_control", "m"])
+        inputs=sum(map(each, ("gain_out", "feedforward_out", "r", "d", "n", "u")), []),
+        outputs=sum(map(each, ("gain_in", "feedforward_in", "weighted_error", "weighted_control",
+                               "m")), []))
 
 
 def lift(system: control.StateSpace, samples_per_tick: int,
@@ -126,15 +141,15 @@ def lift(system: control.StateSpace, samples_per_tick: int,
     Parameters
     ----------
     system : control.StateSpace
-        Strictly proper, one input, one output, at the sample clock's period.
+        Strictly proper, at the sample clock's period.
     delay_ticks : int
         1 if a node answers by a message, 0 if the stage evaluates the feedback by itself.
 
     Returns
     -------
     control.StateSpace
-        From the voltage decided in a tick to the mean known in that tick, at the tick's period.
-        States: those of `system` at the start of the tick, the known mean, the acting voltages.
+        From the voltages decided in a tick to the means known in it, at the tick's period. States:
+        those of `system` at the start of the tick, the known means, the acting voltages.
     """
     a, b, c = lift_matrices(system.A, system.B, system.C, samples_per_tick, delay_ticks)
     return control.ss(a, b, c, 0.0, system.dt * samples_per_tick)

@@ -14,7 +14,7 @@ class NoController(ValueError):
 
 
 def synthesise(plant: control.StateSpace, slack: float = 0.0, largest_norm: float = 100.0,
-               tolerance: float = 1e-4) -> tuple[control.StateSpace, float]:
+               tolerance: float = 1e-4, axes: int = 1) -> tuple[control.StateSpace, float]:
     """Find the H-infinity (sub)optimal controller of a generalised plant by bisection.
 
     Only stable controllers are accepted: an unstable one could not be at rest before a run, nor
@@ -23,7 +23,7 @@ def synthesise(plant: control.StateSpace, slack: float = 0.0, largest_norm: floa
     Parameters
     ----------
     plant : control.StateSpace
-        Discrete; its last input is the control, its last output the measurement.
+        Discrete; its last inputs are the controls, its last outputs the measurements.
     slack : float
         Part of the smallest norm that is given up. The optimal controller levels the closed loop
         over all frequencies, if necessary with lightly damped poles; a little slack avoids that.
@@ -31,6 +31,8 @@ def synthesise(plant: control.StateSpace, slack: float = 0.0, largest_norm: floa
         Upper end of the bisection.
     tolerance : float
         Relative width at which the bisection ends.
+    axes : int
+        Number of controls, and of measurements.
 
     Returns
     -------
@@ -45,25 +47,25 @@ def synthesise(plant: control.StateSpace, slack: float = 0.0, largest_norm: floa
         If no controller reaches even `largest_norm`.
     """
     upper, lower = largest_norm, 0.0
-    best = _admissible(plant, upper)
+    best = _admissible(plant, upper, axes)
     if best is None:
         raise NoController(f"no stabilising controller keeps the closed loop below "
                            f"{largest_norm:g}: relax the weights")
     while upper - lower > tolerance * upper:
         # The geometric mean first finds the order of magnitude.
         middle = np.sqrt(upper * max(lower, 1e-3 * upper))
-        candidate = _admissible(plant, middle)
+        candidate = _admissible(plant, middle, axes)
         if candidate is None:
             lower = middle
         else:
             upper, best = middle, candidate
     if slack:
         upper *= 1 + slack
-        best = _admissible(plant, upper) or best
+        best = _admissible(plant, upper, axes) or best
     # The formulas lose digits close to the optimum, so the bound is relaxed until it holds.
     while control.linfnorm(close(plant, best))[0] > (1 + tolerance) * upper:
         upper *= 1 + STEP_BACK
-        best = _admissible(plant, upper) or best
+        best = _admissible(plant, upper, axes) or best
     return best, upper
 
 
@@ -80,7 +82,7 @@ def close(plant: control.StateSpace, controller: control.StateSpace) -> control.
     control.StateSpace
         From the exogenous inputs to the regulated outputs.
     """
-    return plant.lft(controller, nu=1, ny=1)
+    return plant.lft(controller, nu=controller.noutputs, ny=controller.ninputs)
 
 
 def is_stable(system: control.StateSpace) -> bool:
@@ -88,11 +90,11 @@ def is_stable(system: control.StateSpace) -> bool:
     return bool(np.abs(system.poles()).max(initial=0.0) < 1.0)
 
 
-def _admissible(plant: control.StateSpace, norm: float) -> control.StateSpace | None:
+def _admissible(plant: control.StateSpace, norm: float, axes: int) -> control.StateSpace | None:
     """Return the controller for one bound; None if there is none."""
     outputs, inputs = plant.D.shape
     try:
-        _, *matrices = sb10dd(plant.nstates, inputs, outputs, 1, 1, norm,
+        _, *matrices = sb10dd(plant.nstates, inputs, outputs, axes, axes, norm,
                               plant.A, plant.B, plant.C, plant.D)[:5]
     except SlycotArithmeticError:
         return None

@@ -3,16 +3,20 @@
 
 import array
 import math
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import piezo_interfaces.msg as messages
 
-from piezo_models.feedback_law.feedback_law import FeedbackLaw, LinearBlock
 
+def message_of(law: Any) -> messages.FeedbackLaw:
+    """Return the message of a law.
 
-def message_of(law: FeedbackLaw) -> messages.FeedbackLaw:
-    """Return the message of a law."""
+    Parameters
+    ----------
+    law : piezo_models.feedback_law.feedback_law.FeedbackLaw
+    """
     message = messages.FeedbackLaw(
         tick=_block(law.tick), observer=_floats(law.observer), delay_ticks=law.delay_ticks,
         sample=_block(law.sample), max_feedback_v=float(law.max_feedback_v),
@@ -20,7 +24,7 @@ def message_of(law: FeedbackLaw) -> messages.FeedbackLaw:
         once_expected_um=_floats(law.once_um), period_expected_um=_floats(law.period_um),
         start_sample=law.start_sample, fade_samples=law.fade_samples,
         model=_block(law.plant.linear),
-        model_gains_um_per_v=_floats(law.plant.gains_um_per_v))
+        model_gains_um_per_v=_floats(law.plant.gains_um_per_v), axes=list(law.axes))
     if law.inverse is not None:
         hysteresis = law.inverse.hysteresis
         message.inverse_gain_um_per_v = float(law.inverse.gain_um_per_v)
@@ -33,9 +37,14 @@ def message_of(law: FeedbackLaw) -> messages.FeedbackLaw:
     return message
 
 
-def _block(block: LinearBlock) -> messages.StateSpace:
-    return messages.StateSpace(a=_floats(block.a), b=_floats(block.b), c=_floats(block.c),
-                               d=float(block.d))
+def _block(block: Any) -> messages.StateSpace:
+    message = messages.StateSpace(a=_floats(block.a), b=_floats(block.b), c=_floats(block.c))
+    if np.ndim(block.d):
+        message.outputs, message.inputs = np.shape(block.d)
+        message.direct = _floats(block.d)
+    else:
+        message.d = float(block.d)
+    return message
 
 
 def _floats(values: npt.ArrayLike) -> array.array:
