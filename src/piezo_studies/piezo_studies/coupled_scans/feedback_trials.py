@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from piezo_client.scan_feedback import followed_scan
-from piezo_client.scans import Scanned, StoredScan
+from piezo_client.scans import Scanned, StoredScan, stored_scan
 from piezo_controller.axes.scan import scan
 from piezo_controller.feedback.axes_design import design_axes_feedback
 from piezo_controller.feedback.synthesis.weights import load_weights
@@ -25,7 +25,6 @@ from piezo_studies.coupled_scans.xy_stage import (
     VOLTAGE_RANGE_V,
     plant_of_study,
     ramp_of_study,
-    stored,
 )
 
 SIZE_UM, LINES = 20.0, 10
@@ -61,7 +60,7 @@ def rasters_with_feedback(model: IdentifiedAxes) -> Iterator[FeedbackRow]:
             for each_hz in DISTURBANCES_HZ]
     operating_v = model.model.operating_voltage_v
     for lines_per_s in LINES_PER_S:
-        planned = stored(scan(model, "raster", size_um=(SIZE_UM, SIZE_UM), rate_hz=lines_per_s,
+        planned = stored_scan(scan(model, "raster", size_um=(SIZE_UM, SIZE_UM), rate_hz=lines_per_s,
                               lines=LINES, voltage_range_v=VOLTAGE_RANGE_V))
         off = replace(planned, **{name: operating_v + (1.0 + GAIN_OFF) * (
             getattr(planned, name) - operating_v) for name in ("voltage_v", "begin_voltage_v")})

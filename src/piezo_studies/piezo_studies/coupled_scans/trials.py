@@ -22,7 +22,6 @@ from piezo_studies.coupled_scans.xy_stage import (
     NOISE_UM,
     VOLTAGE_RANGE_V,
     followed,
-    stored,
 )
 
 LEARNED_RUNS = 8
