@@ -9,16 +9,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from piezo_common.budget import Budget
-from piezo_controller.feedback.design_choices import (
+from piezo_controller.feedback.feedback_design import FeedbackController
+from piezo_controller.feedback.sample_rate.named_feedbacks import feedback_at_margin
+from piezo_controller.feedback.stage_design import design_for_stage
+from piezo_controller.feedback.synthesis.design_choices import (
     DEFAULT_WEIGHTS,
     DISTURBANCE_HZ,
     METHODS,
     PEAK_SENSITIVITY,
     SAMPLE_RATE_HZ,
 )
-from piezo_controller.feedback.feedback_design import FeedbackController
-from piezo_controller.feedback.sample_rate.named_feedbacks import feedback_at_margin
-from piezo_controller.feedback.stage_design import design_for_stage
 from piezo_identification.axes.diagnose_axes import AxesDiagnosis, diagnose_axes
 from piezo_identification.axes.identify_axes import identify_several_axes
 from piezo_identification.axes.predict_axes import AxesPrediction, predict_several_axes

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from piezo_common.command_line import Command, add_report_option, check_output_file
-from piezo_controller.feedback.design_choices import (
+from piezo_controller.feedback.synthesis.design_choices import (
     ALL,
     DEFAULT_WEIGHTS,
     DISTURBANCE_HZ,

@@ -15,7 +15,6 @@ from piezo_common.picture_style import to_png
 from piezo_controller.commands.axes_design_work import design_axes_law
 from piezo_controller.feedback.controller_file import save_controller
 from piezo_controller.feedback.controller_view import REPORT_ROWS
-from piezo_controller.feedback.design_choices import ALL, FEEDBACKS
 from piezo_controller.feedback.design_page import design_page
 from piezo_controller.feedback.feedback_design import (
     FeedbackController,
@@ -38,6 +37,7 @@ from piezo_controller.feedback.sample_rate.named_feedbacks import (
     feedback_at_margin,
 )
 from piezo_controller.feedback.stage_design import StageDesign, design_for_stage
+from piezo_controller.feedback.synthesis.design_choices import ALL, FEEDBACKS
 from piezo_controller.feedback.synthesis.generalised_plant import design_plant, generalised_plant
 from piezo_controller.feedback.synthesis.h_infinity import is_stable
 from piezo_controller.feedback.synthesis.weights import DesignWeights

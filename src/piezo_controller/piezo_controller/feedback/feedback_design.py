@@ -14,9 +14,9 @@ from piezo_controller.feedback.controller_view import (
     summary_of_controller,
     text_of_controller,
 )
-from piezo_controller.feedback.design_choices import METHODS, SCALINGS
 from piezo_controller.feedback.loop_measures import measure_loop
 from piezo_controller.feedback.synthesis.controller_reduction import reduce_order
+from piezo_controller.feedback.synthesis.design_choices import METHODS, SCALINGS
 from piezo_controller.feedback.synthesis.dk_iteration import iterate, scale, tick_frequencies
 from piezo_controller.feedback.synthesis.generalised_plant import (
     UNCERTAINTIES,

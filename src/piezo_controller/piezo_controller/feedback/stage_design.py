@@ -5,15 +5,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from piezo_controller.feedback.computing_time import computing_time_s
-from piezo_controller.feedback.design_choices import (
+from piezo_controller.feedback.feedback_design import FeedbackController, design_feedback
+from piezo_controller.feedback.loop_rules import LoopRules, choose_rates
+from piezo_controller.feedback.synthesis.design_choices import (
     DEFAULT_WEIGHTS,
     DISTURBANCE_HZ,
     METHODS,
     SAMPLE_RATE_HZ,
     SCALINGS,
 )
-from piezo_controller.feedback.feedback_design import FeedbackController, design_feedback
-from piezo_controller.feedback.loop_rules import LoopRules, choose_rates
 from piezo_controller.feedback.synthesis.weights import DesignWeights, load_weights
 from piezo_controller.feedback.synthesis.ziegler_nichols import ultimate_point_by_relay
 from piezo_models.cascade import StageModel

@@ -12,7 +12,6 @@ from piezo_controller.feedback.controller_file import (
     ControllerFileError,
     load_stabilising_controller,
 )
-from piezo_controller.feedback.design_choices import DEFAULT_WEIGHTS
 from piezo_controller.feedback.feedback_before_inverse import FeedbackBeforeInverse
 from piezo_controller.feedback.feedback_design import (
     FeedbackController,
@@ -22,6 +21,7 @@ from piezo_controller.feedback.feedback_design import (
 )
 from piezo_controller.feedback.multirate_feedback import MultirateFeedback
 from piezo_controller.feedback.onboard_law import answers_samples, onboard_law
+from piezo_controller.feedback.synthesis.design_choices import DEFAULT_WEIGHTS
 from piezo_controller.feedback.synthesis.generalised_plant import nominal_hysteresis_gain
 from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_controller.feedforward.periodic import FeedforwardPlan

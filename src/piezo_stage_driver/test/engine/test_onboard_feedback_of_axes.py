@@ -135,7 +135,7 @@ def test_error_that_grows_on_one_axis_stops_both(column, axis):
 
     backend.spoil = spoil
     track(engine, law_of())
-    assert engine.stop_cause.startswith(f"{axis}: the feedback law leaves an error of")
+    assert engine.stop_cause.startswith(f"{axis}: the feedback law has an error of")
     rest(engine)
     assert np.array_equal(engine.voltage_v, REST_V)
 

@@ -15,13 +15,13 @@ from matplotlib.figure import Figure
 from piezo_common.picture_style import CURVES, GREY, LIMIT, label, new_figure
 from piezo_common.report_page import Section, pictured, render_page
 from piezo_common.summary_table import SummaryTable
-from piezo_controller.feedback.design_choices import PEAK_SENSITIVITY
 from piezo_controller.feedback.feedback_design import FeedbackController, UnstableLoop
 from piezo_controller.feedback.sample_rate.demands import Demands
 from piezo_controller.feedback.sample_rate.fast_design import check_modes, measured_design
 from piezo_controller.feedback.sample_rate.perturbed_loops import ModelErrors, PerturbedLoops
 from piezo_controller.feedback.sample_rate.repetitive import MOST_MULTIPLES
 from piezo_controller.feedback.sample_rate.searched_designs import design_by
+from piezo_controller.feedback.synthesis.design_choices import PEAK_SENSITIVITY
 from piezo_models.cascade import StageModel
 
 ERRORS = ModelErrors(0.05, 0.05)
@@ -53,7 +53,7 @@ def feedback_at_margin(name: str, model: StageModel, frequency_hz: float,
     Parameters
     ----------
     name : str
-        One of `piezo_controller.feedback.design_choices.FEEDBACKS`.
+        One of `piezo_controller.feedback.synthesis.design_choices.FEEDBACKS`.
     model : StageModel
         Model with a mode, and without antiresonances.
     frequency_hz : float

@@ -12,7 +12,7 @@ import control
 from scipy.signal import zpk2ss
 
 from piezo_common.schema import SchemaError, load_document, parsed
-from piezo_controller.feedback.design_choices import DEFAULT_WEIGHTS, DISTURBANCE_HZ
+from piezo_controller.feedback.synthesis.design_choices import DEFAULT_WEIGHTS, DISTURBANCE_HZ
 from piezo_controller.feedback.synthesis.weights_document import WeightEntry, WeightsDocument
 
 BUILT_IN = {DEFAULT_WEIGHTS: files("piezo_controller") / "weights.yaml",

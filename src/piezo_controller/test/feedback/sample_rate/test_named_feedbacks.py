@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from piezo_controller.feedback.controller_file import load_stabilising_controller, save_controller
-from piezo_controller.feedback.design_choices import FEEDBACKS
 from piezo_controller.feedback.feedback_design import UnstableLoop
 from piezo_controller.feedback.onboard_law import onboard_law
 from piezo_controller.feedback.sample_rate.named_feedbacks import (
@@ -17,6 +16,7 @@ from piezo_controller.feedback.sample_rate.named_feedbacks import (
 )
 from piezo_controller.feedback.sample_rate.perturbed_loops import PerturbedLoops
 from piezo_controller.feedback.sample_rate.repetitive import Repetitive
+from piezo_controller.feedback.synthesis.design_choices import FEEDBACKS
 from piezo_controller.feedforward.periodic import plan_feedforward
 from piezo_controller.references.reference import Reference, sample_reference
 from piezo_models.cascade import StageModel
