@@ -57,7 +57,7 @@ bench: extras ## measure speed and accuracy beside peers
 	@$(in_environment) .venv/bin/python benchmarks/run.py
 
 SECONDS_OF_PACE ?= 600
-paced: setup ## pace the loop on board for SECONDS_OF_PACE idle and busy, in pieces; writes docs
+paced: setup ## pace the loop on board for SECONDS_OF_PACE idle and busy; writes docs/studies/paced_loop.md
 	@$(in_environment) .venv/bin/python benchmarks/paced_table.py $(SECONDS_OF_PACE)
 
 DATA ?= ../shared/data
@@ -86,7 +86,7 @@ other-makes: setup ## identify six stages of other makes from files, drawn from 
 published-reference: setup ## follow a published reference by its preview; writes docs/published_reference.md
 	@$(in_environment) .venv/bin/python -m piezo_studies.published_reference
 
-changes: setup ## change the stage while a model watches it; writes a table of docs/diagnosis.md
+changes: setup ## change the stage while a model watches it; writes the table of docs/monitor.md
 	@$(in_environment) .venv/bin/python -m piezo_studies.changes_in_operation
 
 CASES ?= 260
@@ -97,8 +97,8 @@ diagnose-suite: extras ## diagnose CASES hidden effects drawn from SEED; table i
 twins: setup ## decide between effects that resemble each other, by one recording each
 	@$(in_environment) .venv/bin/python -m piezo_studies.diagnosis_benchmark.twin_decisions --seed 91
 
-calibration: extras ## diagnose 100 short recordings of a seed; writes their calibration to docs/diagnosis.md
-	@$(in_environment) .venv/bin/python -m piezo_studies.diagnosis_calibration --cases 100 --seed 901 --page docs/diagnosis.md
+calibration: extras ## diagnose 100 short recordings of a seed; writes docs/studies/diagnosis_rates.md
+	@$(in_environment) .venv/bin/python -m piezo_studies.diagnosis_calibration --cases 100 --seed 901 --page docs/studies/diagnosis_rates.md
 
 tables: setup ## write the tables and the picture in docs that are made from the sources
 	@$(in_environment) .venv/bin/python tools/error_table.py

@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import imread
@@ -48,8 +48,9 @@ SHARED = {
 
 What is identified comes with nodes of its own.
 """
-# A test that draws does not watch the clock.
-settings.register_profile("suite", deadline=None)
+# A test that draws does not watch the clock, and draws anew only where `make long` runs it.
+settings.register_profile("suite", deadline=None, derandomize=not LONG,
+                          suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("suite")
 
 DOMAINS = range(1, 100)

@@ -60,7 +60,7 @@ STAGE_CAUSES = {
     "track": "the stage stopped before the end: the stage {namespace}/stage is gone",
     "run_experiment": "the node that serves play_waveform has ended",
 }
-UNANSWERED = re.compile("did not answer|did not say|gave this request up")
+UNANSWERED = re.compile("did not answer|did not report|gave this request up")
 # As much lies in front of the first sample at least: there is nothing to read before.
 HEAD_BYTES = 50_000
 # What leads to a run, and back to a whole suite: not what this is about either.

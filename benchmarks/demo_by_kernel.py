@@ -21,7 +21,7 @@ sys.path.insert(0, str(ROOT / "tools"))
 from kernels import VARIABLE, kernels_that_work  # noqa: E402
 
 OUTPUT = ROOT / "runs" / "kernels"
-# As README.md and docs/first_run.md state it: the errors of tracking, in percent of the reference.
+# As docs/first_run.md states it: the errors of tracking, in percent of the reference.
 LARGEST_DIFFERENCE_PERCENT = 0.03
 # Taken by the clock, or told by the thesis.
 NOT_COMPARED = ("wall_s", "lockstep_ratio", "thesis_e_rms_percent")

@@ -133,7 +133,7 @@ def main():
     print(f"{len(rows)} of {count} rows diagnosed, in the order of the table: "
           f"{names == sorted(names)}; wrong verdicts: {', '.join(wrong) or 'none'}")
     print("\n".join(line for line in printed.splitlines()
-                    if "was skipped" in line or "lacks something" in line or "next:" in line))
+                    if "was skipped" in line or "model lacks an effect" in line or "next:" in line))
     print(json.dumps({"workers": options.workers, "recordings": count, "processor_s": round(used_s),
                       "seconds": round(first_s + second_s)}))
 

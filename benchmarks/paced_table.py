@@ -110,7 +110,7 @@ def main():
     parser.add_argument("--piece", type=float, default=60.0, help="longest piece (s)")
     parser.add_argument("--output", type=Path, default=Path("runs/paced"),
                         help="directory of the file of pieces, from which a run goes on")
-    parser.add_argument("--page", type=Path, default=Path("docs/how_it_works.md"),
+    parser.add_argument("--page", type=Path, default=Path("docs/studies/paced_loop.md"),
                         help="page whose table is written anew; its text stays")
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)

@@ -144,9 +144,10 @@ class StageClient(Client):
 
     def connect(self):
         """Make sure that no block is missed from here on."""
-        while not self.blocks:
-            self.play([0.0])
-            self.spin_until(lambda: self.blocks, 0.2)
+        played = self.play([0.0])
+        while not self.spin_until(lambda: self.blocks, 0.2):
+            played = self.play([0.0])
+        self.samples(played.last_sample)  # none of them is still to come
         self.until(lambda: self._feedback.get_subscription_count() > 0)
         self.forget()
 
@@ -163,6 +164,7 @@ class StageClient(Client):
             if stopped.success and all(
                     holds(stopped.path, topic, last_sample) for topic in topics):
                 break
+        self.samples(last_sample)
         self.forget()
 
     def until(self, condition):
@@ -297,6 +299,7 @@ def patient_clients():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(client_module, "SERVER_TIMEOUT_S", TIMEOUT_S)
         patch.setattr(client_module, "CALL_TIMEOUT_S", TIMEOUT_S)
+        patch.setattr(client_module, "CANCEL_TIMEOUT_S", TIMEOUT_S)
         for module in overview, rejections:
             patch.setattr(module, "DIAGNOSTICS_S", TIMEOUT_S)
         patch.setattr(client_module, "ACCEPTANCE_TIMEOUT_S", TIMEOUT_S)

@@ -135,7 +135,7 @@ def test_system_that_is_no_feedback_is_refused(plain_model, system, message):
 def test_file_with_an_empty_report_is_refused_only_before_the_inverse(plain_model, made):
     controller = replace(load_controller(made), report={})
     assert MultirateFeedback(controller).step(1.0, 0.0) > 0.0
-    with pytest.raises(ValueError, match="lacks hysteresis_gain_um_per_v"):
+    with pytest.raises(ValueError, match="has no hysteresis_gain_um_per_v"):
         FeedbackBeforeInverse(controller, plain_model, None, STAGE.samples_per_tick)
 
 

@@ -108,7 +108,7 @@ def test_what_can_no_longer_be_recorded_is_stopped(stage, suite, tmp_path):
         return suite.call(SetParameters, "recorder/set_parameters", parameters=[parameter])
 
     with ThreadPoolExecutor(1) as thread:
-        played = thread.submit(stage.play, [30.0] * 400, 0.1, 100, tmp_path)
+        played = thread.submit(stage.play, [30.0] * 400, 0.1, 1_000_000, tmp_path)
         suite.until_flagged(SampleBlock.FLAG_PLAYING)
         fill_disk(1_000_000_000)
         suite.until(played.done)

@@ -56,7 +56,7 @@ def test_what_decides_is_played_recorded_and_diagnosed(suite, files, tmp_path):
     assert played in Path(result.report).read_text()
     fractions = [feedback.fraction for feedback in told]
     assert fractions == sorted(fractions)
-    assert any("tells " in feedback.stage and "with probability" in feedback.stage
+    assert any("distinguishes " in feedback.stage and "with probability" in feedback.stage
                for feedback in told)
 
 

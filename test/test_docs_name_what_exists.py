@@ -56,9 +56,9 @@ def test_name_of_what_is_not_there_is_found(name):
     assert missing(name)
 
 
-def test_readme_lists_every_package_and_help_every_target_that_it_names():
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    table = readme.partition("## The house")[2]
+def test_architecture_lists_every_package_and_help_every_target_that_a_page_names():
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    table = page.partition("## The packages")[2].partition("\n\n| folder")[0]
     assert set(re.findall(r"^\| `(\w+)` \|", table, re.M)) == PACKAGES
     makefile = (ROOT / "Makefile").read_text()
     told = set(re.findall(r"^([a-z-]+):.*## ", makefile, re.M))
@@ -67,15 +67,16 @@ def test_readme_lists_every_package_and_help_every_target_that_it_names():
     assert set(re.findall(r"`make ([a-z-]+)", pages)) <= told
 
 
-def test_index_of_the_docs_lists_every_page():
-    index = (ROOT / "docs" / "README.md").read_text(encoding="utf-8")
-    linked = set(re.findall(r"\]\(([\w./]+\.md)\)", index))
-    pages = {path.name for path in ROOT.glob("docs/*.md")} - {"README.md"}
+@pytest.mark.parametrize("index", sorted(ROOT.glob("docs/**/README.md")),
+                         ids=lambda index: index.parent.name)
+def test_index_of_a_folder_of_the_docs_lists_every_page(index):
+    linked = set(re.findall(r"\]\(([\w./]+\.md)\)", index.read_text(encoding="utf-8")))
+    pages = {path.name for path in index.parent.glob("*.md")} - {"README.md"}
     assert pages <= linked
 
 
 def test_every_room_and_function_on_the_way_of_a_sample_exists():
-    page = (ROOT / "docs" / "how_it_works.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     way = page.partition("## The way of one sample")[2].partition("\n## ")[0]
     rows = re.findall(r"^\| `(piezo_[\w/]+)` \| `([\w.]+)` \|", way, re.M)
     assert len(rows) > 15

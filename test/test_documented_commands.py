@@ -171,4 +171,4 @@ def test_every_picture_has_the_command_that_makes_it_beside_it(page):
     if "![" in text and not text.splitlines()[2].startswith("Written by `make"):
         for match in re.finditer(r"!\[[^\]]*\]\([^)]*\)", text):
             beside = text[max(0, match.start() - 800):match.end() + 800]
-            assert re.search(r"`(make \w+|\./run piezo_[^`]*)`", beside), match[0]
+            assert re.search(r"`(make [\w-]+|\./run piezo_[^`]*)`", beside), match[0]

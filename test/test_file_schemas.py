@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from piezo_controller.feedback.controller_file import ControllerFileError, load_controller
@@ -147,7 +147,9 @@ def weights_content(path):
 
 
 def calibration_content(path):
-    return vars(load_calibration(path))
+    content = dict(vars(load_calibration(path)))
+    assert content.pop("mark_lines") == ""  # an entry that came later
+    return content
 
 
 def plant_content(path):
@@ -276,7 +278,7 @@ def test_changed_document_is_read_or_refused_as_before(kind, tmp_path_factory):
             assert_as_before(kind, name, document, path)
         return
 
-    @settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    @settings(max_examples=50)
     @given(st.sampled_from(sorted(every)))
     def one_change(name):
         assert_as_before(kind, name, every[name], path)
@@ -298,8 +300,7 @@ def test_several_wild_changes_are_read_or_refused_in_one_sentence(kind, tmp_path
     document = KINDS[kind].document
     everywhere = sorted(places(document), key=str)
 
-    @settings(max_examples=500 if LONG else 40, deadline=None,
-              suppress_health_check=[HealthCheck.too_slow])
+    @settings(max_examples=500 if LONG else 40)
     @given(st.lists(st.tuples(st.sampled_from(everywhere), ANY), min_size=1, max_size=3))
     def wild(changes):
         copied = copy.deepcopy(document)

@@ -14,8 +14,10 @@ from piezo_recorder.reading.reader import read_recording
 @pytest.mark.parametrize(("number", "timing"), [
     (signal.SIGINT, "lockstep"), (signal.SIGTERM, "paced")])
 def test_stage_that_is_ended_in_a_waveform_ends_in_order(executables, tmp_path, number, timing):
+    # In ticks of 10 ms, of which a paced stage keeps 20 s for a recorder on a busy computer.
     stage = executables.start(
-        "recorder", namespace=f"/{number.name}_{timing}".lower(), timing=timing)
+        "recorder", namespace=f"/{number.name}_{timing}".lower(), timing=timing,
+        samples_per_tick=400)
     started = stage.call(StartRecording, "recorder/start_recording",
                          directory=str(tmp_path), name="run")
     assert started.success, started.message

@@ -1,26 +1,34 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A stage of two axes: played, recorded, read, and stopped as a whole."""
 
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
 import control
 import numpy as np
 import pytest
-from piezo_interfaces.msg import SampleBlock
+from piezo_interfaces.msg import Marks, SampleBlock
 from piezo_interfaces.srv import StartTracking
 from sensor_msgs.msg import JointState
 
+from piezo_client import stage_command, stage_work
 from piezo_client.client import GoalFailed
 from piezo_client.scans import StoredScan, read_scan, write_scan
 from piezo_client.stage import Stage
+from piezo_common.gsf import Field, read_gsf, write_gsf
+from piezo_models import Coupling, IdentifiedAxes, save_axes_model
 from piezo_models.axes.coupled import CoupledModel
 from piezo_models.feedback_law.axes_law import AxesLaw, save_axes_law
 from piezo_models.feedback_law.feedback_law import DeclaredPlant, LinearBlock
+from piezo_recorder.images.scan_image import image_of
 from piezo_recorder.reading.axes import read_axes
+from piezo_ros.quality import SAMPLES
 from piezo_sim.simulated_stage import SimulatedStage
 
 AXES, SEED = ("x", "y"), 5
+DEAF_FROM_S = 2.0
+"""Of stage time: what connects to a stage takes a few milliseconds of it each time."""
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +65,26 @@ def test_recording_holds_what_was_played_and_measured_of_both_axes(xy, tmp_path)
     assert np.all(np.ptp(recording.displacement_um, axis=0) > 14.0)
 
 
+def test_marks_are_published_recorded_and_told_on_a_topic_of_their_own(xy, tmp_path):
+    told = []
+    xy.node.create_subscription(Marks, "marks", told.append, SAMPLES)
+    marks = np.zeros(800, np.uint8)
+    marks[[0, 400, 799]] = Marks.FRAME | Marks.LINE, Marks.PIXEL, Marks.PIXEL | Marks.BACKWARD
+    xy.until(lambda: xy.node.count_publishers("/xy/marks"))
+    with Stage("/xy") as stage:
+        played = xy.beside(stage.play, circle(), 5e-5, directory=tmp_path, marks=marks)
+    recording, = read_axes(played)
+    assert np.array_equal(recording.marks, marks)
+    xy.until(lambda: sum(len(each.sample) for each in told) == 3)
+    samples = np.concatenate([each.sample for each in told]).astype(int)
+    assert np.array_equal(np.diff(samples), [800, 798])  # two samples of the clock for each value
+    assert [kind for each in told for kind in each.kind] == [6, 1, 9]
+    stamps_s = [stamp.sec + 1e-9 * stamp.nanosec for each in told for stamp in each.stamp]
+    assert np.allclose(stamps_s, samples / 40_000.0, atol=1e-9)
+    with pytest.raises(GoalFailed, match="800 samples and 3 marks: give a mark for each sample"):
+        xy.play(circle(), marks=[1, 2, 3])
+
+
 @pytest.fixture
 def planned(tmp_path):
     """A folder with a circle as `scan` writes it, without an inverse."""
@@ -86,6 +114,45 @@ def test_voltages_of_a_path_are_learned_run_by_run_and_kept(xy, tmp_path, planne
     assert np.allclose(kept.voltage_v, third.scan.voltage_v, atol=1e-6)
 
 
+def linear_model():
+    """A model of modes and static gains alone, at the rate of the stage."""
+    s, frequency = control.tf("s"), 2.0 * np.pi * np.array([307.4, 364.9])
+    modes = [control.ss(0.25 * w**2 / (s**2 + 0.03 * w * s + w**2)) for w in frequency]
+    return replace(
+        CoupledModel.from_control(control.sample_system(control.append(*modes), 2.5e-5), AXES),
+        operating_voltage_v=np.array([40.0, 40.0]), operating_displacement_um=np.full(2, 10.0))
+
+
+def test_pattern_is_planned_played_and_made_into_images_by_one_command(
+        nodes, tmp_path, capfd, monkeypatch):
+    field = Field(0.01 * np.random.default_rng(1).normal(size=(60, 60)), (-10.0, -10.0),
+                  (40.0, 40.0), "um")
+    write_gsf(tmp_path / "specimen.gsf", field)
+    stage = nodes.start("recorder", namespace="/scanned", axes=AXES, plant="xy",
+                        specimen=str(tmp_path / "specimen.gsf"))
+    model = linear_model()
+    frequency_hz = np.geomspace(1.0, 1e4, 10)
+    gain, modes = model.response(frequency_hz), model.poles_rad_per_s.size
+    save_axes_model(tmp_path / "model.json", IdentifiedAxes(
+        model, np.array([[-20.0, 120.0]] * 2), Coupling(frequency_hz, gain, 1e-3 * np.abs(gain)),
+        np.zeros(modes, complex), 0.0 * model.residues_um_per_v, np.zeros(2), np.zeros(2)))
+    monkeypatch.setattr(stage_work.signal, "signal", lambda *_: None)
+    assert stage.beside(stage_command.main, [
+        "--namespace", "scanned", "scan", "--pattern", "raster", "--size-um", "5", "5", "--lines",
+        "12", "--rate-hz", "200", "--compare", "--model", str(tmp_path / "model.json"),
+        "--specimen", str(tmp_path / "specimen.gsf"), "--output", str(tmp_path / "scan")]) == 0
+    told = capfd.readouterr().out
+    assert "Geometric error, RMS in pixels" in told and "no inverse, as measured" in told
+    assert (tmp_path / "scan" / "report.html").exists()
+    image = read_gsf(tmp_path / "scan" / "inverse_as_measured.gsf")
+    assert image.values.shape == (12, 12) and image.size_um == pytest.approx((5.0, 5.0 * 12 / 11))
+    recording, = read_axes(tmp_path / "scan" / "scan")
+    assert list(recording.signals) == ["height_um", "camera"]
+    assert np.sum(recording.marks & Marks.PIXEL > 0) == 2 * 144
+    again = image_of(recording)
+    np.testing.assert_allclose(again.values, image.values, atol=1e-6)
+
+
 def test_array_without_a_column_for_each_axis_is_refused_before_it_is_sent(xy, tmp_path):
     with Stage("/xy") as stage, pytest.raises(ValueError, match="the axes x, y: give a column for"):
         xy.beside(stage.play, np.zeros((10, 3)), directory=tmp_path)
@@ -105,10 +172,12 @@ def test_each_axis_has_a_joint(xy):
     states = []
     xy.node.create_subscription(JointState, "joint_states", states.append, 10)
     while not states:
-        xy.play(np.full((4000, 2), [40.0, 20.0]))
+        # Held, as the last state would be of any place on the way back.
+        xy.play(np.full((4000, 2), [40.0, 20.0]), hold_at_end=True)
         xy.spin_until(lambda: states, 0.2)
     assert states[-1].name == ["stage_x", "stage_y"]
     assert all(1e-6 < place < 2e-5 for place in states[-1].position)
+    xy.play([0.0])
 
 
 def test_fault_of_one_axis_brings_both_to_rest(nodes, tmp_path):
@@ -117,8 +186,8 @@ def test_fault_of_one_axis_brings_both_to_rest(nodes, tmp_path):
     before, sensor, after = text.rpartition("      - effect: displacement_sensor\n")
     plant.write_text(before + "      - effect: silent_sensor\n" + "".join(
         f'        {name}: {{value: {value}, unit: s, source: "of the test"}}\n'
-        for name, value in (("begin_s", 0.06), ("end_s", 100.0))) + sensor + after)
-    stage = nodes.start(namespace="/deaf", connect=False, axes=AXES, plant=str(plant))
+        for name, value in (("begin_s", DEAF_FROM_S), ("end_s", 100.0))) + sensor + after)
+    stage = nodes.start(namespace="/deaf", axes=AXES, plant=str(plant))
     with pytest.raises(GoalFailed, match="y: the sensor's reading is not a number"):
         while True:
             stage.play(circle(4000))

@@ -156,15 +156,15 @@ def test_parameter_that_contradicts_the_stage_is_refused_with_both_values(
     stage.until(lambda: "recorder" in stage.node_names())
     assert refusal(stage, "run_experiment", experiment="dynamics", directory=str(tmp_path)) == (
         "run_experiment: parameter maximum_voltage_v is 100.0, but /contradicted/stage/description "
-        "says 120.0: set it at the stage alone")
+        "publishes 120.0: set it at the stage alone")
     assert refusal(stage, "track", **track(model_file, tmp_path)) == (
-        "track: parameter samples_per_tick is 20, but /contradicted/stage/description says 40: "
-        "set it at the stage alone")
+        "track: parameter samples_per_tick is 20, but /contradicted/stage/description "
+        "publishes 40: set it at the stage alone")
     recording = stage.call(StartRecording, "recorder/start_recording", name="run",
                            directory=str(tmp_path))
     assert recording.message == (
-        "parameter sample_rate_hz is 48000.0, but /contradicted/stage/description says 40000.0: "
-        "set it at the stage alone")
+        "parameter sample_rate_hz is 48000.0, but /contradicted/stage/description "
+        "publishes 40000.0: set it at the stage alone")
     assert "is 48000.0" in stage.processes.log("recorder").read_text()
     assert list(tmp_path.iterdir()) == []
 

@@ -13,7 +13,8 @@ def run(stage):
     stage.answer = lambda block: 0.1 * (20.0 - np.mean(block.displacement_um))
     assert stage.load(np.linspace(0, 30, 4000), 30 + np.sin(2 * np.pi * np.arange(40) / 40)).success
     first_tick = stage.start_tracking(feedback=True, ticks=300).first_tick
-    samples = stage.samples(40 * first_tick + 300 * 40)
+    stage.samples(40 * first_tick + 300 * 40)  # the run is over, the way to rest has begun
+    samples = stage.samples()
     assert samples.gapless
     assert played.last_sample < slow.first_sample < 40 * first_tick
     return samples

@@ -260,7 +260,7 @@ def test_command_that_was_refused_never_acts_later(hanging):
         "play_waveform", voltage_v=np.full(4000, 30.0), sample_period_s=25e-6, repeats=1)
     status, result = client.result(refused)
     assert status == GoalStatus.STATUS_ABORTED
-    assert "it will not act any more" in result.message
+    assert "it is withdrawn" in result.message
     client.call(Trigger, "emergency_stop")
     stage.release()
     assert client.result(goal)[1].message == "emergency stop"

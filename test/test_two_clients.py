@@ -28,7 +28,7 @@ def shared(nodes):
 @pytest.fixture
 def stage(shared):
     """A stage at rest."""
-    shared.until(lambda: shared.play([0.0]))
+    shared.samples(shared.play([0.0]).last_sample)
     shared.forget()
     return shared
 

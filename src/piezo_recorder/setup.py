@@ -26,6 +26,7 @@ setup(
             "convert = piezo_recorder.commands.convert_command:main",
             "repair = piezo_recorder.commands.repair_command:main",
             "report = piezo_recorder.commands.report_command:main",
+            "image = piezo_recorder.commands.image_command:main",
         ],
     },
 )

@@ -23,6 +23,7 @@ setup(
     entry_points={
         "console_scripts": [
             "stage_sim = piezo_sim.node.start:main",
+            "specimen = piezo_sim.specimen.specimen_command:main",
         ],
     },
 )

@@ -24,7 +24,7 @@ def generate_launch_description():
     return LaunchDescription([
         DeclareLaunchArgument(
             "monitor", default_value="false",
-            description="Whether the model runs beside the stage, which tells when it changes."),
+            description="Whether the model runs in parallel, to report changes of the stage."),
         IncludeLaunchDescription(PythonLaunchDescriptionSource(stage)),
         Node(package="piezo_identification", executable="identification", **settings),
         Node(package="piezo_controller", executable="controller", **settings),

@@ -92,8 +92,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--parameters", type=Path, default=default, metavar="FILE",
                         help="parameter file (YAML); that of the simulated stage by default")
     parser.add_argument("--data-root", type=Path, metavar="DIR",
-                        help="folder under which the nodes write; by default what the parameter "
-                             "file says, or the present one")
+                        help="folder under which the nodes write; by default that of the "
+                             "parameter file, or the present one")
     parser.add_argument("--logs", type=Path, default=Path("runs/logs"), metavar="DIR",
                         help="gets what the nodes print (default: %(default)s)")
     return parser

@@ -12,7 +12,7 @@ import pytest
 from piezo_bringup import suite_command
 from piezo_bringup.suite_command import BAD_INPUT, main
 
-SLEEPER = "import time; time.sleep(60)"
+SLEEPER = "import signal; signal.pause()"
 
 
 @pytest.mark.parametrize(("arguments", "said"), [

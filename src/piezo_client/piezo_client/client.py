@@ -23,7 +23,7 @@ from piezo_ros.heartbeat import Heartbeat
 from piezo_ros.messages import Message, MessageType
 from piezo_ros.requests.calls import may_be_repeated
 from piezo_ros.requests.lost_answers import PatientActionClient
-from piezo_ros.requests.servers import WORD_AFTER_S, Waiting, server_of
+from piezo_ros.requests.servers import WORD_AFTER_S, Waiting, described_server
 from piezo_ros.stage_runs.described_stage import DescribedStage
 
 SERVER_TIMEOUT_S = 30.0
@@ -263,7 +263,7 @@ class Client:
         if handle is None:
             self._withdraw(client, number, action_type, topic)
             raise GoalFailed(name, action_type.Result(message=(
-                f"{self._server(topic)} did not say whether it took the goal: look at its log, "
+                f"{self._server(topic)} did not report whether it took the goal: see its log, "
                 "send the goal again")))
         if not handle.accepted:
             raise GoalFailed(name, action_type.Result(message=(
@@ -379,8 +379,8 @@ class Client:
         return True
 
     def _server(self, name: str) -> str:
-        """Return the node that serves a name, or a description of it if it has ended."""
-        return server_of(self.node, name) or f"the node that serves {name}"
+        """Return the node that serves a name, or a description of it."""
+        return described_server(self.node, name)
 
     def description(self, stage: DescribedStage) -> StageDescription:
         """Return the description that a stage publishes; wait for it as for a server."""

@@ -28,16 +28,16 @@ def monitor_follows(client: Client, from_s: float, to_s: float, wait_s: float) -
     wait_s : float
         Time to wait for the monitor's report in s.
     """
-    told_s: list[float] = []
+    until_s: list[float] = []
 
     def hear(message: DiagnosticArray) -> None:
-        told_s.extend(float(entry.value) for status in message.status for entry in status.values
-                      if entry.key == "watched_until_s")
+        until_s.extend(float(entry.value) for status in message.status for entry in status.values
+                       if entry.key == "watched_until_s")
 
     subscription = client.node.create_subscription(
         DiagnosticArray, "/diagnostics", hear, DIAGNOSTICS_DEPTH)
     try:
-        return client.spin_until(lambda: bool(told_s) and from_s <= told_s[-1] < to_s, wait_s)
+        return client.spin_until(lambda: bool(until_s) and from_s <= until_s[-1] < to_s, wait_s)
     finally:
         client.node.destroy_subscription(subscription)
 

@@ -80,19 +80,19 @@ def status_lines(client: Client) -> list[str]:
     return [*lines, f"not there: {', '.join(missing)}" if missing else "all nodes are there"]
 
 
-def _description(told: Any) -> list[str]:
+def _description(stage: Any) -> list[str]:
     return [
-        f"backend {told.backend}, {told.timing}, {told.sample_rate_hz:g} Hz, feedback every "
-        f"{told.samples_per_tick} samples",
-        *(f"{f'{axis.name} ' if told.axes else ''}voltage {axis.minimum_voltage_v:g} to "
+        f"backend {stage.backend}, {stage.timing}, {stage.sample_rate_hz:g} Hz, feedback every "
+        f"{stage.samples_per_tick} samples",
+        *(f"{f'{axis.name} ' if stage.axes else ''}voltage {axis.minimum_voltage_v:g} to "
           f"{axis.maximum_voltage_v:g} V, at rest {axis.rest_voltage_v:g} V, at most "
-          f"{axis.slew_limit_v_per_s:g} V/s" for axis in told.axes or [told])]
+          f"{axis.slew_limit_v_per_s:g} V/s" for axis in stage.axes or [stage])]
 
 
 def _present(status: DiagnosticStatus) -> list[str]:
     values = {entry.key: entry.value for entry in status.values}
     client = f" for {values['client']}" if values.get("client") else ""
     voltage = f", {values['voltage_v']} V" if "voltage_v" in values else ""
-    seconds_left = float(values.get("seconds_left", 0.0))
-    left = f", {seconds_left:.3g} s left" if 0.0 < seconds_left < math.inf else ""
-    return [f"now: {status.message}{client}{voltage}{left}"]
+    remaining_s = float(values.get("seconds_left", 0.0))
+    remaining = f", {remaining_s:.3g} s left" if 0.0 < remaining_s < math.inf else ""
+    return [f"now: {status.message}{client}{voltage}{remaining}"]

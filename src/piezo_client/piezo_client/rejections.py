@@ -38,4 +38,4 @@ def why_rejected(node: Node, spin_until: Callable[[Callable[[], bool], float], b
         node.destroy_subscription(subscription)
     if heard and KeyValue(key=GOAL, value=str(GoalState.NONE)) not in heard[-1].values:
         return f"it is {heard[-1].message}"
-    return "it is busy with another goal or not active, its log tells which"
+    return "it is busy with another goal or not active, its log states which"

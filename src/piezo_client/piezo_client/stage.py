@@ -35,6 +35,7 @@ from piezo_client.scans import (
     scanned,
     write_scan,
 )
+from piezo_recorder.images.scan_frame import SCAN_FILE
 from piezo_ros.messages import Message, MessageType
 from piezo_ros.stage_runs.described_stage import DescribedStage
 from piezo_ros.stage_runs.recording_calls import RecorderNews, free_name
@@ -98,8 +99,8 @@ class Stage:
         return self.client.description(self._stage)
 
     def play(self, voltage_v: ArrayLike, sample_period_s: float | None = None, repeats: int = 1,
-             directory: AnyPath = "runs", name: str = "waveform",
-             axes: Sequence[str] = ()) -> Played:
+             directory: AnyPath = "runs", name: str = "waveform", axes: Sequence[str] = (),
+             marks: ArrayLike = (), attachments: Mapping[str, str] | None = None) -> Played:
         """Play a voltage and record it; stop if the recording fails.
 
         Parameters
@@ -113,22 +114,26 @@ class Stage:
             Name of the recording; a number is added if it is already used.
         axes : sequence of str
             Names of the columns, if there are several; by default all axes of the stage.
+        marks : array_like of uint8, shape (N,)
+            Bits of `piezo_interfaces.msg.Marks` for each sample, if any has one.
+        attachments : dict of str to str
+            Texts to keep in the recording, by the names of their files.
         """
         if sample_period_s is None:
             sample_period_s = 1.0 / self.description.sample_rate_hz
-        period_s = sample_period_s
+        period_s, texts = sample_period_s, attachments or {}
         return self._record(directory, name, lambda why_stop: self._play(
-            "", voltage_v, period_s, repeats, why_stop, axes).last_sample)
+            "", voltage_v, period_s, repeats, why_stop, axes, marks).last_sample, texts)
 
-    def scan(self, scan: AnyPath, periods: int = 2, directory: AnyPath = "runs",
+    def scan(self, scan: AnyPath | StoredScan, periods: int = 2, directory: AnyPath = "runs",
              name: str = "scan", feedback: AnyPath | None = None,
              max_feedback_v: float = MAX_FEEDBACK_V) -> Scanned:
         """Play and record a path that `scan` has planned, and compare its last period.
 
         Parameters
         ----------
-        scan : path-like
-            Folder that `scan` wrote its voltages into.
+        scan : path-like or StoredScan
+            Folder that `scan` wrote its voltages into, or the voltages.
         periods : int
             Periods to play; the first ones let the motion settle.
         directory : path-like
@@ -141,13 +146,13 @@ class Stage:
         max_feedback_v : float
             Largest voltage of the feedback of each axis, of either sign (V).
         """
-        planned = read_scan(scan)
+        planned = _voltages(scan)
         if feedback is None:
             return self._scan(planned, periods, directory, name)
         return self._scan_with_feedback(planned, feedback, periods, directory, name,
                                         max_feedback_v)
 
-    def learn_scan(self, scan: AnyPath, model: "AnyPath | CoupledModel", runs: int = 6,
+    def learn_scan(self, scan: AnyPath | StoredScan, model: "AnyPath | CoupledModel", runs: int = 6,
                    periods: int = 2, directory: AnyPath = "runs",
                    name: str = "scan") -> list[Scanned]:
         """Play a planned path repeatedly, each time with voltages learned from the last run.
@@ -175,7 +180,7 @@ class Stage:
         from piezo_models.axes_model_file import load_axes_model
 
         coupled = model if isinstance(model, CoupledModel) else load_axes_model(model).model
-        planned, done = read_scan(scan), []
+        planned, done = _voltages(scan), []
         for _ in range(runs):
             done.append(self._scan(planned, periods, directory, name))
             worst = [max(run.error_percent) for run in done[-2:]]
@@ -187,8 +192,11 @@ class Stage:
         return done
 
     def _scan(self, planned: StoredScan, periods: int, directory: AnyPath, name: str) -> Scanned:
+        frame = planned.frame
         played = self.play(planned.repeated_v(periods), planned.sample_period_s,
-                           directory=directory, name=name, axes=planned.axes)
+                           directory=directory, name=name, axes=planned.axes,
+                           marks=planned.repeated_marks(periods),
+                           attachments={SCAN_FILE: frame.model_dump_json()} if frame else None)
         return scanned(planned, played, periods)
 
     def _scan_with_feedback(self, planned: StoredScan, feedback: AnyPath, periods: int,
@@ -208,14 +216,17 @@ class Stage:
             [axis.ramp_rate_v_per_s for axis in axes], max_feedback_v)
         follower = self._follower = self._follower or ScanFollower(self.client)
         played = self._record(directory, name, lambda why_stop: follower.follow(
-            run, why_stop, self._progress))
+            run, why_stop, self._progress), {})
         return scanned(planned, played, periods, len(run.once_voltage_v))
 
     def _record(self, directory: AnyPath, name: str,
-                run: Callable[[Callable[[], str]], int]) -> Played:
+                run: Callable[[Callable[[], str]], int],
+                attachments: Mapping[str, str]) -> Played:
         """Record a run, which takes why it must stop, and returns its last sample."""
         path = self._call("recorder/start_recording", StartRecording,
                           directory=directory, name=free_name(directory, name),
+                          attachment_names=list(attachments),
+                          attachment_contents=list(attachments.values()),
                           client=self._name).path
         recording, last_sample = self._news.about(path), 0
         try:
@@ -372,8 +383,8 @@ class Stage:
         self._call("reset", Trigger)
 
     def _play(self, step: str, voltage_v: ArrayLike, sample_period_s: float, repeats: int = 1,
-              why_stop: Callable[[], str] | None = None,
-              axes: Sequence[str] = ()) -> PlayWaveform.Result:
+              why_stop: Callable[[], str] | None = None, axes: Sequence[str] = (),
+              marks: ArrayLike = ()) -> PlayWaveform.Result:
         if np.ndim(voltage_v) > 1 and not axes:
             axes = [axis.name for axis in self.description.axes]
             if np.shape(voltage_v)[1:] != (len(axes),):
@@ -383,7 +394,8 @@ class Stage:
         return self.client.goal(
             "play_waveform", self._shown(step), why_stop=why_stop,
             sample_period_s=float(sample_period_s),
-            voltage_v=_doubles(voltage_v), repeats=repeats, axes=list(axes))
+            voltage_v=_doubles(voltage_v), repeats=repeats, axes=list(axes),
+            marks=array.array("B", np.asarray(marks, dtype=np.uint8).tobytes()))
 
     def _call(self, name: str, service_type: MessageType, /, **fields: Any) -> Message:
         response = self.client.call(service_type, name, **fields)
@@ -396,6 +408,10 @@ class Stage:
         progress = self._progress
         return progress and (lambda feedback: progress(
             step + getattr(feedback, "stage", ""), feedback.fraction, feedback.seconds_left))
+
+
+def _voltages(scan: AnyPath | StoredScan) -> StoredScan:
+    return scan if isinstance(scan, StoredScan) else read_scan(scan)
 
 
 def _doubles(values: ArrayLike) -> array.array:

@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import NoReturn, TypeAlias
 
 from piezo_common.command_line import BAD_INPUT, INTERRUPTED
+from piezo_controller.commands.scan_command import add_path_options
 from piezo_ros.starting import without_ros_arguments
 
 WAIT_S = 3.0
 """Time in s to look for nodes; running ones are visible within a second."""
 Commands: TypeAlias = "argparse._SubParsersAction[_Parser]"
 INPUTS = ("model", "file", "waveform", "scan", "controller", "feedback", "data", "holdout",
-          "recordings", "extended_model")
+          "recordings", "extended_model", "specimen")
 SHAPES = "harmonic", "triangle"
 IDENTIFY = "`./run piezo_client stage identify --output DIR`"
 
@@ -53,9 +54,9 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print usage and message, and exit."""
-        lacking = "required" in message and "--model" in message
+        needs_model = "required" in message and "--model" in message
         super().error(message + (
-            f"; identify makes a model: {IDENTIFY}" if lacking else ""))
+            f"; identify makes a model: {IDENTIFY}" if needs_model else ""))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -68,7 +69,7 @@ def _parser() -> argparse.ArgumentParser:
                                      dest="command")
     for name, text in (
             ("list", "list the stages that can be seen, with their nodes"),
-            ("status", "tell how the stage is, what runs on it, and which nodes are there")):
+            ("status", "report the state of the stage, what runs on it, and its nodes")):
         commands.add_parser(name, help=text, description=text)
     _add_experiment(commands)
     _add_probe(commands)
@@ -143,16 +144,24 @@ def _add_play(commands: Commands) -> None:
 
 
 def _add_scan(commands: Commands) -> None:
-    parser = _add(commands, "scan", "play a planned path of several axes, and tell its error")
-    parser.add_argument("scan", type=Path, metavar="DIR",
-                        help="folder that `scan` wrote path.csv and begin.csv into")
+    parser = _add(commands, "scan", "play a path of several axes, report its error and make images")
+    parser.add_argument("scan", type=Path, metavar="DIR", nargs="?",
+                        help="folder that `scan` wrote path.csv and begin.csv into; or give "
+                        "--pattern and --model")
     parser.add_argument("--periods", type=int, default=2, metavar="NUMBER",
                         help="how often it is followed; the last one counts (default: %(default)s)")
     parser.add_argument("--learn", type=int, default=0, metavar="RUNS",
                         help="play it so often at most, each time with voltages learned from the "
                         "run before")
     parser.add_argument("--model", type=Path, metavar="FILE",
-                        help="model of the axes, to learn with")
+                        help="model of the axes, to plan or to learn with")
+    add_path_options(parser, None)
+    parser.add_argument("--compare", action="store_true",
+                        help="play the pattern without an inverse, too")
+    parser.add_argument("--signal", default="", metavar="NAME",
+                        help="detector of the images; the first one by default")
+    parser.add_argument("--specimen", type=Path, metavar="FILE",
+                        help="what the images show (.gsf), to tell their geometric error")
     parser.add_argument("--feedback", type=Path, metavar="LAW",
                         help="law file of `design`: play it without feedback, then with this one")
 
@@ -165,7 +174,7 @@ def _add_diagnose(commands: Commands) -> None:
     parser.add_argument("--holdout", type=Path, default="", metavar="FILE",
                         help="recording on which the errors are measured")
     parser.add_argument("--experiments", type=int, default=0, metavar="NUMBER",
-                        help="that may be played until one explanation is left (default: none)")
+                        help="that may be played until one explanation remains (default: none)")
     parser.add_argument("--longest-s", type=float, default=0.0, metavar="SECONDS",
                         help="that each of them may last (default: 30 s)")
 

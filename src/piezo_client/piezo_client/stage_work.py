@@ -5,13 +5,13 @@ import argparse
 import json
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from piezo_client.client import GoalFailed
 from piezo_client.overview import stages_seen, status_lines
 from piezo_client.references import harmonic, triangle
-from piezo_client.scans import Scanned
+from piezo_client.scans import Scanned, StoredScan, images_of, stored_scan
 from piezo_client.stage import Stage
 from piezo_common.command_line import BAD_INPUT, INTERRUPTED, next_line
 from piezo_common.progress_line import ProgressLine
@@ -29,9 +29,9 @@ def drive(options: argparse.Namespace) -> int:
     for number in signal.SIGINT, signal.SIGTERM:
         signal.signal(number, signal.default_int_handler)
     progress = ProgressLine()
-    lacking = _shortfall(getattr(options, "model", None))
-    if lacking:
-        print(lacking, flush=True)
+    shortfall = _shortfall(getattr(options, "model", None))
+    if shortfall:
+        print(shortfall, flush=True)
     try:
         with Stage(options.namespace, progress.show, options.wait_s) as stage:
             lines = WORK[options.command](stage, options)
@@ -123,29 +123,66 @@ def _shortfall(model: Path | None) -> str:
 def _play(stage: Stage, options: argparse.Namespace) -> list[str]:
     waveform = read_waveform(options.waveform)
     played = stage.play(waveform.voltage_v, waveform.sample_period_s, options.repeats,
-                        options.output, options.waveform.stem, waveform.axes)
+                        options.output, options.waveform.stem, waveform.axes, waveform.marks)
     return [f"recorded {played.path}", _check_of(played.path)]
 
 
 def _scan(stage: Stage, options: argparse.Namespace) -> list[str]:
+    if (options.scan is None) == (options.pattern is None):
+        raise ValueError("there is no path, or there are two: give a folder of `scan`, or "
+                         "--pattern with --model")
     if options.learn and options.model is None:
         raise ValueError("learning divides the error by the response of a model: give --model")
+    if options.learn and options.feedback:
+        raise ValueError("voltages are learned without feedback: leave out --learn or --feedback")
+    scans = {"planned": options.scan} if options.pattern is None else _planned(options)
+    *compared, (name, scan) = scans.items()
     if options.feedback:
-        return _scan_with_feedback(stage, options)
-    runs = (stage.learn_scan(options.scan, options.model, options.learn, options.periods,
-                             options.output) if options.learn
-            else [stage.scan(options.scan, options.periods, options.output)])
+        return _scan_with_feedback(stage, scan, options)
+    runs = (stage.learn_scan(scan, options.model, options.learn, options.periods, options.output)
+            if options.learn else [stage.scan(scan, options.periods, options.output)])
     run = min(runs, key=lambda each: max(each.error_percent))
-    return [*map(_errors_of, runs[:len(runs) if options.learn else 0]), str(run.summary()),
-            f"recorded {run.path}",
+    shown = {other: stage.scan(each, options.periods, options.output, other.replace(" ", "_"))
+             for other, each in compared} | {name: run}
+    return [*map(_errors_of, runs[:len(runs) if options.learn else 0]),
+            *(str(each.summary()) for each in shown.values()),
+            *(f"recorded {each.path}" for each in shown.values()),
+            *_images(stage, shown, options),
             next_line("stage", "piezo_identification", "simulate", "--model",
                       options.model or "<MODEL>", "--data", run.path, "--output", options.output)]
 
 
-def _scan_with_feedback(stage: Stage, options: argparse.Namespace) -> list[str]:
-    if options.learn:
-        raise ValueError("voltages are learned without feedback: leave out --learn or --feedback")
-    runs = {text: stage.scan(options.scan, options.periods, options.output, feedback=law)
+def _planned(options: argparse.Namespace) -> dict[str, StoredScan]:
+    """Return the scans to play by what they are, the one of the inverse last."""
+    # Imported here, as it takes seconds that other commands do not need.
+    from piezo_controller.commands.scan_command import check_path_options
+    from piezo_controller.commands.scan_work import plan_of
+
+    if options.model is None:
+        raise ValueError("a pattern is planned with a model of the axes: give --model")
+    check_path_options(options)
+    plan = plan_of(options)
+    compared = {"no inverse": stored_scan(plan.without_inverse())} if options.compare else {}
+    return compared | {"inverse": stored_scan(plan)}
+
+
+def _images(stage: Stage, runs: Mapping[str, Scanned],
+            options: argparse.Namespace) -> list[str]:
+    """Make the images of runs, if a detector was recorded; return lines to print."""
+    if not stage.description.signals or any(run.scan.frame is None for run in runs.values()):
+        return []
+    from piezo_common.gsf import read_gsf
+    from piezo_recorder.images.image_page import write_images
+
+    images = {name: image for what, run in runs.items()
+              for name, image in images_of(run, options.periods, what, options.signal).items()}
+    specimen = options.specimen and read_gsf(options.specimen)
+    return write_images(images, options.output, specimen)
+
+
+def _scan_with_feedback(stage: Stage, scan: Path | StoredScan,
+                        options: argparse.Namespace) -> list[str]:
+    runs = {text: stage.scan(scan, options.periods, options.output, feedback=law)
             for text, law in (("without feedback", None), ("with feedback", options.feedback))}
     return [line for text, run in runs.items() for line in (
         f"{text}:", str(run.summary()), f"recorded {run.path}")]
@@ -172,8 +209,8 @@ def _accept(stage: Stage, options: argparse.Namespace) -> list[str]:
     if not model or extended is None:
         raise ValueError("the monitor offers no model: give --model and --extended-model, or look "
                          "at its diagnostics")
-    told = [offer.sentence] if offer is not None and extended is offer else []
-    return [*told, stage.accept_extended_model(model, extended),
+    sentences = [offer.sentence] if offer is not None and extended is offer else []
+    return [*sentences, stage.accept_extended_model(model, extended),
             _next(options, "track", "--model", model, "--output", "<DIR>")]
 
 

@@ -11,7 +11,8 @@ import pytest
 
 from piezo_client import stage_command, stage_work
 from piezo_client.results import Played
-from piezo_client.scans import BEGIN_FILE, PERIOD_FILE, Scanned, read_scan, scanned
+from piezo_client.scans import BEGIN_FILE, PERIOD_FILE, Scanned, read_scan, scanned, write_scan
+from piezo_recorder.images.scan_frame import ScanFrame
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 
@@ -107,6 +108,31 @@ def test_command_that_learns_prints_every_run_and_wants_a_model(folder, monkeypa
     told = capsys.readouterr().out
     assert "run_0: error of x 7.071 %, y 7.071 %\nrun_1: error of x 0 %, y 0 %\n" in told
     assert "recorded run_1" in told and "Last period of run_1" in told
+
+
+def test_command_wants_one_path_and_a_model_to_plan_it(folder, monkeypatch, capsys):
+    monkeypatch.setattr(stage_work.signal, "signal", lambda *_: None)
+    monkeypatch.setattr(stage_work, "Stage", lambda *_: nullcontext(MagicMock()))
+    for given, said in (
+            ([], "there is no path, or there are two: give a folder"),
+            ([str(folder), "--pattern", "raster"], "there is no path, or there are two"),
+            (["--pattern", "raster"], "is planned with a model of the axes: give --model"),
+            (["--pattern", "file", "--model", str(folder / PERIOD_FILE)], "give --file")):
+        assert stage_command.main(["scan", *given, "--output", "runs"]) == 2
+        assert said in capsys.readouterr().err
+
+
+def test_marks_and_frame_are_kept_with_the_voltages_and_repeated_with_them(folder):
+    marks = np.arange(SAMPLES).astype(np.uint8) % 16
+    frame = ScanFrame(
+        format="piezo_scan", version=1, path="raster of a test", axes=["x", "y"], pixels=[8, 5],
+        pixel_um=[0.1, 0.2], centre_um=[1.0, 2.0], marked_pixels=40, sensor_delay_s=[0.0, 1e-5])
+    scan = dataclasses.replace(read_scan(folder), marks=marks, frame=frame)
+    write_scan(scan, folder / "again")
+    found = read_scan(folder / "again")
+    assert np.array_equal(found.marks, marks) and found.frame == frame
+    assert np.array_equal(found.repeated_marks(2), np.r_[np.zeros(BEGIN), marks, marks])
+    assert not read_scan(folder).repeated_marks(2).any() and read_scan(folder).frame is None
 
 
 def test_axis_that_rests_is_compared_with_the_largest_travel(folder):

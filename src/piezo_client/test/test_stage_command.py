@@ -22,7 +22,7 @@ def test_interrupt_before_the_work_is_read_ends_in_one_line(monkeypatch, capsys)
 
 @pytest.mark.parametrize("model, said", [
     (Path("/dev/zero"), ""),  # left to the nodes without being read to its end
-    ("lacking.json", "the model is inadequate: creep leaves 3 times the noise\n"),
+    ("lacking.json", "the model is inadequate: the residual of creep is 3 times the noise\n"),
 ])
 @pytest.mark.parametrize("command", ["track", "diagnose"])
 def test_what_a_model_lacks_is_said_first(monkeypatch, tmp_path, capsys, command, model, said):

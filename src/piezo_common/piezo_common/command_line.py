@@ -127,7 +127,7 @@ def add_budget_option(parser: argparse.ArgumentParser) -> None:
     """Add ``--budget``, the time that the work of a command may take."""
     parser.add_argument("--budget", metavar="SECONDS", type=float,
                         help="time that the command may take: it ends with the best result so far, "
-                        "and says what it has not tried; by default as long as it takes")
+                        "and reports what it has not tried; by default as long as it takes")
 
 
 def budget_of(options: argparse.Namespace, to_write_s: float = 0.0) -> Budget:
@@ -186,13 +186,13 @@ def next_line(prog: str, package: str, name: str, *arguments: object) -> str:
     >>> next_line("piezo design", "piezo_client", "stage", "reset")
     'next, where ROS 2 runs the stage: ros2 run piezo_client stage reset'
     """
-    said, words = "next:", ["./run", package, name]
+    prefix, words = "next:", ["./run", package, name]
     if prog.startswith(f"{UMBRELLA} "):
         words = [UMBRELLA, name]
         if package == OF_THE_STAGE:
-            said, words = "next, where ROS 2 runs the stage:", ["ros2", "run", package, name]
+            prefix, words = "next, where ROS 2 runs the stage:", ["ros2", "run", package, name]
     typed = [word if word.startswith("<") else shlex.quote(word) for word in map(str, arguments)]
-    return " ".join([said, *words, *typed])
+    return " ".join([prefix, *words, *typed])
 
 
 def print_progress(stage: str, fraction: float) -> None:

@@ -11,7 +11,7 @@ from piezo_common.budget import Budget
 SILENT_S = 4.0
 """Time in s without output after which the present step is printed again."""
 
-TELLING = 0.05
+FIRST_ESTIMATE = 0.05
 """Fraction of the work from which the remaining time is estimated."""
 
 
@@ -40,7 +40,7 @@ class ProgressLines:
         with self._one_at_a_time:
             self._stage, self._fraction = stage, fraction
             taken_s = self._clock() - self._begun_s
-            is_known = TELLING <= fraction < 1.0 and taken_s >= 1.0
+            is_known = FIRST_ESTIMATE <= fraction < 1.0 and taken_s >= 1.0
             self._whole_s = taken_s / fraction if is_known else None
             self._print()
 

@@ -69,12 +69,12 @@ class SummaryTable:
         """Yield the rows as texts; a number with a deviation is rounded accordingly."""
         following = [*self.heads[1:], ""]
         for row in self.rows:
-            beside = [*row[1:], None]
+            next_column = [*row[1:], None]
             yield tuple(
                 _deviation_text(cell) if head.startswith(DEVIATION)
                 else _number_text(cell, after if next_head.startswith(DEVIATION) else None)
                 for cell, head, after, next_head in zip(
-                    row, self.heads, beside, following, strict=True))
+                    row, self.heads, next_column, following, strict=True))
 
     def _are_texts(self) -> list[bool]:
         return [any(isinstance(row[column], str) for row in self.rows)

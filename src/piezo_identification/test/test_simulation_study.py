@@ -108,4 +108,4 @@ def test_the_order_table_shows_why_two_pairs(record):
     assert [line.split()[0] for line in lines[:4]] == ["order", "0", "1", "2"]
     assert lines[3].endswith("<- least information")
     asked = estimate_creep(record(200.0, 0.02, 1, 1), DYNAMICS, pair_count=1).order_table()
-    assert asked.splitlines()[2].endswith("<- asked for")
+    assert asked.splitlines()[2].endswith("<- given")

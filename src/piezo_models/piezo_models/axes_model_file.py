@@ -115,7 +115,7 @@ class AxesDocument(Document):
     latency_samples: list[NotNegative] = entry("Whole samples by which each sensor is late.")
     delays_s: Numbers = entry("Delay of each sensor, by the phases of the modes.", unit="s")
     delay_deviations_s: list[Deviation] = entry(
-        "Standard deviations; null where no mode tells it.", unit="s")
+        "Standard deviations; null where no mode determines it.", unit="s")
     modes: list[ModePart] = entry("Modes.")
     direct_um_per_v: list[Matrix] = entry(
         "Motion with the voltage of the same sample, the one before, and so on.", unit="um/V")

@@ -14,12 +14,7 @@ from numpy.typing import ArrayLike
 
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_common.summary_table import SummaryTable
-from piezo_models.effects.amplifier_lag import (
-    SettledLag,
-    as_rows_show,
-    moves_from_part_to_part,
-    parts_of_rows,
-)
+from piezo_models.effects.amplifier_lag import SettledLag, as_rows_show, parts_of_rows
 from piezo_models.effects.effect import Effect
 from piezo_models.hysteresis.first_rise import CYCLED, FirstRise
 from piezo_models.hysteresis.hysteretic_creep import HystereticCreep, HystereticCreepMemory
@@ -232,7 +227,7 @@ class StageModel:
                 lag = effect.state_space()
                 linear = linear * lag
                 state = np.append(equilibrium_state(lag, self._held_um(memory)), state)
-        if moves_from_part_to_part(parts):
+        if parts > 1:
             linear = answering_means(linear, part_s)
         system = zoh(linear, part_s)
         applied_v = acting.amplified(

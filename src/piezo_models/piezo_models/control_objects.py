@@ -82,15 +82,15 @@ def to_control(model: StageModel, sample_period_s: float | None = None, lags: bo
     array([  -25.1+1256.7j,   -25.1-1256.7j, -1000. +0.j ])
     """
     system = model.linear()
-    beside = [effect for effect in model.effects if effect.place not in IN_LINEAR]
-    found = {index: effect.lag() for index, effect in enumerate(beside)} if lags else {}
+    nonlinear = [effect for effect in model.effects if effect.place not in IN_LINEAR]
+    found = {index: effect.lag() for index, effect in enumerate(nonlinear)} if lags else {}
     for lag in found.values():
         system = system if lag is None else lag * system
-    left_out = [effect.name for index, effect in enumerate(beside) if found.get(index) is None]
+    left_out = [effect.name for index, effect in enumerate(nonlinear) if found.get(index) is None]
     left_out += [name for name, part in (("hysteretic_creep", model.hysteretic_creep),
                                          ("first_rise", model.first_rise)) if part is not None]
     if left_out:
-        warnings.warn(f"left out of the linear system: {', '.join(left_out)}", LeftOut,
+        warnings.warn(f"not part of the linear system: {', '.join(left_out)}", LeftOut,
                       stacklevel=2)
     sampled = system if sample_period_s is None else zoh(system, sample_period_s)
     return control.ss(sampled, inputs=["hysteresis_um"], outputs=["displacement_um"])
@@ -222,6 +222,6 @@ def _gain(system: control.StateSpace | control.TransferFunction, creep: CreepDyn
     ratio = system(1j * rates) / (found * delay(1j * rates))
     gain = float(np.mean(ratio.real))
     if not np.all(np.abs(ratio - gain) <= SETTINGS.response_tolerance * abs(gain)):
-        raise ValueError("the system's poles and zeros cannot be told apart well enough; "
+        raise ValueError("the system's poles and zeros cannot be separated well enough; "
                          "give a smaller one, such as control.minreal(system)")
     return gain

@@ -146,7 +146,7 @@ class RowsPart(Part):
         "Instant at which a row's displacement is read, after its voltage: the logger's habit.",
         unit="sample periods")
     delay_s: Number | None = entry(
-        "Delay left beside that and the model; left out where the rows do not tell it.", unit="s",
+        "Remaining delay of the rows; left out where they do not determine it.", unit="s",
         default=None)
     standard_deviation_s: Deviation = entry("Of this delay.", unit="s")
 
@@ -155,16 +155,16 @@ class AdequacyPart(Part):
     """How well a component fits the recording that it was estimated from."""
 
     residual_rms_um: NotNegative = entry(
-        "What is left, of the mean period where the voltage repeats itself.", unit="um")
+        "Residual, of the mean period where the voltage repeats itself.", unit="um")
     noise_rms_um: NotNegative = entry("The noise in the same samples.", unit="um")
     ratio: NotNegative = entry("The first over the second.", unit="1")
     verdict: Literal["adequate", "inadequate"] = entry(
-        '"adequate" if what is left is noise, or too little to matter; else "inadequate".')
+        '"adequate" if the residual is noise, or too small to matter; else "inadequate".')
     error_percent: NotNegative | None = entry(
         "Relative error e_y (4.20) on the data that were fitted.", unit="%", default=None)
-    noise_from: str | None = entry("What told the noise.", default=None)
+    noise_from: str | None = entry("Where the noise is estimated from.", default=None)
     left: str | None = entry(
-        "If inadequate: what is left beyond the noise, at which frequencies, when, at which "
+        "If inadequate: the residual beyond the noise, at which frequencies, when, at which "
         "voltages.", default=None)
     advice: str | None = entry("If inadequate: what to do.", default=None)
 
@@ -203,10 +203,10 @@ class ModelDocument(Document):
     hysteretic_creep: HystereticCreepPart | None = entry(
         "Creep that depends on the branch of the hysteresis.", default=None)
     first_rise: FirstRisePart | None = entry(
-        "What a stage lacks until it has risen to its highest voltage once.", default=None)
+        "Displacement missing until a stage has risen to its highest voltage once.", default=None)
     adequacy: dict[str, AdequacyPart] = entry(
-        "By component (creep, dynamics, hysteresis; creep 2 of a second recording): what it "
-        "leaves of it.",
+        "By component (creep, dynamics, hysteresis; creep 2 of a second recording): its "
+        "residual.",
         default={})
     visited: list[str] | None = entry(
         "Row i of the density: 1 for each of its i + 1 cells that the recordings determine, "

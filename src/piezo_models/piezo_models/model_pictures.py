@@ -27,7 +27,7 @@ AMPLITUDES = (1.0, 0.75, 0.5, 0.25)
 """Fractions of the voltage range that the drawn loops cover."""
 
 POINTS = 400
-BESIDE = 3.0
+MARGIN = 3.0
 """Factor by which the drawn frequencies exceed the slowest and fastest rates of the model."""
 
 STATIC_HZ = (1.0, 1000.0)
@@ -110,5 +110,5 @@ def drawn_frequencies(model: "StageModel") -> FloatArray:
     rates = [*model.creep.poles_rad_per_s, *model.creep.zeros_rad_per_s, *modes, *lag]
     low_hz, high_hz = STATIC_HZ
     if rates:
-        low_hz, high_hz = (np.array([min(rates) / BESIDE, max(rates) * BESIDE]) / (2.0 * np.pi))
+        low_hz, high_hz = (np.array([min(rates) / MARGIN, max(rates) * MARGIN]) / (2.0 * np.pi))
     return np.geomspace(low_hz, high_hz, POINTS)

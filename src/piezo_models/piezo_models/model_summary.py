@@ -98,8 +98,8 @@ def summary_of_identified(identified: "IdentifiedModel") -> SummaryTable:
         rows.insert(3, _row("Preisach plane visited",
                             100.0 * visited_fraction(identified.visited), None, "%"))
     rows += [_row(f"error {name}", value, None, "") for name, value in _flat(identified.errors)]
-    notes = [f"{component}: {part['verdict']}; it leaves {part['ratio']:.3g} times the noise of "
-             f"its recording." for component, part in identified.adequacy.items()]
+    notes = [f"{component}: {part['verdict']}; its residual is {part['ratio']:.3g} times the "
+             f"noise of its recording." for component, part in identified.adequacy.items()]
     return SummaryTable(f"Model identified {identified.created}", HEADS, rows, tuple(notes))
 
 
@@ -125,7 +125,8 @@ def shortfall(adequacy: Mapping[str, Mapping[str, Any]], errors: Mapping[str, An
             continue
         percent = part.get("error_percent")
         of_motion = "" if percent is None else f", {percent:.3g} % of the motion"
-        parts.append(f"{component} leaves {part['ratio']:.3g} times the noise{of_motion}")
+        parts.append(
+            f"the residual of {component} is {part['ratio']:.3g} times the noise{of_motion}")
     sentences = [f"the model is unfinished: {unfinished}"] if unfinished else []
     if parts:
         unseen = errors.get("e_y_percent")

@@ -91,7 +91,7 @@ def test_lag_of_the_amplifier_is_in_the_system_and_what_is_not_linear_is_named()
     s = 2j * np.pi * frequency_hz
     np.testing.assert_allclose(
         system(s), lagging.response(frequency_hz) / (1.0 + 1e-4 * s), rtol=1e-9)
-    with pytest.warns(LeftOut, match="left out of the linear system: voltage_clipping"):
+    with pytest.warns(LeftOut, match="not part of the linear system: voltage_clipping"):
         replace(lagging, effects=(*lagging.effects, VoltageClipping(0.0, 100.0))).to_control()
 
 

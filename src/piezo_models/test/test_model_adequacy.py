@@ -37,7 +37,8 @@ def test_what_an_inadequate_part_costs_is_one_sentence(stage):
     identified = IdentifiedModel(
         stage, (-20.0, 120.0), adequacy=ADEQUACY, errors={"e_y_percent": 3.4})
     assert identified.shortfall() == (
-        "the model is inadequate: dynamics leaves 190 times the noise, 2 % of the motion; on data "
+        "the model is inadequate: the residual of dynamics is 190 times the noise, 2 % of the "
+        "motion; on data "
         "that was not fitted it is wrong by 3.4 %")
     assert IdentifiedModel(stage, (-20.0, 120.0)).shortfall() == ""
     adequate = {"creep": ADEQUACY["creep"]}

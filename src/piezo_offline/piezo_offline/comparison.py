@@ -35,9 +35,9 @@ class Comparison:
         rows: list[tuple[Cell, ...]] = []
         for name in NAMES:
             prediction: Prediction = getattr(self, name)
-            left_um = (prediction.measured_um - prediction.simulated_um)[prediction.good]
-            rows.append((f"model {name}", prediction.e_y_percent(),
-                         float(np.std(left_um)), float(np.abs(left_um - left_um.mean()).max())))
+            residual_um = (prediction.measured_um - prediction.simulated_um)[prediction.good]
+            rows.append((f"model {name}", prediction.e_y_percent(), float(np.std(residual_um)),
+                         float(np.abs(residual_um - residual_um.mean()).max())))
         return SummaryTable("errors of two models on one recording, without their means",
                             ("", "e_y (%)", "rms (um)", "largest (um)"), rows)
 
@@ -49,8 +49,8 @@ class Comparison:
         axes = figure.subplots()
         for name, style in zip(NAMES, CURVES, strict=False):
             prediction: Prediction = getattr(self, name)
-            left_um = prediction.measured_um - prediction.simulated_um
-            axes.plot(prediction.time_s, 1e3 * left_um, **style, label=f"model {name}")
+            residual_um = prediction.measured_um - prediction.simulated_um
+            axes.plot(prediction.time_s, 1e3 * residual_um, **style, label=f"model {name}")
         label(axes, "time (s)", "measured minus simulated (nm)")
         axes.legend()
         return figure

@@ -96,11 +96,11 @@ def read(data: Any, columns: Any = (), name: Any = "") -> Recording:
         raise RecordingError(f"{data} is of several axes, which are not read alone: hand the file "
                              "itself to check, identify or simulate")
     try:
-        said = parse_columns(list(columns))
+        described = parse_columns(list(columns))
         if isinstance(data, str | PathLike):
-            recording = read_recording(data, columns=said)
+            recording = read_recording(data, columns=described)
         else:
-            recording = recording_of(data, said, name or IN_MEMORY)
+            recording = recording_of(data, described, name or IN_MEMORY)
     except RecordingError as error:
         raise RecordingError(_in_python(str(error))) from None
     for note in dict.fromkeys(recording.notes):

@@ -16,11 +16,12 @@ from piezo_identification.commands.simulate_command import COMMAND as SIMULATE
 from piezo_identification.commands.waveforms_command import COMMAND as WAVEFORMS
 from piezo_offline.completion_command import COMMAND as COMPLETION
 from piezo_recorder.commands.convert_command import COMMAND as CONVERT
+from piezo_recorder.commands.image_command import COMMAND as IMAGE
 from piezo_recorder.commands.report_command import COMMAND as REPORT
 
 COMMANDS = {command.name: command for command in (
     WAVEFORMS, CONVERT, REPORT, CHECK, IDENTIFY, SIMULATE, DIAGNOSE, DIAGNOSE_MANY, PROPOSE,
-    DESIGN, SCAN, COMPLETION)}
+    DESIGN, SCAN, IMAGE, COMPLETION)}
 """Subcommands in the order of their use."""
 
 

@@ -139,14 +139,14 @@ def identify(
             warnings.warn(misfit.sentence, DataWarning, stacklevel=2)
         given[name] = listed[0] if len(listed) == 1 else listed
 
-    def tell(text: str) -> None:
+    def collect(text: str) -> None:
         if isinstance(text, Implausible):
             warnings.warn(text, DataWarning, stacklevel=3)
         if note is not None:
             note(text)
 
     return identify_recordings(
-        **given, progress=progress, refine=refine, method=method, note=tell,
+        **given, progress=progress, refine=refine, method=method, note=collect,
         order=ResponseOrder(creep_pairs, modes, None), density=DensityOptions(grid),
         read_at_samples=_read_at(rows_read), budget=Budget(budget_s))
 

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 from piezo_common.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
+    from piezo_recorder.images.scan_frame import ScanFrame
+    from piezo_recorder.images.scan_image import ScanImage, image_of
     from piezo_recorder.reading.axes import (
         AxesRecording,
         axes_recordings_in,
@@ -26,7 +28,7 @@ __getattr__, __dir__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "AxesRecording", "ColumnsDocument", "Flag", "MessageDefinition", "Recording", "RecordingError",
-    "RecordingWriter", "axes_recordings_in", "axes_recordings_of_arrays", "parse_columns",
-    "read_axes", "read_frame", "read_recording", "read_recordings", "recording_of",
-    "recordings_in", "repair", "sha256_of", "to_frame", "to_xarray",
+    "RecordingWriter", "ScanFrame", "ScanImage", "axes_recordings_in", "axes_recordings_of_arrays",
+    "image_of", "parse_columns", "read_axes", "read_frame", "read_recording", "read_recordings",
+    "recording_of", "recordings_in", "repair", "sha256_of", "to_frame", "to_xarray",
 ]

@@ -21,6 +21,20 @@ class Flag(enum.IntFlag):
     FEEDFORWARD_HELD = 128
 
 
+class Mark(enum.IntFlag):
+    """Bits of SampleBlock's ``marks``.
+
+    A line and a frame begin at their sample; that of a pixel is the nearest to its centre, so that
+    lines of both directions have their pixels at the same places. `BACKWARD` stands beside the
+    marks of lines that go backward.
+    """
+
+    PIXEL = 1
+    LINE = 2
+    FRAME = 4
+    BACKWARD = 8
+
+
 class SampleCount:
     """Running count of the samples of one topic, in constant memory.
 

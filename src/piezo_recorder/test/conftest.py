@@ -26,7 +26,7 @@ class SampleBlocks:
             TYPE_NAME, text, self.typestore.hash_rihs01(TYPE_NAME))
 
     def serialise(self, first_sample, voltage_v, displacement_um, sample_period_s=2.5e-5,
-                  flags=Flag.PLAYING, frame_id="stage", axes=()):
+                  flags=Flag.PLAYING, frame_id="stage", axes=(), marks=(), signals=(), signal=()):
         types = self.typestore.types
         stamp = types["builtin_interfaces/msg/Time"](0, 0)
         header = types["std_msgs/msg/Header"](stamp, frame_id)
@@ -34,7 +34,8 @@ class SampleBlocks:
             header=header, first_sample=first_sample, sample_period_s=sample_period_s,
             tick=first_sample // 40, voltage_v=np.ravel(voltage_v).astype(float),
             displacement_um=np.ravel(displacement_um).astype(float), flags=int(flags),
-            missed_feedback=0, axes=list(axes))
+            missed_feedback=0, axes=list(axes), marks=np.array(marks, np.uint8),
+            signals=list(signals), signal=np.ravel(signal).astype(float))
         return bytes(self.typestore.serialize_cdr(block, TYPE_NAME))
 
     def write(self, path, topics, sample_rate_hz=None, attachments=()):

@@ -39,12 +39,12 @@ def sent_again(send: Send) -> Send:
     @functools.wraps(send)
     def patient(service: Service, response: Message, header: Message) -> None:
         for _ in range(ATTEMPTS):
-            with warnings.catch_warnings(record=True) as told:
+            with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
                 send(service, response, header)
-            if not any(NOT_SENT in str(warning.message) for warning in told):
+            if not any(NOT_SENT in str(warning.message) for warning in caught):
                 break
-        for warning in told:
+        for warning in caught:
             warnings.warn(warning.message, stacklevel=2)
 
     return patient

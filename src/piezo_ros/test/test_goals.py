@@ -25,11 +25,12 @@ def node():
 
 
 def test_work_that_outlives_its_node_ends_without_a_word(node, capfd):
-    ended = threading.Event()
+    begun, ended = threading.Event(), threading.Event()
     threads = []
 
     def work(goal, result, progress):
         threads.append(threading.current_thread())
+        begun.set()
         assert ended.wait(TIMEOUT_S)
         node.get_publishers_info_by_topic("/parameter_events")
 
@@ -43,6 +44,7 @@ def test_work_that_outlives_its_node_ends_without_a_word(node, capfd):
     sent = client.send_goal_async(Track.Goal())
     executor.spin_until_future_complete(sent, TIMEOUT_S)
     assert sent.result().accepted
+    assert begun.wait(TIMEOUT_S)
     executor.remove_node(node)
     node.destroy_node()
     ended.set()

@@ -6,12 +6,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from piezo_common.arrays import FloatArray
+from piezo_common.gsf import Field
 from piezo_sim.plant.plant import AxesPlant, Plant
 from piezo_sim.plant.plant_effect import Surroundings
 from piezo_sim.plant.plant_file import AxesPlantConfig, PlantConfig, read_any_plant
+from piezo_sim.specimen.specimen import Specimen
 from piezo_stage_driver.backends.backend import BackendFault
 
 SEEDS_APART = 2**31
@@ -36,6 +38,8 @@ class SimulatedStage:
         Sample rate in Hz.
     rest_voltage_v : float or sequence of float
         Voltage in V at which the stage has rested; for all axes, or for each.
+    specimen : Field, optional
+        Heights under the tip, which the first two axes move; see `Specimen`.
 
     Attributes
     ----------
@@ -45,6 +49,10 @@ class SimulatedStage:
         Names of several axes; empty for one.
     true_displacement_um : ndarray, shape (N,) or (N, axes)
         Displacement in um without the sensor at the instants of the last exchange.
+    signals : tuple of str
+        Names of the detectors; empty without a specimen.
+    marks : ndarray of uint8
+        Digital outputs at the samples of the last exchange; empty if none had a mark.
     on_truth : callable
         Called with it after each exchange; does nothing by default.
 
@@ -60,7 +68,7 @@ class SimulatedStage:
 
     def __init__(self, plant: str | Path | PlantConfig | AxesPlantConfig | None = None,
                  seed: int = 0, sample_rate_hz: float = 40000.0,
-                 rest_voltage_v: ArrayLike = 0.0) -> None:
+                 rest_voltage_v: ArrayLike = 0.0, specimen: Field | None = None) -> None:
         if seed < 0:
             raise ValueError(f"seed is {seed}; give an integer that is not negative.")
         if not 0.0 < sample_rate_hz < float("inf"):
@@ -72,6 +80,12 @@ class SimulatedStage:
                   else read_any_plant(plant))
         self.axes = tuple(config.axes) if isinstance(config, AxesPlantConfig) else ()
         self._shape = (len(self.axes),) if self.axes else ()
+        if specimen is not None and not self.axes:
+            raise ValueError("the plant has one axis: a specimen lies under two.")
+        self._under_tip = None if specimen is None else (lambda: Specimen(specimen, seed))
+        self._specimen: Specimen | None = None
+        self.signals = () if specimen is None else Specimen.signals
+        self.marks = self._next_marks = np.empty(0, np.uint8)
         rests_v = np.broadcast_to(np.asarray(rest_voltage_v, dtype=float), self._shape or (1,))
         surroundings = [Surroundings(1.0 / sample_rate_hz, float(rest_v), seed + SEEDS_APART * axis)
                         for axis, rest_v in enumerate(rests_v)]
@@ -87,7 +101,17 @@ class SimulatedStage:
         """Set the stage to rest, and start the noise from the seed."""
         self._failed = False
         self._plant = self._start()
+        self._specimen = self._under_tip and self._under_tip()
         self.true_displacement_um = np.empty(0)
+
+    def put_out_marks(self, marks: NDArray[np.uint8]) -> None:
+        """Put out marks with the samples of the next exchange, shape (N,)."""
+        self._next_marks = marks
+
+    def read_signals(self) -> FloatArray:
+        """Return what the detectors measured in the last exchange, shape (N, signals)."""
+        assert self._specimen is not None  # otherwise there are no signals
+        return self._specimen.measured(self.true_displacement_um[:, :2])
 
     def exchange(self, voltage_v: FloatArray) -> FloatArray:
         """Play voltages and return the displacements measured at their start.
@@ -132,6 +156,7 @@ class SimulatedStage:
         except BackendFault:
             self._failed = True
             raise
+        self.marks, self._next_marks = self._next_marks, np.empty(0, np.uint8)
         self.on_truth(self.true_displacement_um)
         return displacement_um
 

@@ -12,6 +12,8 @@ import numpy as np
 SERVO_S = 50e-6
 RECORD_POINTS = 262144
 CYCLES_PER_QUESTION = 20000
+CURRENT_POSITION, VOLTAGE = 2, 7
+INVALID_AXIS, OUT_OF_RANGE = 15, 17
 
 
 class GCSError(Exception):
@@ -19,26 +21,36 @@ class GCSError(Exception):
 
 
 class Controller:
-    """Hold the state of one controller.
+    """Hold the state of one controller with three axes, each with a channel and a generator.
 
     Attributes
     ----------
     commands : list of str
         Every command that changed something.
-    held : float
-        Control value that is put out; the stage has 1 um and 1 V for each of it.
-    sent_v : list of float
-        Every value of a single command (SVA).
+    held : ndarray, shape (3,)
+        Voltages that are put out; the position of an axis is `um_per_v` times its voltage, and its
+        voltage `v_per_control` times its control value.
+    sent_v : list
+        The control values of every single command (SVA); a number for one axis, a list for several.
     """
 
-    def __init__(self, um_per_v=1.0, tables=8, deaf_servo=False, played_scale=1.0):
-        self.um_per_v, self.tables = um_per_v, tables
-        self.deaf_servo, self.played_scale = deaf_servo, played_scale
+    axes = ("1", "2", "3")
+
+    def __init__(self, um_per_v=1.0, v_per_control=1.0, tables=8, deaf_servo=False,
+                 played_scale=1.0):
+        self.um_per_v, self.v_per_control, self.played_scale = (
+            np.broadcast_to(value, 3) for value in (um_per_v, v_per_control, played_scale))
+        self.tables, self.deaf_servo = tables, deaf_servo
         self.commands, self.sent_v = [], []
-        self.servo, self.held, self.gone = True, 0.0, False
-        self.wave, self.played, self.rate, self.record_rate = [], 0, 1, 1
-        self.running, self.connected, self.sources = False, False, {}
-        self.record = {1: [], 2: []}
+        self.servo, self.held, self.gone = dict.fromkeys(self.axes, True), np.zeros(3), False
+        self.waves, self.selected, self.played, self.rate, self.record_rate = {}, {}, 0, {}, 1
+        self.going, self.connected, self.sources, self.record = set(), False, {}, {}
+        self.error = 0
+
+    @property
+    def running(self):
+        """Whether a generator runs."""
+        return bool(self.going)
 
     def answer(self, line):
         """Carry out a command, or return the answer to a question."""
@@ -47,30 +59,47 @@ class Controller:
         if line == "\t":
             return self._pass_time()
         name, *words = line.split()
-        if name.endswith("?"):
-            return self._told(name, words)
-        self.commands.append(line)
-        getattr(self, f"_{name.lower()}")(*words)
+        try:
+            if name.endswith("?"):
+                return self._told(name, words)
+            self.commands.append(line)
+            getattr(self, f"_{name.lower()}")(*words)
+        except Refused as error:
+            self.error = error.args[0]
         return ""
 
     def _told(self, name, words):
         told = {
             "*IDN?": lambda: "(c)2026 Physik Instrumente, E-727.3CD, 0123456789, 13.21.00.09",
             "CSV?": lambda: "2.0",
-            "ERR?": lambda: "0",
-            "SAI?": lambda: "1 \n2 \n3",
+            "ERR?": self._last_error,
+            "SAI?": lambda: "\n".join(self.axes),
             "HPA?": lambda: ("0xe000200= 0 1 FLOAT System Servo Update Time\n"
                              "0x16000200= 0 1 INT System Data Recorder Max Points"),
             "TNR?": lambda: str(self.tables),
-            "SVO?": lambda: f"{words[0]}={int(self.servo)}",
-            "POS?": lambda: f"{words[0]}={self.um_per_v * self.held:.6f}",
-            "VOL?": lambda: f"{words[0]}={self.held:.6f}",
+            "SVO?": lambda: self._of_each(words, lambda at: int(self.servo[self.axes[at]])),
+            "POS?": lambda: self._of_each(
+                words, lambda at: f"{self.um_per_v[at] * self.held[at]:.6f}"),
+            "VOL?": lambda: self._of_each(words, lambda at: f"{self.held[at]:.6f}"),
             "SPA?": lambda: f"{words[0]} {words[1]}=" + {
                 0x0E000200: f"{SERVO_S:.6e}", 0x16000200: str(RECORD_POINTS)}[int(words[1], 0)],
             "DRL?": lambda: "\n".join(f"{word}={len(self.record[int(word)])}" for word in words),
             "DRR?": lambda: self._array(*(int(word) for word in words)),
         }
         return told[name]() if name in told else ""
+
+    def _of_each(self, words, value):
+        return "\n".join(f"{word}={value(self._at(word))}" for word in words)
+
+    def _last_error(self):
+        error, self.error = self.error, 0
+        return str(error)
+
+    def _at(self, word, error=INVALID_AXIS):
+        """Return the index of an axis, a channel or a generator."""
+        if word not in self.axes:
+            raise Refused(error)
+        return self.axes.index(word)
 
     def _array(self, first, count, *tables):
         rows = zip(*(self.record[table][first - 1:first - 1 + count] for table in tables),
@@ -82,56 +111,90 @@ class Controller:
         return "\n".join([*header, *(" ".join(f"{value:.9g}" for value in row) for row in rows)])
 
     def _pass_time(self):
-        if self.running:
-            assert self.rate == self.record_rate, "generator and recorder must have one rate"
-            for _ in range(CYCLES_PER_QUESTION // self.rate):
-                if self.played == len(self.wave):
-                    self.running = False
-                    break
-                # The sensor shows each voltage one sample later.
-                self.record[1].append(self.um_per_v * self.held)
-                self.held = self.played_scale * self.wave[self.played]
-                self.record[2].append(self.held)
-                self.played += 1
-        return str(int(self.running))
+        """Let the generators go on; return those that run, one bit each."""
+        rates = {self.rate[at] for at in self.going}
+        assert rates <= {self.record_rate}, "generators and recorder must have one rate"
+        for _ in range(CYCLES_PER_QUESTION // self.record_rate if self.going else 0):
+            self.going = {at for at in self.going if self.played < len(self._wave(at))}
+            if not self.going:
+                break
+            # The sensor shows each voltage one sample later.
+            before = self.held.copy()
+            for at in self.going:
+                self.held[at] = (self.played_scale[at] * self.v_per_control[at]
+                                 * self._wave(at)[self.played])
+            for table, (source, option) in self.sources.items():
+                at = self._at(source)
+                self.record[table].append(
+                    {CURRENT_POSITION: self.um_per_v * before, VOLTAGE: self.held}[option][at])
+            self.played += 1
+        return f"{sum(1 << at for at in self.going):x}"
 
-    def _svo(self, axis, on):
-        self.servo = self.deaf_servo or bool(int(on))
+    def _wave(self, at):
+        return self.waves[self.selected[at]]
 
-    def _sva(self, axis, value):
-        assert not self.servo and not self.running
-        self.held = float(value)
-        self.sent_v.append(self.held)
+    def _svo(self, *words):
+        for axis, on in pairs(words):
+            self._at(axis)
+            self.servo[axis] = self.deaf_servo or bool(int(on))
 
-    def _wtr(self, generator, cycles, interpolation):
-        self.rate = int(cycles)
+    def _sva(self, *words):
+        assert not self.running
+        values = [float(value) for _, value in pairs(words)]
+        for (axis, _), value in zip(pairs(words), values, strict=True):
+            assert not self.servo[axis]
+            self.held[self._at(axis)] = value * self.v_per_control[self._at(axis)]
+        self.sent_v.append(values if len(values) > 1 else values[0])
+
+    def _wtr(self, *words):
+        for generator, cycles, _ in pairs(words, 3):
+            self.rate[self._at(generator, OUT_OF_RANGE)] = int(cycles)
 
     def _rtr(self, cycles):
         self.record_rate = int(cycles)
 
-    def _drc(self, table, source, option):
-        self.sources[int(table)] = (source, int(option))
+    def _drc(self, *words):
+        for table, source, option in pairs(words, 3):
+            if int(table) > self.tables:
+                raise Refused(OUT_OF_RANGE)
+            self.sources[int(table)] = (source, int(option))
 
-    def _wcl(self, table):
+    def _wcl(self, *tables):
         assert not self.running
-        self.wave = []
+        for table in tables:
+            self.waves[table] = []
 
     def _wav(self, table, append, kind, first, count, *points):
-        assert kind == "PNT" and (append == "X") == (not self.wave)
-        assert int(count) == len(points) and int(first) == len(self.wave) + 1
-        self.wave += [float(point) for point in points]
+        wave = self.waves.setdefault(table, [])
+        assert kind == "PNT" and (append == "X") == (not wave)
+        assert int(count) == len(points) and int(first) == len(wave) + 1
+        wave += [float(point) for point in points]
 
-    def _wsl(self, generator, table):
-        pass
+    def _wsl(self, *words):
+        assert not self.running
+        for generator, table in pairs(words):
+            self.selected[self._at(generator, OUT_OF_RANGE)] = table
 
-    def _wgc(self, generator, cycles):
-        assert cycles == "1"
+    def _wgc(self, *words):
+        assert all(cycles == "1" for _, cycles in pairs(words))
 
-    def _wgo(self, generator, mode):
-        self.running = mode == "1"
-        if self.running:
-            assert not self.servo
-            self.played, self.record = 0, {1: [], 2: []}
+    def _wgo(self, *words):
+        starts = {self._at(generator, OUT_OF_RANGE)
+                  for generator, mode in pairs(words) if mode == "1"}
+        self.going -= {self._at(generator) for generator, _ in pairs(words)}
+        if starts:
+            assert not any(self.servo[self.axes[at]] for at in starts)
+            self.going |= starts
+            self.played, self.record = 0, {table: [] for table in self.sources}
+
+
+class Refused(Exception):
+    """A command that the controller does not carry out, with the number of its error."""
+
+
+def pairs(words, size=2):
+    """Return the words of a command in groups."""
+    return list(zip(*(words[at::size] for at in range(size)), strict=True))
 
 
 def library(controller):
@@ -142,6 +205,26 @@ def library(controller):
                 raise OSError("No route to host")
             controller.connected = True
 
+    def listed(items):
+        return list(items) if isinstance(items, (list, tuple)) else [items]
+
+    def ask(name, items, convert):
+        lines = controller.answer(f"{name}? {' '.join(map(str, listed(items)))}").splitlines()
+        raise_error()
+        return {item: convert(line.split("=")[1])
+                for item, line in zip(listed(items), lines, strict=True)}
+
+    def tell(name, *columns):
+        """Send a command with the entries of all columns in turn, and ask for its error."""
+        rows = zip(*(listed(column) for column in columns), strict=True)
+        words = [int(word) if isinstance(word, bool) else word for row in rows for word in row]
+        controller.answer(" ".join(map(str, [name, *words])))
+        raise_error()
+
+    def raise_error():
+        if (error := int(controller.answer("ERR?"))):
+            raise GCSError({15: "Invalid axis identifier", 17: "Parameter out of range"}[error])
+
     class GCSDevice:
         def __init__(self, devname="", gateway=None):
             self.bufstate = self.bufdata = None
@@ -149,11 +232,15 @@ def library(controller):
         def ConnectUSB(self, serialnum):  # noqa: N802
             controller.connected = True
 
-        def close(self):
+        def __exit__(self, *error):
             controller.connected = False
 
         def IsGeneratorRunning(self, wavegens):  # noqa: N802
-            return {wavegens: controller.answer("\t") == "1"}
+            bits = int(controller.answer("\t"), 16)
+            return {generator: bool(bits >> generator - 1 & 1) for generator in listed(wavegens)}
+
+        def qSAI(self):  # noqa: N802
+            return controller.answer("SAI?").split()
 
         def qTNR(self):  # noqa: N802
             return int(controller.answer("TNR?"))
@@ -172,15 +259,12 @@ def library(controller):
             points = " ".join(map(str, wavepoint))
             controller.answer(f"WAV {table} {append} PNT {firstpoint} {numpoints} {points}")
 
+        def WCL(self, tables):  # noqa: N802
+            controller.answer(f"WCL {' '.join(map(str, listed(tables)))}")
+
         def __getattr__(self, name):
             if name.startswith("q"):
-                def ask(item):
-                    return {item: float(controller.answer(f"{name[1:]}? {item}").split("=")[1])}
-                return ask
-
-            def command(*words):
-                words = [int(word) if isinstance(word, bool) else word for word in words]
-                controller.answer(" ".join(map(str, [name, *words])))
-            return command
+                return lambda items: ask(name[1:], items, float)
+            return lambda *columns: tell(name, *columns)
 
     return SimpleNamespace(GCSDevice=GCSDevice, Error=GCSError, Socket=Socket)

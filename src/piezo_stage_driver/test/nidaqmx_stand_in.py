@@ -32,6 +32,8 @@ class Card:
         Every sample that the clock took.
     single_v : list
         Every single write.
+    put_out : list
+        Byte at the digital lines with every sample that the clock took.
     """
 
     def __init__(self, clock_hz=40000.0, um_per_v=1.0, channels=1):
@@ -39,7 +41,8 @@ class Card:
         self.held_v = 0.0 if channels == 1 else np.zeros(channels)
         self.played_v, self.single_v = [], []
         self.waiting_v, self.measured_v = [], []
-        self.output_runs = self.input_runs = False
+        self.waiting_marks, self.put_out = [], []
+        self.output_runs = self.input_runs = self.lines_run = False
         self.fault = self.input_buffer = None
         self.open_tasks = 0
 
@@ -52,6 +55,8 @@ class Card:
                 if self.waiting_v:
                     self.held_v = self.waiting_v.pop(0)
                     self.played_v.append(self.held_v)
+                    if self.lines_run:
+                        self.put_out.append(self.waiting_marks.pop(0))
                 else:
                     self.fault = DaqError("The generation has stopped to prevent the "
                                           "regeneration of old samples.", -200290)
@@ -69,9 +74,10 @@ class Card:
 
         return SimpleNamespace(
             Task=BoundTask, Reader=Reader, Writer=Writer, Error=Error, DaqError=DaqError,
-            AxesReader=AxesReader, AxesWriter=AxesWriter,
+            AxesReader=AxesReader, AxesWriter=AxesWriter, LinesWriter=LinesWriter,
             constants=SimpleNamespace(
                 AcquisitionType=SimpleNamespace(CONTINUOUS="continuous"),
+                LineGrouping=SimpleNamespace(CHAN_FOR_ALL_LINES="one channel"),
                 RegenerationMode=SimpleNamespace(DONT_ALLOW_REGENERATION="none"),
                 TerminalConfiguration={"DIFF": "differential"}))
 
@@ -86,6 +92,7 @@ class Task:
         card.open_tasks += 1
         self.ai_channels = SimpleNamespace(add_ai_voltage_chan=self._add_input)
         self.ao_channels = SimpleNamespace(add_ao_voltage_chan=self._add_output)
+        self.do_channels = SimpleNamespace(add_do_chan=self._add_lines)
         self.timing = SimpleNamespace(cfg_samp_clk_timing=self._set_clock, samp_clk_rate=None)
         self.in_stream = SimpleNamespace(task=self)
         self.out_stream = SimpleNamespace(task=self, regen_mode="allowed")
@@ -99,6 +106,11 @@ class Task:
         self.channels.append(physical_channel)
         self.ranges_v.append((min_val, max_val))
 
+    def _add_lines(self, lines, line_grouping):
+        assert line_grouping == "one channel"
+        self.kind = "lines"
+        self.channels.append(lines)
+
     def _set_clock(self, rate, source="", sample_mode=None, samps_per_chan=1000):
         self.source, self.timing.samp_clk_rate = source, self.card.clock_hz
         assert sample_mode == "continuous"
@@ -106,11 +118,14 @@ class Task:
             self.card.input_buffer = samps_per_chan
 
     def start(self):
-        if self.kind == "output":
+        if self.kind != "input":
             assert self.out_stream.regen_mode == "none"
             assert self.source == "/Dev1/ai/SampleClock"
-            assert not self.card.input_runs, "the output must wait for the clock"
+            assert not self.card.input_runs, "an output must wait for the clock"
+        if self.kind == "output":
             self.card.output_runs = True
+        elif self.kind == "lines":
+            self.card.lines_run = True
         else:
             self.card.input_runs = True
 
@@ -131,6 +146,8 @@ class Task:
         self.card.open_tasks -= 1
         if self.kind == "output":
             self.card.output_runs = False
+        elif self.kind == "lines":
+            self.card.lines_run = False
         else:
             self.card.input_runs = False
 
@@ -197,3 +214,15 @@ class AxesWriter(Writer):
     def by_channel(data):
         assert data.ndim == 2 and data.flags.c_contiguous
         return data
+
+
+class LinesWriter:
+    """As ``nidaqmx.stream_writers.DigitalSingleChannelWriter``: a byte for each sample."""
+
+    def __init__(self, task_out_stream, auto_start):
+        assert not auto_start and len(task_out_stream.task.channels) == 1
+        self._card = task_out_stream.task.card
+
+    def write_many_sample_port_byte(self, data, timeout):
+        assert data.dtype == np.uint8 and data.ndim == 1
+        self._card.waiting_marks.extend(data)

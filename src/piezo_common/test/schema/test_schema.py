@@ -3,7 +3,7 @@ import math
 from typing import ClassVar
 
 import pytest
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from pydantic import model_validator
 
@@ -130,7 +130,6 @@ VALUES = st.recursive(
         st.text(max_size=5), inner, max_size=3), max_leaves=8)
 
 
-@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.dictionaries(st.sampled_from([*Amplifier.model_fields, "other"]), VALUES, max_size=4))
 @example({"errors": {"\r": None}})
 def test_any_content_is_accepted_or_refused_in_one_sentence(changes):

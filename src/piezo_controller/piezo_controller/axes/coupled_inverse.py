@@ -156,7 +156,7 @@ def _inverted_lines(lines: ComplexArray, response: ComplexArray, at_rest: FloatA
     """Return the spectra of the voltages and of what is left out of the path."""
     if np.linalg.cond(at_rest) > gain_limit:
         raise ValueError("the static response of the model moves its axes together: they cannot be "
-                         "told apart; identify each of them by a recording in which it moves alone")
+                         "separated; identify each of them by a recording in which it moves alone")
     still = np.linalg.inv(at_rest)
     left, passed, right = np.linalg.svd(still @ response)
     along = left.conj().transpose(0, 2, 1) @ (lines @ still.T)[:, :, None]

@@ -2,19 +2,19 @@
 """Plan the voltages that follow a path of several axes, or say which size and rate they can."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from piezo_common.arrays import FloatArray
 from piezo_common.summary_table import SummaryTable
 from piezo_controller.axes.coupled_inverse import GAIN_LIMIT, invert_path
 from piezo_controller.axes.path_prediction import PathPrediction, predict_path
 from piezo_controller.axes.repeated_period import faded_in
-from piezo_controller.axes.scan_path import MOST_SAMPLES, Mark, ScanPath, size_text
+from piezo_controller.axes.scan_path import MOST_SAMPLES, ScanPath, size_text
 from piezo_controller.feedforward.feasibility import (
     BISECTIONS,
     Infeasible,
@@ -26,6 +26,9 @@ from piezo_controller.feedforward.feasibility import (
 from piezo_controller.references.kind import InvalidReference
 from piezo_models.axes.coupled import CoupledModel
 from piezo_models.axes.identified_axes import IdentifiedAxes
+from piezo_recorder.images.scan_frame import FORMAT, VERSION, ScanFrame
+from piezo_recorder.reading.detected import mark_columns
+from piezo_recorder.sample_block import Mark
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -70,6 +73,8 @@ class PathPlan:
     amplitude_v: float
     """RMS of the voltages about the operating point, at which a model that softens was inverted."""
     gain_limit: float
+    sensor_delay_s: FloatArray
+    """By how much the reading of each axis is late, (n,)."""
 
     identified: IdentifiedAxes | None = None
     """Knows how far the model may be off."""
@@ -77,10 +82,49 @@ class PathPlan:
     def __repr__(self) -> str:
         return f"<PathPlan: {self.path}, {len(self.voltage_v)} samples>"
 
+    def without_inverse(self) -> "PathPlan":
+        """Return the plan of the same path with the static gain of each axis alone."""
+        return replace(self, voltage_v=invert_path(
+            self.path.position_um, self.model, "none", self.gain_limit).voltage_v)
+
     @property
     def begin_voltage_v(self) -> FloatArray:
         """Return the voltages from the operating point to the period's first sample, (B, n)."""
         return faded_in(self.voltage_v, self.model)
+
+    @property
+    def marks(self) -> NDArray[np.int64]:
+        """Return the marks of the samples, (N,): earlier than those of the path by the delay.
+
+        The path is that of the readings. An axis passes a place before its sensor shows it; each
+        axis counts by its squared speed at the marks.
+        """
+        path = self.path
+        speed = np.gradient(path.position_um, axis=0)[path.marks > 0] ** 2
+        delay_s = np.sum(speed @ self.sensor_delay_s) / max(np.sum(speed), np.finfo(float).tiny)
+        return np.roll(path.marks, -round(delay_s / path.sample_period_s))
+
+    @property
+    def frame(self) -> ScanFrame | None:
+        """Return the pixels of the image; None if the path has no marks of pixels."""
+        path = self.path
+        marked, lines = (int(np.sum(path.marks & mark > 0)) for mark in (Mark.PIXEL, Mark.LINE))
+        if not marked:
+            return None
+        way_um = np.abs(np.diff(path.position_um, axis=0)).sum(axis=0)
+        both = np.sort(np.argsort(-way_um, kind="stable")[:2])
+        if path.kind == "raster":  # lines run along the axis that moves farther
+            both = both[np.argsort(-way_um[both], kind="stable")]
+            pixels = np.array([marked // lines, lines])
+            pixel_um = path.size_um[both] / (pixels - [0, 1])
+        else:
+            pixels = np.full(2, round(np.sqrt(marked)))
+            pixel_um = path.size_um[both] / pixels
+        return ScanFrame(
+            format=FORMAT, version=VERSION, path=str(path), marked_pixels=marked,
+            axes=[path.axes[axis] for axis in both], pixels=pixels.tolist(),
+            pixel_um=pixel_um.tolist(), centre_um=path.centre_um[both].tolist(),
+            sensor_delay_s=self.sensor_delay_s[both].tolist())
 
     @cached_property
     def prediction(self) -> PathPrediction:
@@ -92,7 +136,7 @@ class PathPlan:
         """Return the errors and the cross-coupling to expect as a table with notes."""
         return self.prediction.summary(str(self.path), (
             *self._voltages(),
-            f"the gain is limited to {self.gain_limit:g} times that at rest: it leaves out "
+            f"the gain is limited to {self.gain_limit:g} times that at rest: it omits "
             f"{self.left_out_um.max():.2g} um RMS at most"))
 
     def _voltages(self) -> Iterator[str]:
@@ -117,13 +161,14 @@ class PathPlan:
                for axis, column in zip(path.axes, self.voltage_v.T, strict=True)},
             **{f"{axis}_displacement_um": column
                for axis, column in zip(path.axes, path.position_um.T, strict=True)},
-            **{str(mark.name).lower(): np.sign(path.marks & mark).astype(float) for mark in Mark}}
+            **mark_columns(self.marks)}
 
 
 def plan_path(path: ScanPath, model: CoupledModel | IdentifiedAxes,
               voltage_range_v: ArrayLike | None = None,
               slew_limit_v_per_s: float = SLEW_LIMIT_V_PER_S,
-              gain_limit: float = GAIN_LIMIT) -> PathPlan:
+              gain_limit: float = GAIN_LIMIT,
+              sensor_delay_s: ArrayLike | None = None) -> PathPlan:
     """Plan the voltages that make a model of several axes follow a periodic path.
 
     Parameters
@@ -136,6 +181,8 @@ def plan_path(path: ScanPath, model: CoupledModel | IdentifiedAxes,
     slew_limit_v_per_s : float
     gain_limit : float
         See `invert_path`.
+    sensor_delay_s : (n,) array_like, optional
+        By how much the reading of each axis is late; that of the model by default.
 
     Raises
     ------
@@ -152,12 +199,30 @@ def plan_path(path: ScanPath, model: CoupledModel | IdentifiedAxes,
                            else (-np.inf, np.inf))
     planner = _Planner(
         coupled, np.broadcast_to(np.asarray(voltage_range_v, dtype=float), (n, 2)),
-        slew_limit_v_per_s, gain_limit, model if isinstance(model, IdentifiedAxes) else None)
+        slew_limit_v_per_s, gain_limit,
+        _sensor_delays(model) if sensor_delay_s is None else np.asarray(sensor_delay_s, float),
+        model if isinstance(model, IdentifiedAxes) else None)
     whole = _of_all_axes(path, coupled)
     try:
         return planner.plan(whole)
     except Infeasible as reason:
         raise planner.refusal(whole, reason) from None
+
+
+def _sensor_delays(model: CoupledModel | IdentifiedAxes) -> FloatArray:
+    """Return the delays that a model knows; whole samples if no mode showed them.
+
+    Identified delays contain the lag of the electronics. Real poles that are faster than all modes
+    are taken for the amplifiers, in front of the modes.
+    """
+    coupled = model.model if isinstance(model, IdentifiedAxes) else model
+    late_s: FloatArray = np.asarray(coupled.latency_samples) * coupled.sample_period_s
+    if isinstance(model, IdentifiedAxes):
+        late_s = np.where(np.isfinite(model.delay_deviations_s), model.delays_s, late_s)
+    poles = coupled.poles_rad_per_s
+    highest = np.abs(poles[poles.imag != 0.0]).max(initial=0.0)
+    fast = poles.real[(poles.imag == 0.0) & (-poles.real > highest)]
+    return np.maximum(late_s - np.sum(-1.0 / fast), 0.0)
 
 
 def _of_all_axes(path: ScanPath, model: CoupledModel) -> ScanPath:
@@ -187,6 +252,7 @@ class _Planner:
     voltage_range_v: FloatArray
     slew_limit_v_per_s: float
     gain_limit: float
+    sensor_delay_s: FloatArray
     identified: IdentifiedAxes | None
 
     def plan(self, path: ScanPath) -> PathPlan:
@@ -198,7 +264,7 @@ class _Planner:
                        self.slew_limit_v_per_s)
         return PathPlan(path, self.model, found.voltage_v,
                         np.sqrt(np.mean(found.missed_um**2, axis=0)), found.amplitude_v,
-                        self.gain_limit, self.identified)
+                        self.gain_limit, self.sensor_delay_s, self.identified)
 
     def _check_ranges(self, voltage_v: FloatArray) -> None:
         for axis, column, (low, high) in zip(self.model.axes, voltage_v.T, self.voltage_range_v,

@@ -49,8 +49,8 @@ class PathPrediction:
                     "with deviations"), rows,
             ("error: RMS over the travel (2.32), by the model in time, without noise",
              "from: motion of one axis while another alone follows its part of the path",
-             "with deviations: to expect (RMS) of the coupled inverse with a model as uncertain as "
-             "its identification says", *notes))
+             "with deviations: to expect (RMS) of the coupled inverse with the uncertainty of the "
+             "model's identification", *notes))
 
 
 def _cells(values: dict[str, FloatArray], *at: int) -> tuple[Cell, ...]:

@@ -17,8 +17,9 @@ from scipy.interpolate import BPoly, CubicSpline
 
 from piezo_common.arrays import FloatArray
 from piezo_controller.axes.path_files import points_of_file, positions_of_file
-from piezo_controller.axes.scan_path import Mark, ScanPath, check_length
+from piezo_controller.axes.scan_path import ScanPath, check_length
 from piezo_controller.references.kind import InvalidReference
+from piezo_recorder.sample_block import Mark
 
 BOTH_TURN, FLYBACK = 0.2, 0.4
 """Parts of a line's time between the end of a line and the beginning of the next, where lines go

@@ -22,7 +22,7 @@ from piezo_models.axes_model_file import load_axes_model
 def scan(model: CoupledModel | IdentifiedAxes | str | PathLike[str], pattern: Any = "raster", *,
          axes: Sequence[str] = (), voltage_range_v: ArrayLike | None = None,
          slew_limit_v_per_s: float = SLEW_LIMIT_V_PER_S, gain_limit: float = GAIN_LIMIT,
-         **fields: Any) -> PathPlan:
+         sensor_delay_s: ArrayLike | None = None, **fields: Any) -> PathPlan:
     """Plan the voltages by which several axes follow a path, and predict how well they do.
 
     Parameters
@@ -39,6 +39,9 @@ def scan(model: CoupledModel | IdentifiedAxes | str | PathLike[str], pattern: An
         Limit of the amplifier.
     gain_limit : float
         Voltage for a displacement, in multiples of that at rest, up to which the model is inverted.
+    sensor_delay_s : (n,) array_like, optional
+        By how much the reading of each axis of the model is late, for marks and images; that of the
+        model by default.
     **fields
         Such as ``size_um``, ``rate_hz``, ``lines``: see `piezo_controller.axes.patterns`.
         ``centre_um`` is the operating point of the model by default.
@@ -80,7 +83,7 @@ def scan(model: CoupledModel | IdentifiedAxes | str | PathLike[str], pattern: An
     coupled = model.model if isinstance(model, IdentifiedAxes) else model
     path = pattern if isinstance(pattern, ScanPath) else _drawn(
         coupled, pattern, tuple(axes) or coupled.axes[:2], fields)
-    return plan_path(path, model, voltage_range_v, slew_limit_v_per_s, gain_limit)
+    return plan_path(path, model, voltage_range_v, slew_limit_v_per_s, gain_limit, sensor_delay_s)
 
 
 def _drawn(model: CoupledModel, pattern: Any, axes: tuple[str, ...],

@@ -2,7 +2,6 @@
 """A path of several axes: one period of positions at the sample rate, with its marks."""
 
 from dataclasses import dataclass, replace
-from enum import IntFlag
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,20 +12,6 @@ from piezo_controller.references.kind import InvalidReference
 
 MOST_SAMPLES = 2_500_000
 """Samples of a period: a frame of a minute at 40 kHz. A plan keeps ten arrays of them or so."""
-
-
-class Mark(IntFlag):
-    """What a sample is marked with.
-
-    A line and a frame begin at their sample; that of a pixel is the nearest to its centre, so that
-    lines of both directions have their pixels at the same places. `BACKWARD` stands beside the
-    marks of lines that go backward.
-    """
-
-    PIXEL = 1
-    LINE = 2
-    FRAME = 4
-    BACKWARD = 8
 
 
 @dataclass(frozen=True, eq=False)

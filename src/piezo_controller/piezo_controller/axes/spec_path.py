@@ -9,8 +9,9 @@ import numpy as np
 from scipy.interpolate import BPoly, CubicSpline
 
 from piezo_common.extras import how_to_install
-from piezo_controller.axes.scan_path import Mark, ScanPath, check_length
+from piezo_controller.axes.scan_path import ScanPath, check_length
 from piezo_controller.references.kind import InvalidReference
+from piezo_recorder.sample_block import Mark
 
 GAP = 0.5
 """Time of a gap, as a part of that of the shortest stretch between gaps, or of the time in which

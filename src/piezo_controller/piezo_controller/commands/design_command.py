@@ -53,8 +53,8 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
                         help="feedback period in samples; by the rules (5.10) by default")
     parser.add_argument("--output", type=Path, required=True,
                         help="controller file to write, or law file if the model is of several "
-                        "axes; page and pictures are put beside it")
-    add_report_option(parser, "CONTROLLER_report.html beside the controller")
+                        "axes; page and pictures are put next to it")
+    add_report_option(parser, "CONTROLLER_report.html next to the controller")
 
 
 def _check(options: argparse.Namespace) -> None:

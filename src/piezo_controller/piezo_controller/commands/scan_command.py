@@ -13,8 +13,21 @@ WITH_FILE = PATTERNS[-3:]
 
 def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--model", type=Path, required=True, help="model file of several axes")
-    parser.add_argument("--pattern", choices=PATTERNS, default=PATTERNS[0],
-                        help="kind of the path (default: %(default)s)")
+    add_path_options(parser, PATTERNS[0])
+    parser.add_argument("--output", type=Path, required=True,
+                        help="folder for path.csv, begin.csv, scan.json and path.png")
+
+
+def add_path_options(parser: argparse.ArgumentParser, default: str | None) -> None:
+    """Add the options that say which path is planned.
+
+    Parameters
+    ----------
+    default : str or None
+        Pattern if none is given.
+    """
+    parser.add_argument("--pattern", choices=PATTERNS, default=default,
+                        help="kind of the path" + (" (default: %(default)s)" if default else ""))
     parser.add_argument("--file", type=Path,
                         help="of points and file: a CSV with columns such as x_displacement_um, "
                         "and of file time_s; of scanspec: a serialised specification (JSON)")
@@ -43,15 +56,21 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--voltage-range-v", type=float, nargs=2, metavar=("LOW", "HIGH"),
                         help="of the amplifier; that of the identification by default")
     parser.add_argument("--slew-limit-v-per-s", type=float, help="of the amplifier")
-    parser.add_argument("--output", type=Path, required=True,
-                        help="folder for path.csv, begin.csv and path.png")
+    parser.add_argument("--sensor-delay-s", type=float, nargs="+", metavar="SECONDS",
+                        help="by how much the reading of each axis of the model is late, for marks "
+                        "and images; as identified by default")
 
 
-def _check(options: argparse.Namespace) -> None:
+def check_path_options(options: argparse.Namespace) -> None:
+    """Raise ValueError if a pattern lacks its file, or has one that it does not need."""
     if (options.file is None) == (options.pattern in WITH_FILE):
         raise ValueError(f"a {options.pattern} " + (
             "needs a file: give --file" if options.file is None else
             "takes no file: leave --file out, or give --pattern file"))
+
+
+def _check(options: argparse.Namespace) -> None:
+    check_path_options(options)
     if options.output.exists() and not options.output.is_dir():
         raise ValueError(f"{options.output} is a file: choose a folder for --output")
 

@@ -9,18 +9,25 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_common.command_line import print_next
 from piezo_common.picture_style import to_png
+from piezo_controller.axes.path_plan import PathPlan
 from piezo_controller.axes.scan import scan
+from piezo_recorder.images.scan_frame import SCAN_FILE
 
 OF_PATTERN = ("size_um", "centre_um", "rate_hz", "lines", "pixels", "both_directions", "flyback_s",
               "frame_flyback_s", "linear_velocity", "file", "axes")
-OF_PLAN = ("voltage_range_v", "slew_limit_v_per_s")
+OF_PLAN = ("voltage_range_v", "slew_limit_v_per_s", "sensor_delay_s")
+
+
+def plan_of(options: argparse.Namespace) -> PathPlan:
+    """Return the plan that the options of `add_path_options` ask for."""
+    given = {name: value for name in (*OF_PATTERN, *OF_PLAN)
+             if (value := getattr(options, name)) is not None}
+    return scan(options.model, options.pattern, **given)
 
 
 def plan_scan(options: argparse.Namespace) -> None:
     """Plan the path; write its voltages and a figure, and print what to expect."""
-    given = {name: value for name in (*OF_PATTERN, *OF_PLAN)
-             if (value := getattr(options, name)) is not None}
-    plan = scan(options.model, options.pattern, **given)
+    plan = plan_of(options)
     options.output.mkdir(parents=True, exist_ok=True)
     period, begin, picture = (options.output / name for name in (
         "path.csv", "begin.csv", "path.png"))
@@ -29,6 +36,9 @@ def plan_scan(options: argparse.Namespace) -> None:
     _write(begin, {"time_s": plan.model.sample_period_s * np.arange(len(begin_v), dtype=float),
                    **{f"{axis}_voltage_v": column
                       for axis, column in zip(plan.path.axes, begin_v.T, strict=True)}})
+    if plan.frame is not None:
+        (options.output / SCAN_FILE).write_text(
+            plan.frame.model_dump_json(indent=1) + "\n", encoding="utf-8")
     print(plan.summary())
     picture.write_bytes(to_png(plan.plot()))
     print(f"one period, to be repeated: {period}; from the operating point into it: {begin}")

@@ -17,8 +17,8 @@ CAPTIONS = {
     "nyquist": ("Nyquist diagram", "Open loop at the nominal gain of the hysteresis and at both "
                 "ends of its spread. It must not enter the dotted circle about -1, which is that "
                 "of the peak sensitivity."),
-    "sensitivity": ("Sensitivity", "What the loop leaves of a disturbance, at each frequency; "
-                    "above 1 it makes it larger. Grey, models with errors of all parameters."),
+    "sensitivity": ("Sensitivity", "Part of a disturbance that remains, at each frequency; "
+                    "above 1 the loop amplifies it. Grey, models with errors of all parameters."),
     "steps": ("Step responses", "The feedback alone, sampled once a tick; in a run the feedforward "
               "carries the reference. Grey, models with errors of all parameters."),
     "weights": ("Weights", "Weights of the H-infinity design."),

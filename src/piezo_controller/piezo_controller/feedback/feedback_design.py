@@ -103,7 +103,7 @@ class FeedbackController:
             If the report lacks it.
         """
         if "hysteresis_gain_um_per_v" not in self.report:
-            raise ValueError("the controller's report lacks hysteresis_gain_um_per_v: make it by "
+            raise ValueError("the controller's report has no hysteresis_gain_um_per_v: make it by "
                              "feedback_from_control, or set feedback_place to behind_inverse")
         return float(self.report["hysteresis_gain_um_per_v"])
 

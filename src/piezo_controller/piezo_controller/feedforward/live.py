@@ -168,14 +168,14 @@ class LivePlan:
         texts = ("held, as nothing was published",
                  "clipped to {:.4g} to {:.4g} um".format(*self.range_um),
                  "faster than the declared band and amplitude",
-                 "a straight line, as values were left out")
+                 "a straight line, as values were skipped")
         period_ms = 1e3 * self._limits.sample_period_s
-        told = [f"for {period_ms * count:.3g} ms it was {text}"
-                for count, text in zip(samples, texts, strict=True) if count]
+        remarks = [f"for {period_ms * count:.3g} ms it was {text}"
+                   for count, text in zip(samples, texts, strict=True) if count]
         if skipped:
-            told.append(f"values were left out {skipped} times, as more were published than "
-                        "the stage plays")
-        return ", ".join(told)
+            remarks.append(f"values were skipped {skipped} times, as more were published than "
+                           "the stage plays")
+        return ", ".join(remarks)
 
     def expected_um(self, first_sample: int, count: int) -> FloatArray:
         """Return the displacements to expect of samples that are loaded (um)."""
@@ -201,10 +201,10 @@ class LivePlan:
         self._motion.follow(np.empty(0))
 
     def _next_voltages(self) -> FloatArray | None:
-        ahead, left = self._loaded - self._played, self._total - self._loaded
-        if left <= 0:
+        ahead, remaining = self._loaded - self._played, self._total - self._loaded
+        if remaining <= 0:
             return np.empty(0)
-        due = min(left, self._ahead_samples - ahead)
+        due = min(remaining, self._ahead_samples - ahead)
         if due <= 0:
             return None
         values_um = self._values(due, must=ahead < HOLD_BELOW_SAMPLES)

@@ -32,9 +32,9 @@ MODES = ("open_loop", "feedforward")
 
 SETTLE_S = 0.1
 # Above this the stage responds too little for an inverse. The reference's content there is omitted
-# if that costs less than `LEFT_OUT` (rms) of its travel.
+# if that costs less than `NEGLIGIBLE_PART` (rms) of its travel.
 BANDWIDTH_HZ = 2500.0
-LEFT_OUT = 0.01
+NEGLIGIBLE_PART = 0.01
 # Lower cut-offs of what the compensation adds at reversals, tried when it demands too much voltage.
 COMPENSATION_BANDWIDTHS_HZ = BANDWIDTH_HZ, 1200.0, 600.0, 300.0
 NEGLIGIBLE_CONTENT = 1e-3
@@ -316,14 +316,14 @@ def bandwidth_hz(reference_um: FloatArray, sample_period_s: float) -> float:
     Returns
     -------
     float
-        `BANDWIDTH_HZ`, or more if the content above it exceeds `LEFT_OUT`.
+        `BANDWIDTH_HZ`, or more if the content above it exceeds `NEGLIGIBLE_PART`.
     """
     harmonics_um = np.abs(np.fft.rfft(reference_um)) / reference_um.size
     harmonics_um[1:(reference_um.size + 1) // 2] *= np.sqrt(2)  # those that have a conjugate
     above_um = np.sqrt(np.cumsum(harmonics_um[::-1] ** 2)[::-1])  # by Parseval
     frequency_hz = np.fft.rfftfreq(reference_um.size, sample_period_s)
     # Rounding errors do not count, as for a constant reference.
-    allowed_um = max(LEFT_OUT * np.ptp(reference_um), 1e-9 * np.abs(reference_um).max())
+    allowed_um = max(NEGLIGIBLE_PART * np.ptp(reference_um), 1e-9 * np.abs(reference_um).max())
     needed_hz = frequency_hz[1:][above_um[1:] > allowed_um]
     return max(BANDWIDTH_HZ, needed_hz.max(initial=0.0))
 

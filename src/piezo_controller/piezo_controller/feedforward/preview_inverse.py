@@ -30,7 +30,7 @@ POLYNOMIAL_DEGREE = 9
 # amplification beyond the band.
 MEMORY_S = 4e-3
 PREDICTION_WEIGHT = 1e-3
-MOST_LEFT = 0.3
+LARGEST_RESIDUAL = 0.3
 # Zeros closer to the unit circle than this would ring for long if they were cancelled.
 LARGEST_CANCELLED_ZERO = 0.8
 # Newton's method doubles the digits: one step reaches all of them, the second confirms it.
@@ -142,19 +142,19 @@ def short_preview_inverse(system: control.StateSpace, sample_period_s: float,
     Raises
     ------
     ValueError
-        If the error at the end of the band exceeds `MOST_LEFT`.
+        If the error at the end of the band exceeds `LARGEST_RESIDUAL`.
     """
     if preview_samples >= PREVIEW_SAMPLES:
         return preview_inverse(system, sample_period_s)
     lag = np.arange(-preview_samples, round(MEMORY_S / sample_period_s) + 1)
     taps = _fitted_taps(system, sample_period_s, lag, band_hz, PREDICTION_WEIGHT * np.sqrt(GRID))
     inverse = PreviewInverse(taps, np.ones(1), preview_samples)
-    left = np.abs(1.0 - inverse.response(band_hz, sample_period_s)
-                  * zoh_response(system, [band_hz], sample_period_s))[0]
-    if left > MOST_LEFT:
+    residual = np.abs(1.0 - inverse.response(band_hz, sample_period_s)
+                      * zoh_response(system, [band_hz], sample_period_s))[0]
+    if residual > LARGEST_RESIDUAL:
         raise ValueError(
-            f"with {preview_samples} samples of preview {100 * left:.0f} % of a reference at "
-            f"{band_hz:g} Hz would be left: declare a lower frequency, or publish "
+            f"with {preview_samples} samples of preview {100 * residual:.0f} % of a reference at "
+            f"{band_hz:g} Hz would remain: declare a lower frequency, or publish "
             f"{PREVIEW_SAMPLES} samples ahead")
     return inverse
 

@@ -32,7 +32,7 @@ from piezo_controller.feedforward.online_inverse import (
     OnlineInverse,
     compensated_effects,
 )
-from piezo_controller.feedforward.periodic import LEFT_OUT
+from piezo_controller.feedforward.periodic import NEGLIGIBLE_PART
 from piezo_controller.feedforward.preview_inverse import (
     PREVIEW_SAMPLES,
     PreviewInverse,
@@ -299,16 +299,16 @@ class StreamPlanner:
                                  for first in np.linspace(0, samples - count, BAND_CHECKS)])
         frequency_hz, powers_um2 = welch(reference_um, 1 / self.sample_period_s, nperseg=count)
         power_um2 = powers_um2.mean(axis=0)
-        left = np.abs(1.0 - self.preview.response(frequency_hz, self.sample_period_s)
-                      * zoh_response(self.fast, frequency_hz, self.sample_period_s))
-        left_um = math.sqrt((left**2 * power_um2).sum() * frequency_hz[1])
+        residual = np.abs(1.0 - self.preview.response(frequency_hz, self.sample_period_s)
+                          * zoh_response(self.fast, frequency_hz, self.sample_period_s))
+        residual_um = math.sqrt((residual**2 * power_um2).sum() * frequency_hz[1])
         travel_um = np.ptp(reference_um)
         # Rounding errors do not count, as for a constant reference.
-        if left_um > max(LEFT_OUT * travel_um, 1e-9 * np.abs(reference_um).max()):
+        if residual_um > max(NEGLIGIBLE_PART * travel_um, 1e-9 * np.abs(reference_um).max()):
             raise UnreachableReference(
                 f"the inverse with {self.preview.preview_samples} samples of preview leaves an "
-                f"error of {100 * left_um / travel_um:.2g} % of this reference, as it moves too "
-                "fast for it: leave out what is above 2 kHz, or choose another inversion", math.nan)
+                f"error of {100 * residual_um / travel_um:.2g} % of this reference, as it moves "
+                "too fast for it: omit what is above 2 kHz, or choose another inversion", math.nan)
 
     def _approach(self,
                   first_um: float) -> tuple[FloatArray, PreisachMemory, FloatArray, FloatArray]:

@@ -36,7 +36,7 @@ class LearnedDocument(Document):
     TITLE: ClassVar[str] = "learned feedforward"
     FORMAT: ClassVar[str] = FORMAT
     VERSION: ClassVar[int] = VERSION
-    RENEW: ClassVar[str] = "learn anew"
+    RENEW: ClassVar[str] = "learn again"
 
     format: str = entry(f"Always {FORMAT}.")
     version: Number = entry(f"Always {VERSION}.")
@@ -104,11 +104,11 @@ def load_correction(path: str | Path, reference: Reference, model_sha256: str,
     try:
         document = load_document(LearnedDocument, path)
     except SchemaError as error:
-        raise LearnedFileError(f"{begin}: {error.problem}; learn anew") from None
+        raise LearnedFileError(f"{begin}: {error.problem}; learn again") from None
     for name, wanted in (("reference", _plain(reference)), ("model_sha256", model_sha256),
                          ("sample_rate_hz", sample_rate_hz)):
         if getattr(document, name) != wanted:
-            raise LearnedFileError(f"{begin} was learned with another {name}: learn anew")
+            raise LearnedFileError(f"{begin} was learned with another {name}: learn again")
     return np.array(document.correction_um)
 
 

@@ -84,7 +84,7 @@ class LearningFeedforward:
         self._taken_um: list[FloatArray] = []
         self._taken = 0
         self._window: tuple[int, int] | None = None
-        self._left_samples: int | None = None
+        self._remaining_samples: int | None = None
 
     def _plan_first(self) -> FeedforwardPlan:
         """Plan with the initial correction, or with as much of the reference as is in reach."""
@@ -138,8 +138,8 @@ class LearningFeedforward:
         ndarray or None
             Empty at the end; None while the measurement that they depend on is incomplete.
         """
-        if self._left_samples is not None:
-            return self._go_on(self._left_samples)
+        if self._remaining_samples is not None:
+            return self._go_on(self._remaining_samples)
         if self._window is None:
             self.iteration = 1
             return self._load(self._part, self._period_v)
@@ -149,7 +149,7 @@ class LearningFeedforward:
         if self._learner.finished or self._learner.iterations >= self._iterations:
             self.iteration = 0
             self._learner.finished = self._learner.finished or "no further iteration was allowed"
-            self._left_samples = self._run_samples + round(
+            self._remaining_samples = self._run_samples + round(
                 SPARE_AT_THE_END_S / self._planner.sample_period_s)
             self.begin_sample = self._loaded + self._settled
             return self._load(self._settled, self._plan(self._learner.best_um))
@@ -158,10 +158,10 @@ class LearningFeedforward:
         self._learner.limit_to(self._correction_um)
         return self._load(self._part, voltage_v)
 
-    def _go_on(self, left_samples: int) -> FloatArray:
+    def _go_on(self, remaining_samples: int) -> FloatArray:
         """Return further voltages of the best iterate."""
-        count = min(left_samples, self._part)
-        self._left_samples = left_samples - count
+        count = min(remaining_samples, self._part)
+        self._remaining_samples = remaining_samples - count
         return self._load(count, self._period_v)
 
     def _plan(self, correction_um: FloatArray) -> FloatArray:

@@ -55,7 +55,7 @@ class ControllerNode(LifecycleNode):
         self._feedback_settings = FeedbackSettings(
             max_feedback_v=declare(
                 self, "max_feedback_v", 20.0,
-                "Largest feedback voltage beside a feedforward (V).", 0.001, 1000.0),
+                "Largest feedback voltage added to a feedforward (V).", 0.001, 1000.0),
             weights=self._weights(declare(
                 self, "weights", "",
                 "Weights of the feedback design: a file (YAML), thesis, or empty for the default."
@@ -231,19 +231,19 @@ class _Preparing:
 
     def __init__(self, progress: Progress, tolerance_um: float) -> None:
         self._progress, self._tolerance_um = progress, tolerance_um
-        self._step, self._told_s = "", -math.inf
+        self._step, self._reported_s = "", -math.inf
 
     def begin(self, step: str) -> None:
         """Report that another step begins."""
-        self._step, self._told_s = step, -math.inf
+        self._step, self._reported_s = step, -math.inf
         self.watch(0.0)
 
     def watch(self, fraction: float) -> None:
         """Report the fraction of the present step; raise ``Cancelled`` if the run is cancelled."""
         self._progress.check()
         now_s = time.monotonic()
-        if now_s - self._told_s >= REPORT_PERIOD_S:
-            self._told_s = now_s
+        if now_s - self._reported_s >= REPORT_PERIOD_S:
+            self._reported_s = now_s
             self._progress.report(fraction, stage=self._step, e_rms_percent=math.nan,
                                   tolerance_um=self._tolerance_um)
 

@@ -35,7 +35,7 @@ class ModelService:
         self._present: PresentRun | None = None
         # One model is changed at a time, and none while a run begins or ends.
         self._changing = threading.Lock()
-        self._told = node.create_publisher(String, "controller/model", DESCRIPTION)
+        self._publisher = node.create_publisher(String, "controller/model", DESCRIPTION)
         create_late_service(
             node, AcceptExtendedModel, "controller/accept_extended_model", self._begin)
 
@@ -61,7 +61,7 @@ class ModelService:
         """
         named = ModelText(path, read_model_text(path))
         used = self._accepted.in_place_of(named, read_model_text)
-        self._tell(used)
+        self._publish(used)
         return named, used, "" if used is named else (
             f"used {used.path}, which was accepted in place of {path}")
 
@@ -76,8 +76,8 @@ class ModelService:
             with self._changing:
                 self._present = None
 
-    def _tell(self, model: ModelText) -> None:
-        self._told.publish(String(data=model.path))
+    def _publish(self, model: ModelText) -> None:
+        self._publisher.publish(String(data=model.path))
 
     def _begin(self, request: AcceptExtendedModel.Request, late: LateResponse) -> None:
         # A design takes seconds, during which the run continues.
@@ -103,7 +103,7 @@ class ModelService:
         def go_over(following: ModelText) -> str:
             if present is None or present.named.sha256 != model.sha256:
                 return FROM_THE_NEXT
-            return present.go_over(following, self._tell)
+            return present.go_over(following, self._publish)
 
         if not extended:
             when = go_over(model)

@@ -49,12 +49,12 @@ class PresentRun:
         """Return the remarks on the models for the result; may be empty."""
         return "; ".join(self._notes)
 
-    def go_over(self, model: ModelText, told: Callable[[ModelText], None]) -> str:
+    def go_over(self, model: ModelText, publish: Callable[[ModelText], None]) -> str:
         """Replace feedforward and law by those for another model, in one tick.
 
         Parameters
         ----------
-        told : callable
+        publish : callable
             Called once the stage has switched.
 
         Returns
@@ -82,7 +82,7 @@ class PresentRun:
             if self.ended or self._prepared.run.complete:  # meanwhile
                 return FROM_THE_NEXT
             raise
-        told(model)
+        publish(model)
         when = f"from {ticks * self._tick_s:.3f} s of the present run on"
         self._notes.append(f"used {model.path} {when.replace('the present', 'this')}")
         return when

@@ -58,12 +58,12 @@ class ReferenceTopic:
         while not live.begun:
             check()
             if time.monotonic() > deadline_s:
-                raise InvalidReference(f"nothing to follow came on {topic} within "
+                raise InvalidReference(f"nothing was published on {topic} within "
                                        f"{APPEARANCE_S:g} s: start what publishes the reference")
             time.sleep(POLL_S)
         publishers = self._node.count_publishers(topic)
         if publishers > 1:
-            raise InvalidReference(f"{publishers} nodes publish on {topic}: leave one")
+            raise InvalidReference(f"{publishers} nodes publish on {topic}: stop all but one")
         return live
 
     def end(self) -> None:

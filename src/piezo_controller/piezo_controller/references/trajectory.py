@@ -96,10 +96,10 @@ class JoinedTrajectory(Trajectory):
 
     def survey(self, samples: int) -> FloatArray:
         """See `Trajectory.survey`."""
-        left = np.clip(samples - self._begins, 0, self._durations)
-        left[-1] = max(samples - self._begins[-1], 0)
+        remaining = np.clip(samples - self._begins, 0, self._durations)
+        remaining[-1] = max(samples - self._begins[-1], 0)
         return np.concatenate([part.survey(int(count)) for part, count in
-                               zip(self._parts, left, strict=True) if count])
+                               zip(self._parts, remaining, strict=True) if count])
 
 
 class KeptTrajectory(Trajectory):

@@ -136,14 +136,14 @@ class Feedbacks:
             return open_loop_sensitivity(model, stage.sample_period_s)
         controller = self._controller(mode, model, model_sha256, answered=True)
 
-        def left(frequency_hz: FloatArray) -> ComplexArray:
+        def residual(frequency_hz: FloatArray) -> ComplexArray:
             within = frequency_hz < 0.5 / stage.tick_s  # above this, the ticks see an alias
-            left = np.ones(frequency_hz.size, dtype=complex)
-            left[within] = fast_sensitivity(
+            residual = np.ones(frequency_hz.size, dtype=complex)
+            residual[within] = fast_sensitivity(
                 model, controller, frequency_hz[within], stage.sample_period_s)
-            return left
+            return residual
 
-        return left
+        return residual
 
     def check_model(self, model: StageModel, model_sha256: str, present: StageModel) -> None:
         """Raise if the composite feedback for a model is unstable with it or the present model.

@@ -48,8 +48,8 @@ def foreseen_share(period_um: FloatArray, sample_period_s: float,
         return 0.0
     counted = harmonics >= NEGLIGIBLE_HARMONIC * harmonics.max()
     frequency_hz = np.fft.rfftfreq(period_um.size, sample_period_s)[counted]
-    left = np.abs(sensitivity(frequency_hz)) * harmonics[counted]
-    return float(np.sqrt(left @ left / (harmonics[counted] @ harmonics[counted])))
+    residual = np.abs(sensitivity(frequency_hz)) * harmonics[counted]
+    return float(np.sqrt(residual @ residual / (harmonics[counted] @ harmonics[counted])))
 
 
 def check_reach(period_um: FloatArray, sensitivity: Sensitivity, reference: Reference,

@@ -36,7 +36,7 @@ def check_pace(tick_s: float, max_missed: int, check: Callable[[], None] = lambd
         check()
         if latest_s > max_missed * tick_s:
             raise TooSlow(
-                f"this computer is too busy to answer every {1e3 * tick_s:g} ms: it just came "
+                f"this computer is too busy to answer every {1e3 * tick_s:g} ms: it was just "
                 f"{1e3 * latest_s:.1f} ms late, and the stage stops where more than {max_missed} "
                 f"answers are missed in a row (load {os.getloadavg()[0]:.1f} on {cores()} "
                 "processors): end other programs, or track a periodic reference with the feedback "

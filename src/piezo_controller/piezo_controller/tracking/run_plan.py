@@ -141,7 +141,7 @@ def plan_learning(reference: Reference, run_samples: int, model: StageModel,
     reference_um = sample_reference(reference, stage.sample_rate_hz)
     if correction_um is not None and correction_um.size != reference_um.size:
         raise InvalidReference(f"the learned correction has {correction_um.size} samples, the "
-                               f"reference {reference_um.size}: learn anew")
+                               f"reference {reference_um.size}: learn again")
     linear, period_s = model.linear(), stage.sample_period_s
     learner = PeriodicLearner(
         reference_um,

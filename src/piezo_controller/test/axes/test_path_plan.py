@@ -14,7 +14,7 @@ from piezo_controller.axes.path_plan import UnreachablePath
 from piezo_controller.axes.repeated_period import repeated
 from piezo_controller.axes.scan import scan
 from piezo_controller.references.kind import InvalidReference
-from piezo_models import CoupledModel, Softening
+from piezo_models import CoupledModel, Coupling, IdentifiedAxes, Softening
 from piezo_models.axes.actuator import Actuator
 from piezo_models.hysteresis.preisach import PreisachModel
 
@@ -124,6 +124,53 @@ def test_what_is_said_to_be_in_reach_is_in_reach(model):
     scan(model, "raster", size_um=(10, 10), **fields, **limits)
 
 
+def test_marks_come_before_the_readings_by_the_delay_of_the_axis_that_moves_fast(model):
+    fields = {"size_um": (5.0, 5.0), "rate_hz": 100.0, "lines": 10}
+    for axes, late in ((("x", "y"), 4), (("y", "x"), 16)):
+        plan = plan_of(model, "raster", axes=axes, sensor_delay_s=(1e-4, 4e-4), **fields)
+        assert np.array_equal(plan.marks, np.roll(plan.path.marks, -late))
+        assert plan.columns()["pixel"].sum() == 100
+    whole = plan_of(model, "raster", **fields)  # the model knows whole samples alone
+    assert np.array_equal(whole.sensor_delay_s, model.latency_samples * model.sample_period_s)
+
+
+def test_lag_of_the_amplifiers_is_no_delay_of_the_sensors():
+    s, omega = control.tf("s"), 2.0 * np.pi * np.array([300.0, 400.0])
+    modes = [control.ss(0.2 * w**2 / ((s**2 + 0.02 * w * s + w**2) * (1.0 + 8e-5 * s)))
+             for w in omega]
+    lagging = CoupledModel.from_control(
+        control.sample_system(control.append(*modes), xy_flexure.PERIOD_S), ("x", "y"))
+    frequency_hz = np.geomspace(1.0, 1e4, 10)
+    gain, poles = lagging.response(frequency_hz), lagging.poles_rad_per_s.size
+    identified = IdentifiedAxes(
+        lagging, np.array([[-60.0, 60.0]] * 2), Coupling(frequency_hz, gain, 0.0 * gain),
+        np.zeros(poles, complex), 0.0 * lagging.residues_um_per_v,
+        np.array([1e-4, 5e-5]), np.array([1e-6, 1e-6]))
+    plan = plan_of(identified, "raster", size_um=(5.0, 5.0), rate_hz=100.0, lines=10)
+    assert plan.sensor_delay_s == pytest.approx([2e-5, 0.0], abs=2e-6)
+
+
+@pytest.mark.parametrize(("kind", "fields", "axes", "pixels", "pixel_um"), [
+    ("raster", {"pixels": 20}, ["x", "y"], [20, 10], [0.3, 4.0 / 9.0]),
+    ("raster", {"pixels": 20, "axes": ("y", "x")}, ["y", "x"], [20, 10], [0.3, 4.0 / 9.0]),
+    ("spiral", {}, ["x", "y"], [21, 21], [6.0 / 21, 4.0 / 21]),  # 44 turns of 10 pixels
+])
+def test_pixels_of_the_image_are_those_of_the_lines_or_as_many_as_are_marked(
+        model, kind, fields, axes, pixels, pixel_um):
+    plan = plan_of(model, kind, size_um=(6.0, 4.0), rate_hz=100.0, lines=10, **fields)
+    frame = plan.frame
+    assert (frame.axes, frame.pixels) == (axes, pixels)
+    assert frame.pixel_um == pytest.approx(pixel_um)
+    assert frame.marked_pixels == plan.columns()["pixel"].sum()
+
+
+def test_plan_without_the_inverse_has_the_static_gain_of_each_axis(model):
+    plan = plan_of(model, "raster", size_um=(5.0, 5.0), rate_hz=100.0, lines=10).without_inverse()
+    gain = np.diag(model.response(0.0)[0].real)
+    assert np.allclose((plan.voltage_v - model.operating_voltage_v) * gain,
+                       plan.path.position_um - model.operating_displacement_um)
+
+
 def test_the_slew_limit_and_the_centre_are_in_the_refusal(model):
     with pytest.raises(UnreachablePath, match="more than the slew limit of 1e\\+04 V/s"):
         scan(model, "spiral", rate_hz=300.0, lines=5, slew_limit_v_per_s=1e4)
@@ -148,7 +195,7 @@ def test_axes_that_look_in_one_direction_are_refused(model):
     alike = CoupledModel(
         ("x", "y"), 1e-4, np.zeros(0, complex), np.zeros((0, 2, 2), complex),
         np.array([[[1.0, 1.0], [1.0, 1.0001]]]), np.zeros(2, int), np.zeros(2), np.zeros(2))
-    with pytest.raises(ValueError, match="cannot be told apart"):
+    with pytest.raises(ValueError, match="cannot be separated"):
         scan(alike, "spiral")
     with pytest.raises(InvalidReference, match="the path moves z"):
         scan(model, "spiral", axes=("x", "z"))

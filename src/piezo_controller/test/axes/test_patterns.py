@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from piezo_controller.axes.patterns import KINDS, PATTERNS, ScanPattern, scan_path
-from piezo_controller.axes.scan_path import Mark
 from piezo_controller.axes.spec_path import path_of_spec, spec_of_file
 from piezo_controller.commands import scan_command
 from piezo_controller.references.kind import InvalidReference
+from piezo_recorder.sample_block import Mark
 
 PERIOD_S = 1e-4
 POINTS_UM = [[0.0, 0.0], [1.0, 3.0], [-2.0, 1.0]]

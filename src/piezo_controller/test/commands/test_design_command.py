@@ -34,6 +34,7 @@ def designed(model_path, tmp_path_factory, picture_faults):
     return output, printed.getvalue()
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_a_feedback_by_its_name_is_written_with_what_it_is_worth(model_path, tmp_path, capsys):
     output = tmp_path / "pi.json"
     assert main(["--model", str(model_path), "--feedback", "pi", "--output", str(output),
@@ -133,6 +134,7 @@ def test_options_reach_the_design(model_path, tmp_path, monkeypatch):
     assert asked == [(weights, 0)]
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_clock_of_another_stage_gives_the_same_feedback_rate(model_path, tmp_path, capsys):
     output = tmp_path / "controller.json"
     arguments = ["--model", str(model_path), "--output", str(output), "--no-report"]

@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from piezo_common.schema import load_document
 from piezo_controller.commands.scan_command import main
 from piezo_models import Coupling, IdentifiedAxes, save_axes_model
+from piezo_recorder.images.scan_frame import ScanFrame
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "axes"))
 import xy_flexure
@@ -49,6 +51,9 @@ def test_a_period_its_beginning_and_a_picture_are_written(model_file, tmp_path, 
     assert begin["x_voltage_v"][0] == 0.0
     step = np.abs(np.diff(table["x_voltage_v"])).max()
     assert abs(begin["x_voltage_v"][-1] - table["x_voltage_v"][0]) < 2.0 * step
+    frame = load_document(ScanFrame, folder / "scan.json")
+    assert frame.pixels == [8, 8] and frame.marked_pixels == 64
+    assert frame.size_um == pytest.approx((20.0, 20.0 * 8 / 7))  # lines lie on the edges
     assert (folder / "path.png").stat().st_size > 1000
 
 

@@ -51,7 +51,7 @@ def test_file_that_does_not_fit_is_refused_in_one_sentence(path, change, sentenc
     with pytest.raises(LearnedFileError, match=sentence) as refusal:
         load_correction(path, *SAME)
     assert "\n" not in str(refusal.value)
-    assert "learn anew" in str(refusal.value)
+    assert "learn again" in str(refusal.value)
 
 
 def test_file_that_is_no_json_or_not_there_is_refused(path):

@@ -7,7 +7,7 @@ from piezo_controller.tracking.pace import PROBED_TICKS, TooSlow, check_pace
 
 
 def test_computer_that_cannot_keep_the_pace_is_refused():
-    with pytest.raises(TooSlow, match=r"too busy to answer every 1e-06 ms: it just came .* late"):
+    with pytest.raises(TooSlow, match=r"too busy to answer every 1e-06 ms: it was just .* late"):
         check_pace(1e-9, 5)
 
 

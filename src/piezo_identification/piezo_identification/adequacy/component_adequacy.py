@@ -153,8 +153,8 @@ def adequacy_table(document: Mapping[str, Mapping[str, Any]]) -> str:
     document : dict of str to dict
         Adequacy from `adequacy_document`.
     """
-    lines = [f"{'on the data that were fitted':30}{'left (um)':>12}{'noise (um)':>12}{'ratio':>10}"
-             f"{'e_y (%)':>10}"]
+    lines = [f"{'on the data that were fitted':28}{'residual (um)':>14}{'noise (um)':>12}"
+             f"{'ratio':>10}{'e_y (%)':>10}"]
     lines += [f"{component:30}{part['residual_rms_um']:12.3g}{part['noise_rms_um']:12.3g}"
               f"{part['ratio']:10.3g}{part['error_percent']:10.3g}  {part['verdict']}"
               for component, part in document.items()]

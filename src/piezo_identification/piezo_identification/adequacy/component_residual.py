@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import BoolArray, FloatArray
-from piezo_identification.adequacy.generator_residual import left_of_generator
+from piezo_identification.adequacy.generator_residual import generator_residual_um
 from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.generator_edges import (
     free_running_level,
@@ -25,7 +25,11 @@ from piezo_identification.conditioning.waveforms import (
     samples_per_mean,
     two_levels,
 )
-from piezo_identification.estimators.creep.square_wave_creep import FEWEST_STEPS, left_out_s
+from piezo_identification.estimators.creep.square_wave_creep import (
+    FEWEST_STEPS,
+    left_out_s,
+    longest_step_s,
+)
 from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_hold import without_hold
@@ -133,7 +137,8 @@ def _of_square_wave(
         # Exclude the fast dynamics, which this recording does not resolve.
         since = np.arange(time_s.size) - np.concatenate([[0], wave.steps])[
             np.searchsorted(wave.steps, np.arange(time_s.size), side="right")]
-        settled_s = left_out_s(slow_dynamics(model.dynamics, model.effects), behind_s + delay_s)
+        settled_s = left_out_s(slow_dynamics(model.dynamics, model.effects), behind_s + delay_s,
+                               longest_step_s(part, wave))
         good = good & (since[first:] * part.sample_period_s >= settled_s)
         # A free-running generator steps between two rows.
         good[wave.steps[wave.steps > first] - first - 1] = False
@@ -153,7 +158,7 @@ def _of_square_wave(
     edges, own_um = generator_edges(wave), None
     has_exact_answer = samples == 1 and not model.effects_at("voltage") and not system.D.any()
     if edges is not None and component == "dynamics" and has_exact_answer:
-        own_um = left_of_generator(
+        own_um = generator_residual_um(
             system, HeldInput(wave.level, part.sample_period_s, False), behind_s + delay_s,
             edges, measured_um, beside, good)
     elif (own := free_running_level(wave)) is not None:

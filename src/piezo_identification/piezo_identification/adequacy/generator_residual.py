@@ -14,9 +14,9 @@ from piezo_identification.estimators.dynamics.generator_signals import (
 from piezo_identification.estimators.poles.pole_responses import HeldInput
 
 
-def left_of_generator(
+def generator_residual_um(
     system: control.StateSpace, held: HeldInput, delay_s: float, edges: GeneratorEdges,
-    measured_um: FloatArray, beside: FloatArray, good: BoolArray,
+    measured_um: FloatArray, nuisance: FloatArray, good: BoolArray,
 ) -> FloatArray:
     """Return the residual of a system with the best-fitting gain and edge times.
 
@@ -30,7 +30,7 @@ def left_of_generator(
         The N sampled levels.
     measured_um : ndarray, shape (K,)
         Measured displacement of the last K samples.
-    beside : ndarray, shape (N, M)
+    nuisance : ndarray, shape (N, M)
         Further regressors, such as offset and initial creep.
     good : ndarray of bool, shape (K,)
         True for samples that are fitted.
@@ -48,7 +48,7 @@ def left_of_generator(
 
     def fitted(*moved: FloatArray) -> tuple[FloatArray, FloatArray]:
         response = (held.responses(poles, delay).value @ residues).real
-        columns = np.column_stack([response, *moved, beside])[last]
+        columns = np.column_stack([response, *moved, nuisance])[last]
         weights = np.linalg.lstsq(columns[good], measured_um[good], rcond=1e-12)[0]
         return weights, np.asarray(measured_um - columns @ weights)
 

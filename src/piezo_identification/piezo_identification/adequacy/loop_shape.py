@@ -200,19 +200,19 @@ def _refuse_open_loops(loops: Loops) -> None:
     """Refuse minor loops that do not return to the displacement where they began."""
     voltage_v, output_um, points = loops.voltage_v, loops.output_um, loops.points
     open_parts = []
-    for leave, turn, end in zip(points[:-2], points[1:-1], points[2:], strict=True):
-        # The branch from `turn` passes the voltage of `leave` if it is long enough.
+    for origin, turn, end in zip(points[:-2], points[1:-1], points[2:], strict=True):
+        # The branch from `turn` passes the voltage of `origin` if it is long enough.
         back = voltage_v[turn : end + 1]
-        sign = np.sign(voltage_v[leave] - voltage_v[turn])
-        passed = np.flatnonzero(sign * (back - voltage_v[leave]) >= 0.0)
-        if leave == 0 or passed.size == 0 or passed[0] == 0:
+        sign = np.sign(voltage_v[origin] - voltage_v[turn])
+        passed = np.flatnonzero(sign * (back - voltage_v[origin]) >= 0.0)
+        if origin == 0 or passed.size == 0 or passed[0] == 0:
             continue
         after = turn + passed[0]
-        part = ((voltage_v[leave] - voltage_v[after - 1])
+        part = ((voltage_v[origin] - voltage_v[after - 1])
                 / (voltage_v[after] - voltage_v[after - 1]))
         returned_um = (1.0 - part) * output_um[after - 1] + part * output_um[after]
-        swing_um = abs(output_um[turn] - output_um[leave])
-        open_parts.append((returned_um - output_um[leave]) / max(swing_um, np.finfo(float).tiny))
+        swing_um = abs(output_um[turn] - output_um[origin])
+        open_parts.append((returned_um - output_um[origin]) / max(swing_um, np.finfo(float).tiny))
     if len(open_parts) < SETTINGS.fewest_minor_loops:
         return
     typical = float(np.median(open_parts))
@@ -220,7 +220,7 @@ def _refuse_open_loops(loops: Loops) -> None:
         raise ValueError(
             f"{loops.path} holds minor loops that do not close: the displacement is "
             f"{100 * typical:+.0f} % of their swing off where they began, so that a former extreme "
-            "does not wipe out what came after it, which no Preisach model can do: look for drift, "
+            "does not wipe out later extremes, which no Preisach model can do: look for drift, "
             "or give the creep")
 
 

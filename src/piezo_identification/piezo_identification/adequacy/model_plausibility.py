@@ -65,11 +65,14 @@ def implausible_model(model: StageModel, recordings: Mapping[str, Any]) -> list[
     low_um, high_um = model.hysteresis.output_range_um
     low_v, high_v = model.hysteresis.voltage_min_v, model.hysteresis.voltage_max_v
     range_um, gain = high_um - low_um, (high_um - low_um) / (high_v - low_v)
+    # A response does not contain the voltages of the stage.
+    has_range = any(not isinstance(data, FrequencyResponse) for data in recordings.values())
+    what = (f"a range of {range_um:.3g} um over {high_v - low_v:.4g} V" if has_range
+            else f"a gain of {gain:.3g} um/V")
     if (range_um < USUAL.least_range_um and gain < USUAL.least_gain_um_per_v) or (
-            range_um > USUAL.largest_range_um or gain > USUAL.largest_gain_um_per_v):
-        told.append(
-            f"a range of {range_um:.3g} um over {high_v - low_v:.4g} V is implausible for a piezo "
-            "stage: is the displacement in um, and the voltage in V?")
+            has_range and range_um > USUAL.largest_range_um) or gain > USUAL.largest_gain_um_per_v:
+        told.append(f"{what} is implausible for a piezo stage: is the displacement in um, and the "
+                    "voltage in V?")
     if max(abs(low_v), abs(high_v)) > USUAL.largest_voltage_v:
         told.append(f"voltages from {low_v:.4g} to {high_v:.4g} V are implausible for a piezo "
                     "stage: is the voltage in V?")

@@ -68,7 +68,7 @@ def draw_distortion(axes: Axes, found: NonlinearDistortion) -> None:
     for lines, color, marker, text in (
             (found.is_excited, BLUE, ".", "answer, at odd lines that are excited"),
             (found.is_even, VERMILION, "x", "even distortion, at even lines"),
-            (found.is_odd_detection, GREEN, "^", "odd distortion, at odd lines left out")):
+            (found.is_odd_detection, GREEN, "^", "odd distortion, at odd lines not excited")):
         axes.loglog(found.frequency_hz[lines], 1e3 * found.amplitude_um[lines], color=color,
                     marker=marker, markersize=3.0, linestyle="none", label=text)
     label(axes, "frequency (Hz)", "amplitude (nm)")

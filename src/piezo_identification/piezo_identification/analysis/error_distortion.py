@@ -73,9 +73,9 @@ class ErrorDistortion:
     def _speaks_of(self) -> str:
         shown = self.shown()
         if not shown:
-            return "The model lacks nothing that the multisine shows"
+            return "The multisine shows no missing effect"
         if shown == {"linear"}:
-            return "No distortion is left: the cause is linear"
+            return "No distortion remains: the cause is linear"
         if "even" not in shown:
             return "The distortion is odd alone: the cause is symmetric, such as play"
         if "odd" not in shown:

@@ -147,14 +147,14 @@ def nonlinear_distortion(voltage_v: FloatArray, displacement_um: FloatArray,
         inputs = 2.0 * np.fft.rfft(_without_drift(driving).mean(axis=0))[1:] / samples
     inputs, is_excited, is_even = inputs[:count], is_excited[:count], lines % 2 == 0
     if np.any(is_excited & is_even) or np.all(is_excited | is_even):
-        raise ValueError("the voltage excites even lines or leaves no odd one out: "
+        raise ValueError("the voltage excites even lines or every odd one: "
                          "record the experiment 'distortion'")
     mean_um = outputs[:, :count].mean(axis=0)
     noise_um = np.sqrt(np.mean(np.abs(outputs[:, :count] - mean_um) ** 2, axis=0)
                        * periods / (periods - 1))
-    left_um = np.where(is_excited, mean_um, mean_um - _linear_um(inputs, mean_um, is_excited))
+    residual_um = np.where(is_excited, mean_um, mean_um - _linear_um(inputs, mean_um, is_excited))
     return NonlinearDistortion(
-        lines / (samples * sample_period_s), is_excited, is_even, np.abs(left_um), noise_um,
+        lines / (samples * sample_period_s), is_excited, is_even, np.abs(residual_um), noise_um,
         periods)
 
 

@@ -121,7 +121,7 @@ def _density(model: CoupledModel, axis: int, loops: Sequence[AxesRecording], lev
 def _alone(model: CoupledModel, axis: int, recording: AxesRecording) -> Recording:
     """Return the recording of one axis, without what its modes and other axes do.
 
-    What is left answers the voltage of the same row, as means over the row that is held do.
+    The residual answers the voltage of the same row, as means over the row that is held do.
     """
     bare = replace(model, actuators=tuple(
         replace(each, creep=CreepDynamics()) for each in model.actuators))
@@ -129,8 +129,8 @@ def _alone(model: CoupledModel, axis: int, recording: AxesRecording) -> Recordin
     passed_v = bare.drive_v(recording.voltage_v, pasts=circumstances_of(bare, recording).pasts)
     passed_v = passed_v - passed_v.mean(axis=0)
     gain = model.response(0.0)[0, axis, axis].real
-    left_um = (prediction.measured_um - prediction.simulated_um)[:, axis]
-    at_once_um: FloatArray = left_um + gain * passed_v[:, axis]
+    residual_um = (prediction.measured_um - prediction.simulated_um)[:, axis]
+    at_once_um: FloatArray = residual_um + gain * passed_v[:, axis]
     of_axes = np.linalg.lstsq(passed_v, at_once_um - at_once_um.mean(), rcond=None)[0]
     of_axes[axis] = 0.0
     at = np.arange(len(at_once_um))

@@ -32,11 +32,11 @@ LEVELS_OF_ROUNDS = (12, 50, 50, 50)
 """Levels of the hysteresis in each round. In the first more would follow errors of the modes."""
 
 WORTHWHILE = 0.5
-"""Logarithm by which the mean square that is left of each recording falls, on average, in a round
+"""Logarithm by which the mean square residual of each recording falls, on average, in a round
 that another one follows."""
 
-FURTHER_ROUND, ROUNDS = "hysteresis and creep once more beside the modes", 0.6
-"""What is left out, and from which share of the time: one round takes up to a third of it."""
+FURTHER_ROUND, ROUNDS = "second estimate of hysteresis and creep, with the modes", 0.6
+"""What is omitted, and from which share of the time: one round takes up to a third of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,10 +145,10 @@ def in_rounds(
         if not any(each.hysteresis or each.creep.poles_rad_per_s for each in actuators):
             return None
         found = _behind(replace(model, actuators=actuators), fast, slow, pairs)
-        left = _left(found.model, recordings)
-        gained, model = least - left, found.model
+        residual = _residual(found.model, recordings)
+        gained, model = least - residual, found.model
         if gained > 0.0:
-            best, least = found, left
+            best, least = found, residual
         if gained < WORTHWHILE * len(recordings):
             break
     assert best is not None
@@ -184,11 +184,11 @@ def _scales(model: CoupledModel, slow: Sequence[AxesRecording]) -> FloatArray:
     rows, targets = [], []
     for each in slow:
         prediction, circumstances = predict_several_axes(model, each), circumstances_of(model, each)
-        left_um = prediction.measured_um - prediction.simulated_um
+        residual_um = prediction.measured_um - prediction.simulated_um
         moved_um = np.stack([simulated_um(one, each, circumstances) for one in alone], axis=-1)
-        rows.append(((moved_um - moved_um.mean(axis=0)) / np.std(left_um)).reshape(
-            left_um.size, -1))
-        targets.append((left_um - left_um.mean(axis=0)).ravel() / np.std(left_um))
+        rows.append(((moved_um - moved_um.mean(axis=0)) / np.std(residual_um)).reshape(
+            residual_um.size, -1))
+        targets.append((residual_um - residual_um.mean(axis=0)).ravel() / np.std(residual_um))
     more: FloatArray = np.linalg.lstsq(
         np.concatenate(rows), np.concatenate(targets), rcond=None)[0]
     return 1.0 + more
@@ -198,8 +198,8 @@ def _silent(*_: object) -> None:
     """Ignore notes and progress."""
 
 
-def _left(model: CoupledModel, recordings: Sequence[AxesRecording]) -> float:
-    """Return the sum of the logarithms of the mean squares that a model leaves of recordings."""
+def _residual(model: CoupledModel, recordings: Sequence[AxesRecording]) -> float:
+    """Return the sum of the logarithms of the mean square residuals of recordings."""
     predictions = (predict_several_axes(model, each) for each in recordings)
     return float(sum(np.log(np.sum(np.var(each.measured_um - each.simulated_um, axis=0)))
                      for each in predictions))

@@ -31,14 +31,14 @@ LEAST_INFORMATION = 1e-30
 
 @dataclass(frozen=True, eq=False)
 class CoupledFit:
-    """Numbers of a coupled model with what they leave, and how well they are known."""
+    """Numbers of a coupled model with their residuals, and how well they are known."""
 
     numbers: CoupledNumbers
 
-    left: list[ComplexArray]
+    residual: list[ComplexArray]
     """Motion that the model and transients do not explain, of each spectrum."""
     misfit: float
-    """Sum of the squares of what is left over its deviation."""
+    """Sum of the squares of the residual over its deviation."""
     rows: int
     """Real numbers that were fitted."""
     transients: int
@@ -103,7 +103,7 @@ def softened_numbers(linear: CoupledNumbers, levels: Sequence[Sequence[Spectrum]
     Parameters
     ----------
     ridge : float
-        By which the squares of scaled columns are enlarged: gains that the levels hardly tell would
+        By which the squares of scaled columns are enlarged: gains that the levels hardly show would
         else make the motion unstable.
     """
     n, steps = linear.gains.shape[1], linear.steps
@@ -121,8 +121,8 @@ def softened_numbers(linear: CoupledNumbers, levels: Sequence[Sequence[Spectrum]
             matrix = np.einsum("ki,s,m,km,kiq->kismq", weight, strengths, start.softening,
                                mode_basis(spectrum.z, steps), gain, optimize=True)
             rows.append(_real(matrix.reshape(weight.size, -1)))
-            left = linear.motions([spectrum])[0] - spectrum.motion
-            targets.append(_real((weight * left).reshape(-1)))
+            residual = linear.motions([spectrum])[0] - spectrum.motion
+            targets.append(_real((weight * residual).reshape(-1)))
         start.back[:, :, :, axis] = _scaled_lstsq(
             np.concatenate(rows), np.concatenate(targets), ridge).reshape(powers, -1, n)
     amplitudes_v = [level[0].amplitude_v for level in levels]
@@ -132,7 +132,7 @@ def softened_numbers(linear: CoupledNumbers, levels: Sequence[Sequence[Spectrum]
 
 
 def refined(numbers: CoupledNumbers, spectra: Sequence[Spectrum], steps: int) -> CoupledFit:
-    """Return the numbers near a start that leave least, by damped Gauss-Newton steps.
+    """Return the numbers near a start with the least residual, by damped Gauss-Newton steps.
 
     Parameters
     ----------
@@ -140,17 +140,17 @@ def refined(numbers: CoupledNumbers, spectra: Sequence[Spectrum], steps: int) ->
         At most so many, and fewer where the time of the block around is over; with 0 the start is
         only judged.
     """
-    left = _left(numbers, spectra)
-    misfit, damping = _misfit(spectra, left), FIRST_DAMPING
+    residual = _residuals(numbers, spectra)
+    misfit, damping = _misfit(spectra, residual), FIRST_DAMPING
     amplitudes_v = {each.amplitude_v for each in spectra} if len(numbers.back) else set()
     for _ in range(steps):
         if is_time_up():
             break
-        normal = _Normal(numbers, spectra, left)
+        normal = _Normal(numbers, spectra, residual)
         while True:
             tried = normal.stepped(damping)
-            left_then = _left(tried, spectra)
-            then = _misfit(spectra, left_then) if all(
+            residual_then = _residuals(tried, spectra)
+            then = _misfit(spectra, residual_then) if all(
                 tried.is_stable(each) for each in amplitudes_v) else np.inf
             if then < misfit or damping > LARGEST_DAMPING:
                 break
@@ -158,13 +158,13 @@ def refined(numbers: CoupledNumbers, spectra: Sequence[Spectrum], steps: int) ->
         if not then < misfit:
             break
         gained = (misfit - then) / misfit
-        numbers, left, misfit, damping = tried, left_then, then, damping / 10.0
+        numbers, residual, misfit, damping = tried, residual_then, then, damping / 10.0
         if gained < ENOUGH:
             break
     rows = 2 * sum(spectrum.motion.size for spectrum in spectra)
     transients = sum(spectrum.motion.shape[1] * transient_basis(spectrum, numbers.steps).shape[1]
                      for spectrum in spectra if spectrum.transient)
-    return CoupledFit(numbers, left, misfit, rows, transients)
+    return CoupledFit(numbers, residual, misfit, rows, transients)
 
 
 def covariances(fit: CoupledFit, spectra: Sequence[Spectrum]) -> list[FloatArray]:
@@ -173,14 +173,14 @@ def covariances(fit: CoupledFit, spectra: Sequence[Spectrum]) -> list[FloatArray
     It is scaled by the misfit where that is more than the deviations of the spectra make expected.
     """
     scale = max(1.0, fit.misfit / (0.5 * max(fit.rows - fit.count, 1)))
-    return [scale * each for each in _Normal(fit.numbers, spectra, fit.left).covariances()]
+    return [scale * each for each in _Normal(fit.numbers, spectra, fit.residual).covariances()]
 
 
 class _Normal:
     """Normal equations: a block of own numbers for each motion, bordered by the shared ones."""
 
     def __init__(self, numbers: CoupledNumbers, spectra: Sequence[Spectrum],
-                 left: Sequence[ComplexArray]) -> None:
+                 residual: Sequence[ComplexArray]) -> None:
         self.numbers = numbers
         n, shared = numbers.gains.shape[1], numbers.shared().size
         own = numbers.own().shape[1]
@@ -188,7 +188,7 @@ class _Normal:
         self.products = np.zeros((n, own + shared))
         rows = n * sum(2 * each.z.size for each in spectra)
         together = max(1, int(rows / (ROWS_PER_NUMBER * (n * own + shared))))
-        for spectrum, rest in zip(spectra, left, strict=True):
+        for spectrum, rest in zip(spectra, residual, strict=True):
             if spectrum.transient:
                 self._add_recording(spectrum, rest)
             else:
@@ -269,9 +269,9 @@ def _inverse(square: FloatArray, damping: float) -> FloatArray:
     return inverse
 
 
-def _left(numbers: CoupledNumbers, spectra: Sequence[Spectrum]) -> list[ComplexArray]:
-    """Return what model and transients leave of each spectrum."""
-    left = []
+def _residuals(numbers: CoupledNumbers, spectra: Sequence[Spectrum]) -> list[ComplexArray]:
+    """Return the residual of model and transients in each spectrum."""
+    residual = []
     for spectrum, motion in zip(spectra, numbers.motions(spectra), strict=True):
         rest = spectrum.motion - motion
         if spectrum.transient:
@@ -281,13 +281,13 @@ def _left(numbers: CoupledNumbers, spectra: Sequence[Spectrum]) -> list[ComplexA
                 half = cleared.size // 2
                 rest[:, output] = (cleared[:half] + 1j * cleared[half:]) / spectrum.weight[
                     :, output]
-        left.append(rest)
-    return left
+        residual.append(rest)
+    return residual
 
 
-def _misfit(spectra: Sequence[Spectrum], left: Sequence[ComplexArray]) -> float:
+def _misfit(spectra: Sequence[Spectrum], residual: Sequence[ComplexArray]) -> float:
     return float(sum(np.sum(np.abs(spectrum.weight * rest) ** 2)
-                     for spectrum, rest in zip(spectra, left, strict=True)))
+                     for spectrum, rest in zip(spectra, residual, strict=True)))
 
 
 def _cleared(spectrum: Spectrum, transients: ComplexArray, output: int,

@@ -143,7 +143,7 @@ def diagnose_axes(identified: IdentifiedAxes, recording: AxesRecording) -> AxesD
              if best_first.index(found[0]) < CRITERIA.alternatives}
     least = min(fits, key=lambda found: fits[found].mean_square)
     counts = np.array([
-        independent_errors(column) for column in errors.left(least, fits[least].values).T])
+        independent_errors(column) for column in errors.residual(least, fits[least].values).T])
 
     def evidence(squares: FloatArray, numbers: int = 0) -> float:
         return log_evidence(squares + errors.known_squares, numbers, counts)
@@ -151,12 +151,12 @@ def diagnose_axes(identified: IdentifiedAxes, recording: AxesRecording) -> AxesD
     valid = {found: fit for found, fit in fits.items() if fit.differs_from_zero and all(
         evidence(fit.held_squares) > evidence(fits[fewer].held_squares)
         for fewer in _without_one(found))}
-    told = {found: evidence(fit.squares, len(found)) for found, fit in valid.items()}
-    best = max(told, key=lambda found: told[found])
+    evidences = {found: evidence(fit.squares, len(found)) for found, fit in valid.items()}
+    best = max(evidences, key=lambda found: evidences[found])
     accepted = np.minimum(ACCEPTED**2, valid[best].squares)
-    shares = _shares({_joined(found): value for found, value in told.items()}
+    shares = _shares({_joined(found): value for found, value in evidences.items()}
                      | {"something_else": evidence(accepted, len(best) + 2)})
-    return _told(identified, recording, errors, before, best, valid, shares)
+    return _diagnosis(identified, recording, errors, before, best, valid, shares)
 
 
 class _Errors:
@@ -176,12 +176,12 @@ class _Errors:
         self._nuisance = np.linalg.svd(np.column_stack([
             np.ones(rows.size), before - before.mean(axis=0)]), full_matrices=False)[0]
         moves_v = np.linalg.norm(recording.voltage_v - recording.voltage_v[0], axis=1)
-        left_um = self._left_um(model)
+        residual_um = self._residual_um(model)
         # The residual of a wrong model may contain more at high frequencies than the motion.
         self.noise_um = np.array([
-            min(sensor_noise_um(measured, moves_v, left, repeated_period(moves_v)),
+            min(sensor_noise_um(measured, moves_v, residual, repeated_period(moves_v)),
                 noise_floor_um(measured))
-            for measured, left in zip(recording.displacement_um.T, left_um.T, strict=True)])
+            for measured, residual in zip(recording.displacement_um.T, residual_um.T, strict=True)])
         stated = np.array([identified.errors.get(axis, {}).get("e_y_percent", 0.0)
                            for axis in recording.axes])
         known_um = stated / 100.0 * np.std(recording.displacement_um, axis=0)
@@ -200,10 +200,10 @@ class _Errors:
         drive_v = model.drive_v(voltage_v, bool(recording.periods), how.pasts, not how.is_held)
         return replace(recording, voltage_v=np.tile(drive_v, (periods, 1)))
 
-    def _left_um(self, model: CoupledModel) -> FloatArray:
-        left_um = self.recording.displacement_um - simulated_um(
+    def _residual_um(self, model: CoupledModel) -> FloatArray:
+        residual_um = self.recording.displacement_um - simulated_um(
             replace(model, actuators=()), self.recording, self.circumstances)
-        projected: FloatArray = left_um - self._nuisance @ (self._nuisance.T @ left_um)
+        projected: FloatArray = residual_um - self._nuisance @ (self._nuisance.T @ residual_um)
         return projected
 
     def extended(self, effects: Sequence[AxisEffect], values: FloatArray) -> CoupledModel:
@@ -211,20 +211,20 @@ class _Errors:
         return reduce(lambda model, each: each[0].applied(model, float(each[1])),
                       zip(effects, values, strict=True), self._model)
 
-    def left(self, effects: Sequence[AxisEffect], values: FloatArray) -> FloatArray:
+    def residual(self, effects: Sequence[AxisEffect], values: FloatArray) -> FloatArray:
         """Return the errors with effects, (N, n)."""
-        left: FloatArray = self._left_um(self.extended(effects, values)) / self.tolerance_um
-        return left
+        residual: FloatArray = self._residual_um(self.extended(effects, values)) / self.tolerance_um
+        return residual
 
     def linearised(self, effects: Sequence[AxisEffect],
                    values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the errors, (N, n), and the derivatives of the displacement, (N, n, p)."""
-        unmoved, columns = self.left(effects, values), []
+        unmoved, columns = self.residual(effects, values), []
         for number, effect in enumerate(effects):
             moved = values.copy()
             step = SMALL_STEP * (self._model.sample_period_s if effect.name == "delay" else 1.0)
             moved[number] += step
-            columns.append((unmoved - self.left(effects, moved)) / step)
+            columns.append((unmoved - self.residual(effects, moved)) / step)
         return unmoved, (np.stack(columns, axis=-1) if columns
                          else np.zeros((*unmoved.shape, 0)))
 
@@ -233,9 +233,9 @@ class _Errors:
         """Return the parameters that fit some rows best, (p,), from initial values."""
         least = [effect.least(self._model) for effect in effects]
         for _ in range(MOST_STEPS if effects else 0):
-            left, columns = self.linearised(effects, values)
+            residual, columns = self.linearised(effects, values)
             columns = columns[rows].reshape(-1, len(effects))
-            step = np.linalg.lstsq(columns, left[rows].ravel(), rcond=1e-12)[0]
+            step = np.linalg.lstsq(columns, residual[rows].ravel(), rcond=1e-12)[0]
             values = np.maximum(values + step, least)
             if np.sqrt(np.mean((columns @ step) ** 2)) < SMALL_STEP:
                 break
@@ -268,17 +268,17 @@ class _Fit:
 
 def _fitted(errors: _Errors, effects: Sequence[AxisEffect]) -> _Fit:
     values = errors.values(effects, np.zeros(len(effects)), np.ones_like(errors.fitted))
-    left, columns = errors.linearised(effects, values)
-    held = errors.left(effects, errors.values(effects, values, errors.fitted))[~errors.fitted]
+    residual, columns = errors.linearised(effects, values)
+    held = errors.residual(effects, errors.values(effects, values, errors.fitted))[~errors.fitted]
     deviations, sizes = np.zeros(len(effects)), np.sqrt(np.mean(columns**2, axis=(0, 1)))
     if effects:
         covariance = clustered_covariance(
-            columns.reshape(-1, len(effects)), left.ravel(),
-            np.repeat(errors.stretch, left.shape[1]))
+            columns.reshape(-1, len(effects)), residual.ravel(),
+            np.repeat(errors.stretch, residual.shape[1]))
         # The known error of the model may have the course of the effect.
         known = np.mean(columns**2, axis=0) / errors.known_squares[:, None]
         deviations = np.sqrt(np.diag(covariance) + 1.0 / np.sum(known, axis=0))
-    return _Fit(values, deviations, np.mean(left**2, axis=0), np.mean(held**2, axis=0),
+    return _Fit(values, deviations, np.mean(residual**2, axis=0), np.mean(held**2, axis=0),
                 np.abs(values) * sizes)
 
 
@@ -305,9 +305,10 @@ def _label(entry: dict[str, Any]) -> str:
     return AxisEffect(entry["name"], parameters["axis"], parameters.get("from_axis", "")).label
 
 
-def _told(identified: IdentifiedAxes, recording: AxesRecording, errors: _Errors,
-          before: dict[str, dict[str, float]], best: tuple[AxisEffect, ...],
-          valid: dict[tuple[AxisEffect, ...], _Fit], shares: dict[str, float]) -> AxesDiagnosis:
+def _diagnosis(identified: IdentifiedAxes, recording: AxesRecording, errors: _Errors,
+               before: dict[str, dict[str, float]], best: tuple[AxisEffect, ...],
+               valid: dict[tuple[AxisEffect, ...], _Fit],
+               shares: dict[str, float]) -> AxesDiagnosis:
     """Return the diagnosis that names the best set, unless it would be a guess."""
     unexplained = shares["something_else"] >= 0.5
     helps = ", ".join(effect.label for effect in best)
@@ -349,16 +350,16 @@ def _extended(identified: IdentifiedAxes, model: CoupledModel, recording: AxesRe
 
 def _entries(effects: Sequence[AxisEffect], fit: _Fit) -> list[dict[str, Any]]:
     """Return the entries of effects in `verdict.json`, the strongest first."""
-    left, entries = np.sqrt(fit.mean_square), []
+    residual, entries = np.sqrt(fit.mean_square), []
     for number in np.argsort(-fit.contributions):
         effect, name = effects[number], PARAMETERS[effects[number].name]
         other = {"from_axis": effect.from_axis} if effect.from_axis else {}
-        without = np.hypot(left, fit.contributions[number])
+        without = np.hypot(residual, fit.contributions[number])
         entries.append({
             "name": effect.name,
             "parameters": {"axis": effect.axis, **other, name: float(fit.values[number])},
             "standard_deviations": {name: float(fit.deviations[number])},
-            "error_reduction_percent": float(100.0 * (1.0 - left / without))})
+            "error_reduction_percent": float(100.0 * (1.0 - residual / without))})
     return entries
 
 

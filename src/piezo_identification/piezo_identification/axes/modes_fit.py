@@ -54,7 +54,7 @@ SLOWEST_POLE = 0.9
 slower ones would stand for these. A light mode may still move."""
 
 FURTHER_REFINEMENT = "further refinement"
-"""What is left out once the time is over."""
+"""What is omitted once the time is over."""
 
 Note = Callable[[str], object]
 Progress = Callable[[str, float], object]
@@ -105,7 +105,7 @@ def fitted_modes(
 def reweighted_fit(fit: CoupledFit, spectra: Sequence[Spectrum],
                    is_open: bool, times: int = REWEIGHTINGS,
                    ) -> tuple[CoupledFit, list[Spectrum]]:
-    """Return the fit whose deviations are what it leaves itself, with its spectra.
+    """Return the fit whose deviations are its own residual, with its spectra.
 
     Beside light modes a model that is not refined leaves many times the noise, where the lines tell
     most of their frequency.
@@ -117,8 +117,8 @@ def reweighted_fit(fit: CoupledFit, spectra: Sequence[Spectrum],
     """
     with while_time_lasts(FURTHER_REFINEMENT):
         for _ in range(times):
-            spectra = [reweighted(each, left)
-                       for each, left in zip(spectra, fit.left, strict=True)]
+            spectra = [reweighted(each, residual)
+                       for each, residual in zip(spectra, fit.residual, strict=True)]
             fit = refined(fit.numbers, spectra, FINAL_STEPS)
             if is_open:
                 fit = without_weak_poles(fit, spectra, JUDGED_STEPS)

@@ -24,7 +24,7 @@ MOVES = 4
 
 
 def growing(spectra: Sequence[Spectrum], most: int) -> Iterator[CoupledFit]:
-    """Yield fits of rising order, poles being added where most is left.
+    """Yield fits of rising order, poles being added where the residual is largest.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def growing(spectra: Sequence[Spectrum], most: int) -> Iterator[CoupledFit]:
 def evidence_of(fit: CoupledFit) -> float:
     """Return the logarithm of the evidence of a fit, up to what is common to all of one data.
 
-    The scale of the errors is unknown: what a model lacks is among them.
+    The scale of the errors is unknown: it includes what the model does not describe.
     """
     likelihood = -0.5 * fit.rows * np.log(fit.misfit)
     return float(likelihood - occam_penalty(None, np.ones(fit.count), fit.rows, fit.rows))
@@ -98,10 +98,10 @@ def _fit(spectra: Sequence[Spectrum], steps: ComplexArray) -> CoupledFit:
 
 
 def _with_more(fit: CoupledFit, spectra: Sequence[Spectrum], pairs: int) -> ComplexArray:
-    """Return the poles of a fit and pairs more, where most is left."""
+    """Return the poles of a fit and pairs more, where the residual is largest."""
     lines = spectra[0].z.size
-    density = smoothed(np.sum([np.sum(np.abs(each.weight * left) ** 2, axis=1)
-                               for each, left in zip(spectra, fit.left, strict=True)
+    density = smoothed(np.sum([np.sum(np.abs(each.weight * residual) ** 2, axis=1)
+                               for each, residual in zip(spectra, fit.residual, strict=True)
                                if each.z.size == lines], axis=0))
     angles, new = np.angle(spectra[0].z), []
     for _ in range(pairs):

@@ -49,10 +49,10 @@ class AxesPrediction:
         grid = figure.subplots(len(self.axes), 2, sharex=True, squeeze=False)
         for number, (axis, row) in enumerate(zip(self.axes, grid, strict=True)):
             measured, simulated = self.measured_um[:, number], self.simulated_um[:, number]
-            left = measured - simulated
+            residual = measured - simulated
             row[0].plot(self.time_s, measured - measured.mean(), **MEASURED)
             row[0].plot(self.time_s, simulated - simulated.mean(), **MODELLED)
-            row[1].plot(self.time_s, left - left.mean(), **DIFFERENCE)
+            row[1].plot(self.time_s, residual - residual.mean(), **DIFFERENCE)
             row[0].set_ylabel(f"{axis} (um)")
             row[1].set_ylabel("difference (um)")
         grid[0, 0].legend()
@@ -79,7 +79,7 @@ def predict_several_axes(model: CoupledModel, recording: AxesRecording) -> AxesP
 
     A recording of periods is predicted as one that has repeated for long, and one whose first
     voltages are all the same from rest. Any other begins in motion: what the modes still ring by is
-    estimated from its displacement, as the offset is. So is what is left of earlier creep.
+    estimated from its displacement, as the offset is. So is the rest of earlier creep.
 
     Raises
     ------
@@ -112,9 +112,9 @@ def circumstances_of(model: CoupledModel, recording: AxesRecording) -> Circumsta
     n = len(model.axes)
     if recording.periods or not any(each.hysteresis for each in model.actuators):
         return Circumstances(PASTS[:1] * n, is_held)
-    left = [np.std(recording.displacement_um - simulated_um(
+    residual = [np.std(recording.displacement_um - simulated_um(
         model, recording, Circumstances((past,) * n, is_held)), axis=0) for past in PASTS]
-    return Circumstances(tuple(PASTS[best] for best in np.argmin(left, axis=0)), is_held)
+    return Circumstances(tuple(PASTS[best] for best in np.argmin(residual, axis=0)), is_held)
 
 
 def _answers_later(recording: AxesRecording) -> bool:
@@ -158,11 +158,12 @@ def decays(model: CoupledModel, recording: AxesRecording) -> FloatArray:
     return np.hstack([crept, ringing.real, ringing.imag[:, poles.imag > 0.0]])
 
 
-def _fitted(courses: FloatArray, left_um: FloatArray) -> FloatArray:
-    """Return the part of what is left that follows some courses about their means, (N, n)."""
+def _fitted(courses: FloatArray, residual_um: FloatArray) -> FloatArray:
+    """Return the part of the residual that follows some courses about their means, (N, n)."""
     about = courses - courses.mean(axis=0)
     # Together with an offset, which no error includes.
-    gains = np.linalg.lstsq(np.hstack([about, np.ones((len(about), 1))]), left_um, rcond=1e-9)[0]
+    columns = np.hstack([about, np.ones((len(about), 1))])
+    gains = np.linalg.lstsq(columns, residual_um, rcond=1e-9)[0]
     fitted_um: FloatArray = about @ gains[:-1]
     return fitted_um
 

@@ -15,7 +15,7 @@ MOST_LATE = 40
 """Samples by which a sensor may be late: 1 ms at 40 kHz."""
 
 ALIKE = 1.05
-"""Ratio of what is left up to which two latencies explain a motion alike: modes that are not yet
+"""Ratio of the residuals up to which two latencies explain a motion alike: modes that are not yet
 among the poles may gain so much by one that is not there."""
 
 MOST_DAMPED = 0.1
@@ -26,7 +26,7 @@ POINTS_OF_SAMPLE = 50
 
 
 def latencies(spectra: Sequence[Spectrum], fit: CoupledFit) -> np.ndarray:
-    """Return the whole samples by which each sensor is late: the fewest that leave little.
+    """Return the whole samples by which each sensor is late: the fewest with a small residual.
 
     Parameters
     ----------
@@ -45,8 +45,8 @@ def latencies(spectra: Sequence[Spectrum], fit: CoupledFit) -> np.ndarray:
 
 def _fewest(rows: FloatArray, targets: FloatArray) -> int:
     orthogonal = np.linalg.qr(rows)[0]
-    left = np.sum(targets**2, axis=0) - np.sum((orthogonal.T @ targets) ** 2, axis=0)
-    return int(np.argmax(left <= ALIKE * left.min()))
+    residual = np.sum(targets**2, axis=0) - np.sum((orthogonal.T @ targets) ** 2, axis=0)
+    return int(np.argmax(residual <= ALIKE * residual.min()))
 
 
 def sensor_delays(model: CoupledModel, deviations: ComplexArray) -> tuple[FloatArray, FloatArray]:
@@ -88,8 +88,8 @@ def sensor_delays(model: CoupledModel, deviations: ComplexArray) -> tuple[FloatA
         off = 0.5 * np.angle(np.exp(2j * (phases[:, sensor] + rates[:, None] * best)))
         square = float(np.sum(weight * rates[:, None] ** 2))
         step = -float(np.sum(weight * rates[:, None] * off)) / square
-        left = off + rates[:, None] * step
-        spread = max(1.0, float(np.sum(weight * left**2)) / max(left.size - 1, 1))
+        residual = off + rates[:, None] * step
+        spread = max(1.0, float(np.sum(weight * residual**2)) / max(residual.size - 1, 1))
         delays_s[sensor] = best + step + model.latency_samples[sensor] * period_s
         deviations_s[sensor] = np.sqrt(spread / square)
     return delays_s, deviations_s

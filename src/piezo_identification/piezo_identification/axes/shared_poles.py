@@ -115,26 +115,32 @@ def _condition(group: Sequence[Spectrum], output: int, steps: ComplexArray, taps
                ) -> tuple[FloatArray, FloatArray]:
     """Return what one motion says of the common numerator once its own gains are eliminated."""
     driven = sorted({axis for each in group for axis in each.driven})
-    own, common = [], []
+    parts = []
     for spectrum in group:
-        weight = spectrum.weight[:, output, None]
         basis = mode_basis(spectrum.z, steps)
         gains = np.hstack([basis, delays(spectrum.z, taps)])
-        columns = [gains * spectrum.drive[:, axis, None] for axis in driven]
-        columns += [transient_basis(spectrum, steps) * (each is spectrum)
-                    for each in group if each.transient]
-        own.append(weight * np.hstack(columns))
         motion = spectrum.motion[:, output, None]
-        common.append(weight * np.hstack([-motion * basis, motion]))
-    whole = np.hstack([np.concatenate(own), np.concatenate(common)])
-    triangle: FloatArray = np.asarray(
-        np.linalg.qr(np.concatenate([whole.real, whole.imag]), mode="r"))
-    first, last = np.concatenate(own).shape[1], triangle.shape[1] - 1
-    return triangle[first:last, first:last], triangle[first:last, last]
+        columns = [gains * spectrum.drive[:, axis, None] for axis in driven]
+        columns += [-motion * basis, motion]
+        # Each recording has its own transient: eliminating it here is far cheaper than together.
+        transient = [transient_basis(spectrum, steps)] * spectrum.transient
+        parts.append(_eliminated(
+            sum(each.shape[1] for each in transient),
+            spectrum.weight[:, output, None] * np.hstack([*transient, *columns])))
+    rest = _eliminated(len(driven) * gains.shape[1], np.concatenate(parts))
+    return rest[:-1, :-1], rest[:-1, -1]
+
+
+def _eliminated(count: int, equations: ComplexArray | FloatArray) -> FloatArray:
+    """Return what least-squares equations say of their last columns without the first ones."""
+    if np.iscomplexobj(equations):
+        equations = np.concatenate([equations.real, equations.imag])
+    triangle: FloatArray = np.asarray(np.linalg.qr(equations, mode="r"))
+    return triangle[count:, count:]
 
 
 def transient_basis(spectrum: Spectrum, steps: ComplexArray) -> ComplexArray:
-    """Return the spectra of what is left from before a recording and beyond it."""
+    """Return the spectra of the transients at both ends of a recording."""
     z = spectrum.z
     return np.hstack([mode_basis(z, steps), z[:, None] ** np.arange(spectrum.ahead + 1)])
 

@@ -28,7 +28,7 @@ bend, and lines beyond those that they take; the scatter of eight is known to a 
 
 MOST_LINES = 20_000
 """Lines of a recording that are fitted, those of the largest drive: more take memory, and of a slow
-recording they tell the noise alone."""
+recording they show the noise alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,9 +95,9 @@ def smoothed(power: FloatArray) -> FloatArray:
     return averaged
 
 
-def reweighted(spectrum: Spectrum, left: ComplexArray) -> Spectrum:
-    """Return a spectrum whose deviations are what a fit leaves, shape (K, n)."""
-    deviation = np.sqrt(smoothed(np.abs(left) ** 2))
+def reweighted(spectrum: Spectrum, residual: ComplexArray) -> Spectrum:
+    """Return a spectrum whose deviations are the residual of a fit, shape (K, n)."""
+    deviation = np.sqrt(smoothed(np.abs(residual) ** 2))
     return replace(spectrum, weight=1.0 / np.maximum(deviation, np.finfo(float).tiny))
 
 
@@ -132,8 +132,8 @@ def _rough_part(spectrum: Spectrum) -> ComplexArray:
                              axis=2)
     orthogonal = np.linalg.qr(columns)[0]
     motion = spectrum.motion[local]
-    left = motion - orthogonal @ (orthogonal.conj().transpose(0, 2, 1) @ motion)
-    rough: ComplexArray = np.sqrt(np.sum(np.abs(left) ** 2, axis=1) / LOCAL_FREEDOM) + 0j
+    residual = motion - orthogonal @ (orthogonal.conj().transpose(0, 2, 1) @ motion)
+    rough: ComplexArray = np.sqrt(np.sum(np.abs(residual) ** 2, axis=1) / LOCAL_FREEDOM) + 0j
     return rough
 
 
@@ -177,9 +177,9 @@ def _linear_approximation(recordings: Sequence[AxesRecording]) -> list[Spectrum]
     weight = np.ones(motion.shape)
     for _ in range(2):  # the second time, noisy realisations count less
         gain, inverse = _weighted_gain(drive, motion, weight)
-        left = np.abs(motion - gain @ drive) ** 2 * (realisations / (realisations - n))
-        distortion = np.maximum(smoothed(np.mean(left, axis=2) - np.mean(noise, axis=2)),
-                                smoothed(np.mean(left, axis=2)) / realisations)
+        residual = np.abs(motion - gain @ drive) ** 2 * (realisations / (realisations - n))
+        distortion = np.maximum(smoothed(np.mean(residual, axis=2) - np.mean(noise, axis=2)),
+                                smoothed(np.mean(residual, axis=2)) / realisations)
         weight = 1.0 / np.sqrt(distortion[:, :, None] + noise)
     gain, inverse = _weighted_gain(drive, motion, weight)
     amplitude_v = float(np.mean([each.amplitude_v for each in recordings]))

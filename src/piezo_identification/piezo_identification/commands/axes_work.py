@@ -139,10 +139,10 @@ def axes_table(name: str, recordings: Sequence[AxesRecording]) -> SummaryTable:
                  f"{level[0].amplitude_v:.3g} V of {len(level)}" for level in levels)]
     enough = all(level[0].periods and len(level) > len(first.axes) for level in levels)
     notes.append(
-        "more realisations than axes at each level: noise and distortion are told apart from the "
-        "response, and softening is told where there are several levels" if enough else
-        "noise and distortion are estimated from what a model leaves; more realisations of equal "
-        "periods than axes would tell them")
+        "more realisations than axes at each level: noise and distortion are separated from the "
+        "response, and softening is estimated from several levels" if enough else
+        "noise and distortion are estimated from the residual of a model; more realisations of "
+        "equal periods than axes would separate them")
     resting = [axis for number, axis in enumerate(first.axes)
                if all(np.ptp(each.voltage_v[:, number]) == 0.0 for each in recordings)]
     if resting:

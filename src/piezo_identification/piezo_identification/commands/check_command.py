@@ -21,7 +21,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 
 COMMAND = Command(
-    "check", "Say what recordings are good for.", _add_options,
+    "check", "Report what recordings can be used for.", _add_options,
     "piezo_identification.commands.check_work:check_files",
     epilog="Prints sample period, jitter, noise, drift, ranges, waveform, state at the start, "
     "the visited part of the Preisach plane, and which experiment each can stand for.",

@@ -96,10 +96,10 @@ def _print_table(diagnosis: Any, sentence: str) -> None:
     for text in diagnosis.left_out:
         print(text)
     print(f"verdict: {diagnosis.verdict}. {sentence}")
-    told = [f"{name} {share:.3f}" for name, share in diagnosis.probabilities.items()
-            if share >= LEAST_PROBABILITY]
-    if told:
-        print(f"probability: {', '.join(told)}")
+    shares = [f"{name} {share:.3f}" for name, share in diagnosis.probabilities.items()
+              if share >= LEAST_PROBABILITY]
+    if shares:
+        print(f"probability: {', '.join(shares)}")
     print(f"{'':28}{'before':>12}{'after':>12}")
     for name in ("rms_um", "e_y_percent"):
         print(f"{name:28}{diagnosis.before[name]:12.4g}{diagnosis.after[name]:12.4g}")

@@ -54,7 +54,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
                             help=f"number of {what}; by default chosen from the data")
     parser.add_argument("--band", metavar=("LOW_HZ", "HIGH_HZ"), type=float, nargs=2,
                         help="part of a frequency response to fit; by default all of it")
-    add_report_option(parser, "MODEL_report.html beside the model")
+    add_report_option(parser, "MODEL_report.html next to the model")
     add_budget_option(parser)
     add_columns_option(parser)
     parser.add_argument("--grid", metavar="CELLS", type=int, choices=range(4, 301),

@@ -41,7 +41,7 @@ def _check(options: argparse.Namespace) -> None:
 
 
 COMMAND = Command(
-    "propose", "Design the recording that tells apart what a diagnosis could not.", _add_options,
+    "propose", "Design the recording that decides between explanations.", _add_options,
     "piezo_identification.commands.propose_work:propose_given",
     epilog="Writes next_experiment.csv, which `stage play` plays, and next_experiment.json with "
     "what each alternative predicts.",

@@ -42,7 +42,7 @@ def propose_given(options: argparse.Namespace) -> None:
     for alternative in alternatives.alternatives:
         print(f"{alternative.name:40}{100.0 * alternative.probability:6.1f} %")
     if proposal is None:
-        print("one explanation is left: there is nothing to decide")
+        print("one explanation remains: there is nothing to decide")
         return
     waveform, outcome = save_proposal(proposal, options.output)
     print(proposal.sentence())

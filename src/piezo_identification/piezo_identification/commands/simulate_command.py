@@ -28,7 +28,7 @@ def _check(options: argparse.Namespace) -> None:
     if options.voltage and not options.output:
         raise ValueError("--voltage needs --output: give the directory of predicted.csv")
     if options.voltage and (options.columns or options.rows_read != "start"):
-        raise ValueError("--columns and --rows-read have nothing to act on beside --voltage: leave "
+        raise ValueError("--columns and --rows-read have nothing to act on with --voltage: leave "
                          "them out")
 
 
@@ -37,7 +37,7 @@ COMMAND = Command(
     _add_options,
     "piezo_identification.commands.simulate_work:simulate_file",
     epilog="e_y (4.20) is the relative error by the sensor; offset, initial creep and the "
-    "past of the hysteresis, as far as the recording does not tell them, are fitted.",
+    "past of the hysteresis are fitted as far as the recording does not determine them.",
     check=_check, inputs=("model", "data", "voltage"),
     interrupted="pictures that it named are whole")
 main = COMMAND.main

@@ -65,7 +65,7 @@ def simulate_file(options: argparse.Namespace) -> None:
 
 def _predict(identified: IdentifiedModel, path: Path, directory: Path) -> None:
     """Write the simulated displacement for a voltage without a measurement."""
-    voltage_v, period_s, axes = read_waveform(path)
+    voltage_v, period_s, axes, _ = read_waveform(path)
     if axes:
         raise ValueError(f"{path} has the axes {', '.join(axes)}, the model one: give the voltage "
                          "of one axis")

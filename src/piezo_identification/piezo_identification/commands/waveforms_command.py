@@ -61,7 +61,7 @@ COMMAND = Command(
     "waveforms", "Write the voltages of the experiments as CSV.", _add_options,
     "piezo_identification.commands.waveforms_work:write_waveforms",
     epilog="Each file has the columns time_s and voltage_v, from rest and back. Play it, and put "
-    "the displacement beside it: `check` and `identify` read the result.",
+    "the displacement in a further column: `check` and `identify` read the result.",
     check=_check, interrupted="the files that it named are complete")
 main = COMMAND.main
 

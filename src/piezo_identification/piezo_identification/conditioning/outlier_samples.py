@@ -24,7 +24,7 @@ this name in a CSV file is used unchanged."""
 SMALL = 1e-4
 """Smallest assumed noise, as a fraction of the travel."""
 
-MOST_TOLD = 5
+MOST_LISTED = 5
 """Most outliers listed singly; the others are counted."""
 
 
@@ -102,7 +102,7 @@ def outlier_text(path: object, wrong: NDArray[np.bool_], time_s: FloatArray) -> 
     if not count:
         return ""
     begins = np.flatnonzero(np.diff(wrong.astype(int), prepend=0) == 1)
-    told = ", ".join(f"{time_s[begin]:.6g}" for begin in begins[:MOST_TOLD])
-    more = f" and {begins.size - MOST_TOLD} more" if begins.size > MOST_TOLD else ""
+    listed = ", ".join(f"{time_s[begin]:.6g}" for begin in begins[:MOST_LISTED])
+    more = f" and {begins.size - MOST_LISTED} more" if begins.size > MOST_LISTED else ""
     return (f"{path}: {count} of {wrong.size} samples ({100.0 * count / wrong.size:.2g} %) are "
-            f"outliers and were left out, at {told} s{more}")
+            f"outliers and were left out, at {listed} s{more}")

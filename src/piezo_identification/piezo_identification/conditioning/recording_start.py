@@ -49,11 +49,10 @@ def square_part(recording: Recording) -> Recording:
         does not have two levels, or the voltage never returns to one of them.
     """
     voltage_v = recording.voltage_v
-    middle = voltage_v[voltage_v.size // 4 : voltage_v.size - voltage_v.size // 4]
-    low_v, high_v = middle.min(), middle.max()
-    slack_v = WAVEFORM.level_tolerance * (high_v - low_v)
-    off = np.flatnonzero(
-        np.minimum(np.abs(voltage_v - low_v), np.abs(voltage_v - high_v)) > slack_v)
+    middle = slice(voltage_v.size // 4, voltage_v.size - voltage_v.size // 4)
+    low_v, high_v = voltage_v[middle].min(), voltage_v[middle].max()
+    off_v = np.minimum(np.abs(voltage_v - low_v), np.abs(voltage_v - high_v))
+    off = np.flatnonzero(off_v > WAVEFORM.level_tolerance * (high_v - low_v))
     if off.size == 0 or low_v == high_v:
         return recording
     half = voltage_v.size // 2
@@ -63,8 +62,10 @@ def square_part(recording: Recording) -> Recording:
     is_high = voltage_v[begin:end] > 0.5 * (low_v + high_v)
     if end - begin < half or np.count_nonzero(np.diff(is_high)) < SETTINGS.fewest_steps:
         return recording
+    # A slow ramp stays near its level for a while.
+    at_level = begin + np.flatnonzero(off_v[begin:end] <= off_v[middle].max())
     kept = np.zeros(voltage_v.size, dtype=bool)
-    kept[begin:end] = True
+    kept[at_level[0] : at_level[-1] + 1] = True
     return recording.select(kept)
 
 
@@ -97,11 +98,18 @@ def motion_um_per_s(recording: Recording) -> float:
     if count < SETTINGS.fewest_samples:
         return 0.0
     time_s = recording.time_s[:count] - recording.time_s[:count].mean()
-    displacement_um = recording.displacement_um[:count]
-    slope = float(time_s @ displacement_um / (time_s @ time_s))
-    # Differences of neighbours give the noise even if the displacement moves along a curve.
-    noise_um = float(np.std(np.diff(displacement_um)) / np.sqrt(2.0))
+    slope = _significant_slope(time_s, recording.displacement_um[:count])
     moved_um = abs(slope) * 2.0 * time_s[-1]
     least_um = SETTINGS.least_motion * float(np.ptp(recording.displacement_um))
-    sure = abs(slope) > SETTINGS.significant * noise_um / np.sqrt(time_s @ time_s)
-    return slope if sure and moved_um > least_um else 0.0
+    # A slow ramp stays near its first voltage for a while, and moves the stage.
+    is_driven = _significant_slope(time_s, recording.voltage_v[:count]) != 0.0
+    return slope if moved_um > least_um and not is_driven else 0.0
+
+
+def _significant_slope(time_s: FloatArray, values: FloatArray) -> float:
+    """Return the slope of values over centred times; 0 if it is within their noise."""
+    # Relative to the first value, so that a resting voltage has no slope by rounding.
+    slope = float(time_s @ (values - values[0]) / (time_s @ time_s))
+    # Differences of neighbours give the noise even if the values move along a curve.
+    noise = float(np.std(np.diff(values)) / np.sqrt(2.0))
+    return slope if abs(slope) > SETTINGS.significant * noise / np.sqrt(time_s @ time_s) else 0.0

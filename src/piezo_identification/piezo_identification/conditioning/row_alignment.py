@@ -76,8 +76,8 @@ class RowDelay:
 
     def fields(self) -> dict[str, float]:
         """Return the numbers by their names in a model file; the delay only if identifiable."""
-        told = {"delay_s": self.delay_s} if self.is_identifiable else {}
-        return {"read_at_samples": self.read_at_samples, **told,
+        delay = {"delay_s": self.delay_s} if self.is_identifiable else {}
+        return {"read_at_samples": self.read_at_samples, **delay,
                 "standard_deviation_s": self.standard_deviation_s}
 
 
@@ -103,7 +103,7 @@ def rows_read_at_start(recording: Recording, read_at_samples: float) -> Recordin
     """
     if not abs(read_at_samples) <= LATEST_READING:
         raise ValueError(
-            f"{recording.path} is said to be read {read_at_samples:g} sample periods after each "
+            f"{recording.path} is declared as read {read_at_samples:g} sample periods after each "
             f"voltage: give a number from 0, the start of the hold, to {LATEST_READING:g}")
     if abs(read_at_samples) < WHOLE:
         return recording

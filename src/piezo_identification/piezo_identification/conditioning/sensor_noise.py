@@ -179,5 +179,5 @@ def noise_from_repeats_um(displacement_um: FloatArray, period: int) -> float | N
     difference = np.diff(played, axis=0)
     x = np.linspace(-1.0, 1.0, period)
     basis = np.polynomial.legendre.legvander(x, SETTINGS.drift_order)
-    left = difference.T - basis @ np.linalg.lstsq(basis, difference.T, rcond=None)[0]
-    return float(np.sqrt(np.mean(left**2) / 2.0))
+    residual = difference.T - basis @ np.linalg.lstsq(basis, difference.T, rcond=None)[0]
+    return float(np.sqrt(np.mean(residual**2) / 2.0))

@@ -34,8 +34,8 @@ def moves_against(
     """
     free = np.ones((reference.size, 1)) if free is None else free
     both = np.column_stack([displacement_um, reference])
-    left = both - free @ np.linalg.lstsq(free, both, rcond=1e-12)[0]
-    moved, given = np.fft.rfft(np.hanning(len(left))[:, None] * left, axis=0).T
+    residuals = both - free @ np.linalg.lstsq(free, both, rcond=1e-12)[0]
+    moved, given = np.fft.rfft(np.hanning(len(residuals))[:, None] * residuals, axis=0).T
     power = np.cumsum(np.abs(given) ** 2)
     slow = slice(1 + int(np.searchsorted(power, SLOWEST * power[-1])))
     return bool(np.sum((moved * given.conj())[slow]).real < 0.0)

@@ -20,8 +20,7 @@ NEGLIGIBLE = 1e-5
 """Fraction of a step below which its ringing is negligible."""
 
 SMALL_PART = 0.01
-"""Participation below which the ringing of a parallel mode is not waited for, as its mean is
-correct."""
+"""Participation below which the ringing of a mode is not waited for, as its mean is correct."""
 
 AT_REST = 20
 """Number of first samples with constant voltage for which a recording begins at rest."""
@@ -129,11 +128,18 @@ def _has_to_settle(effect: Effect) -> TypeGuard[VibrationMode]:
 
 
 def settling_time_s(dynamics: ElectricVibrationDynamics) -> float:
-    """Return the time after which the response to a step has settled."""
+    """Return the time after which the response to a step has settled.
+
+    Poles with a small share of that response, as of a mode beside an antiresonance, do not count.
+    """
     if dynamics.is_static:
         return 0.0
-    slowest_rad_per_s = -dynamics.state_space().poles().real.max()
-    return -np.log(NEGLIGIBLE) / slowest_rad_per_s
+    system = dynamics.state_space()
+    poles, directions = np.linalg.eig(system.A)
+    shares = (system.C @ directions)[0] * np.linalg.solve(directions, system.B)[:, 0] / poles
+    # The two poles of a mode share its participation.
+    rates_rad_per_s = -poles.real[2.0 * np.abs(shares) > SMALL_PART]
+    return float(-np.log(NEGLIGIBLE) / rates_rad_per_s.min(initial=np.inf))
 
 
 def first_settled(dynamics: ElectricVibrationDynamics, time_s: FloatArray,

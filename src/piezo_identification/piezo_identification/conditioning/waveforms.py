@@ -47,7 +47,7 @@ def played(recording: Recording) -> Recording:
     if part.gaps:
         first, count = part.gaps[0]
         raise ValueError(
-            f"{recording.path} lacks {count} samples from sample {first} on: the hysteresis "
+            f"{recording.path} has a gap of {count} samples at sample {first}: the hysteresis "
             "depends on every voltage, record it again"
         )
     return part

@@ -20,7 +20,7 @@ from piezo_identification.diagnosis.comparison.measures_of_fits import lack_of_f
 from piezo_identification.diagnosis.comparison.reasons import Reason, Undecided
 from piezo_identification.diagnosis.comparison.selection import (
     Selection,
-    left_rms_um,
+    residual_rms_um,
     select_effects,
 )
 from piezo_identification.diagnosis.comparison.validation import Validation
@@ -43,13 +43,13 @@ from piezo_identification.diagnosis.evidence.recording_faults import (
 )
 from piezo_identification.diagnosis.evidence.residual_description import describe_residual
 from piezo_identification.diagnosis.evidence.stand_ins import with_stand_ins
-from piezo_identification.diagnosis.joint.alternatives import Came
+from piezo_identification.diagnosis.joint.alternatives import Appearance
 from piezo_identification.diagnosis.joint.competition import (
     Competition,
-    beside_alternative,
     compare_models,
     led_by_the_most_probable,
     probabilities_of_named,
+    selection_from,
     with_free_model,
     with_plain_model,
 )
@@ -139,7 +139,7 @@ class Decision:
 
     refused: dict[str, Undecided]
     """Effects that the held-out data refuse, and why."""
-    came: Came
+    appearance: Appearance
     """When the effects appeared, as far as the recordings of the identification show."""
     probabilities: dict[str, float]
     """Probabilities from which the verdict follows."""
@@ -211,11 +211,11 @@ def _diagnosed(model: StageModel, recordings: Sequence[Recording], holdout: Reco
     competition = with_plain_model(
         competition, model, given.recordings, old, selection, report)
     sources = noise_sources([*given.recordings, *filter(None, [given.holdout]), *old])
-    noise = (noise or KnownNoise()).beside(sources)
+    noise = (noise or KnownNoise()).including(sources)
     decision, found, believed = decide(selection, validation, competition, noise)
     predictable = ceiling_of(found, decision)
-    told = tell(model, given, found, believed, decision, predictable)
-    return replace(told, selection=replace(selection, end=found.end), noise=noise,
+    diagnosis = conclude(model, given, found, believed, decision, predictable)
+    return replace(diagnosis, selection=replace(selection, end=found.end), noise=noise,
                    stated_um=competition.stated_um, identified_from=known.document(),
                    probabilities=decision.probabilities)
 
@@ -294,8 +294,8 @@ def compare_effects(model: StageModel, recordings: Sequence[Recording],
         if selections[-1].interrupted:
             return selections[-1]
     with_past, plain = selections[0], selections[-1]
-    most_um = PastSearchSettings.largest_error_ratio * left_rms_um(plain)
-    return with_past if left_rms_um(with_past) < most_um else plain
+    most_um = PastSearchSettings.largest_error_ratio * residual_rms_um(plain)
+    return with_past if residual_rms_um(with_past) < most_um else plain
 
 
 def decide(selection: Selection, validation: Validation,
@@ -320,16 +320,16 @@ def decide(selection: Selection, validation: Validation,
     fit, refused = validation.accepted(selection.end)
     found, believed = selection, validation
     if best is not None and not best.since:
-        beside = beside_alternative(selection, competition, best)
-        validation_beside = validation.beside(beside.regression)
+        from_best = selection_from(selection, competition, best)
+        validation_of_best = validation.for_regression(from_best.regression)
         # If the most probable model explains nothing, its effects replace those of the new
         # recordings only if it reduces the held-out error. For the same effects, the parameters
         # from the new recordings may be better.
         explains = competition.probabilities[SOMETHING_ELSE] < PROBABILITIES.believed
-        is_better = validation_beside.rms_um(beside.end) < validation.rms_um(fit) or (
-            competition.is_plain or explains and _names(beside.end) != _names(fit))
-        if is_better and validation_beside.improves(beside.end):
-            found, believed, fit, refused = beside, validation_beside, beside.end, {}
+        is_better = validation_of_best.rms_um(from_best.end) < validation.rms_um(fit) or (
+            competition.is_plain or explains and _names(from_best.end) != _names(fit))
+        if is_better and validation_of_best.improves(from_best.end):
+            found, believed, fit, refused = from_best, validation_of_best, from_best.end, {}
     outliers = found_outliers(found.regression, fit.effects)
     shares = competition.probabilities
     if refused or best is not None and found is selection:
@@ -353,8 +353,8 @@ def decide(selection: Selection, validation: Validation,
     if found is selection:
         # The recordings of the identification were not fitted: model errors affect the effects.
         fit = with_model_errors(found.regression, fit)
-    came = competition.came(_names(fit))
-    return (Decision(verdict, fit, outliers, refused, came, held.probabilities, held.sentence,
+    appearance = competition.appearance(_names(fit))
+    return (Decision(verdict, fit, outliers, refused, appearance, held.probabilities, held.sentence,
                      held.predicted), found, believed)
 
 
@@ -379,7 +379,7 @@ def hold_to_noise(shares: Mapping[str, float], found: Selection, believed: Valid
         No effect is named.
     """
     remainders = believed.remainders(fit)
-    known = noise.beside(noise_of_residuals(found.regression))
+    known = noise.including(noise_of_residuals(found.regression))
     held = held_to_noise(shares, remainders, known, stated_um, finds_nothing)
     if (held.probabilities[SOMETHING_ELSE] >= PROBABILITIES.believed or found.interrupted
             or all(known.is_shown(each.period_s) for each in remainders)):
@@ -413,12 +413,12 @@ def _learned(selection: Selection, fit: Fit) -> "Ceiling":
     return ceiling(selection.regression, fit)
 
 
-def tell(model: StageModel, given: Conditioned, selection: Selection, validation: Validation,
-         decision: Decision, predictable: "Ceiling | None") -> Diagnosis:
+def conclude(model: StageModel, given: Conditioned, selection: Selection, validation: Validation,
+             decision: Decision, predictable: "Ceiling | None") -> Diagnosis:
     """Assemble the verdict with its numbers and reasons."""
     regression, fit, outliers = selection.regression, decision.fit, decision.outliers
     effects = with_stand_ins(
-        [entry | {"came": decision.came} for entry in effect_entries(regression, fit)],
+        [entry | {"came": decision.appearance} for entry in effect_entries(regression, fit)],
         regression.dataset.extent, decision.probabilities)
     # Outliers biased the parameters of a model that was identified with them. If no effect is
     # named, refitted parameters may explain what the given ones do not.
@@ -440,21 +440,21 @@ def tell(model: StageModel, given: Conditioned, selection: Selection, validation
         not_decidable={name: why.sentence for name, why in undecided.items()},
         reasons={name: why.reason for name, why in undecided.items()},
         not_told_from=_not_told_from(selection, effects),
-        left=_left(regression, decision, predictable),
+        left=_description(regression, decision, predictable),
         reversed=given.reversed, left_out=[*left_out(regression), *validation.left_out()],
         ceiling=None if predictable is None else asdict(predictable), selection=selection,
         recording_faults=[fault.document() for fault in given.faults],
     )
 
 
-def _left(regression: Regression, decision: Decision, predictable: "Ceiling | None") -> str:
+def _description(regression: Regression, decision: Decision, predictable: "Ceiling | None") -> str:
     """Describe the residual of an unexplained recording, or of one with unknown noise."""
     if decision.verdict != "unexplained":
         return decision.remains if decision.predicted is not None else ""
-    told = [decision.remains, describe_residual(regression, decision.fit)]
+    sentences = [decision.remains, describe_residual(regression, decision.fit)]
     if predictable is not None:
-        told.append(predictable.sentence())
-    return " ".join(told)
+        sentences.append(predictable.sentence())
+    return " ".join(sentences)
 
 
 def _not_told_from(selection: Selection, effects: Sequence[dict[str, Any]]) -> dict[str, str]:
@@ -472,7 +472,7 @@ def _undecided(selection: Selection, decision: Decision,
                if name not in named}
     for name, found in _not_told_from(selection, effects).items():
         reasons[name] = Undecided(
-            Reason.LIKE_ANOTHER, f"the data does not tell it from {found}")
+            Reason.LIKE_ANOTHER, f"the data does not distinguish it from {found}")
     kinds = known_effects()
     for found in sorted(named & kinds.keys()):
         for name in kinds[found].same_without_dynamics:

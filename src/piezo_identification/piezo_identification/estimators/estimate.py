@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.row_alignment import MOST_UNCERTAIN
@@ -144,7 +145,7 @@ class Estimate:
                 continue
             mark = ""
             if trial.order == self.order:
-                mark = "  <- asked for" if self.order_given else "  <- least information"
+                mark = "  <- given" if self.order_given else "  <- least information"
             lines.append(
                 f"{trial.order!s:>5}  {trial.parameters:10d}  {trial.residual_rms:12.6g}  "
                 f"{trial.information:11.1f}{mark}{'  ' if trial.refusal else ''}{trial.refusal}"
@@ -308,6 +309,7 @@ def unidentified_parameters(
 
 def creep_of_partial_fractions(
     rates: FloatArray, gains: FloatArray, covariance: FloatArray | None = None,
+    fastest: float = np.inf,
 ) -> tuple[CreepDynamics, dict[str, Any]]:
     """Creep 1 + sum g p / (s + p) as poles and zeros, with their standard deviations.
 
@@ -317,6 +319,8 @@ def creep_of_partial_fractions(
         Poles p and positive gains g.
     covariance : ndarray, shape (2 P, 2 P), optional
         Covariance of the rates, followed by the gains.
+    fastest : float
+        Rate from which an exponential counts as part of the immediate response.
 
     Returns
     -------
@@ -324,6 +328,7 @@ def creep_of_partial_fractions(
     standard_deviations : dict
         Empty if no covariance is given.
     """
+    rates, gains, covariance = _with_immediate(rates, gains, covariance, fastest)
     order = np.argsort(rates)
     rates, gains = rates[order], gains[order]
     coupling = np.sqrt(gains * rates)
@@ -344,3 +349,16 @@ def creep_of_partial_fractions(
     return model, {
         "poles_rad_per_s": tuple(poles_std.tolist()), "zeros_rad_per_s": tuple(zeros_std.tolist())
     }
+
+
+def _with_immediate(
+    rates: FloatArray, gains: FloatArray, covariance: FloatArray | None, fastest: float,
+) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+    """Return the slower exponentials, with gains relative to all that is faster."""
+    slow = rates < fastest
+    immediate = 1.0 + gains[~slow].sum()
+    kept = gains[slow] / immediate
+    every = np.eye(rates.size)[slow]
+    by_gain = (every - np.outer(kept, ~slow)) / immediate
+    return rates[slow], kept, None if covariance is None else propagated(
+        block_diag(every, by_gain), covariance)

@@ -259,11 +259,11 @@ def distortion(
     """
     if periods < 3:
         raise ValueError(f"experiment 'distortion' has {periods} periods: give at least 3, of "
-                         "which the first settles and the others tell the noise")
+                         "which the first settles and the others show the noise")
     return fitting(
         limits, Experiment("distortion", distortion_period(limits, swing, period_s, highest_hz),
                            1.0 / limits.sample_rate_hz, periods,
-                           "odd tones around mid-range, some left out, repeated"))
+                           "odd tones around mid-range, some omitted, repeated"))
 
 
 EXPERIMENTS = {

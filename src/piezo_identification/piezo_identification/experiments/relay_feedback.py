@@ -246,7 +246,7 @@ def relay_oscillation(recording: Recording, experiment: RelayExperiment) -> Rela
     """
     part = recording.select(recording.tracking)
     if part.gaps:
-        raise ValueError(f"{recording.path} lacks samples: record it again")
+        raise ValueError(f"{recording.path} has gaps: record it again")
     voltage_v, displacement_um = part.voltage_v, part.displacement_um
     held = part.has(Flag.FEEDFORWARD_HELD)
     # The relay does not act yet in the first tick after the feedforward.

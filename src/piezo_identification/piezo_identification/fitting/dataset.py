@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_common.side_by_side import side_by_side
+from piezo_identification.conditioning.waveforms import SETTINGS as WAVEFORM
 from piezo_identification.fitting.parameter_sensitivities import parameter_sensitivities
 from piezo_identification.simulation.nuisance import nuisance_regressors
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
@@ -30,6 +31,9 @@ class SplitSettings:
     stretches."""
     held_out: int = 3
     """One stretch out of this many is held out."""
+    steps: int = 12
+    """Largest number of steps from rest whose first rows are used: the first seconds of creep show
+    after steps only, which may be rare."""
 
 
 SPLIT = SplitSettings()
@@ -157,11 +161,12 @@ def _extent(simulated: Sequence[SimulatedRecording]) -> Extent:
 def _split(simulated: Sequence[SimulatedRecording], undivided: int,
            ) -> tuple[tuple[NDArray[np.intp], ...], NDArray[np.intp], BoolArray]:
     """Return the rows of each recording, the stretch of each row, and whether it may be fitted."""
-    rows, numbers = [], []
+    rows, numbers, fitted = [], [], []
     for index, part in enumerate(simulated):
         budget = max(SPLIT.most_rows // (1 if index < undivided else len(simulated)),
                      SPLIT.stretches)
         settled = np.arange(part.begin, part.time_s.size)
+        is_fitted = np.arange(SPLIT.stretches) % SPLIT.held_out != SPLIT.held_out // 2
         if settled.size > budget:
             # Random shifts keep the chunks from staying in phase with a periodic waveform.
             chunk, room = budget // SPLIT.stretches, settled.size // SPLIT.stretches
@@ -169,12 +174,28 @@ def _split(simulated: Sequence[SimulatedRecording], undivided: int,
             # Only the beginning shows how far the creep had progressed.
             shift[0] = 0
             first = -(-np.arange(SPLIT.stretches) * settled.size // SPLIT.stretches)
+            for number, step in enumerate(_steps_from_rest(part, chunk)):
+                at = int(np.searchsorted(first, step, side="right")) - 1
+                length = np.diff(first, append=settled.size)[at]
+                shift[at] = min(step - first[at], length - chunk) if at else 0
+                if shift[at] < step - first[at] and at + 1 < SPLIT.stretches:
+                    shift[at + 1] = 0
+                is_fitted[at : at + 2] = (number + 1) % SPLIT.held_out != 0
             starts = part.begin + first + shift
             chosen = (starts[:, None] + np.arange(chunk)).ravel()
         else:
             chosen = settled
         rows.append(chosen)
-        numbers.append(
-            index * SPLIT.stretches + (chosen - part.begin) * SPLIT.stretches // settled.size)
-    stretch = np.concatenate(numbers)
-    return tuple(rows), stretch, stretch % SPLIT.held_out != SPLIT.held_out // 2
+        of_rows = (chosen - part.begin) * SPLIT.stretches // settled.size
+        numbers.append(index * SPLIT.stretches + of_rows)
+        fitted.append(is_fitted[of_rows])
+    return tuple(rows), np.concatenate(numbers), np.concatenate(fitted)
+
+
+def _steps_from_rest(part: SimulatedRecording, rest: int) -> NDArray[np.intp]:
+    """Return the last rows before voltage steps from rests of some rows, counted from the first."""
+    voltage_v = part.voltage_v[part.begin :]
+    least_v = WAVEFORM.level_tolerance * np.ptp(voltage_v)
+    moving = np.flatnonzero(np.abs(np.diff(voltage_v)) > least_v)
+    steps = moving[np.diff(moving, prepend=-rest) >= rest]
+    return steps[:: -(-steps.size // SPLIT.steps) or 1]

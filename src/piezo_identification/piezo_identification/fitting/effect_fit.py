@@ -97,8 +97,8 @@ def fit_one_more(regression: Regression, kind: type[Effect], effects: tuple[Effe
         return None
     costs = []
     for guess in guesses:
-        left = regression.remainder(regression.difference((*effects, guess), (guess,)))
-        costs.append(left @ left)
+        residual = regression.remainder(regression.difference((*effects, guess), (guess,)))
+        costs.append(residual @ residual)
     none = regression.remainder(regression.difference(effects))
     promising = [
         guesses[number] for number in np.argsort(costs)

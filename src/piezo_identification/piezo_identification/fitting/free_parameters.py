@@ -127,13 +127,13 @@ def _moved_systems(model: StageModel, about: StageModel,
                    lags: Sequence[Effect]) -> list[control.StateSpace]:
     """Return the change of the linear part for one width of each of its parameters."""
     linear = matrices_of(behind_lags(model.linear(), lags)[0])
-    beside = model.effects_at("modes")
+    parallel = model.effects_at("modes")
     # With additional modes, the model's own modes contribute only a part of the displacement.
     own_modes = replace(model, effects=tuple(
-        effect for effect in model.effects if effect not in beside))
-    share = 1.0 - sum(mode.participation for mode in beside)
+        effect for effect in model.effects if effect not in parallel))
+    share = 1.0 - sum(mode.participation for mode in parallel)
     of_modes = scaled(share, matrices_of(
-        behind_lags(own_modes.linear(), lags)[0])) if beside else linear
+        behind_lags(own_modes.linear(), lags)[0])) if parallel else linear
     ahead_of_modes = 2 * len(model.creep.poles_rad_per_s) + (model.dynamics.time_constant_s > 0.0)
     sensitivities = [*map(matrices_of, sensitivity_systems(model.creep, model.dynamics))]
     systems = []

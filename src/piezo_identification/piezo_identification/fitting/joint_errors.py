@@ -117,7 +117,7 @@ class _Point:
     effects: tuple[Effect, ...]
     nuisance: list[FloatArray]
     sizes: list[FloatArray]
-    left_um: list[FloatArray]
+    residual_um: list[FloatArray]
 
 
 class JointErrors:
@@ -225,8 +225,8 @@ class JointErrors:
 
     def squares_um2(self, vector: FloatArray) -> FloatArray:
         """Return the mean square error on the fitted rows of each recording, (R,)."""
-        return np.array([np.mean(left_um[fitted] ** 2) for left_um, fitted in zip(
-            self._at(vector).left_um, self._fitted, strict=True)])
+        return np.array([np.mean(residual_um[fitted] ** 2) for residual_um, fitted in zip(
+            self._at(vector).residual_um, self._fitted, strict=True)])
 
     def value(self, vector: FloatArray) -> float:
         """Return the function to minimise; infinite where the simulation is not finite."""
@@ -276,10 +276,10 @@ class JointErrors:
         covariance[unknown, unknown] = np.inf
         return covariance
 
-    def left_um(self, vector: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+    def residual_um(self, vector: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
         """Return the residuals of the fitted and of the held-out rows of each recording."""
-        return [(left_um[fitted], left_um[good & ~fitted]) for left_um, fitted, good in zip(
-            self._at(vector).left_um, self._fitted, self._good, strict=True)]
+        return [(each_um[fitted], each_um[good & ~fitted]) for each_um, fitted, good in zip(
+            self._at(vector).residual_um, self._fitted, self._good, strict=True)]
 
     def forget(self) -> None:
         """Drop the simulations, which are many times as large as the recordings.
@@ -297,11 +297,11 @@ class JointErrors:
         residuals, jacobians = [], []
         for index, (fitted, square) in enumerate(zip(self._fitted, squares, strict=True)):
             weight = np.sqrt(INDEPENDENT / (np.count_nonzero(fitted) * square))
-            left = self._left_beside(index, point.nuisance[index], columns[index])[0]
+            remaining = self._without_nuisance(index, point.nuisance[index], columns[index])[0]
             moved = self._moved_with_rates(point, index)
-            left[:, : moved.shape[1]] += moved
-            residuals.append(weight * point.left_um[index][fitted])
-            jacobians.append(-weight * left[fitted])
+            remaining[:, : moved.shape[1]] += moved
+            residuals.append(weight * point.residual_um[index][fitted])
+            jacobians.append(-weight * remaining[fitted])
         prior = np.eye(self.count, vector.size) * self._prior[:, None]
         return (np.concatenate([*residuals, self._prior * vector[: self.count]]),
                 np.vstack([*jacobians, prior]))
@@ -319,13 +319,13 @@ class JointErrors:
                 part, rows = dataset.simulated[index], dataset.rows[index]
                 simulated_um = part.simulate(effects, rows=rows)
                 nuisance = _projected_out(part, rows, effects)
-                return nuisance, *self._left_beside(
+                return nuisance, *self._without_nuisance(
                     index, nuisance, part.measured_um[rows] - simulated_um)
 
-            nuisance, left, sizes = (list(each) for each in zip(
+            nuisance, remaining, sizes = (list(each) for each in zip(
                 *side_by_side(of_recording, range(len(dataset.rows))), strict=True))
             self._points = dict([*self._points.items()][-1:])
-            self._points[key] = _Point(dataset, effects, nuisance, sizes, left)
+            self._points[key] = _Point(dataset, effects, nuisance, sizes, remaining)
         return self._points[key]
 
     def _columns_at(self, vector: FloatArray) -> list[FloatArray]:
@@ -362,8 +362,8 @@ class JointErrors:
             columns.append(moved_um / (moved[number] - vector[number]))
         return np.column_stack([changes, *columns])
 
-    def _left_beside(self, index: int, nuisance: FloatArray,
-                     values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _without_nuisance(self, index: int, nuisance: FloatArray,
+                          values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return values at all rows without their nuisance part, and the nuisance coefficients."""
         good = self._good[index]
         sizes = np.asarray(
@@ -384,4 +384,4 @@ class JointErrors:
         # The triangle of its QR factors has the same singular values as the long matrix.
         inverse = np.linalg.pinv(np.linalg.qr(nuisance[good], mode="r"), rcond=1e-12)
         by_size = nuisance @ (inverse @ inverse.T)[:, 1 : 1 + pairs]
-        return by_size * (decays.T @ point.left_um[index][good])
+        return by_size * (decays.T @ point.residual_um[index][good])

@@ -93,12 +93,12 @@ class JointFit:
         return self.recurrence_count + sum(
             fitted_values(effect)[0].size for effect in self.effects)
 
-    def left_um(self) -> list[tuple[FloatArray, BoolArray]]:
+    def residual_um(self) -> list[tuple[FloatArray, BoolArray]]:
         """Return the residual at the rows of each recording, and which of these are held out."""
         regression = self.regression
-        left_um = _left_um(regression, self.effects)
+        residual_um = _residual_um(regression, self.effects)
         good = regression.estimation | regression.validation
-        return [(left_um[mask & good], regression.validation[mask & good])
+        return [(residual_um[mask & good], regression.validation[mask & good])
                 for mask in regression.dataset.masks()]
 
 
@@ -162,8 +162,8 @@ class JointProblem:
     def _started(self) -> Regression:
         """Weigh the rows by the residual of the initial model."""
         first = _weighed(self.dataset, self.noise, _scale_um(self.dataset, self.noise))
-        left_um = first.fit(self.own).residual * first.tolerance_um
-        return _weighed(self.dataset, self.noise, _scale_um(self.dataset, self.noise, left_um))
+        residual_um = first.fit(self.own).residual * first.tolerance_um
+        return _weighed(self.dataset, self.noise, _scale_um(self.dataset, self.noise, residual_um))
 
     @cached_property
     def _pieces_um(self) -> list[list[FloatArray]] | None:
@@ -192,32 +192,32 @@ class JointProblem:
         goes_on_in = None if begun is None else begun.problem
         if goes_on_in is not None and goes_on_in is not self:
             return goes_on_in.fit(effects, later, begun, held)
-        came, effects = frozenset(later), tuple(effects)
+        appeared, effects = frozenset(later), tuple(effects)
         errors = JointErrors(
             self.dataset, self.start.estimation, self.start.estimation | self.start.validation,
-            self.new_count, effects, came, held, self._pieces_um,
+            self.new_count, effects, appeared, held, self._pieces_um,
             begun.columns if begun is not None and held else None)
         changes = np.zeros(errors.count) if begun is None else begun.changes
         first = errors.vector(changes, effects) if held else self._first(
-            errors, changes, effects, begun, came)
+            errors, changes, effects, begun, appeared)
         descent = descend(errors, first, 1 if held else self.steps, SETTINGS.worthwhile)
         found = errors.effects_at(descent.vector)
         dataset = errors.dataset_at(descent.vector)
         return JointFit(
-            _reweighed(replace(self.start, dataset=dataset), found), found, came,
+            _reweighed(replace(self.start, dataset=dataset), found), found, appeared,
             errors.covariance(descent.vector), descent.has_converged,
             descent.vector[: errors.count], descent.gain, descent.value,
             errors.recurrence_count(descent.vector), self, errors.columns_of_effects)
 
     def _first(self, errors: JointErrors, changes: FloatArray, effects: tuple[Effect, ...],
-               begun: JointFit | None, came: frozenset[str]) -> FloatArray:
+               begun: JointFit | None, appeared: frozenset[str]) -> FloatArray:
         """Return initial unknowns: effects as guessed, or fitted with a linearised model."""
         guessed = errors.vector(changes, effects)
         regression = self.start if begun is None else begun.regression
         if not effects or begun is not None and begun.effects == effects:
             return guessed
         regression = replace(regression, dataset=simulated_by(
-            regression.dataset, regression.dataset.model, self.new_count, came))
+            regression.dataset, regression.dataset.model, self.new_count, appeared))
         fit = fit_effects(regression, effects, quick=True)
         most = errors.longest[: errors.count]
         moved = np.clip(fit.coefficients[regression.dataset.nuisance_count :], -most, most)
@@ -225,27 +225,27 @@ class JointProblem:
                     errors.vector(changes + moved, fit.effects)), key=errors.value)
 
 
-def _left_um(regression: Regression, effects: Sequence[Effect]) -> FloatArray:
+def _residual_um(regression: Regression, effects: Sequence[Effect]) -> FloatArray:
     return regression.tolerance_um * regression.as_given(effects).residual
 
 
 def _scale_um(dataset: Dataset, noise: NoiseEstimate,
-              left_um: FloatArray | None = None) -> FloatArray:
+              residual_um: FloatArray | None = None) -> FloatArray:
     """Return the scale of each row, which weighs rows by the number of independent errors, (r,).
 
     It is the tolerance of the recording, or the correlated residual where that is larger.
     """
     good = dataset.for_estimation & ~dataset.at_rows(noise.outliers)
     least_um = np.hypot(noise.noise_um, accuracies_um(dataset))
-    return dataset.of_each(least_um if left_um is None else [
-        max(least, correlated_scale(left_um[mask & good]))
+    return dataset.of_each(least_um if residual_um is None else [
+        max(least, correlated_scale(residual_um[mask & good]))
         for least, mask in zip(least_um, dataset.masks(), strict=True)])
 
 
 def _reweighed(regression: Regression, effects: Sequence[Effect]) -> Regression:
     """Weigh the rows by the residual with some effects."""
     dataset, noise = regression.dataset, regression.noise
-    return _weighed(dataset, noise, _scale_um(dataset, noise, _left_um(regression, effects)))
+    return _weighed(dataset, noise, _scale_um(dataset, noise, _residual_um(regression, effects)))
 
 
 def _weighed(dataset: Dataset, noise: NoiseEstimate, scale_um: FloatArray) -> Regression:

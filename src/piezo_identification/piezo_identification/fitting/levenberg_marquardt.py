@@ -108,5 +108,5 @@ def _step(objective: Objective, vector: FloatArray, triangle: FloatArray,
     step = lsq_linear(np.vstack([columns, damped]),
                       -np.concatenate([target, np.zeros(vector.size)]),
                       bounds=(low, within), method="bvls").x
-    left = target + columns @ step
-    return step, 0.5 * float(target @ target - left @ left)
+    residual = target + columns @ step
+    return step, 0.5 * float(target @ target - residual @ residual)

@@ -25,7 +25,7 @@ WIDEST = 2.3
 class HeldOut:
     """Errors of an alternative on one recording."""
 
-    left_um: FloatArray
+    residual_um: FloatArray
     """Residual on held-out rows, (n,)."""
     stretch: NDArray[np.intp]
     """Number of the stretch that each row belongs to, (n,)."""
@@ -33,13 +33,13 @@ class HeldOut:
     @cached_property
     def mean_square_um2(self) -> float:
         """Return the mean square residual."""
-        return float(np.mean(self.left_um**2))
+        return float(np.mean(self.residual_um**2))
 
     @cached_property
     def independent(self) -> float:
         """Return the number of independent errors."""
-        return float(self.left_um.size * np.mean(self.left_um**2)
-                     / correlated_scale(self.left_um) ** 2)
+        return float(self.residual_um.size * np.mean(self.residual_um**2)
+                     / correlated_scale(self.residual_um) ** 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,9 +61,9 @@ def held_out_of(fit: JointFit) -> list[HeldOut]:
     """Return the residual of a fit on the held-out rows of each recording."""
     regression = fit.regression
     good = regression.estimation | regression.validation
-    return [HeldOut(left_um[held_out], regression.dataset.stretch[mask & good][held_out])
-            for (left_um, held_out), mask in zip(
-                fit.left_um(), regression.dataset.masks(), strict=True)]
+    return [HeldOut(residual_um[held_out], regression.dataset.stretch[mask & good][held_out])
+            for (residual_um, held_out), mask in zip(
+                fit.residual_um(), regression.dataset.masks(), strict=True)]
 
 
 def expected_widths(effects: Sequence[Effect], extent: Extent | None = None) -> FloatArray:

@@ -65,18 +65,18 @@ def _projections(
         padded = np.vstack([values[rows] / tolerance_um, zeros])
         return padded - q @ (q.T @ padded)
 
-    left = project(difference_um[:, None])[:, 0]
-    energy = left @ left
+    residual = project(difference_um[:, None])[:, 0]
+    energy = residual @ residual
 
     def reduction(contributions: FloatArray,
                   positive: bool = False) -> tuple[FloatArray, float]:
         seen = project(contributions)
         if positive:
-            triangle = qr(np.column_stack([seen, left]), mode="r")[0]
+            triangle = qr(np.column_stack([seen, residual]), mode="r")[0]
             gains = nnls(triangle[:, :-1], triangle[:, -1])[0]
         else:
-            gains = np.linalg.lstsq(seen, left, rcond=1e-10)[0]
-        rest = left - seen @ gains
+            gains = np.linalg.lstsq(seen, residual, rcond=1e-10)[0]
+        rest = residual - seen @ gains
         return np.asarray(gains, dtype=float), float(1.0 - (rest @ rest) / energy)
 
     def visible(contribution: FloatArray) -> float:

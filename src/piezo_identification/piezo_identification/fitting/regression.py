@@ -143,7 +143,7 @@ class Regression:
         """Return the sensor noise at all rows, in tolerances, (r,)."""
         return self.dataset.of_each(self.noise.noise_um) / self.tolerance_um
 
-    def left_um(self, fit: Fit) -> float:
+    def residual_um(self, fit: Fit) -> float:
         """Return the RMS residual of a fit on the validation set, including noise."""
         return float(np.sqrt(np.mean((fit.residual * self.tolerance_um)[self.validation] ** 2)))
 
@@ -158,8 +158,8 @@ class Regression:
         return np.concatenate([difference[self.estimation], np.zeros(parameters)])
 
 
-def regression_beside(dataset: Dataset, noise: NoiseEstimate,
-                      effects: Sequence[Effect] = ()) -> Regression:
+def weighted_regression(dataset: Dataset, noise: NoiseEstimate,
+                        effects: Sequence[Effect] = ()) -> Regression:
     """Weigh the rows, with a prior that matches the residual with some effects.
 
     Parameters
@@ -172,11 +172,11 @@ def regression_beside(dataset: Dataset, noise: NoiseEstimate,
     estimation, validation = dataset.for_estimation & good, ~dataset.for_estimation & good
     nuisance = (dataset.regressors[:, : dataset.nuisance_count]
                 / tolerance_um[:, None])[estimation]
-    left = (dataset.difference_um(effects) / tolerance_um)[estimation]
-    left = left - nuisance @ np.linalg.lstsq(nuisance, left, rcond=1e-12)[0]
+    residual = (dataset.difference_um(effects) / tolerance_um)[estimation]
+    residual = residual - nuisance @ np.linalg.lstsq(nuisance, residual, rcond=1e-12)[0]
     noise_energy = float(
         np.sum((dataset.of_each(noise.noise_um) / tolerance_um)[estimation] ** 2))
-    energy = max(left @ left - noise_energy, SETTINGS.least_share * noise_energy)
+    energy = max(residual @ residual - noise_energy, SETTINGS.least_share * noise_energy)
     cost = np.sqrt(SETTINGS.prior_share * energy)
     prior = cost * np.eye(dataset.regressors.shape[1])[dataset.nuisance_count :]
     return Regression(dataset, noise, tolerance_um, estimation, validation, prior)
@@ -184,18 +184,18 @@ def regression_beside(dataset: Dataset, noise: NoiseEstimate,
 
 def first_regression(dataset: Dataset) -> Regression:
     """Weigh the rows by the noise and outliers estimated with the model as given."""
-    return regression_beside(dataset, estimate_noise(dataset))
+    return weighted_regression(dataset, estimate_noise(dataset))
 
 
 def reweighted(regression: Regression, effects: Sequence[Effect]) -> Regression:
     """Estimate noise and outliers again with effects, and weigh the rows by them."""
     noise = estimate_noise(regression.dataset, effects, regression.noise)
-    return regression_beside(regression.dataset, noise, effects)
+    return weighted_regression(regression.dataset, noise, effects)
 
 
 def fit_without_effects(regression: Regression) -> Fit:
     """Fit the regressors alone, with a prior that matches their own residual."""
-    return regression_beside(regression.dataset, regression.noise).fit(())
+    return weighted_regression(regression.dataset, regression.noise).fit(())
 
 
 def with_fixed_parameters(regression: Regression, effects: Sequence[Effect]) -> Regression:
@@ -203,5 +203,5 @@ def with_fixed_parameters(regression: Regression, effects: Sequence[Effect]) -> 
     dataset = regression.dataset
     regressors = dataset.regressors.copy()
     regressors[:, dataset.nuisance_count :] = 0.0
-    return regression_beside(
+    return weighted_regression(
         replace(dataset, regressors=regressors), regression.noise, effects)

@@ -39,7 +39,8 @@ class SearchSettings:
     promise: float = 100.0
     """Largest deficit of log-evidence with which a structure is followed or tried again."""
     promise_of_start: float = 1000.0
-    """The same for a start with another kind of amplifier, whose loops were not yet estimated."""
+    """The same for a start with another kind of amplifier, whose loops were not yet estimated,
+    before and after the search from the best start."""
     chance: float = 3.0
     """Largest loss of log-likelihood on held-out rows that is attributed to chance."""
     modes_less: int = 2
@@ -97,7 +98,7 @@ class Structure:
 def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
           report: Callable[[str, float], object] = lambda *_: None,
           is_asked_for: Callable[[StageModel], bool] = lambda _: True,
-          with_loops_beside: Callable[[Structure], WholeModel] | None = None,
+          with_new_loops: Callable[[Structure], WholeModel] | None = None,
           ) -> tuple[list[Begun], list[Tried]]:
     """Fit the whole model from several starts.
 
@@ -111,7 +112,7 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
         Called with a description and the fraction done before each fit.
     is_asked_for : callable
         Returns whether a model may be tried.
-    with_loops_beside : callable, optional
+    with_new_loops : callable, optional
         Returns the problem with loops estimated together with a structure. The loops of the given
         model compensate for the errors of its creep and dynamics, and a fit with other dynamics
         takes long to correct them. One estimate is used for all starts except the given model,
@@ -128,7 +129,7 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
     """
     best = before = problem.fit(given, delay_s, 0)
     tried = [("step by step", before)]
-    found, beside = [(problem, before)], problem
+    found, with_loops = [(problem, before)], problem
     with while_time_lasts("other starts of the fit"):
         report("everything together", 0.0)
         if is_asked_for(given):
@@ -145,9 +146,9 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
             if structure in between and problem.fastest_over_noise(best) <= SETTINGS.wrong:
                 continue
             report(structure.change, number / (len(listed) + 1))
-            if structure not in between and beside is problem and with_loops_beside is not None:
-                beside = with_loops_beside(structure)
-            where = problem if structure in between else beside
+            if structure not in between and with_loops is problem and with_new_loops is not None:
+                with_loops = with_new_loops(structure)
+            where = problem if structure in between else with_loops
             # A delay compensates for an amplifier that is yet to be found.
             is_delayed_later = structure.delay_s is None and (delay_s or 0.0) > 0.0
             fit = where.fit(structure.model, structure.delay_s,
@@ -496,7 +497,7 @@ def _without_cancelled_mode(model: StageModel, delay_s: float | None) -> Structu
     mode, zero = np.unravel_index(
         np.argmin(np.abs(np.log(frequencies[:, None] / zeros))), (frequencies.size, zeros.size))
     return Structure(
-        f"without the mode of {frequencies[mode]:.4g} rad/s beside an antiresonance",
+        f"without the mode of {frequencies[mode]:.4g} rad/s near an antiresonance",
         replace(model, dynamics=ElectricVibrationDynamics(
             dynamics.time_constant_s, _but(dynamics.mode_frequencies_rad_per_s, int(mode)),
             _but(dynamics.damping_ratios, int(mode)),

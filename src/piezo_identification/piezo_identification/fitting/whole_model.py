@@ -44,7 +44,7 @@ BEFORE_DELAY = ("voltage", "modes")
 LEAST_GAIN = 1e-9
 """Smallest gain of a line, in um/V, so that it is not negative."""
 
-BESIDE_ROUGH, BESIDE_FITTED = 2.0, 0.02
+WIDE_PRIOR, NARROW_PRIOR = 2.0, 0.02
 """Prior widths of the changes of the hysteresis, relative to those of a joint fit with new
 recordings. Loops estimated with an approximate creep may be far off; those estimated with a fitted
 model only need small corrections."""
@@ -59,7 +59,7 @@ class WholeFit:
     delay_s: float | None
     """Delay of the displacement relative to the rows as they were said to be read; negative if they
     are read later still. None for a model without a delay."""
-    left_um: list[tuple[FloatArray, FloatArray]]
+    residual_um: list[tuple[FloatArray, FloatArray]]
     """Residuals of each recording on its fitted and on its held-out rows."""
     accuracy_um: FloatArray
     """Accuracy of a good model of each recording, (R,)."""
@@ -117,7 +117,8 @@ class WholeFit:
 
     def _squares_um2(self, rows: int) -> FloatArray:
         """Return mean square residual plus squared accuracy of each recording, (R,)."""
-        return np.array([np.mean(left[rows] ** 2) for left in self.left_um]) + self.accuracy_um**2
+        return np.array(
+            [np.mean(each[rows] ** 2) for each in self.residual_um]) + self.accuracy_um**2
 
     def deviations(self) -> tuple[dict[str, dict[str, Any]], list[dict[str, float]], float]:
         """Return the standard deviations of creep and dynamics, the effects, and the delay."""
@@ -169,7 +170,7 @@ class WholeModel:
     def __init__(self, model: StageModel, recordings: Sequence[Recording],
                  read_late_s: Sequence[float]) -> None:
         bare = replace(model, effects=())
-        self._given, self._hysteresis_width = model, BESIDE_ROUGH
+        self._given, self._hysteresis_width = model, WIDE_PRIOR
         simulated = side_by_side(
             lambda index: SimulatedRecording(
                 model, recordings[index], read_late_s=read_late_s[index]).with_model(bare),
@@ -212,7 +213,7 @@ class WholeModel:
                              for moved, measured in pairs])
         return self.with_hysteresis(PreisachModel.line(
             loops.voltage_min_v, loops.voltage_max_v, gain_um_per_v, float(offset_um)),
-            BESIDE_ROUGH)
+            WIDE_PRIOR)
 
     def about_here(self) -> None:
         """Make the next fit recompute how the pieces of the hysteresis change the displacement.
@@ -258,20 +259,20 @@ class WholeModel:
         found = errors.effects_at(descent.vector)
         fitted = changed_model(errors.dataset.model, descent.vector[: errors.count])
         delays_s = [effect.delay_s - shift_s for effect in found if type(effect) is Delay]
-        left_um = errors.left_um(descent.vector)
-        np.maximum(self._counts, [independent_errors(left) for left, _ in left_um],
+        residual_um = errors.residual_um(descent.vector)
+        np.maximum(self._counts, [independent_errors(residual) for residual, _ in residual_um],
                    out=self._counts)
         errors.forget()
         return WholeFit(
             replace(fitted, effects=tuple(each for each in found if type(each) is not Delay)),
-            delays_s[0] if delays_s else None, left_um, errors.accuracy_um, errors,
+            delays_s[0] if delays_s else None, residual_um, errors.accuracy_um, errors,
             descent.vector, self._counts, descent.has_converged,
             errors.count - begun.size if self._hysteresis_width >= 1.0 else 0)
 
     def over_noise(self, fit: WholeFit, of_accuracy: float = 1.0) -> FloatArray:
         """Return the residual of each recording over its noise and part of its accuracy, (R,)."""
-        left_um = [np.sqrt(np.mean(left**2)) for left, _ in fit.left_um]
-        return np.array(left_um) / np.hypot(self.noise.noise_um, of_accuracy * fit.accuracy_um)
+        residual_um = [np.sqrt(np.mean(residual**2)) for residual, _ in fit.residual_um]
+        return np.array(residual_um) / np.hypot(self.noise.noise_um, of_accuracy * fit.accuracy_um)
 
     def fastest_over_noise(self, fit: WholeFit) -> float:
         """Return the residual of the recording with the shortest sample period, over its noise."""
@@ -285,8 +286,8 @@ class WholeModel:
         dataset = fit.errors.dataset_at(fit.vector)
         prior = np.eye(dataset.regressors.shape[1])[dataset.nuisance_count :]
         scale_um = dataset.of_each(
-            [np.hypot(np.sqrt(np.mean(left**2)), accuracy_um)
-             for (left, _), accuracy_um in zip(fit.left_um, fit.accuracy_um, strict=True)])
+            [np.hypot(np.sqrt(np.mean(residual**2)), accuracy_um)
+             for (residual, _), accuracy_um in zip(fit.residual_um, fit.accuracy_um, strict=True)])
         regression = Regression(dataset, self.noise, scale_um, self._fitted,
                                 self._good & ~self._fitted, prior)
         return recording_evidence(regression, fit.errors.effects_at(fit.vector))

@@ -60,27 +60,27 @@ def estimate_loops(
     key = max(shown, key=lambda name: shown[name].whole_um)
     first_rise = shown[key]
     cycled = _as_cycled(recordings, key, shown, linear, options)
-    beside = estimate_hysteresis_of(cycled, linear, options)
+    cycled_density = estimate_hysteresis_of(cycled, linear, options)
     keys = keys_of_kind(recordings, "hysteresis")
     without, within = (
         {name: ModelRun(fitted_model(linear, estimate, rise).model, recordings[name])
          for name in keys}
-        for estimate, rise in ((density, None), (beside, first_rise)))
+        for estimate, rise in ((density, None), (cycled_density, first_rise)))
     without_um, with_um = (
         np.linalg.norm([run.error_um(()) for run in runs.values()]) for runs in (without, within))
     if with_um > without_um or not _is_far_better(within[key], without[key].error_um(())):
         return density, None, recordings
-    return beside, first_rise, cycled
+    return cycled_density, first_rise, cycled
 
 
 def _is_far_better(run: ModelRun, without_um: float) -> bool:
     """Return whether the error of a run beyond its noise is far smaller than another error."""
-    left_um = run.error_um(())
+    residual_um = run.error_um(())
     noise_um = min(
         noise_floor_um(run.measured_um - run.simulated_um(())),
-        MOST_NOISE * left_um)
+        MOST_NOISE * residual_um)
     beyond_um, without_beyond_um = np.sqrt(np.maximum(
-        np.square([left_um, without_um]) - noise_um**2, 0.0))
+        np.square([residual_um, without_um]) - noise_um**2, 0.0))
     return bool(beyond_um <= SETTINGS.largest_error_ratio * without_beyond_um)
 
 
@@ -129,7 +129,7 @@ def _as_cycled(
     return cycled
 
 
-def loops_beside(
+def new_loops(
     recordings: Mapping[str, Any], options: DensityOptions, near: DensityEstimate,
     model: StageModel, read_late_s: Mapping[str, float],
 ) -> DensityEstimate:
@@ -156,9 +156,9 @@ def loops_beside(
     segments = []
     for name, part in zip(names, parts, strict=True):
         simulated = SimulatedRecording(model, recordings[name], read_late_s=read_late_s[name])
-        left = replace(part, displacement_um=simulated.measured_um - simulated.simulate())
-        of_left = segment_of(left, model.creep, slow, delay_s - read_late_s[name])
+        residual = replace(part, displacement_um=simulated.measured_um - simulated.simulate())
+        of_residual = segment_of(residual, model.creep, slow, delay_s - read_late_s[name])
         entering_v, output_um = simulated.loops()
         segments.append(replace(
-            of_left, voltage_v=entering_v, output_um=of_left.output_um + output_um))
+            of_residual, voltage_v=entering_v, output_um=of_residual.output_um + output_um))
     return density_of_parts(parts, segments, near=near, **options.keywords())

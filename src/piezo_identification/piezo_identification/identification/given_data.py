@@ -72,19 +72,19 @@ def of_kind(recordings: Mapping[str, Data], name: str) -> list[Any]:
     return [recordings[key] for key in keys_of_kind(recordings, name)]
 
 
-def conditioned_data(given: Mapping[str, Data], tell: Callable[[str], object],
+def conditioned_data(given: Mapping[str, Data], note: Callable[[str], object],
                      read_at_samples: float) -> dict[str, Data]:
     """Mark outliers, cut at gaps, make the displacement rise with the voltage, align the rows.
 
     Parameters
     ----------
-    tell : callable
+    note : callable
         Called with text on the outliers and the sign.
     read_at_samples : float
         As in `identify`.
     """
-    marked = without_gaps(with_marked_outliers(given, tell))
-    return aligned(rising_with_voltage(marked, tell), read_at_samples)
+    marked = without_gaps(with_marked_outliers(given, note))
+    return aligned(rising_with_voltage(marked, note), read_at_samples)
 
 
 def without_gaps(recordings: Mapping[str, Data]) -> dict[str, Data]:
@@ -109,13 +109,13 @@ def without_gaps(recordings: Mapping[str, Data]) -> dict[str, Data]:
 
 
 def with_marked_outliers(
-    given: Mapping[str, Data], tell: Callable[[str], object]
+    given: Mapping[str, Data], note: Callable[[str], object]
 ) -> dict[str, Data]:
     """Mark the outliers of all recordings, because least squares is sensitive to them.
 
     Parameters
     ----------
-    tell : callable
+    note : callable
         Called with a sentence for each recording that has outliers.
     """
     marked: dict[str, Data] = {}
@@ -124,13 +124,13 @@ def with_marked_outliers(
             data = with_outliers_marked(data)
             text = outlier_text(name, ~good_samples(data), data.time_s)
             if text:
-                tell(text)
+                note(text)
         marked[name] = data
     return marked
 
 
 def rising_with_voltage(
-    recordings: Mapping[str, Data], tell: Callable[[str], object],
+    recordings: Mapping[str, Data], note: Callable[[str], object],
 ) -> dict[str, Any]:
     """Change the sign of all displacements if the slowest one falls with the voltage.
 
@@ -138,13 +138,13 @@ def rising_with_voltage(
     ----------
     recordings : dict of str to Recording or FrequencyResponse
         Recordings with marked outliers.
-    tell : callable
+    note : callable
         Called with a sentence if the signs are changed.
     """
     slowest = slowest_recording(recordings)
     if slowest is None or not displacement_falls(slowest):
         return dict(recordings)
-    tell("the displacement falls as the voltage rises: its sign is changed throughout")
+    note("the displacement falls as the voltage rises: its sign is changed throughout")
     return {name: reversed_data(data) for name, data in recordings.items()}
 
 

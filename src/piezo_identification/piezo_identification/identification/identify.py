@@ -27,7 +27,8 @@ from piezo_identification.estimators.frequency_response.response_model import (
     ResponseOrder,
 )
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
-from piezo_identification.identification.estimated_loops import estimate_loops, loops_beside
+from piezo_identification.identification.estimated_loops import estimate_loops, new_loops
+from piezo_identification.identification.explained_failures import failures_explained
 from piezo_identification.identification.fitted_model import FittedModel, fitted_model
 from piezo_identification.identification.given_data import (
     Data,
@@ -52,11 +53,10 @@ from piezo_identification.identification.progress import (
 from piezo_identification.identification.row_delays import (
     delays_of_rows_s,
     found_readings,
+    report_row_delays,
     row_delays,
-    tell_row_delays,
     validation_as_read,
 )
-from piezo_identification.identification.told_by_data import failures_explained
 from piezo_identification.prediction.prediction_errors import unseen_errors
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.first_rise import FirstRise
@@ -139,45 +139,45 @@ def identify(
         If `cancelled` returns True.
     """
     given = given_data(creep, dynamics, hysteresis, validation)
-    stages, tell = Stages(progress, cancelled), note or (lambda text: None)
+    stages, note = Stages(progress, cancelled), note or (lambda text: None)
     paths = [data.path for data in given.values()]
     budget = budget or Budget()
     with checking(stages.check), spending(budget), failures_explained(
             lambda: stages.current, paths):
         if refine or method != OUTPUT_ERROR:
-            tell("nothing is to be asked for: identify always fits all components together at "
-                 "the end, by their output error")
-        said = conditioned_data(given, tell, read_at_samples)
-        tell_implausible(implausible_data(said), tell)
-        fast = of_kind(said, "dynamics")
+            note("refine and method have no effect: identify always fits all components together "
+                 "at the end, by their output error")
+        conditioned = conditioned_data(given, note, read_at_samples)
+        report_implausible(implausible_data(conditioned), note)
+        fast = of_kind(conditioned, "dynamics")
         linear = estimate_linear_dynamics(
-            of_kind(said, "creep"),
+            of_kind(conditioned, "creep"),
             fast[0] if fast and isinstance(fast[0], FrequencyResponse) else fast,
-            of_kind(said, "hysteresis"), order, stages.part(0.0, 0.15))
+            of_kind(conditioned, "hysteresis"), order, stages.part(0.0, 0.15))
         stages.begin("hysteresis", 0.15)
-        read_at = found_readings(said, linear)
-        recordings = aligned(said, read_at)
+        read_at = found_readings(conditioned, linear)
+        recordings = aligned(conditioned, read_at)
         for loops in of_kind(recordings, "hysteresis"):
-            tell_implausible(refuse_impossible_loops(
-                loops, linear.creep, linear.slow_dynamics, linear.slow_delay_s), tell)
+            report_implausible(refuse_impossible_loops(
+                loops, linear.creep, linear.slow_dynamics, linear.slow_delay_s), note)
         estimate, first_rise, cycled = estimate_loops(recordings, linear, density)
-        tell_estimates(linear, estimate, tell)
-        tell_starts(recordings, cycled, linear, first_rise, tell)
+        report_estimates(linear, estimate, note)
+        report_starts(recordings, cycled, linear, first_rise, note)
         fitted = fitted_model(linear, estimate, first_rise)
         fitted, read_at = fitted_together(
-            fitted, said, read_at,
-            partial(loops_beside, said, density, estimate) if of_kind(said, "hysteresis")
-            and linear.estimates and not first_rise else None, order, stages.part(0.3, 0.65), tell)
+            fitted, conditioned, read_at,
+            partial(new_loops, conditioned, density, estimate) if of_kind(conditioned, "hysteresis")
+            and linear.estimates and not first_rise else None, order, stages.part(0.3, 0.65), note)
         recordings, read_at = validation_as_read(
-            fitted.model, said, aligned(said, read_at), read_at)
+            fitted.model, conditioned, aligned(conditioned, read_at), read_at)
         rows = row_delays(fitted.model, recordings, read_at, read_at_samples, linear)
-        tell_row_delays(rows, tell)
-        tell_uncertain_parameters(fitted, tell)
-        tell_implausible(implausible_model(fitted.model, recordings), tell)
+        report_row_delays(rows, note)
+        report_uncertain_parameters(fitted, note)
+        report_implausible(implausible_model(fitted.model, recordings), note)
         stages.begin("validation", 0.95)
         errors = validation_errors(fitted.model, recordings)
         adequacy = adequacy_document(
-            adequacy_of(fitted.model, said, delays_of_rows_s(said, read_at), [
+            adequacy_of(fitted.model, conditioned, delays_of_rows_s(conditioned, read_at), [
                 name for name, number in (("creep", order.creep_pairs), ("dynamics", order.modes))
                 if number is not None]))
         identified = replace(
@@ -189,21 +189,21 @@ def identify(
     return identified
 
 
-def tell_estimates(linear: LinearDynamics, density: DensityEstimate,
-                   tell: Callable[[str], object]) -> None:
+def report_estimates(linear: LinearDynamics, density: DensityEstimate,
+                     note: Callable[[str], object]) -> None:
     """Report why the orders were chosen, and which part of the Preisach plane is determined."""
     for name, estimate in linear.estimates.items():
-        tell(f"order of the {name}:\n{estimate.order_table()}")
+        note(f"order of the {name}:\n{estimate.order_table()}")
         if estimate.delay is not None:
-            tell(f"delay of the {name}: {estimate.delay}")
+            note(f"delay of the {name}: {estimate.delay}")
         if isinstance(estimate.model, ResponseModel) and estimate.model.gain < 0.0:
-            tell(f"the displacement falls as the voltage rises: the sign of the {name} is changed")
-    tell(f"hysteresis: {density.report()}")
+            note(f"the displacement falls as the voltage rises: the sign of the {name} is changed")
+    note(f"hysteresis: {density.report()}")
 
 
-def tell_starts(recordings: Mapping[str, Data], cycled: Mapping[str, Data],
-                linear: LinearDynamics, first_rise: FirstRise | None,
-                tell: Callable[[str], object]) -> None:
+def report_starts(recordings: Mapping[str, Data], cycled: Mapping[str, Data],
+                  linear: LinearDynamics, first_rise: FirstRise | None,
+                  note: Callable[[str], object]) -> None:
     """Report the initial state of each recording, and how it is handled.
 
     Parameters
@@ -212,7 +212,7 @@ def tell_starts(recordings: Mapping[str, Data], cycled: Mapping[str, Data],
         The recordings as if the stage had been cycled before each of them.
     first_rise : FirstRise or None
         First rise found in the recordings of the hysteresis.
-    tell : callable
+    note : callable
         Called with a sentence for each recording.
     """
     for name, data in recordings.items():
@@ -227,27 +227,27 @@ def tell_starts(recordings: Mapping[str, Data], cycled: Mapping[str, Data],
             words.append(linear.estimates[name].start)
         if first_rise is not None and cycled[name] is not data:
             words.append(
-                f"on a stage that was never cycled: its first rise leaves {first_rise.whole_um:.3g}"
-                " um for good, which the model keeps apart")
-        tell(f"start of the {name}: {'; '.join(words)}")
+                f"on a stage that was never cycled: its first rise has {first_rise.whole_um:.3g}"
+                " um that never return, which the model describes separately")
+        note(f"start of the {name}: {'; '.join(words)}")
 
 
 class Implausible(str):
     """A sentence on an implausible result, as a type that programs can recognise."""
 
 
-def tell_implausible(found: Sequence[str], tell: Callable[[str], object]) -> None:
+def report_implausible(found: Sequence[str], note: Callable[[str], object]) -> None:
     """Report implausible data or results, because the model may then be unreliable."""
     for text in found:
-        tell(Implausible(f"implausible: {text}"))
+        note(Implausible(f"implausible: {text}"))
 
 
-def tell_uncertain_parameters(fitted: FittedModel, tell: Callable[[str], object]) -> None:
+def report_uncertain_parameters(fitted: FittedModel, note: Callable[[str], object]) -> None:
     """Report the parameters whose standard deviation is larger than their value, if any."""
-    untold = unidentified_parameters(fitted.model, fitted.uncertainties)
-    if untold:
-        tell(f"the recordings do not tell {', '.join(untold)}: the standard deviation is larger "
-             "than the value; ask for a lower order, or record more")
+    uncertain = unidentified_parameters(fitted.model, fitted.uncertainties)
+    if uncertain:
+        note(f"the recordings do not determine {', '.join(uncertain)}: the standard deviation is "
+             "larger than the value; give a lower order, or record more")
 
 
 def validation_errors(model: StageModel, recordings: Mapping[str, Any]) -> dict[str, Any]:

@@ -130,7 +130,7 @@ class LinearDynamics:
             if delay_s:
                 before = sum(effect.place in BEFORE_DELAY for effect in estimate.effects)
                 deviations.insert(before, {"delay_s": delay.standard_deviation_s})
-        creep, spread = self._creep_beside(estimate.creep, estimate.creep_deviations)
+        creep, spread = self._creep_given_dynamics(estimate.creep, estimate.creep_deviations)
         return replace(
             self, creep=creep, dynamics=estimate.model, effects=estimate.effects, delay_s=delay_s,
             read_at_samples=read_at, effect_deviations=tuple(deviations),
@@ -142,7 +142,7 @@ class LinearDynamics:
     def with_response(self, estimate: Estimate) -> "LinearDynamics":
         """Return the model with the results of a frequency response added, including creep."""
         model, deviations = estimate.model, estimate.standard_deviations
-        creep, spread = self._creep_beside(model.creep, deviations["creep"])
+        creep, spread = self._creep_given_dynamics(model.creep, deviations["creep"])
         return replace(
             self.with_dynamics(estimate), creep=creep, dynamics=model.dynamics,
             delay_s=model.delay_s, effect_deviations=estimate.effect_deviations + (
@@ -150,7 +150,7 @@ class LinearDynamics:
             uncertainties=self.uncertainties | spread | {"dynamics": deviations["dynamics"]},
         )
 
-    def _creep_beside(
+    def _creep_given_dynamics(
         self, creep: CreepDynamics, deviations: Mapping[str, Sequence[float]],
     ) -> tuple[CreepDynamics, dict[str, dict[str, Any]]]:
         """Return known and additional creep sorted by rate, with their uncertainties."""
@@ -205,11 +205,11 @@ def estimate_linear_dynamics(
     def estimated(found: LinearDynamics, driving: DensityEstimate | None,
                   turn: int) -> tuple[LinearDynamics, DensityEstimate | None]:
         if creep:
-            begin("creep beside the dynamics" if turn else "creep", 0.5 * turn)
+            begin("creep, given the dynamics" if turn else "creep", 0.5 * turn)
             found = found.with_creep(*creep_of(creep, found, bool(turn), order.creep_pairs))
         if not given:
             return found, driving
-        begin("dynamics beside the creep" if turn else "dynamics", 0.5 * turn + 0.3)
+        begin("dynamics, given the creep" if turn else "dynamics", 0.5 * turn + 0.3)
         if isinstance(dynamics, FrequencyResponse):
             return found.with_response(_from_response(dynamics, found, order)), driving
         if needs_hysteresis:
@@ -222,7 +222,7 @@ def estimate_linear_dynamics(
         return found.with_dynamics(estimate), driving
 
     found, driving = estimated(found, driving, 0)
-    with while_time_lasts("creep and dynamics once more beside each other", SECOND_PASS):
+    with while_time_lasts("second estimates of creep and dynamics", SECOND_PASS):
         for turn in range(1, passes):
             check_cancelled()
             found, driving = estimated(found, driving, turn)
@@ -264,9 +264,9 @@ def creep_of(
 
 def _creep_readings(recordings: Sequence[Recording], found: LinearDynamics) -> set[float]:
     """Return the instant that the jumps of all recordings agree on, otherwise those to try."""
-    told = [] if found.dynamics.is_static else [reading_at_jumps(each) for each in recordings]
-    clear = {each for each in told if each is not None}
-    return clear if len(clear) == 1 and None not in told else {found.read_at_samples, 0.0}
+    at_jumps = [] if found.dynamics.is_static else [reading_at_jumps(each) for each in recordings]
+    clear = {each for each in at_jumps if each is not None}
+    return clear if len(clear) == 1 and None not in at_jumps else {found.read_at_samples, 0.0}
 
 
 def _creep_of_aligned(

@@ -27,8 +27,8 @@ from piezo_identification.fitting.structure_search import (
     searched,
 )
 from piezo_identification.fitting.whole_model import (
-    BESIDE_FITTED,
-    BESIDE_ROUGH,
+    NARROW_PRIOR,
+    WIDE_PRIOR,
     WholeFit,
     WholeModel,
 )
@@ -45,7 +45,7 @@ COMPONENTS_OF = {"creep": ("creep",), "dynamics": ("dynamics", "effects"),
 """Parts of the model that errors of a component affect, as named in the model file. Every recording
 passes through the hysteresis."""
 
-BEGUN, ANEW = 0.3, 0.2
+BEGUN, RENEWED = 0.3, 0.2
 """Fractions of the time for the starts, and for new loops from each, used to report progress."""
 
 LOOPS = 2
@@ -69,31 +69,33 @@ class _Search:
     problem: WholeModel
     given: FittedModel
     read_late_s: Mapping[str, float]
-    loops_beside: Callable[[StageModel, Mapping[str, float]], DensityEstimate] | None
+    new_loops: Callable[[StageModel, Mapping[str, float]], DensityEstimate] | None
     is_asked_for: Callable[[StageModel], bool]
     report: Callable[[str, float], object]
     tried: list[tuple[str, WholeFit]] = field(default_factory=list)
 
     def best(self, delay_s: float | None) -> _State:
         """Return the best model that the search finds from the promising starts."""
-        anew = list[DensityEstimate]()
+        renewed = list[DensityEstimate]()
 
-        def with_loops_beside(start: Structure) -> WholeModel:
-            anew.append(self._loops_beside(self.problem.fit(start.model, start.delay_s, 0)))
-            return self.problem.with_hysteresis(anew[0].model(), BESIDE_ROUGH)
+        def with_new_loops(start: Structure) -> WholeModel:
+            renewed.append(self._newly_estimated(self.problem.fit(start.model, start.delay_s, 0)))
+            return self.problem.with_hysteresis(renewed[0].model(), WIDE_PRIOR)
 
         promising, tried = begun(
             self.problem, self.given.model, delay_s, self._part(0.0, BEGUN), self.is_asked_for,
-            with_loops_beside if self.loops_beside is not None else None)
+            with_new_loops if self.new_loops is not None else None)
         self.tried.extend(tried)
         length = (1.0 - BEGUN) / len(promising)
         states = [_State(self.given if problem is self.problem else replace(
-            self.given, visited=anew[0].visited), fit, problem) for problem, fit in promising]
+            self.given, visited=renewed[0].visited), fit, problem) for problem, fit in promising]
         state = self._from(states[0], BEGUN, length)
         with while_time_lasts("the search from another start"):
             for number, start in enumerate(states[1:], 1):
                 check_cancelled()
-                if not is_at_noise(state.problem, state.best):
+                # It has to make up for what the search before has gained, too.
+                is_promising = start.best.evidence_over(state.best) > -SETTINGS.promise_of_start
+                if is_promising and not is_at_noise(state.problem, state.best):
                     other = self._from(start, BEGUN + number * length, length)
                     state = other if is_better(other.best, state.best) else state
         return self._or_of_a_line(state, delay_s)
@@ -103,7 +105,7 @@ class _Search:
 
         Hysteresis estimated from other recordings may be an artefact of incomplete dynamics.
         """
-        if self.loops_beside is not None or not state.best.model.hysteresis.density_um_per_v2.any():
+        if self.new_loops is not None or not state.best.model.hysteresis.density_um_per_v2.any():
             return state
         with while_time_lasts("a line in place of the hysteresis"):
             check_cancelled()
@@ -118,41 +120,41 @@ class _Search:
 
     def _from(self, start: _State, begin: float, length: float) -> _State:
         """Estimate the loops again before and after the search for the structure."""
-        state = self._with_loops_anew(start, begin)
-        end = begin + (1.0 - ANEW) * length
+        state = self._with_renewed_loops(start, begin)
+        end = begin + (1.0 - RENEWED) * length
         best, changed = searched(state.problem, state.best, self._part(
-            begin + ANEW * length, (1.0 - 2.0 * ANEW) * length), self.is_asked_for)
+            begin + RENEWED * length, (1.0 - 2.0 * RENEWED) * length), self.is_asked_for)
         self.tried.extend(changed)
         state = replace(state, best=best)
         for _ in range(LOOPS):
-            before, state = state, self._with_loops_anew(state, end, BESIDE_FITTED)
+            before, state = state, self._with_renewed_loops(state, end, NARROW_PRIOR)
             if not state.best.is_closer_than(before.best):
                 break
         return state
 
-    def _with_loops_anew(self, before: _State, fraction: float,
-                         width: float = BESIDE_ROUGH) -> _State:
+    def _with_renewed_loops(self, before: _State, fraction: float,
+                            width: float = WIDE_PRIOR) -> _State:
         """Estimate the loops again with the fitted model, and refit.
 
         The prior width limits how far the fit changes the loops.
         """
-        if self.loops_beside is None or is_at_noise(before.problem, before.best):
+        if self.new_loops is None or is_at_noise(before.problem, before.best):
             return before
-        self.report("loops anew", fraction)
-        with while_time_lasts("the loops anew beside the fit"):
+        self.report("hysteresis, given the fit", fraction)
+        with while_time_lasts("second estimate of the hysteresis, given the fit"):
             check_cancelled()
-            density = self._loops_beside(before.best)
+            density = self._newly_estimated(before.best)
             problem = before.problem.with_hysteresis(density.model(), width)
             again = problem.fit(replace(before.best.model, hysteresis=density.model()),
                                 before.best.delay_s, SETTINGS.steps)
-            self.tried.append(("loops anew", again))
+            self.tried.append(("hysteresis estimated again", again))
             if is_better(again, before.best):
                 return _State(replace(before.fitted, visited=density.visited), again, problem)
         return before
 
-    def _loops_beside(self, fit: WholeFit) -> DensityEstimate:
-        assert self.loops_beside is not None
-        return self.loops_beside(fit.delayed_model, read_later(self.read_late_s, fit))
+    def _newly_estimated(self, fit: WholeFit) -> DensityEstimate:
+        assert self.new_loops is not None
+        return self.new_loops(fit.delayed_model, read_later(self.read_late_s, fit))
 
     def _part(self, begin: float, length: float) -> Callable[[str, float], object]:
         return lambda what, fraction: self.report(what, begin + length * fraction)
@@ -160,9 +162,9 @@ class _Search:
 
 def fitted_together(
     fitted: FittedModel, recordings: Mapping[str, Data], read_at: Mapping[str, float],
-    loops_beside: Callable[[StageModel, Mapping[str, float]], DensityEstimate] | None,
+    new_loops: Callable[[StageModel, Mapping[str, float]], DensityEstimate] | None,
     order: ResponseOrder,
-    report: Callable[[str, float], object], tell: Callable[[str], object],
+    report: Callable[[str, float], object], note: Callable[[str], object],
 ) -> tuple[FittedModel, dict[str, float]]:
     """Fit all parameters of a model together, and choose its structure by the evidence.
 
@@ -174,14 +176,14 @@ def fitted_together(
         Conditioned recordings with their rows as given; all except the validation are fitted.
     read_at : dict of str to float
         Instants at which their rows are read, in sample periods after the voltage.
-    loops_beside : callable, optional
+    new_loops : callable, optional
         Estimates the hysteresis again with a fitted model; its second argument is the time in s by
         which each recording reads its rows late. None if no recording of loops was given.
     order : ResponseOrder
         Requested orders, which the search keeps.
     report : callable
         Called with a description of each fit and the fraction done.
-    tell : callable
+    note : callable
         Called with text for the user.
 
     Returns
@@ -201,8 +203,8 @@ def fitted_together(
     parts = {name: played(data) for name, data in used.items()}
     waves = (two_levels(square_part(part)) for part in parts.values())
     if any(wave is not None and generator_edges(wave) is not None for wave in waves):
-        tell("the model is as the separate steps left it: a generator that runs freely changes its "
-             "voltage between the rows, which only the steps heed")
+        note("the model is that of the separate steps: a generator that runs freely changes its "
+             "voltage between the rows, which only the steps consider")
         return fitted, dict(read_at)
     # Rows read within their hold are a negative delay, which the search may remove.
     within_s = _within_hold_s(read_at, parts)
@@ -216,13 +218,13 @@ def fitted_together(
             fitted.model, list(used.values()),
             [read_late_s[name] for name in parts])
     except ValueError as error:
-        tell(f"the model is as the separate steps left it, as {error}")
+        note(f"the model is that of the separate steps, as {error}")
         return fitted, dict(read_at)
     search = _Search(
-        problem, fitted, read_late_s, loops_beside, partial(_has_order, order), report)
+        problem, fitted, read_late_s, new_loops, partial(_has_order, order), report)
     state = search.best(delay_s or None)
     fitted, best = state.fitted, state.best
-    tell(f"one fit of the whole model:\n{table_of(search.tried, best)}")
+    note(f"one fit of the whole model:\n{table_of(search.tried, best)}")
     read_at_samples = {name: late_s / played(samples[name]).sample_period_s
                        for name, late_s in read_later(read_late_s, best).items()}
     if max(read_at_samples.values()) > LATEST_READING:
@@ -293,9 +295,10 @@ def reliable(uncertainties: Mapping[str, Any], adequacy: Mapping[str, Mapping[st
 def table_of(tried: list[tuple[str, WholeFit]], best: WholeFit) -> str:
     """Return a table of all fits for the user, with the best one marked."""
     first = tried[0][1]
-    lines = [f"{'structure':45}{'parameters':>12}{'evidence':>12}  left (um)"]
+    lines = [f"{'structure':45}{'parameters':>12}{'evidence':>12}  residual (um)"]
     for change, fit in tried:
-        left_um = ", ".join(f"{np.sqrt(np.mean(left**2)):.3g}" for left, _ in fit.left_um)
-        lines.append(f"{change:45}{fit.numbers:12d}{fit.evidence_over(first):12.1f}  {left_um}"
+        residual_um = ", ".join(
+            f"{np.sqrt(np.mean(residual**2)):.3g}" for residual, _ in fit.residual_um)
+        lines.append(f"{change:45}{fit.numbers:12d}{fit.evidence_over(first):12.1f}  {residual_um}"
                      f"{'  <- written' if fit is best else ''}")
     return "\n".join(lines)

@@ -50,7 +50,7 @@ def found_readings(recordings: Mapping[str, Data], linear: LinearDynamics) -> di
 
 
 def validation_as_read(
-    model: StageModel, said: Mapping[str, Data], recordings: Mapping[str, Data],
+    model: StageModel, conditioned: Mapping[str, Data], recordings: Mapping[str, Data],
     read_at: Mapping[str, float],
 ) -> tuple[dict[str, Data], dict[str, float]]:
     """Read the validation as the dynamics only if that reduces its error.
@@ -59,7 +59,7 @@ def validation_as_read(
 
     Parameters
     ----------
-    said, recordings : dict of str to Recording or FrequencyResponse
+    conditioned, recordings : dict of str to Recording or FrequencyResponse
         Recordings as given, and aligned.
     read_at : dict of str to float
         Result of `found_readings`.
@@ -70,7 +70,7 @@ def validation_as_read(
     read_at : dict of str to float
     """
     read, instants = dict(recordings), dict(read_at)
-    for name, data in said.items():
+    for name, data in conditioned.items():
         if name.split()[0] == "validation" and isinstance(data, Recording):
             read[name], instants[name] = read_as_explained(model, data, [read_at[name]])
     return read, instants
@@ -124,9 +124,9 @@ def row_delays(
         estimate = linear.estimates.get(name.split()[0])
         if estimate is not None and estimate.delay is not None:
             delay = estimate.delay
-            left_s = 0.0 if delay.is_significant else delay.delay_s
+            remaining_s = 0.0 if delay.is_significant else delay.delay_s
             rows[name] = RowDelay(
-                read_at, left_s, delay.standard_deviation_s, delay.sample_period_s)
+                read_at, remaining_s, delay.standard_deviation_s, delay.sample_period_s)
             continue
         run = ModelRun(model, recording)
         kept = run.good & away_from_jumps(run.part.voltage_v[run.settled])
@@ -136,16 +136,16 @@ def row_delays(
     return rows
 
 
-def tell_row_delays(rows: Mapping[str, RowDelay], tell: Callable[[str], object]) -> None:
+def report_row_delays(rows: Mapping[str, RowDelay], note: Callable[[str], object]) -> None:
     """Report when the rows of each recording are read, and their remaining delay."""
     for name, row in rows.items():
         is_short = max(abs(row.delay_s), row.standard_deviation_s) < SHORT_S
         scale, unit = (1e6, "us") if is_short else (1.0, "s")
         deviation = f"{scale * row.standard_deviation_s:.2g} {unit}"
-        left = "whether a delay is left is not identifiable from these rows"
+        remaining = "a remaining delay is not identifiable from these rows"
         if row.is_significant:
-            left = f"a delay of {scale * row.delay_s:.3g} +- {deviation} is left"
+            remaining = f"a delay of {scale * row.delay_s:.3g} +- {deviation} remains"
         elif row.is_identifiable:
-            left = f"no significant delay is left (+- {deviation})"
-        tell(f"rows of the {name}: read {row.read_at_samples:.4g} sample periods after their "
-             f"voltage; {left}")
+            remaining = f"no significant delay remains (+- {deviation})"
+        note(f"rows of the {name}: read {row.read_at_samples:.4g} sample periods after their "
+             f"voltage; {remaining}")

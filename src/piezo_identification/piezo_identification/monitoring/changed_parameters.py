@@ -54,9 +54,9 @@ class ChangedParameters:
         """Describe the change in one sentence."""
         if not self.changes:
             return "no parameter of the model explains the change"
-        told = ", ".join(f"{name} from {before:.6g} to {after:.6g}"
-                         for name, (before, after) in self.changes.items())
-        return (f"changed {told}: the residual falls from {1e3 * self.before_rms_um:.3g} to "
+        changed = ", ".join(f"{name} from {before:.6g} to {after:.6g}"
+                            for name, (before, after) in self.changes.items())
+        return (f"changed {changed}: the residual falls from {1e3 * self.before_rms_um:.3g} to "
                 f"{1e3 * self.after_rms_um:.3g} nm")
 
 
@@ -81,7 +81,7 @@ def changed_parameters(model: StageModel, recording: Recording,
     groups = parameter_groups(model)
     chosen: tuple[str, ...] = ()
     numbers = np.empty(0)
-    best = problem.left_um(chosen, numbers)
+    best = problem.residual_um(chosen, numbers)
     for taken in range(SETTINGS.most_groups):
         fits = {}
         others = [name for name in groups if name not in chosen]
@@ -92,12 +92,12 @@ def changed_parameters(model: StageModel, recording: Recording,
             fits[names] = problem.fit(names, start)
         if not fits:
             break
-        left = {names: problem.left_um(names, fit) for names, fit in fits.items()}
-        names = min(left, key=lambda key: problem.held_out_rms_um(left[key]))
-        if not problem.is_better(left[names], best):
+        residual = {names: problem.residual_um(names, fit) for names, fit in fits.items()}
+        names = min(residual, key=lambda key: problem.held_out_rms_um(residual[key]))
+        if not problem.is_better(residual[names], best):
             break
-        chosen, numbers, best = names, fits[names], left[names]
-    before_um = problem.held_out_rms_um(problem.left_um((), np.empty(0)))
+        chosen, numbers, best = names, fits[names], residual[names]
+    before_um = problem.held_out_rms_um(problem.residual_um((), np.empty(0)))
     if not chosen:
         return ChangedParameters(model, {}, before_um, before_um)
     found = problem.model(chosen, numbers)
@@ -171,7 +171,7 @@ class _Problem:
         names = [name for group in groups for name in known[group]]
         return _changed(self._model, dict(zip(names, numbers, strict=True)))
 
-    def left_um(self, groups: Sequence[str], numbers: FloatArray) -> FloatArray:
+    def residual_um(self, groups: Sequence[str], numbers: FloatArray) -> FloatArray:
         """Return the residual (N,), with offset and initial creep projected out."""
         part, model = self._part, self.model(groups, numbers)
         scale = _values(model)["gain_um_per_v"] / _values(self._model)["gain_um_per_v"]
@@ -179,26 +179,26 @@ class _Problem:
         for place in ("displacement", "sensor"):
             for effect in model.effects_at(place):
                 simulated_um = effect.apply(simulated_um, part.sample_period_s, part.rest_um)
-        left_um = part.measured_um - simulated_um
+        residual_um = part.measured_um - simulated_um
         fitted = self._fitted
-        solved = np.linalg.lstsq(self._nuisance[fitted], left_um[fitted], rcond=1e-9)[0]
-        return left_um - self._nuisance @ solved
+        solved = np.linalg.lstsq(self._nuisance[fitted], residual_um[fitted], rcond=1e-9)[0]
+        return residual_um - self._nuisance @ solved
 
     def fit(self, groups: Sequence[str], start: FloatArray) -> FloatArray:
         """Return the logarithms that minimize the residual on the fitted stretches."""
         most = SETTINGS.largest_logarithm
         return least_squares(
-            lambda numbers: self.left_um(groups, numbers)[self._fitted], start,
+            lambda numbers: self.residual_um(groups, numbers)[self._fitted], start,
             bounds=(-most, most), x_scale=0.01, diff_step=1e-4, xtol=1e-6, ftol=1e-6).x
 
-    def held_out_rms_um(self, left_um: FloatArray) -> float:
+    def held_out_rms_um(self, residual_um: FloatArray) -> float:
         """Return the root mean square of a residual on the held-out stretches."""
-        return float(np.sqrt(np.mean(left_um[self._held_out] ** 2)))
+        return float(np.sqrt(np.mean(residual_um[self._held_out] ** 2)))
 
-    def is_better(self, left_um: FloatArray, than_um: FloatArray) -> bool:
+    def is_better(self, residual_um: FloatArray, than_um: FloatArray) -> bool:
         """Return whether a residual is significantly smaller than another on the stretches."""
         gains = np.array([
-            np.mean(than_um[rows] ** 2 - left_um[rows] ** 2)
+            np.mean(than_um[rows] ** 2 - residual_um[rows] ** 2)
             for stretch in range(2, SETTINGS.stretches, 3)
             if np.any(rows := self._held_out & (self._stretch == stretch))])
         error = float(np.std(gains, ddof=1)) / np.sqrt(gains.size)

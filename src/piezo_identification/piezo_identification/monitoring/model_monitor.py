@@ -276,10 +276,10 @@ def band_powers(signal_um: FloatArray, sample_period_s: float) -> FloatArray:
     """
     line = np.linspace(-1.0, 1.0, signal_um.size)
     slope_um = float(line @ signal_um / (line @ line))
-    left_um = signal_um - signal_um.mean() - slope_um * line
-    spectrum = np.abs(np.fft.rfft(left_um) / left_um.size) ** 2
-    spectrum[1 : (left_um.size + 1) // 2] *= 2.0
-    frequency_hz = np.fft.rfftfreq(left_um.size, sample_period_s)
+    remaining_um = signal_um - signal_um.mean() - slope_um * line
+    spectrum = np.abs(np.fft.rfft(remaining_um) / remaining_um.size) ** 2
+    spectrum[1 : (remaining_um.size + 1) // 2] *= 2.0
+    frequency_hz = np.fft.rfftfreq(remaining_um.size, sample_period_s)
     powers = np.histogram(frequency_hz, BAND_EDGES_HZ, weights=spectrum)[0]
     powers[0] += slope_um**2 * float(np.mean(line**2))
     return powers
@@ -294,11 +294,11 @@ def largest_part(residual_um: FloatArray, offset_um: float, simulated_um: FloatA
     offset_um : float
         Offset of the residual.
     """
-    left_um = residual_um - residual_um.mean()
+    remaining_um = residual_um - residual_um.mean()
     powers = {"mean": offset_um**2}
     for name, shape_um in (("gain", simulated_um), ("lag", np.gradient(simulated_um))):
         varying_um = shape_um - shape_um.mean()
-        along = float(varying_um @ left_um) / max(float(varying_um @ varying_um), 1e-300)
+        along = float(varying_um @ remaining_um) / max(float(varying_um @ varying_um), 1e-300)
         powers[name] = along**2 * float(np.mean(varying_um**2))
-    powers["scatter"] = float(np.mean(left_um**2)) - powers["gain"] - powers["lag"]
+    powers["scatter"] = float(np.mean(remaining_um**2)) - powers["gain"] - powers["lag"]
     return max(powers, key=lambda name: powers[name])

@@ -229,11 +229,11 @@ class UsualError:
                 slopes.T @ (weights * (means - middles))
                 + (self._prior - self._parts) / self._prior_spread**2)
             self._parts = self._parts + np.clip(step, -1.0, 1.0)
-        left = means - self._from_motion(motion_um)[0]
+        residual = means - self._from_motion(motion_um)[0]
         fitted = float(np.trace(self._covariance @ normal))
         self._between = float(np.sqrt(
-            (BELIEVED_KINDS * BETWEEN**2 + left @ left)
-            / (BELIEVED_KINDS + max(left.size - fitted, 0.0))))
+            (BELIEVED_KINDS * BETWEEN**2 + residual @ residual)
+            / (BELIEVED_KINDS + max(residual.size - fitted, 0.0))))
 
 
 def _wandering(middle: float, variance: float, freedom: float) -> Expected:

@@ -161,12 +161,12 @@ class IdentificationNode(LifecycleNode):
         while (step := probe.step) is not None:
             text, step_s = step.description, step.duration_s
 
-            def told(phase: str, fraction: float, text: str = text, begin_s: float = played_s,
+            def show(phase: str, fraction: float, text: str = text, begin_s: float = played_s,
                      step_s: float = step_s) -> None:
                 # The duration of the probe is unknown until it ends.
                 done_s = begin_s + fraction * step_s
                 report(f"{NAME}, {text}: {phase}", done_s / (done_s + probe.longest_s))
-            _, recording = self._record(step, stage, steps, result, told, progress, unrecorded)
+            _, recording = self._record(step, stage, steps, result, show, progress, unrecorded)
             if recording.failure:
                 raise CallFailed(f"{recording.note}: a probe must be recorded, run it again")
             probe.take(read_recording(recording.path))
@@ -342,9 +342,9 @@ class IdentificationNode(LifecycleNode):
                              "last in s, or 0")
         stage = self._stage.wait(progress.check)
 
-        def play(experiment: Experiment, directory: Path, told: Report) -> str:
+        def play(experiment: Experiment, directory: Path, show: Report) -> str:
             note, _ = self._record(experiment, stage, self._data_root.writable(directory), result,
-                                   told, progress, unrecorded=False)
+                                   show, progress, unrecorded=False)
             result.message = "; ".join(filter(None, (result.message, note)))
             return str(result.recordings[-1])
 

@@ -61,7 +61,7 @@ class MonitorNode(LifecycleNode):
         self.create_subscription(String, "controller/model", self._use_model, DESCRIPTION)
         # Raw, as blocks are not deserialized before there is a model.
         self.create_subscription(SampleBlock, "samples", self._take, SAMPLES, raw=True)
-        self.create_timer(DIAGNOSTICS_PERIOD_S, self._tell,
+        self.create_timer(DIAGNOSTICS_PERIOD_S, self._report,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
         autostart(self)
 
@@ -115,7 +115,7 @@ class MonitorNode(LifecycleNode):
         except ValueError as error:
             self._why_blind = str(error)
             self.get_logger().error(f"cannot watch the stage: {error}")
-        self._tell()
+        self._report()
 
     def _take(self, raw: bytes) -> None:
         monitor = self._monitor
@@ -129,7 +129,7 @@ class MonitorNode(LifecycleNode):
             self._last = raised[-1]
             self._first = self._first or raised[0]
             self.get_logger().warning(f"the model no longer fits: {self._last.sentence()}")
-            self._tell()
+            self._report()
         if self._first and self._diagnosed_s and not (self._explainer or self._found):
             wanted = self._diagnosed_s * monitor.sample_rate_hz
             if monitor.samples_since(self._first.at_s) >= wanted:
@@ -164,7 +164,7 @@ class MonitorNode(LifecycleNode):
                 after_rms_um=explanation.after_rms_um)
             self._offers.publish(self._offer)
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         """Publish the reported change and the state of its diagnosis."""
         self._take_explanation()
         level, message = self._state()

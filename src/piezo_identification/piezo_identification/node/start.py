@@ -9,4 +9,4 @@ main = node_entry(
 
 monitor = node_entry(
     "piezo_identification.node.monitor_node",
-    "Run a model beside the stage while it tracks, and tell when it no longer fits.")
+    "Run a model in parallel with the tracking stage, and report when it no longer fits.")

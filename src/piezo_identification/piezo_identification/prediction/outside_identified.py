@@ -43,7 +43,7 @@ class OutsideIdentified:
     def sentences(self) -> list[str]:
         """Return sentences on the fraction of samples outside, and their uncertainty."""
         low_v, high_v = self.voltage_range_v
-        told = []
+        remarks = []
         for mask, where in (
                 (self.beyond, f"beyond the model's voltages, {low_v:g} to {high_v:g} V, at which "
                               "its hysteresis stands still"),
@@ -51,11 +51,11 @@ class OutsideIdentified:
                                  "visited, where its density is a continuation")):
             if mask.any():
                 deviation_um = np.sqrt(np.mean(self.deviation_um[mask] ** 2))
-                told.append(
+                remarks.append(
                     f"{100.0 * mask.mean():.3g} % of the samples lie {where}: standard deviation "
                     f"of the displacement there {deviation_um:.3g} um; identify the model on loops "
                     "that go there")
-        return told
+        return remarks
 
 
 def outside_identified(

@@ -44,7 +44,7 @@ def read_as_identified(identified: IdentifiedModel,
 
 def all_as_identified(
     model: IdentifiedModel | StageModel, recordings: Iterable[Recording],
-    said_at_samples: float = 0.0,
+    declared_at_samples: float = 0.0,
 ) -> tuple[list[Recording], list[str]]:
     """Align the rows of recordings with a given reading time, or else like the identification.
 
@@ -52,7 +52,7 @@ def all_as_identified(
     ----------
     model : IdentifiedModel or StageModel
         Model; for a `StageModel`, which has no reading times, the rows are unchanged.
-    said_at_samples : float
+    declared_at_samples : float
         Given reading time of the rows, in sample periods after their voltage; 0 if not given.
 
     Returns
@@ -68,8 +68,8 @@ def all_as_identified(
     """
     aligned, sentences = [], []
     for recording in recordings:
-        if said_at_samples or isinstance(model, StageModel):
-            aligned.append(rows_read_at_start(recording, said_at_samples))
+        if declared_at_samples or isinstance(model, StageModel):
+            aligned.append(rows_read_at_start(recording, declared_at_samples))
             continue
         read, read_at = read_as_identified(model, recording)
         aligned.append(read)
@@ -79,7 +79,7 @@ def all_as_identified(
 
 
 def predict_as_identified(
-    model: IdentifiedModel | StageModel, recording: Recording, said_at_samples: float = 0.0,
+    model: IdentifiedModel | StageModel, recording: Recording, declared_at_samples: float = 0.0,
 ) -> tuple[Prediction, list[str]]:
     """Simulate a model for a recording whose rows are aligned by `all_as_identified`.
 
@@ -87,7 +87,7 @@ def predict_as_identified(
 
     Parameters
     ----------
-    model, recording, said_at_samples
+    model, recording, declared_at_samples
         Arguments as in `all_as_identified`.
 
     Returns
@@ -102,7 +102,7 @@ def predict_as_identified(
         If the recording, or its longest stretch, is too short.
     """
     recording, sentences = longest_stretch(recording)
-    (read,), more = all_as_identified(model, [recording], said_at_samples)
+    (read,), more = all_as_identified(model, [recording], declared_at_samples)
     sentences += more
     prediction = predict(model if isinstance(model, StageModel) else model.model, read)
     if prediction.reversed:

@@ -128,7 +128,7 @@ class RecordingCheck:
     @cached_property
     def _start(self) -> tuple[str, bool]:
         if self.has_few_rows:
-            return "too few rows to tell", False
+            return "too few rows to determine", False
         before, _ = self.left_out
         if before and self.given is not None:
             # If the stage settled before the ramp from rest, earlier motion has faded.

@@ -73,13 +73,13 @@ def _left_out(check: RecordingCheck) -> list[tuple[str, str]]:
 
 def _tracking(check: RecordingCheck) -> list[tuple[str, str]]:
     """Return rows for reference and error of a tracking run; empty for other recordings."""
-    left_um = error_um(check.recording)
-    if not left_um.size:
+    errors_um = error_um(check.recording)
+    if not errors_um.size:
         return []
     followed = check.reference_um[np.isfinite(check.reference_um)]
     return [("reference", _range(followed, "um")),
-            ("error", f"{np.sqrt(np.mean(left_um**2)):.4g} um RMS, largest "
-             f"{np.abs(left_um).max():.4g} um, with the way to its beginning")]
+            ("error", f"{np.sqrt(np.mean(errors_um**2)):.4g} um RMS, largest "
+             f"{np.abs(errors_um).max():.4g} um, with the way to its beginning")]
 
 
 def _distortion(check: RecordingCheck) -> list[tuple[str, str]]:
@@ -90,7 +90,7 @@ def _distortion(check: RecordingCheck) -> list[tuple[str, str]]:
     text = f"noise of a period {found.noise_percent:.3g} %"
     for name, percent in ("even", found.even_percent), ("odd", found.odd_percent):
         least = "" if percent > found.significant_percent else (
-            f" not told from the noise, below {found.significant_percent:.2g} %")
+            f" not significant, below {found.significant_percent:.2g} %")
         text += f", {name} {percent:.3g} %{least}"
     return [("distortion", f"{text}; of the answer up to {found.frequency_hz[-1]:.4g} Hz")]
 

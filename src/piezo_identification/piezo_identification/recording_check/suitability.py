@@ -212,7 +212,7 @@ def _creep(check: RecordingCheck) -> Suitability:
     hold_s = _hold_s(check)
     if hold_s == 0.0 and NEEDS.slow_branch_s <= check.waveform.branch_s < np.inf:
         return Suitability("partly", "no level is held, so creep shows only in how far loops open: "
-                           "a square wave or steps of minutes tell more")
+                           "a square wave or steps of minutes show more")
     if hold_s == 0.0:
         return Suitability("no", "no level is held: give a square wave or steps of minutes")
     if hold_s < NEEDS.hold_s:
@@ -223,8 +223,8 @@ def _creep(check: RecordingCheck) -> Suitability:
         return Suitability("no", f"a hold has {rows:.0f} rows only: record faster")
     slowest = 1.0 / hold_s
     if not check.starts_settled:
-        return Suitability("partly", "it does not begin at rest: what its first level shows is of "
-                           "what came before")
+        return Suitability("partly", "it does not begin at rest: its first level shows the creep "
+                           "of earlier voltages")
     return Suitability("yes", f"levels held for {hold_s:.4g} s, for poles from about "
                        f"{slowest:.2g} rad/s up")
 

@@ -25,13 +25,13 @@ def check_page(
     """
     count = len(checks)
     title = (checks[0][0] + ": " + suitability_sentence(checks[0][2])) if count == 1 else (
-        f"What {count} recordings are good for")
+        f"What {count} recordings can be used for")
     sections = [section for name, check, fit_for, figure in checks for section in _sections(
         name, f"{name}: {suitability_sentence(fit_for)}" if count > 1 else "What it can stand for",
         check, fit_for, figure)]
-    return render_page(title, ["Noise is the least that rests, repeats and the highest frequencies "
-                               "tell. The drift is that at one voltage over the whole recording."],
-                       sections)
+    return render_page(title, [
+        "The noise is the lowest estimate from rests, repeats and the highest frequencies. "
+        "The drift is that at one voltage over the whole recording."], sections)
 
 
 def suitability_sentence(fit_for: dict[str, Suitability]) -> str:

@@ -90,11 +90,11 @@ def _draw_tracking(above: Axes, between: Axes, view: WaveformView, check: Record
     """Draw the reference over the displacement, and the tracking error."""
     reference_um = view.mean(check.reference_um)
     known = np.isfinite(reference_um)
-    left_um = reference_um - view.mean(check.displacement_um)
+    error_um = reference_um - view.mean(check.displacement_um)
     above.plot(*outline(view.time[known], reference_um[known]), color=ORANGE, linestyle="--",
                linewidth=0.9, label="reference")
     above.legend(loc="best")
-    between.plot(*outline(view.time[known], 1e3 * left_um[known]), color=BLUE, linewidth=0.9,
+    between.plot(*outline(view.time[known], 1e3 * error_um[known]), color=BLUE, linewidth=0.9,
                  label="error")
     between.tick_params(labelbottom=False)
     label(between, y="error (nm)")

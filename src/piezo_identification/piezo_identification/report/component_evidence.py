@@ -50,7 +50,7 @@ class ComponentEvidence:
         return self.residual.measured_um - self.residual.residual_um
 
     @property
-    def left_um(self) -> FloatArray:
+    def residual_um(self) -> FloatArray:
         """Residual of the model, 0 at excluded samples, shape (N,)."""
         return np.where(self.residual.good, self.residual.residual_um, 0.0)
 
@@ -78,14 +78,14 @@ def component_evidence(identified: IdentifiedModel, given: Mapping[str, Data],
     list of ComponentEvidence
         Evidence in the order creep, dynamics, hysteresis.
     """
-    said = conditioned_data(given, lambda text: None, read_at_samples)
+    conditioned = conditioned_data(given, lambda text: None, read_at_samples)
     read_at = {name: identified.rows[name]["read_at_samples"] - read_as(data, read_at_samples)
-               for name, data in said.items()
+               for name, data in conditioned.items()
                if name in identified.rows and not isinstance(data, FrequencyResponse)}
-    delays_s = delays_of_rows_s(said, read_at)
+    delays_s = delays_of_rows_s(conditioned, read_at)
     found = []
     for component in COMPONENTS:
-        for name, data in testable(said).items():
+        for name, data in testable(conditioned).items():
             if experiment_of(name) == component:
                 residual = component_residual(
                     component, identified.model, data, delays_s.get(name, 0.0))

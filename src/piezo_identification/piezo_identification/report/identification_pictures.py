@@ -33,20 +33,20 @@ def component_pictures(evidence: ComponentEvidence) -> Iterator[Picture]:
     yield fit_picture(evidence)
     if evidence.is_response:
         return
-    yield pictured(f"What is left of the {name} over time", _over_time(evidence),
+    yield pictured(f"Residual of the {name} over time", _over_time(evidence),
                    "Measured minus fitted displacement of all samples; dotted, twice the noise, "
                    "between which 95 % of it lies.", closer=True)
-    yield pictured(f"What is left of the {name} over frequency", _over_frequency(evidence),
-                   "Density of what is left, and of the measured displacement; dotted, white noise "
-                   f"as large as that told by {evidence.fit.noise_from}.", closer=True)
+    yield pictured(f"Residual of the {name} over frequency", _over_frequency(evidence),
+                   "Density of the residual, and of the measured displacement; dotted, white noise "
+                   f"as large as that estimated from {evidence.fit.noise_from}.", closer=True)
 
 
 def fit_picture(evidence: ComponentEvidence) -> Picture:
-    """Return the fit of a component beside its recording."""
+    """Return the fit of a component with its recording."""
     name = f"Fit of the {evidence.name}"
     if evidence.is_response:
         return pictured(name, _response(evidence), "Measured frequency response at the travel of "
-                        "the model, what was fitted to it, and what is left.", closer=True)
+                        "the model, the fit, and the residual.", closer=True)
     shown, caption = _fit(evidence)
     return pictured(name, shown, caption, tall=True, closer=True)
 
@@ -59,34 +59,34 @@ def _fit(evidence: ComponentEvidence) -> tuple[Figure, str]:
     if evidence.component == "creep" and residual.steps.size:
         signals.draw_creep(above, below, residual.steps, residual.voltage_v, residual.measured_um,
                            evidence.fitted_um, residual.sample_period_s)
-        return figure, ("Mean creep after the steps, measured and modelled; below, what is left "
-                        "of it, without its mean.")
+        return figure, ("Mean creep after the steps, measured and modelled; below, the residual "
+                        "without its mean.")
     if evidence.component == "hysteresis" and not view.has_levels and (
             not view.kind.is_broadband):
         signals.draw_loops(above, residual.voltage_v, residual.measured_um, evidence.fitted_um)
-        signals.draw_loop_difference(below, residual.voltage_v, evidence.left_um,
+        signals.draw_loop_difference(below, residual.voltage_v, evidence.residual_um,
                                      evidence.noise_um)
         above.set_xlabel("")
-        return figure, "Loops, measured and modelled; below, what is left, and twice the noise."
+        return figure, "Loops, measured and modelled; below, the residual, and twice the noise."
     signals.draw_measured(above, view, residual.measured_um, evidence.fitted_um)
-    signals.draw_difference(below, view, evidence.left_um, evidence.noise_um)
+    signals.draw_difference(below, view, evidence.residual_um, evidence.noise_um)
     above.set_xlabel("")
     of_mean = ", and twice the noise in a mean of so many periods" if view.is_mean else ""
-    return figure, f"Measured and modelled, {view.title}; below, what is left{of_mean}."
+    return figure, f"Measured and modelled, {view.title}; below, the residual{of_mean}."
 
 
 def _over_time(evidence: ComponentEvidence) -> Figure:
     figure = new_figure(3.0)
     axes = figure.subplots()
     whole = evidence.view.whole(evidence.residual.time_s.size)
-    signals.draw_difference(axes, whole, evidence.left_um, evidence.noise_um)
+    signals.draw_difference(axes, whole, evidence.residual_um, evidence.noise_um)
     return figure
 
 
 def _over_frequency(evidence: ComponentEvidence) -> Figure:
     figure = new_figure(3.6)
     signals.draw_residual_spectrum(
-        figure.subplots(), evidence.left_um, evidence.residual.measured_um,
+        figure.subplots(), evidence.residual_um, evidence.residual.measured_um,
         evidence.residual.sample_period_s, evidence.noise_um)
     return figure
 
@@ -95,12 +95,12 @@ def _response(evidence: ComponentEvidence) -> Figure:
     residual = evidence.residual
     assert residual.frequency_hz is not None
     half = residual.frequency_hz.size // 2
-    measured, fitted, left = (values[:half] + 1j * values[half:] for values in (
+    measured, fitted, residuals = (values[:half] + 1j * values[half:] for values in (
         residual.measured_um, evidence.fitted_um, residual.residual_um))
     figure = new_figure(4.4)
     axes = figure.subplots()
     for values, style in ((measured, MEASURED), (fitted, MODELLED),
-                          (left, {"color": BLACK, "linewidth": 0.8, "label": "left"})):
+                          (residuals, {"color": BLACK, "linewidth": 0.8, "label": "residual"})):
         axes.loglog(residual.frequency_hz[:half], np.abs(values), **style)
     axes.legend(loc="lower left")
     label(axes, "frequency (Hz)", "magnitude (um)")
@@ -122,7 +122,7 @@ def bode_picture(identified: IdentifiedModel, evidence: ComponentEvidence | None
     return pictured(
         "Frequency response", figure, "From the output of the hysteresis to the displacement. The "
         "band is that of twice the standard deviations of the parameters, taken for independent; "
-        "it does not hold what the form of the model lacks.", tall=True, closer=True)
+        "it does not include errors of the model's structure.", tall=True, closer=True)
 
 
 def density_picture(identified: IdentifiedModel) -> Picture:
@@ -132,10 +132,10 @@ def density_picture(identified: IdentifiedModel) -> Picture:
     density_on(axes, identified.model.hysteresis, identified.visited)
     axes.set_aspect("equal")
     visited = identified.visited
-    told = ""
+    coverage = ""
     if visited is not None:
-        told = f" The recordings visited {100.0 * visited_fraction(visited):.0f} % of the plane"
-        told += "." if np.all(visited[np.tril_indices(len(visited))]) else (
+        coverage = f" The recordings visited {100.0 * visited_fraction(visited):.0f} % of the plane"
+        coverage += "." if np.all(visited[np.tril_indices(len(visited))]) else (
             "; in the hatched rest the density is a continuation.")
     return pictured("Density", figure, "Density of the relays over the voltages at which they "
-                    f"switch.{told}", tall=True, closer=True)
+                    f"switch.{coverage}", tall=True, closer=True)

@@ -22,7 +22,7 @@ from piezo_models.identified_model import IdentifiedModel
 from piezo_recorder.reading.recording import Recording
 
 E_Y = ("e_y is the norm of the difference over the norm of the measured displacement without its "
-       "mean, in percent (4.20): 100 % is a model that says nothing.")
+       "mean, in percent (4.20): 100 % is a model without any prediction.")
 ERRORS = {"e_y_percent": "whole recording", "hysteresis_e_y_percent": "slow branches (hysteresis)",
           "dynamics_e_y_percent": "fast branches (dynamics)"}
 
@@ -59,16 +59,16 @@ def identification_sentence(identified: IdentifiedModel) -> str:
 
 
 def _on_fit(identified: IdentifiedModel) -> str:
-    lacking = {name: part for name, part in identified.adequacy.items()
-               if part["verdict"] == INADEQUATE}
+    poor = {name: part for name, part in identified.adequacy.items()
+            if part["verdict"] == INADEQUATE}
     if not identified.adequacy:
         return "A model of the stage, whose fit was not tested"
-    if not lacking:
+    if not poor:
         return "The model fits all its recordings down to their noise"
-    worst = max(lacking.items(), key=lambda item: item[1]["error_percent"])
-    return (f"The model leaves more than the noise of its recordings: "
+    worst = max(poor.items(), key=lambda item: item[1]["error_percent"])
+    return (f"The residual is larger than the noise of the recordings: "
             f"{worst[1]['error_percent']:.2g} % of the {worst[0]}"
-            + (" at most" if len(lacking) > 1 else ""))
+            + (" at most" if len(poor) > 1 else ""))
 
 
 def _origin(identified: IdentifiedModel, model: Path) -> Iterator[str]:
@@ -80,14 +80,14 @@ def _origin(identified: IdentifiedModel, model: Path) -> Iterator[str]:
 def _parameters(identified: IdentifiedModel) -> Section:
     table = parameter_table(identified)
     low_um, high_um = identified.model.hysteresis.output_range_um
-    told = ["Voltages: {:g} to {:g} V. Between them the displacement behind the hysteresis changes "
-            "by {:.4g} um.".format(*identified.voltage_range_v, high_um - low_um)]
+    texts = ["Voltages: {:g} to {:g} V. Between them the displacement behind the hysteresis "
+             "changes by {:.4g} um.".format(*identified.voltage_range_v, high_um - low_um)]
     if len(table) == 1:
-        return Section("Parameters", [*told, "No linear dynamics were identified: the model is of "
+        return Section("Parameters", [*texts, "No linear dynamics were identified: the model is of "
                                       "the hysteresis alone."])
     return Section("Parameters", [
-        *told, "Standard deviations follow from the sensitivities of the fit and what it leaves. "
-        "The interval holds the parameter in 95 of 100 repeats, if what is left is white noise."],
+        *texts, "Standard deviations follow from the sensitivities of the fit and its residual. "
+        "The interval holds the parameter in 95 of 100 repeats, if the residual is white noise."],
         table)
 
 
@@ -95,17 +95,17 @@ def _adequacy(identified: IdentifiedModel) -> Iterator[Section]:
     if not identified.adequacy:
         return
     rows: list[tuple[str, ...]] = [
-        ("component", "left (nm)", "noise (nm)", "left over noise", "e_y (%)", "verdict")]
+        ("component", "residual (nm)", "noise (nm)", "residual over noise", "e_y (%)", "verdict")]
     rows += [(name, f"{1e3 * part['residual_rms_um']:.3g}", f"{1e3 * part['noise_rms_um']:.3g}",
               f"{part['ratio']:.3g}", f"{part['error_percent']:.2g}", part["verdict"])
              for name, part in identified.adequacy.items()]
-    told = [f"{name} is inadequate: {part['left']}. To do: {part['advice']}."
-            for name, part in identified.adequacy.items() if part["verdict"] == INADEQUATE]
+    texts = [f"{name} is inadequate: {part['left']}. To do: {part['advice']}."
+             for name, part in identified.adequacy.items() if part["verdict"] == INADEQUATE]
     yield Section("Does each component fit its recording?", [
-        "On the data that were fitted. What is left is the RMS of measured minus fitted "
+        "On the data that were fitted. The residual is the RMS of measured minus fitted "
         "displacement, of the mean period where the voltage repeats itself; the noise is that in "
-        "the same samples. A component is adequate if noise alone would leave as much, or if what "
-        "it leaves is below 0.002 % of the travel. " + E_Y, *told], rows)
+        "the same samples. A component is adequate if noise alone explains the residual, or if "
+        "the residual is below 0.002 % of the travel. " + E_Y, *texts], rows)
 
 
 def _errors(identified: IdentifiedModel, validation: list[Data]) -> Iterator[Section]:
@@ -114,14 +114,14 @@ def _errors(identified: IdentifiedModel, validation: list[Data]) -> Iterator[Sec
     if not rows and recording is None:
         return
     pictures = []
-    told = [E_Y]
+    texts = [E_Y]
     if recording is not None:
-        told.insert(0, f"Validation: `{recording.path}`, which no parameter was fitted to.")
+        texts.insert(0, f"Validation: `{recording.path}`, which no parameter was fitted to.")
         if not recording.gaps:
             read_at = identified.rows.get("validation", {}).get("read_at_samples", 0.0)
             pictures = list(prediction_pictures(
                 predict(identified.model, rows_read_at_start(recording, read_at))))
-    yield Section("Errors on data that was not fitted", told,
+    yield Section("Errors on data that was not fitted", texts,
                   [("error on unseen data", "e_y (%)"), *rows] if rows else (), pictures)
 
 

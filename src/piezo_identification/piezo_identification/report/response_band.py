@@ -74,7 +74,7 @@ def _thinned(frequency_hz: FloatArray) -> IntArray:
 
 def shown_frequencies(model: StageModel, sample_period_s: float | None,
                       measured_hz: FloatArray | None) -> FloatArray:
-    """Return the frequencies of a Bode diagram of a model beside what was measured.
+    """Return the frequencies of a Bode diagram of a model and a measurement.
 
     Parameters
     ----------

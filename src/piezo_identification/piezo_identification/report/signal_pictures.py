@@ -75,13 +75,13 @@ def draw_difference(axes: Axes, view: WaveformView, difference_um: FloatArray,
         axes.fill_between(x, -high, high, color=BLUE, alpha=0.2, linewidth=0.0,
                           label="outside the identification")
         axes.legend(loc="upper right")
-    left_nm = NANOMETRES * view.mean(difference_um)
+    residual_nm = NANOMETRES * view.mean(difference_um)
     # Many points would merge into a solid block, so their envelope is drawn.
-    style: dict[str, Any] = DIFFERENCE if left_nm.size <= MOST_POINTS else ENVELOPE
-    axes.plot(*outline(view.time, left_nm), **style)
+    style: dict[str, Any] = DIFFERENCE if residual_nm.size <= MOST_POINTS else ENVELOPE
+    axes.plot(*outline(view.time, residual_nm), **style)
     if noise_um is not None and np.isfinite(noise_um):
         draw_noise(axes, noise_um / np.sqrt(view.periods))
-    label(axes, view.time_label, "left (nm)")
+    label(axes, view.time_label, "residual (nm)")
 
 
 def draw_noise(axes: Axes, noise_um: float) -> None:
@@ -120,7 +120,7 @@ def draw_loop_difference(axes: Axes, voltage_v: FloatArray, difference_um: Float
     axes.plot(voltage_v[every], NANOMETRES * difference_um[every], **DIFFERENCE)
     if np.isfinite(noise_um):
         draw_noise(axes, noise_um)
-    label(axes, "voltage (V)", "left (nm)")
+    label(axes, "voltage (V)", "residual (nm)")
 
 
 def draw_creep(above: Axes, below: Axes, steps: NDArray[np.intp], voltage_v: FloatArray,
@@ -144,9 +144,9 @@ def draw_creep(above: Axes, below: Axes, steps: NDArray[np.intp], voltage_v: Flo
     above.legend(loc="upper left")
     label(above, y="creep (um)", title=f"mean of {count} steps, falling ones turned round"
           if count > 1 else "after one step")
-    left_um = (measured - modelled)[shown]
-    below.semilogx(since_s[shown], NANOMETRES * (left_um - left_um.mean()), **DIFFERENCE)
-    label(below, "time since the step (s)", "left (nm)")
+    residual_um = (measured - modelled)[shown]
+    below.semilogx(since_s[shown], NANOMETRES * (residual_um - residual_um.mean()), **DIFFERENCE)
+    label(below, "time since the step (s)", "residual (nm)")
     plain_numbers(below.xaxis)
 
 
@@ -232,7 +232,7 @@ def draw_residual_spectrum(axes: Axes, residual_um: FloatArray, measured_um: Flo
     """
     segment = min(residual_um.size, max(256, residual_um.size // 8), 8192)
     for values, style in ((measured_um, MEASURED | {"linewidth": 1.2}),
-                          (residual_um, {"color": BLUE, "linewidth": 0.9, "label": "left"})):
+                          (residual_um, {"color": BLUE, "linewidth": 0.9, "label": "residual"})):
         frequency_hz, power = welch(values, 1.0 / sample_period_s, nperseg=segment,
                                     detrend="linear")
         frequency_hz, power = smoothed(frequency_hz[1:-1], power[1:-1])

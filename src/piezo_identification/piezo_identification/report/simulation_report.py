@@ -16,7 +16,7 @@ from piezo_identification.report import signal_pictures as signals
 from piezo_identification.report.waveform_view import WaveformView, view_of
 
 
-def simulation_page(prediction: Prediction, origin: Sequence[str], told: Sequence[str],
+def simulation_page(prediction: Prediction, origin: Sequence[str], texts: Sequence[str],
                     deviation_um: FloatArray | None = None) -> str:
     """Return the page of a simulation as HTML.
 
@@ -24,19 +24,19 @@ def simulation_page(prediction: Prediction, origin: Sequence[str], told: Sequenc
     ----------
     origin : sequence of str
         Lines that name the files of model and recording.
-    told : sequence of str
+    texts : sequence of str
         Remarks on the start, on outliers, and on motion outside the identified range.
     deviation_um : ndarray, shape (N,), optional
         Standard deviation of the simulated displacement.
     """
     noise_um = noise_of(prediction)
-    left_um = left_of(prediction)[prediction.good]
-    left_um = left_um - left_um.mean()
+    residual_um = residual_of(prediction)[prediction.good]
+    residual_um = residual_um - residual_um.mean()
     rows = [
         ("error", "value"),
         ("e_y (%)", f"{prediction.e_y_percent():.3g}"),
-        ("RMS of what is left (nm)", f"{1e3 * np.sqrt(np.mean(left_um**2)):.3g}"),
-        ("largest (nm)", f"{1e3 * np.abs(left_um).max():.3g}"),
+        ("RMS of the residual (nm)", f"{1e3 * np.sqrt(np.mean(residual_um**2)):.3g}"),
+        ("largest (nm)", f"{1e3 * np.abs(residual_um).max():.3g}"),
         ("noise of the sensor (nm)", f"{1e3 * noise_um:.3g}"),
         ("travel (um)", f"{np.ptp(prediction.measured_um[prediction.good]):.4g}"),
     ]
@@ -45,8 +45,8 @@ def simulation_page(prediction: Prediction, origin: Sequence[str], told: Sequenc
             Section("Errors", [
                 "e_y is the norm of the difference over the norm of the measured displacement "
                 "without its mean (4.20). Offset, initial creep and, as far as the recording does "
-                "not tell it, the past of the hysteresis are fitted. The noise is the least that "
-                "rests, repeats and the highest frequencies tell.", *told], rows),
+                "not show it, the past of the hysteresis are fitted. The noise is the lowest "
+                "estimate from rests, repeats and the highest frequencies.", *texts], rows),
             Section("Measured and simulated", pictures=list(
                 prediction_pictures(prediction, deviation_um)))])
 
@@ -55,10 +55,10 @@ def noise_of(prediction: Prediction) -> float:
     """Return the standard deviation of the sensor's noise in a prediction."""
     return sensor_noise_um(
         prediction.measured_um, prediction.voltage_v,
-        left_of(prediction), repeated_period(prediction.voltage_v))
+        residual_of(prediction), repeated_period(prediction.voltage_v))
 
 
-def left_of(prediction: Prediction) -> FloatArray:
+def residual_of(prediction: Prediction) -> FloatArray:
     """Return measured minus simulated displacement, 0 at outliers, shape (N,)."""
     return np.where(prediction.good, prediction.measured_um - prediction.simulated_um, 0.0)
 
@@ -76,7 +76,7 @@ def displacement_figure(prediction: Prediction, deviation_um: FloatArray | None 
     figure = new_figure(5.0, WIDE_IN)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     signals.draw_measured(above, view, prediction.measured_um, prediction.simulated_um)
-    signals.draw_difference(below, view, left_of(prediction), noise_um, deviation_um)
+    signals.draw_difference(below, view, residual_of(prediction), noise_um, deviation_um)
     above.set_title(f"{view.title}, e_y = {prediction.e_y_percent():.3g} %", fontsize="medium")
     above.set_xlabel("")
     return figure
@@ -107,38 +107,39 @@ def prediction_pictures(prediction: Prediction,
         Standard deviation of the simulated displacement.
     """
     view = view_of(prediction.voltage_v, _sample_period_s(prediction))
-    noise_um, left_um = noise_of(prediction), left_of(prediction)
+    noise_um, residual_um = noise_of(prediction), residual_of(prediction)
     yield pictured("Displacement", displacement_figure(prediction, deviation_um, noise_um),
-                   f"Measured and simulated displacement, {view.title}; below, what is left; "
+                   f"Measured and simulated displacement, {view.title}; below, the residual; "
                    "dotted, twice the noise.", wide=True, closer=True)
-    yield from _beside(prediction, view, left_um, noise_um)
+    yield from _residual_pictures(prediction, view, residual_um, noise_um)
     if view.is_mean:
         figure = new_figure(3.4)
-        signals.draw_difference(figure.subplots(), view.whole(left_um.size), left_um, noise_um,
-                                deviation_um)
-        yield pictured("What is left over time", figure, "Measured minus simulated displacement "
+        signals.draw_difference(figure.subplots(), view.whole(residual_um.size), residual_um,
+                                noise_um, deviation_um)
+        yield pictured("Residual over time", figure, "Measured minus simulated displacement "
                        "of all samples; dotted, twice the noise, between which 95 % of it lies.",
                        closer=True)
     figure = new_figure(3.4)
-    signals.draw_residual_spectrum(figure.subplots(), left_um, prediction.measured_um,
+    signals.draw_residual_spectrum(figure.subplots(), residual_um, prediction.measured_um,
                                    view.sample_period_s, noise_um)
-    yield pictured("What is left over frequency", figure, "Density of what is left, and of the "
+    yield pictured("Residual over frequency", figure, "Density of the residual, and of the "
                    "measured displacement; dotted, white noise as large as the sensor's.",
                    closer=True)
 
 
-def _beside(prediction: Prediction, view: WaveformView, left_um: FloatArray,
-            noise_um: float) -> Iterator[Picture]:
+def _residual_pictures(prediction: Prediction, view: WaveformView, residual_um: FloatArray,
+                       noise_um: float) -> Iterator[Picture]:
     """Yield slow loops and gain of a waveform without levels."""
     if view.has_levels:
         return
     slow = slow_branches(prediction.time_s, prediction.voltage_v)
     if view.is_mean and not view.kind.is_broadband:
-        yield _loops([view.mean(values) for values in _signals(prediction, left_um)],
+        yield _loops([view.mean(values) for values in _signals(prediction, residual_um)],
                      noise_um / np.sqrt(view.periods), view.title)
     elif slow.any():
         title = "its slow branches" if not slow.all() else view.title
-        yield _loops([values[slow] for values in _signals(prediction, left_um)], noise_um, title)
+        yield _loops(
+            [values[slow] for values in _signals(prediction, residual_um)], noise_um, title)
     if view.kind.is_broadband:
         figure = new_figure(4.0)
         signals.draw_gain(figure.subplots(), prediction.voltage_v, prediction.measured_um,
@@ -147,19 +148,19 @@ def _beside(prediction: Prediction, view: WaveformView, left_um: FloatArray,
                        "of the model under the same voltage.", closer=True)
 
 
-def _signals(prediction: Prediction, left_um: FloatArray) -> tuple[FloatArray, ...]:
-    return prediction.voltage_v, prediction.measured_um, prediction.simulated_um, left_um
+def _signals(prediction: Prediction, residual_um: FloatArray) -> tuple[FloatArray, ...]:
+    return prediction.voltage_v, prediction.measured_um, prediction.simulated_um, residual_um
 
 
 def _loops(drawn: Sequence[FloatArray], noise_um: float, title: str) -> Picture:
-    voltage_v, measured_um, simulated_um, left_um = drawn
+    voltage_v, measured_um, simulated_um, residual_um = drawn
     figure = new_figure(4.8)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     signals.draw_loops(above, voltage_v, measured_um, simulated_um)
-    signals.draw_loop_difference(below, voltage_v, left_um, noise_um)
+    signals.draw_loop_difference(below, voltage_v, residual_um, noise_um)
     above.set_xlabel("")
     return pictured("Loops", figure, f"Displacement over voltage, measured and simulated: {title}; "
-                    "below, what is left; dotted, twice the noise.", closer=True)
+                    "below, the residual; dotted, twice the noise.", closer=True)
 
 
 def _sample_period_s(prediction: Prediction) -> float:

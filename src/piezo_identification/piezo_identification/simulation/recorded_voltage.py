@@ -7,7 +7,7 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_models.effects import Effect
-from piezo_models.effects.amplifier_lag import PARTS_OF_LONG, parts_of_rows
+from piezo_models.effects.amplifier_lag import PARTS, parts_of_rows
 from piezo_models.effects.band_limited_voltage import BandLimitedVoltage, means_of_parts
 
 
@@ -33,6 +33,6 @@ def in_parts(voltage_v: FloatArray, effects: Collection[Effect], sample_period_s
     """
     is_smooth = any(isinstance(effect, BandLimitedVoltage) for effect in effects)
     if is_smooth and samples_per_mean == 1:
-        return means_of_parts(voltage_v, PARTS_OF_LONG), PARTS_OF_LONG
+        return means_of_parts(voltage_v, PARTS), PARTS
     parts = parts_of_rows(effects, sample_period_s, samples_per_mean)
     return np.repeat(voltage_v, parts), parts

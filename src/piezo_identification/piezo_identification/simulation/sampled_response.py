@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
-from piezo_models.effects.amplifier_lag import moves_from_part_to_part
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect
 from piezo_models.effects.sensor_lag import SensorLag
@@ -124,8 +123,7 @@ def respond_each(
     (N,) or (n,) array
     """
     discrete, late = _sampled(*(matrix.tobytes() for matrix in matrices_of(system)),
-                              sample_period_s / parts, samples, delay_s,
-                              moves_from_part_to_part(parts))
+                              sample_period_s / parts, samples, delay_s, parts > 1)
     at = None if at is None else at * parts
     held = equilibrium_state(system)
     for input_um in inputs_um:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from piezo_identification.adequacy.model_plausibility import implausible_data, implausible_model
+from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
@@ -77,3 +78,10 @@ def test_an_implausible_model_is_told(recorded, made, said):
 def test_a_plausible_model_is_not_told_of(recorded, made):
     recordings = {"dynamics": recorded("dyn", SQUARE_V, SQUARE_V, 1e-3)}
     assert implausible_model(model(**made), recordings) == []
+
+
+@pytest.mark.parametrize(("gain", "said"), [(2.9, []), (2900.0, ["a gain of 2.9e+03 um/V is"])])
+def test_a_response_has_a_gain_but_no_range(gain, said):
+    response = FrequencyResponse("r.csv", np.array([1.0, 2.0]), np.full(2, gain + 0j))
+    told = implausible_model(model(2000.0 * gain, 2000.0), {"dynamics": response})
+    assert [text[: len("a gain of 2.9e+03 um/V is")] for text in told] == said

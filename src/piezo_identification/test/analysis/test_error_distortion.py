@@ -105,7 +105,7 @@ def part_um(plant, recording):
 def test_a_model_that_lacks_nothing_shows_nothing(plant, record):
     part, found = part_of(plant, record())
     assert found.shown() == frozenset()
-    assert "lacks nothing" in found.sentence()
+    assert "no missing effect" in found.sentence()
     assert excluded_by_distortion([part], list(known_effects().values())) == {}
 
 
@@ -136,7 +136,7 @@ def test_the_report_tells_the_error_before_and_after_and_over_frequency(plant, r
     assert [picture.png[:4] for picture in first.pictures] == [b"\x89PNG"] * 2
     assert second.table == distortion_rows(found.answer)
     page = render_page("", [], [first, second])
-    assert "Distortion left" in page
+    assert "Distortion of the residual" in page
 
 
 @pytest.mark.long

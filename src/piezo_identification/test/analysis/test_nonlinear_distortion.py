@@ -85,7 +85,7 @@ def test_check_of_a_recording_shows_the_distortion(multisine):
             if line.startswith("distortion"))
     found = measured(experiment, wave + 0.05 * wave**2, 1e-3)
     assert f"even {found.even_percent:.2g}" in row
-    assert "odd" in row and row.split("odd")[1].count("not told from the noise") == 1
+    assert "odd" in row and row.split("odd")[1].count("not significant") == 1
 
 
 def test_experiment_keeps_the_limits_and_excites_odd_lines_only():

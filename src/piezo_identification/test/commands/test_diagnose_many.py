@@ -105,7 +105,7 @@ def test_stages_of_a_fleet_stand_beside_each_other(tmp_path):
     assert (new.stage, new.since) == ("new", None)
     page = many_page(rows, told, [])
     assert page.index("<h2>Stages</h2>") < page.index("<h2>Recordings</h2>")
-    assert "1 of 2 stages show something" in page
+    assert "1 of 2 stages show an effect" in page
     assert "<h2>Stages</h2>" not in many_page(rows[-1:], told[-1:], [])
 
 

@@ -96,8 +96,8 @@ def test_identify_writes_a_page_that_tells_the_parameters_first(plant, model_fil
 def test_the_page_of_a_model_shows_each_component_with_its_numbers(plant, model_file, page_parts):
     page = page_parts(model_file.with_name("model_report.html"))
     for name in ("Fit of the creep", "Fit of the dynamics", "Fit of the hysteresis",
-                 "What is left of the creep over time", "Frequency response", "Density",
-                 "What is left of the hysteresis over frequency"):
+                 "Residual of the creep over time", "Frequency response", "Density",
+                 "Residual of the hysteresis over frequency"):
         assert page.is_picture(name), name
     bode = page.numbers("Frequency response")
     gain = dict(zip(bode["frequency (Hz)"], bode["modelled: gain (um/um)"], strict=False))
@@ -133,7 +133,7 @@ def test_identify_takes_orders_and_says_why_and_what_the_data_determine(
     assert len(model.creep.poles_rad_per_s) == 1
     assert len(model.dynamics.mode_frequencies_rad_per_s) == ("dynamics" in names)
     printed = capsys.readouterr().out
-    assert printed.count("<- asked for") == len(names)
+    assert printed.count("<- given") == len(names)
     # Three creep pairs and a mode too few, on the data that were fitted themselves.
     adequacy = load_model(output).adequacy
     assert {name: part["verdict"] for name, part in adequacy.items()} == dict.fromkeys(
@@ -212,7 +212,8 @@ def test_what_the_data_do_not_tell_is_said_and_the_model_saved(files, tmp_path, 
     assert deviation > identified.model.creep.poles_rad_per_s[0]
     assert identified.uncertainties["dynamics"]["time_constant_s"] < 1e-6
     assert identified.model.dynamics.time_constant_s == pytest.approx(500e-6, rel=1e-3)
-    assert "do not tell creep poles_rad_per_s, creep zeros_rad_per_s" in capsys.readouterr().out
+    assert ("do not determine creep poles_rad_per_s, creep zeros_rad_per_s"
+            in capsys.readouterr().out)
 
 
 @pytest.mark.long

@@ -38,7 +38,8 @@ def test_the_displacement_under_a_voltage_is_written_and_a_poor_model_is_said_fi
     assert run(files, "--output", str(files / "out")) == 0
     printed = capsys.readouterr().out.splitlines()
     assert printed[0] == (
-        "the model is inadequate: dynamics leaves 190 times the noise, 2 % of the motion")
+        "the model is inadequate: the residual of dynamics is 190 times the noise, 2 % of the "
+        "motion")
     assert printed[-2] == f"written {files / 'out' / 'predicted.csv'}"
     assert printed[-1].startswith("next: ")
     table = np.genfromtxt(files / "out" / "predicted.csv", delimiter=",", names=True)
@@ -51,7 +52,7 @@ def test_the_displacement_under_a_voltage_is_written_and_a_poor_model_is_said_fi
 
 @pytest.mark.parametrize(("more", "sentence"), [
     ([], "--voltage needs --output"),
-    (["--output", "out", "--rows-read", "end"], "have nothing to act on beside --voltage"),
+    (["--output", "out", "--rows-read", "end"], "have nothing to act on with --voltage"),
 ])
 def test_options_that_do_not_go_with_a_voltage_are_refused(files, capsys, more, sentence):
     assert run(files, *more) == 2

@@ -86,6 +86,20 @@ def test_a_motion_at_the_start_is_told_from_noise(recorded):
     assert first_run_length(voltage_v) == 300
 
 
+def test_a_square_wave_ends_where_a_slow_ramp_begins(recorded):
+    slow_v = np.linspace(LEVELS_V[1], 0.0, 2000)
+    voltage_v = np.concatenate([slow_v[::-1], square(0, 9, 1000), slow_v[1:]])
+    part = square_part(recorded("square", voltage_v, voltage_v, 0.01))
+    assert np.unique(part.voltage_v).tolist() == LEVELS_V.tolist()
+    noisy_v = voltage_v + 0.01 * np.random.default_rng(1).normal(size=voltage_v.size)
+    assert abs(square_part(recorded("noisy", noisy_v, voltage_v, 0.01)).voltage_v.size - 9001) < 20
+
+
+def test_a_slow_ramp_is_no_motion_at_rest(recorded):
+    voltage_v = np.linspace(0.0, 100.0, 20_000)
+    assert motion_um_per_s(recorded("ramp", voltage_v, 0.1 * voltage_v, 0.01, 0.001)) == 0.0
+
+
 @pytest.mark.parametrize("late", [
     pytest.param(0, id="start of hold"),
     pytest.param(1, id="end of hold", marks=pytest.mark.long)])

@@ -53,6 +53,12 @@ def test_a_mode_that_rings_for_long_leaves_most_of_a_recording():
     assert first_settled(ElectricVibrationDynamics(0.0, (1e4,), (1e-5,)), time_s) == 1000
 
 
+def test_a_mode_that_an_antiresonance_cancels_is_not_waited_for():
+    beside = ElectricVibrationDynamics(0.0, (1e3, 1e4), (1e-5, 0.1), (1.0001e3,), (1e-5,))
+    assert settling_time_s(beside) == pytest.approx(
+        settling_time_s(ElectricVibrationDynamics(0.0, (1e4,), (0.1,))))
+
+
 def test_without_dynamics_nothing_is_late():
     static = ElectricVibrationDynamics()
     assert low_frequency_delay_s(static) == 0.0

@@ -76,7 +76,7 @@ def test_where_only_other_parameters_leave_noise_the_extended_model_has_them(pla
     diagnosis = diagnose(off, [record()])
     assert (diagnosis.verdict, diagnosis.effects) == ("none", [])
     assert diagnosis.after["rms_um"] < 2.0 * diagnosis.noise_floor_um < diagnosis.before["rms_um"]
-    assert "estimated anew" in verdict_sentence(diagnosis)
+    assert "estimated again" in verdict_sentence(diagnosis)
 
 
 @pytest.mark.kernels
@@ -157,11 +157,11 @@ def test_no_past_is_made_up_to_explain_an_effect(plant, of_levels):
 
 def test_the_prior_of_the_parameters_goes_with_what_is_left_beside_the_effects(plant, record):
     regression = first_regression(simulate_recordings(plant, [record(MODE)]))
-    before = regression.left_um(regression.fit(()))
+    before = regression.residual_um(regression.fit(()))
     beside = reweighted(regression, (MODE,))
-    assert regression.left_um(regression.fit(())) == before
-    assert beside.left_um(beside.fit(())) < 0.8 * before
-    assert beside.left_um(fit_without_effects(beside)) == pytest.approx(before, rel=0.02)
+    assert regression.residual_um(regression.fit(())) == before
+    assert beside.residual_um(beside.fit(())) < 0.8 * before
+    assert beside.residual_um(fit_without_effects(beside)) == pytest.approx(before, rel=0.02)
 
 
 @pytest.mark.long

@@ -2,6 +2,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from piezo_identification.fitting import dataset as module
 from piezo_identification.fitting.dataset import SPLIT, simulate_recordings
@@ -18,6 +19,21 @@ def test_the_beginning_of_a_long_recording_is_fitted(plant, recorded):
         beginning = rows < part.begin + chunk
         assert np.count_nonzero(beginning) == chunk
         assert dataset.for_estimation[mask][beginning].all()
+
+
+@pytest.mark.parametrize("second", [0.5, 0.501, 0.508])
+def test_rows_after_rare_steps_are_fitted(plant, recorded, second):
+    """They alone show the first seconds of the creep."""
+    count = 10 * SPLIT.most_rows
+    steps = [count // 10, round(second * count)]
+    voltage_v = np.repeat([20.0, 80.0, 20.0], np.diff([0, *steps, count]))
+    recording = recorded("rare", voltage_v, plant.hysteresis.simulate(voltage_v), 1e-3)
+    dataset = simulate_recordings(plant, [recording])
+    [rows] = dataset.rows
+    after = np.array(steps)[:, None] - 1 + np.arange(SPLIT.most_rows // SPLIT.stretches)
+    assert np.isin(after, rows[dataset.for_estimation]).all()
+    assert np.all(np.diff(rows) > 0)
+    assert dataset.for_estimation.mean() > 0.6
 
 
 def test_every_stretch_of_every_recording_is_seen_however_many_there_are(

@@ -15,7 +15,7 @@ from piezo_identification.fitting.structure_search import (
     starts,
     structures,
 )
-from piezo_identification.fitting.whole_model import BESIDE_ROUGH, WholeModel
+from piezo_identification.fitting.whole_model import WIDE_PRIOR, WholeModel
 from piezo_identification.prediction import unseen_errors
 from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.second_order_amplifier import SecondOrderAmplifier
@@ -111,9 +111,9 @@ def test_a_lag_that_stands_behind_the_hysteresis_is_moved_to_the_front(plant, pl
     best, tried = sought(problem, behind)
     lags_s = [effect.time_constant_s for effect in best.model.effects
               if isinstance(effect, AmplifierLag)]
-    left_um, before_um = (np.std(fit.left_um[0][0]) for fit in (best, tried[0][1]))
+    residual_um, before_um = (np.std(fit.residual_um[0][0]) for fit in (best, tried[0][1]))
     assert len(lags_s) == 1
-    assert left_um < 1.1 * NOISE_UM < before_um
+    assert residual_um < 1.1 * NOISE_UM < before_um
     assert lags_s[0] == pytest.approx(LAG_S, rel=0.1)
 
 
@@ -145,7 +145,7 @@ def test_an_amplifier_of_second_order_takes_the_place_of_a_lag(plant, play):
     assert is_better(fit, before)
     [amplifier] = fit.model.effects
     assert amplifier.quality_factor == pytest.approx(0.8, rel=0.1)
-    assert np.std(fit.left_um[0][0]) < 1.1 * NOISE_UM < np.std(before.left_um[0][0])
+    assert np.std(fit.residual_um[0][0]) < 1.1 * NOISE_UM < np.std(before.residual_um[0][0])
 
 
 @pytest.mark.long
@@ -156,17 +156,17 @@ def test_starts_have_the_loops_that_were_estimated_beside_them(plant, wrong, rec
     line = replace(wrong, hysteresis=replace(
         loops, density_um_per_v2=1e-3 * loops.density_um_per_v2,
         reversible_um_per_v=np.full_like(loops.reversible_um_per_v, gain)))
-    problem, anew = WholeModel(line, recordings, [0.0] * 3), []
+    problem, again = WholeModel(line, recordings, [0.0] * 3), []
 
-    def with_loops_beside(_):
-        anew.append(problem.with_hysteresis(plant.hysteresis, BESIDE_ROUGH))
-        return anew[0]
+    def with_new_loops(_):
+        again.append(problem.with_hysteresis(plant.hysteresis, WIDE_PRIOR))
+        return again[0]
 
-    _, tried = begun(problem, line, None, with_loops_beside=with_loops_beside)
+    _, tried = begun(problem, line, None, with_new_loops=with_new_loops)
     (_, together), (_, start) = tried[1:3]
-    left_um = [np.std(fit.left_um[2][0]) for fit in (together, start)]
-    assert len(anew) == 1
-    assert left_um[1] < 0.2 * left_um[0]
+    residual_um = [np.std(fit.residual_um[2][0]) for fit in (together, start)]
+    assert len(again) == 1
+    assert residual_um[1] < 0.2 * residual_um[0]
 
 
 def test_rows_that_are_read_late_within_their_hold_are_found(plant, play):

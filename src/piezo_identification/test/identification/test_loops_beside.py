@@ -9,7 +9,7 @@ import pytest
 from piezo_identification.conditioning.outlier_samples import with_outliers_marked
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.experiments import catalogue as experiments
-from piezo_identification.identification.estimated_loops import loops_beside
+from piezo_identification.identification.estimated_loops import new_loops
 from piezo_identification.identification.given_hysteresis import (
     DensityOptions,
     estimate_hysteresis_of,
@@ -32,12 +32,12 @@ def test_loops_that_are_estimated_anew_do_not_depend_on_those_of_the_model(plant
         density_um_per_v2=density * (1.0 + np.linspace(-0.1, 0.1, len(density))[:, None])))
     near = estimate_hysteresis_of(
         recordings, LinearDynamics(stage.creep, stage.dynamics, effects=stage.effects), ASKED)
-    anew = loops_beside(recordings, ASKED, near, bent, {"hysteresis": 0.0})
+    again = new_loops(recordings, ASKED, near, bent, {"hysteresis": 0.0})
     voltage_v = played(recordings["hysteresis"]).voltage_v
 
     def error_um(hysteresis):
         return float(np.std(
             hysteresis.simulate(voltage_v) - stage.hysteresis.simulate(voltage_v)))
 
-    assert error_um(anew.model()) < 0.01 * error_um(bent.hysteresis)
-    assert error_um(anew.model()) < 1.05 * error_um(near.model())
+    assert error_um(again.model()) < 0.01 * error_um(bent.hysteresis)
+    assert error_um(again.model()) < 1.05 * error_um(near.model())

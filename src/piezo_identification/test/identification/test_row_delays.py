@@ -6,14 +6,14 @@ import pytest
 
 from piezo_identification.conditioning.row_alignment import RowDelay, remaining_delay
 from piezo_identification.estimators.estimate import DelayEstimate
-from piezo_identification.identification.row_delays import tell_row_delays
+from piezo_identification.identification.row_delays import report_row_delays
 
 PERIOD_S = 0.5
 
 
 def told(row):
     texts = []
-    tell_row_delays({"hysteresis": row}, texts.append)
+    report_row_delays({"hysteresis": row}, texts.append)
     return texts[0]
 
 
@@ -34,7 +34,7 @@ def test_a_delay_of_a_third_of_a_row_is_told_as_far_as_the_noise_lets_it(noise_u
 
 def test_a_delay_of_several_rows_with_a_deviation_as_large_is_not_reported():
     text = told(RowDelay(0.0, 3.2, 2.9, PERIOD_S))
-    assert text.endswith("whether a delay is left is not identifiable from these rows")
+    assert text.endswith("a remaining delay is not identifiable from these rows")
     assert "3.2" not in text
     # That it differs from none by many deviations does not make rows tell it.
     assert not RowDelay(0.0, 5.0, 0.4, PERIOD_S).is_significant

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.signal import chirp
 
-from piezo_identification.estimators.hysteresis.beside_dynamics import hysteresis_beside_dynamics
 from piezo_identification.estimators.hysteresis.fast_loops import FastLoops, LoopRegression
+from piezo_identification.estimators.hysteresis.loops_with_dynamics import hysteresis_with_dynamics
 from piezo_identification.identification.identify import identify
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
@@ -42,7 +42,7 @@ def test_dynamics_and_hysteresis_are_told_apart_in_one_record(kind, foreign_stag
     recording = record(stage, voltage_of(kind), PERIOD_S, noise_um=0.01)
     loops = FastLoops(
         recording.voltage_v, recording.displacement_um, np.ones((COUNT, 1)), 3000, PERIOD_S)
-    found = hysteresis_beside_dynamics([loops])
+    found = hysteresis_with_dynamics([loops])
     hysteresis = found.hysteresis
     assert error_of(found.dynamics) < 3e-3
     assert abs(found.delay_s) < 0.01 * PERIOD_S
@@ -72,7 +72,7 @@ def test_what_a_slow_sweep_came_from_is_found(dithered, foreign_stage, record):
     """The amplitude grows, so loops that are not yet closed show how the first voltage came."""
     recording = record(foreign_stage((), 4e-4, 4660.0, 0.02), dithered, PERIOD_S, noise_um=0.001)
     loops = FastLoops(dithered, recording.displacement_um, np.ones((10_000, 1)), 4980, PERIOD_S)
-    found = hysteresis_beside_dynamics([loops])
+    found = hysteresis_with_dynamics([loops])
     # The plays of this stage come down from far above.
     assert found.past == "falling"
     assert found.dynamics.mode_frequencies_rad_per_s == pytest.approx((4660.0,), rel=1e-3)

@@ -317,7 +317,7 @@ def test_command_prints_the_table_and_draws_a_picture_for_each_kind(
     assert re.search(r"^next: .* identify --\w+ .* --output model.json$", printed, re.M)
     page = page_parts(tmp_path / "pictures" / "check_report.html")
     assert f"report: {tmp_path / 'pictures' / 'check_report.html'}" in printed
-    assert page.title == "What 4 recordings are good for" and page.external == []
+    assert page.title == "What 4 recordings can be used for" and page.external == []
     assert all(page.is_picture(name) for name in kinds)
     measured = [dict(table[1:]) for table in page.tables if table[0] == ["measured", "value"]]
     assert [rows["waveform"].split(":")[0] for rows in measured] == list(kinds)

@@ -450,10 +450,10 @@ def _poles_and_residues(
     overlap : (k, k) array of complex
         Products of left and right eigenvectors.
     """
-    steps, residues, left_over = [], [], np.arange(found.size)
-    while left_over.size:
-        near = np.abs(found[left_over] - found[left_over[0]]) < LEAST_SEPARATION
-        copies, left_over = left_over[near], left_over[~near]
+    steps, residues, remaining = [], [], np.arange(found.size)
+    while remaining.size:
+        near = np.abs(found[remaining] - found[remaining[0]]) < LEAST_SEPARATION
+        copies, remaining = remaining[near], remaining[~near]
         of_copies = overlap[np.ix_(copies, copies)]
         if np.linalg.norm(of_copies, -2) < LEAST_SEPARATION:  # the smallest singular value
             raise ValueError("two modes of the system are one that grows with time before it "

@@ -239,7 +239,7 @@ class Effect(ABC):
             signal = signal + missing
             if np.abs(missing).max() <= INVERSION_TOLERANCE * np.ptp(wanted):
                 return signal
-        raise ValueError(f"no signal gives the wanted one through {self.name}: ask for less")
+        raise ValueError(f"no signal gives the wanted one through {self.name}: reduce the motion")
 
     def lag(self) -> control.StateSpace | None:
         """Return the lag of the effect in a feedback loop; None if it has none.

@@ -93,7 +93,7 @@ def isolated(signal: FloatArray, voltage_v: FloatArray, answer_per_v: float | No
     answer = answer_per_v * maximum_filter1d(
         changes_v, ANSWER, origin=ANSWER // 2 - 1, mode="nearest")
     good = np.arange(signal.size)
-    left, limits = signal, _limits(signal, answer, noise)
+    rest, limits = signal, _limits(signal, answer, noise)
     for longest in LENGTHS:
         for way in (slice(None), slice(None, None, -1)):
             if good.size < 2 * AROUND:
@@ -102,12 +102,12 @@ def isolated(signal: FloatArray, voltage_v: FloatArray, answer_per_v: float | No
             if way.step:
                 # The limit of a step is stored at its second sample.
                 limit = np.roll(limit, 1)
-            wrong = _runs(np.ascontiguousarray(left[way]), np.ascontiguousarray(limit),
+            wrong = _runs(np.ascontiguousarray(rest[way]), np.ascontiguousarray(limit),
                           np.ascontiguousarray(walk), longest)
             if wrong.any():
                 good = good[~wrong[way]]
-                left = signal[good]
-                limits = _limits(left, answer[good], noise) if good.size else limits
+                rest = signal[good]
+                limits = _limits(rest, answer[good], noise) if good.size else limits
     wrong = np.ones(signal.size, dtype=bool)
     wrong[good] = False
     wrong = _surprising(signal, wrong, noise)
@@ -155,15 +155,15 @@ def _away_at_the_ends(signal: FloatArray, answer: FloatArray) -> Mask:
     return wrong
 
 
-def _limits(left: FloatArray, answer: FloatArray, noise: float) -> tuple[FloatArray, FloatArray]:
+def _limits(rest: FloatArray, answer: FloatArray, noise: float) -> tuple[FloatArray, FloatArray]:
     """Return for each sample the largest step of a good signal and the usual change, (N,)."""
-    walk = STEPS * _beside(np.abs(np.diff(left, prepend=left[0])))
-    bends = np.abs(np.diff(left, 2, prepend=left[0], append=left[-1]))
-    spread = 1.4826 / np.sqrt(6.0) * _beside(bends)
-    apart = np.diff(np.unique(left))
+    walk = STEPS * _neighbouring(np.abs(np.diff(rest, prepend=rest[0])))
+    bends = np.abs(np.diff(rest, 2, prepend=rest[0], append=rest[-1]))
+    spread = 1.4826 / np.sqrt(6.0) * _neighbouring(bends)
+    apart = np.diff(np.unique(rest))
     rounding = float(np.quantile(apart, COMMON)) if apart.size else 0.0
     return np.maximum.reduce([
-        SPREAD * np.maximum(spread, noise), walk, np.full(left.size, ROUNDINGS * rounding), answer,
+        SPREAD * np.maximum(spread, noise), walk, np.full(rest.size, ROUNDINGS * rounding), answer,
     ]), walk
 
 
@@ -193,7 +193,7 @@ def _surprising(signal: FloatArray, wrong: Mask, noise: float) -> Mask:
     # There is no prediction at the ends.
     missed[:PREDICTED_FROM] = missed[-PREDICTED_FROM:] = np.inf
     usual[:PREDICTED_FROM] = usual[-PREDICTED_FROM:] = 0.0
-    spread = SPREAD * np.maximum(noise, 1.4826 * _beside(usual))
+    spread = SPREAD * np.maximum(noise, 1.4826 * _neighbouring(usual))
     edges = np.flatnonzero(np.diff(wrong.astype(int), prepend=0, append=0))
     kept = np.zeros(wrong.size, dtype=bool)
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
@@ -202,7 +202,7 @@ def _surprising(signal: FloatArray, wrong: Mask, noise: float) -> Mask:
     return kept
 
 
-def _beside(sizes: FloatArray) -> FloatArray:
+def _neighbouring(sizes: FloatArray) -> FloatArray:
     """Return the larger of the median sizes before and after each sample, (N,)."""
     middle = median_filter(sizes, AROUND, mode="reflect")
     # A step belongs to both samples that it joins, so both windows exclude the nearest two.

@@ -75,7 +75,7 @@ class VoltageClipping(Effect):
         """Return the voltage that gives the wanted one through the knees of the limits."""
         refusal = (
             f"the voltage would go from {wanted.min():.6g} to {wanted.max():.6g} V, the amplifier "
-            f"gives {self.lowest_v:.6g} to {self.highest_v:.6g} V: ask for less"
+            f"gives {self.lowest_v:.6g} to {self.highest_v:.6g} V: reduce the motion"
         )
         if wanted.min() < self.lowest_v or wanted.max() > self.highest_v:
             raise ValueError(refusal)

@@ -58,11 +58,11 @@ class VoltageRelaxation(Lag):
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:
         """Start with the best of a scan, whose gain is the share, unless a plain lag fits too."""
-        def left(effect: Lag) -> float:
+        def residual(effect: Lag) -> float:
             behind_um = effect.apply(evidence.displacement_um, evidence.sample_period_s)
             return 1.0 - evidence.reduction((behind_um - evidence.displacement_um)[:, None])[1]
 
-        whole = min(map(left, AmplifierLag.starts(evidence)), default=1.0)
+        whole = min(map(residual, AmplifierLag.starts(evidence)), default=1.0)
         return [cls(shape.time_constant_s, max(MOST * gain, LEAST))
                 for shape, gain in cls.scanned(evidence)
-                if gain < 1.0 and left(shape) < CLEARLY_LESS * whole]
+                if gain < 1.0 and residual(shape) < CLEARLY_LESS * whole]

@@ -162,7 +162,7 @@ def through_inverse(wanted_um: float, planned_v: FloatArray, rounding_um: float,
     -------
     mean_v : float
         Mean of the added voltages (V).
-    lacking_v : float
+    clipped_v : float
         Mean of what `range_v` cut off (V).
     """
     target_um, _, _, top = simulate(planned_v, stacks[0], stacks[1], tops[0], grid, table)

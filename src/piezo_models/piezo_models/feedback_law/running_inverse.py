@@ -40,7 +40,7 @@ class RunningInverse:
 
         Returns
         -------
-        mean_v, lacking_v : float
+        mean_v, clipped_v : float
             Mean of `feedback_v`, and of what its bounds cut off (V).
         """
         self._make_room(len(planned_v))
@@ -67,7 +67,7 @@ class RunningInverse:
             If there is none, or it has another voltage range.
         """
         if other is None or self._kernel[0][:2] != other._kernel[0][:2]:
-            raise FeedbackLawError("the law that acts does not tell the past of this law's "
+            raise FeedbackLawError("the law that acts does not give the past of this law's "
                                    "hysteresis: load it between two runs")
         # The extremes of the voltage determine the state of every Preisach hysteresis.
         for which in PLANNED, PLAYED:

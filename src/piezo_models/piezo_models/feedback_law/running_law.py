@@ -115,30 +115,30 @@ class RunningLaw:
             self.voltage_v = wanted_v
         else:
             last_v, step_v = self.voltage_v, self._step_v
-            self.voltage_v, lacking_v = self._inverse.pass_on(
+            self.voltage_v, clipped_v = self._inverse.pass_on(
                 wanted_v, planned_v, max(-limit_v, last_v - step_v), min(limit_v, last_v + step_v),
                 self._feedback_v)
-            self._sample_state += self._sample_observer * lacking_v
+            self._sample_state += self._sample_observer * clipped_v
             self.stepped |= abs(self.voltage_v - last_v) >= step_v
         return self._feedback_v
 
-    def correct(self, lacking_v: float) -> None:
+    def correct(self, clipped_v: float) -> None:
         """Correct the states by the feedback voltage that was not played (anti-windup).
 
         Call it between `begin` and `take` if the amplifier's limits cut the voltage.
 
         Parameters
         ----------
-        lacking_v : float
+        clipped_v : float
             Mean of the played voltage minus the requested one (V).
         """
         if not self.begun:
             return
-        self.voltage_v += lacking_v
+        self.voltage_v += clipped_v
         if self._each_sample:
-            self._sample_state += self._sample_observer * lacking_v
+            self._sample_state += self._sample_observer * clipped_v
         else:
-            self._state += self._tick[4] * lacking_v
+            self._state += self._tick[4] * clipped_v
 
     def take(self, displacement_um: FloatArray) -> None:
         """Process the next measured samples, shape (k,): a tick, or a part that ends with it."""

@@ -29,7 +29,7 @@ def in_series(systems: Iterable[Matrices]) -> Matrices:
 
 def in_parallel(systems: Sequence[Matrices]) -> Matrices:
     """Return the parallel connection of at least one system: the sum of their outputs."""
-    return reduce(_beside, systems)
+    return reduce(_parallel, systems)
 
 
 def scaled(gain: float, system: Matrices) -> Matrices:
@@ -55,7 +55,7 @@ def _followed_by(first: Matrices, second: Matrices) -> Matrices:
             np.concatenate([b1, b2 @ d1]), np.concatenate([d2 @ c1, c2], axis=1), d2 @ d1)
 
 
-def _beside(first: Matrices, second: Matrices) -> Matrices:
+def _parallel(first: Matrices, second: Matrices) -> Matrices:
     (a1, b1, c1, d1), (a2, b2, c2, d2) = first, second
     nothing = np.zeros((len(a1), len(a2)))
     return (_of_blocks(a1, nothing, nothing.T, a2), np.concatenate([b1, b2]),

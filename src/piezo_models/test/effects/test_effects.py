@@ -147,7 +147,7 @@ def test_compensation_undoes_the_effect_on_a_periodic_signal(effect):
 
 def test_what_the_amplifier_does_not_give_is_refused():
     assert VoltageClipping(0.0, 20.0).compensate(wave(), PERIOD_S) == pytest.approx(wave())
-    with pytest.raises(ValueError, match="ask for less"):
+    with pytest.raises(ValueError, match="reduce the motion"):
         VoltageClipping(0.0, 15.0).compensate(wave(), PERIOD_S)
     bent = VoltageClipping(0.0, 18.5, 1.0)
     assert bent.apply(bent.compensate(wave(), PERIOD_S), PERIOD_S) == pytest.approx(wave())

@@ -17,11 +17,11 @@ ROW_S, FINE, LAG_S = 1e-3, 1000, 15e-6
 RATE, DAMPING = 25.5e3, 0.01
 
 
-def stage(effects=()):
-    """Return a stage whose mode rings some four times within a row."""
+def stage(effects=(), rate=RATE):
+    """Return a stage whose mode rings some four times within a row, or at another rate."""
     return StageModel(
         PreisachModel(0.0, 100.0, np.tril(np.full((20, 20), 4e-3)), 0.0, np.full(20, 0.02)),
-        CreepDynamics((1.0,), (1.02,)), ElectricVibrationDynamics(0.0, (RATE,), (DAMPING,)),
+        CreepDynamics((1.0,), (1.02,)), ElectricVibrationDynamics(0.0, (rate,), (DAMPING,)),
         effects=effects)
 
 
@@ -30,13 +30,13 @@ def staircase_v():
     return np.concatenate([np.zeros(20), up, np.full(30, 60.0), up[::-1], np.zeros(30)])
 
 
-def finely_simulated_um(effect, voltage_v):
+def finely_simulated_um(effect, voltage_v, rate=RATE):
     """Return the displacement of rows of which each is a thousand steps of the whole cascade."""
     held_v = np.repeat(voltage_v, FINE)
     time_s = ROW_S / FINE * np.arange(held_v.size)
     lag = effect.lag()
     _, behind_v, _ = lsim((lag.A, lag.B, lag.C, lag.D), held_v, time_s, interp=False)
-    still = stage()
+    still = stage(rate=rate)
     memory = still.memory(0.0)
     moved_um = still.hysteresis.simulate(behind_v, memory.hysteresis)
     linear = still.linear()
@@ -55,6 +55,16 @@ def test_what_rings_within_a_row_has_the_phase_of_the_lag(effect):
     assert np.abs(found_um - true_um).max() < 0.06 * ringing_um
     at_once_um = stage().simulate(voltage_v, ROW_S)
     assert np.abs(at_once_um - true_um).max() > 0.9 * ringing_um
+
+
+@pytest.mark.parametrize("rows", [0.1, 0.2, 0.5])
+def test_a_lag_of_a_part_of_a_row_is_followed_within_it(rows):
+    """A mode rings half a period in a row."""
+    rate, effect, voltage_v = np.pi / ROW_S, AmplifierLag(rows * ROW_S), staircase_v()
+    true_um = finely_simulated_um(effect, voltage_v, rate)
+    ringing_um = np.ptp(true_um[45:60] - true_um[60])
+    found_um = stage((effect,), rate).simulate(voltage_v, ROW_S)
+    assert np.abs(found_um - true_um).max() < 0.01 * ringing_um
 
 
 def test_parts_of_a_simulation_are_the_whole():

@@ -11,7 +11,7 @@ def add_columns_option(parser: argparse.ArgumentParser) -> None:
     """Add ``--columns``."""
     parser.add_argument(
         "--columns", metavar="WORD", nargs="+",
-        help="columns and units of tables of samples, where their labels do not tell them: "
+        help="columns and units of tables of samples, where their labels do not state them: "
         "time=t[ms] voltage=Vpiezo[V] displacement=pos[nm], with a factor as in voltage=CH1[20V]; "
         "rate=10[kHz] without a time; recording=run[2] for one of several; or a YAML file of the "
-        "same, which may also lie beside the data as NAME.columns.yaml")
+        "same, which may also lie next to the data as NAME.columns.yaml")

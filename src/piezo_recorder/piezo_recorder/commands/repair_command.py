@@ -14,7 +14,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 
 COMMAND = Command(
-    "repair", "Make a whole recording of what a killed recorder left.", _add_options,
+    "repair", "Make a complete recording from the files of a killed recorder.", _add_options,
     "piezo_recorder.writing.repair:repair_given", inputs=("recording",),
     interrupted="the output, if it is there, is incomplete: remove it")
 main = COMMAND.main

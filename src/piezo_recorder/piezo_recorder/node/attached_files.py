@@ -52,5 +52,5 @@ def _read(path: str, sha256: str) -> bytes:
     with open_regular(path, MOST_BYTES) as file:
         content = file.read(MOST_BYTES)
     if hashlib.sha256(content).hexdigest() != sha256:
-        raise ValueError("has another sha256 than the request says")
+        raise ValueError("has another sha256 than the request states")
     return content

@@ -56,12 +56,12 @@ class Recorder(LifecycleNode):
     def __init__(self) -> None:
         super().__init__("recorder")
         declare(self, "topics", ["samples", "feedback", "ground_truth", "applied_feedback",
-                                 "reference", "controller/reference"],
+                                 "reference", "controller/reference", "marks"],
                 "Topics to record; the first of samples is the one that is counted.")
         declare(self, "types", [sample_block.TYPE_NAME, "piezo_interfaces/msg/FeedbackVoltage",
                                 sample_block.TYPE_NAME, "piezo_interfaces/msg/AppliedFeedback",
                                 "piezo_interfaces/msg/ReferenceSamples",
-                                tracked_reference.TYPE_NAME],
+                                tracked_reference.TYPE_NAME, "piezo_interfaces/msg/Marks"],
                 "Message types of the topics, in the same order.")
         declare(self, "minimum_free_mb", 200,
                 "Free disk space (megabyte) below which a recording is refused or closed.",
@@ -187,12 +187,12 @@ class Recorder(LifecycleNode):
         if self._recording:
             return f"{self._recording.path} is being recorded: stop it first."
         count = len(request.attachment_names)
-        for what, given, may_lack in (
+        for what, given, is_optional in (
                 ("contents", request.attachment_contents, False),
                 ("paths", request.attachment_paths, True),
                 ("hashes", request.attachment_sha256, True)):
-            if len(given) != count and (given or not may_lack):
-                return (f"{count} attachment names came with {len(given)} {what}: "
+            if len(given) != count and (given or not is_optional):
+                return (f"{count} attachment names were given with {len(given)} {what}: "
                         "give one for each.")
         try:
             path = self._path(request)
@@ -273,7 +273,7 @@ class Recorder(LifecycleNode):
             response.message = f"The recording was closed early: {session.ended_early}."
         elif late:
             response.message = (f"{late} samples up to {request.last_sample} had not arrived, "
-                                f"and none came for {ARRIVAL_TIMEOUT_S:g} s; the recording ends "
+                                f"and none arrived for {ARRIVAL_TIMEOUT_S:g} s; the recording ends "
                                 "before them.")
         response.success = not response.message
         response.path = session.path

@@ -6,7 +6,7 @@ import json
 import re
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from piezo_common.schema import Document, Number, Part, Positive, SchemaError, entry, load_document
 from piezo_recorder.reading.columns import ColumnsDocument, SignalColumn
+from piezo_recorder.reading.detected import marks_in, signals_in
 from piezo_recorder.reading.memory import IN_MEMORY, recordings_in
 from piezo_recorder.reading.reader import (
     axes_of_messages,
@@ -24,7 +25,7 @@ from piezo_recorder.reading.reader import (
     read_recordings,
 )
 from piezo_recorder.reading.recording import Recording, RecordingError
-from piezo_recorder.reading.tables.array_files import damage_told
+from piezo_recorder.reading.tables.array_files import damage_reported
 from piezo_recorder.reading.tables.file_kinds import read_tables
 from piezo_recorder.reading.tables.table import no_progress
 from piezo_recorder.reading.units import scale_of
@@ -63,6 +64,10 @@ class AxesRecording:
     """Hash of the samples."""
     notes: tuple[str, ...] = ()
     """Assumptions and corrections made while reading, for users."""
+    columns: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Further columns, each of shape (N,), such as ``pixel`` and ``camera_signal``."""
+    attachments: Mapping[str, bytes] = field(default_factory=dict)
+    """Files that are stored in the recording."""
 
     def __repr__(self) -> str:
         return (f"<AxesRecording {self.name}: {len(self.voltage_v)} samples of "
@@ -74,6 +79,16 @@ class AxesRecording:
         return f"{self.path} {self.title}".rstrip()
 
     @property
+    def marks(self) -> np.ndarray:
+        """Return the bits of `piezo_recorder.sample_block.Mark`, (N,); empty without marks."""
+        return marks_in(self.columns)
+
+    @property
+    def signals(self) -> dict[str, np.ndarray]:
+        """Return what each detector measured at the instants of the displacements, (N,)."""
+        return signals_in(self.columns)
+
+    @property
     def amplitude_v(self) -> float:
         """Return the rms of all voltages about their means."""
         return float(np.sqrt(np.mean(np.var(self.voltage_v, axis=0))))
@@ -82,7 +97,7 @@ class AxesRecording:
 class ChannelsPart(Part):
     """An array of the channels of all axes."""
 
-    file: str = entry("NumPy file (.npy), beside the description.")
+    file: str = entry("NumPy file (.npy), next to the description.")
     unit: str = entry("Unit of its numbers, such as V, mV, um, nm or m.")
     signs: list[Number] = entry(
         "Sign or factor of each channel, such as [1, 1, -1]; 1 by default.", default=[])
@@ -128,7 +143,7 @@ def is_of_axes(path: str | PathLike[str]) -> bool:
     with open(path, "rb") as file:
         head = file.read(HEAD_BYTES)
     if head.startswith(ZIP_MAGIC):
-        with damage_told(path, "NumPy file"), zipfile.ZipFile(path) as archive:
+        with damage_reported(path, "NumPy file"), zipfile.ZipFile(path) as archive:
             head = " ".join(archive.namelist()).encode()
     text = head.decode(errors="replace")
     if path.suffix.lower() in (".yaml", ".yml"):
@@ -146,8 +161,7 @@ def read_axes(path: str | PathLike[str]) -> list[AxesRecording]:
         A recording of a stage of several axes, without the approach to the first sample of a
         waveform and the return from it; a table with columns such as ``time_s,x_voltage_v,
         y_voltage_v,x_displacement_um,y_displacement_um`` in any format that can be read for one
-        axis; or the description of arrays (YAML), see `ArraysDocument`. Columns that belong to no
-        axis are ignored.
+        axis; or the description of arrays (YAML), see `ArraysDocument`.
 
     Raises
     ------
@@ -195,21 +209,23 @@ def axes_recording_of(recording: Recording) -> AxesRecording:
         row = np.arange(len(recording.sample_index))
         part = recording.select((row >= played[0]) & (row <= played[-1]))
     if part.gaps:
-        raise RecordingError(f"{recording.path} lacks samples: record it again")
-    settling, periods = _repeats_told(recording.attachments)
+        raise RecordingError(f"{recording.path} has gaps: record it again")
+    settling, periods = _declared_repeats(recording.attachments)
     first, equal = 0, periods - settling
     if settling and not len(part.voltage_v) % periods:
         first = len(part.voltage_v) // periods * settling
     return _with_hash(AxesRecording(
         recording.path, recording.axes, part.sample_period_s, part.voltage_v[first:],
-        part.displacement_um[first:], equal if first else 0, notes=tuple(recording.notes)))
+        part.displacement_um[first:], equal if first else 0, notes=tuple(recording.notes),
+        columns={name: values[first:] for name, values in part.columns.items()},
+        attachments=recording.attachments))
 
 
-def _repeats_told(attachments: Mapping[str, bytes]) -> tuple[int, int]:
+def _declared_repeats(attachments: Mapping[str, bytes]) -> tuple[int, int]:
     """Return the number of settling repeats, and of all repeats; 0 and 1 if they are unknown."""
     try:
-        told = json.loads(attachments.get(PARAMETERS, b"{}"))
-        return int(told.get("settling_repeats", 0)), int(told.get("repeats", 1))
+        parameters = json.loads(attachments.get(PARAMETERS, b"{}"))
+        return int(parameters.get("settling_repeats", 0)), int(parameters.get("repeats", 1))
     except (ValueError, TypeError, AttributeError):
         return 0, 1
 
@@ -286,7 +302,8 @@ def axes_recordings_of_arrays(
                              f"to {MOST_AXES}, a name for each")
     displacements_um = _signed(displacements_um, signs, dimensions, name)
     if not (np.all(np.isfinite(voltages_v)) and np.all(np.isfinite(displacements_um))):
-        raise RecordingError(f"{name} holds a number that is not finite: mend it or leave it out")
+        raise RecordingError(
+            f"{name} holds a number that is not finite: correct it or leave it out")
     return [
         _with_hash(AxesRecording(
             name, tuple(axes), 1.0 / sample_rate_hz, voltage, displacement,
@@ -334,7 +351,7 @@ def _array(path: Path, document: ArraysDocument, signal: str) -> np.ndarray:
     file = path.parent / part.file
     if not file.is_file():
         raise RecordingError(f"{path} names {part.file}, which is missing: copy it there")
-    with damage_told(file, "NumPy file"):
+    with damage_reported(file, "NumPy file"):
         values = np.load(file).astype(float)
     return _signed(values, part.signs, document.dimensions, f"{path}: {signal}") * scale_of(
         signal, part.unit)
@@ -369,16 +386,18 @@ def _joined(name: str, axes: tuple[str, ...],
     for parts in zip(*by_axis, strict=True):
         first = parts[0]
         if any(not np.array_equal(part.sample_index, first.sample_index) for part in parts):
-            raise RecordingError(f"{name}: an axis lacks values that another one has: give rows "
+            raise RecordingError(f"{name}: an axis has no values where another one has: give rows "
                                  "with values of all axes")
         if first.gaps:
-            raise RecordingError(f"{name} lacks rows: give the parts between the gaps as files of "
+            raise RecordingError(f"{name} has gaps: give the parts between the gaps as files of "
                                  "their own")
         joined.append(_with_hash(AxesRecording(
             name, axes, first.sample_period_s,
             np.column_stack([part.voltage_v for part in parts]),
             np.column_stack([part.displacement_um for part in parts]), title=first.title,
-            notes=_joined_notes(axes, parts))))
+            notes=_joined_notes(axes, parts),
+            columns={label: values for label, values in first.columns.items()
+                     if label.partition("_")[0] not in axes})))
     return joined
 
 

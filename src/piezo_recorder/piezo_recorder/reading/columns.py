@@ -30,7 +30,7 @@ class RecordingColumn(Part):
     """Column that distinguishes the recordings of one file."""
 
     column: str = entry("Label of a column that numbers them; none where they are groups of the "
-                        "file, or where the time begins anew.", default="")
+                        "file, or where the time begins again.", default="")
     only: str = entry("The one to read; all by default.", default="")
 
 
@@ -46,7 +46,7 @@ class ColumnsDocument(Document):
     sample_rate_hz: Positive | None = entry(
         "Rows a second, for a file without a time.", unit="Hz", default=None)
     recording: RecordingColumn | None = entry(
-        "How several recordings in the file are told apart.", default=None)
+        "How several recordings in the file are distinguished.", default=None)
 
 
 GUESSED = ColumnsDocument()
@@ -116,7 +116,7 @@ def load_columns(path: Path) -> ColumnsDocument:
         raise RecordingError(f"{path}: {error}") from None
 
 
-def columns_for(path: Path, said: ColumnsDocument = GUESSED) -> ColumnsDocument:
+def columns_for(path: Path, described: ColumnsDocument = GUESSED) -> ColumnsDocument:
     """Complete the user's description of a file by the YAML file next to it.
 
     Parameters
@@ -124,12 +124,12 @@ def columns_for(path: Path, said: ColumnsDocument = GUESSED) -> ColumnsDocument:
     path : Path
         Data file. ``run.csv`` may have ``run.columns.yaml`` next to it, or all files of a
         folder may share ``columns.yaml``.
-    said : ColumnsDocument
+    described : ColumnsDocument
         Description by the user, which takes precedence.
     """
-    for beside in (path.with_name(path.stem + SUFFIX), path.with_name(FOLDER_FILE)):
-        if beside.is_file() and beside != path:
-            written = load_columns(beside)
+    for neighbour in (path.with_name(path.stem + SUFFIX), path.with_name(FOLDER_FILE)):
+        if neighbour.is_file() and neighbour != path:
+            written = load_columns(neighbour)
             return written.model_copy(update={
-                name: value for name, value in said if value is not None})
-    return said
+                name: value for name, value in described if value is not None})
+    return described

@@ -50,7 +50,7 @@ def recording_of(data: "Mapping[str, ArrayLike] | pandas.DataFrame | xarray.Data
     """
     found = recordings_in(data, columns, name)
     if len(found) > 1:
-        raise RecordingError(f"{name} holds {len(found)} recordings, as its time begins anew: "
+        raise RecordingError(f"{name} holds {len(found)} recordings, as its time begins again: "
                              "give one of them, or read all by recordings_in")
     return found[0]
 
@@ -92,8 +92,8 @@ def recordings_in(data: "Mapping[str, ArrayLike] | pandas.DataFrame | xarray.Dat
         table.columns |= array_columns(label, values)
     lengths = {label: len(values) for label, values in table.columns.items()}
     if len(set(lengths.values())) > 1:
-        told = ", ".join(f"'{label}' {length}" for label, length in lengths.items())
-        raise RecordingError(f"{name}: columns have different numbers of values ({told}): give "
+        listed = ", ".join(f"'{label}' {length}" for label, length in lengths.items())
+        raise RecordingError(f"{name}: columns have different numbers of values ({listed}): give "
                              "arrays of one length")
     if not table.columns:
         raise RecordingError(f"{name} holds no columns of numbers: give arrays of time, voltage "

@@ -68,28 +68,28 @@ def implausible(recording: Recording) -> list[str]:
         Sentences, without the name of the file.
     """
     voltage_v, displacement_um = recording.voltage_v, recording.displacement_um
-    said = []
+    texts = []
     if len(voltage_v) < USUAL.fewest_rows:
-        said.append(f"there are only {len(voltage_v)} rows: nothing can be identified from them")
+        texts.append(f"there are only {len(voltage_v)} rows: nothing can be identified from them")
     period_s = float(recording.sample_periods_s[0])
     if period_s < USUAL.shortest_period_s:
-        said.append(f"a sample every {period_s:.3g} s is faster than any sensor: is the time in "
-                    "days, as spreadsheets keep it, or in minutes?")
+        texts.append(f"a sample every {period_s:.3g} s is faster than any sensor: is the time in "
+                     "days, as spreadsheets keep it, or in minutes?")
     swing_v, range_um = float(np.ptp(voltage_v)), float(np.ptp(displacement_um))
     if swing_v == 0.0:
-        said.append(f"the voltage is {voltage_v[0]:g} V throughout: only noise and drift show")
+        texts.append(f"the voltage is {voltage_v[0]:g} V throughout: only noise and drift show")
     if range_um == 0.0:
-        said.append(f"the displacement is {displacement_um[0]:g} um throughout: is the sensor on?")
+        texts.append(f"the displacement is {displacement_um[0]:g} um throughout: is the sensor on?")
     if swing_v > 0.0 and range_um > 0.0:
-        said += _beyond_usual(float(np.abs(voltage_v).max()), swing_v, range_um)
+        texts += _beyond_usual(float(np.abs(voltage_v).max()), swing_v, range_um)
     if swing_v > 0.0 and range_um > 0.0 and runs_ahead(voltage_v, displacement_um):
-        said.append("the displacement runs ahead of the voltage, as if it drove the stage: are "
-                    "the two columns exchanged?")
+        texts.append("the displacement runs ahead of the voltage, as if it drove the stage: are "
+                     "the two columns exchanged?")
     for name, end, share in clipped_ends(displacement_um, voltage_v):
-        said.append(f"the displacement stays at its {name} value, {end:.6g} um, in "
-                    f"{100.0 * share:.2g} % of the samples while it moves elsewhere: the sensor is "
-                    "clipped there; reduce the voltage or centre the sensor")
-    return said
+        texts.append(f"the displacement stays at its {name} value, {end:.6g} um, in "
+                     f"{100.0 * share:.2g} % of the samples while it moves elsewhere: the sensor "
+                     "is clipped there; reduce the voltage or centre the sensor")
+    return texts
 
 
 def runs_ahead(voltage_v: FloatArray, displacement_um: FloatArray) -> bool:
@@ -116,25 +116,25 @@ def runs_ahead(voltage_v: FloatArray, displacement_um: FloatArray) -> bool:
 
 
 def _beyond_usual(largest_v: float, swing_v: float, range_um: float) -> list[str]:
-    said = []
+    texts = []
     if largest_v > USUAL.largest_voltage_v:
-        said.append(f"the voltage reaches {largest_v:.4g} V, and no amplifier for piezos goes "
-                    f"beyond {USUAL.largest_voltage_v:g} V: is it in mV?")
+        texts.append(f"the voltage reaches {largest_v:.4g} V, and no amplifier for piezos goes "
+                     f"beyond {USUAL.largest_voltage_v:g} V: is it in mV?")
     if swing_v < USUAL.least_swing_v:
-        said.append(f"the voltage changes by {swing_v:.3g} V only: is it in kV, or before the "
-                    "amplifier?")
+        texts.append(f"the voltage changes by {swing_v:.3g} V only: is it in kV, or before the "
+                     "amplifier?")
     if range_um < USUAL.least_range_um:
-        said.append(f"the displacement changes by {range_um:.3g} um only: is it in mm, or in volts "
-                    "of the sensor?")
+        texts.append(f"the displacement changes by {range_um:.3g} um only: is it in mm, or in "
+                     "volts of the sensor?")
     if range_um > USUAL.largest_range_um:
-        said.append(f"the displacement changes by {range_um:.4g} um, more than any piezo stage: "
-                    "is it in nm?")
+        texts.append(f"the displacement changes by {range_um:.4g} um, more than any piezo stage: "
+                     "is it in nm?")
     gain = range_um / swing_v
-    if not said and not USUAL.least_gain_um_per_v <= gain <= USUAL.largest_gain_um_per_v:
-        said.append(f"{range_um:.4g} um at a swing of {swing_v:.4g} V are {gain:.3g} um/V, which "
-                    f"no usual stage has ({USUAL.least_gain_um_per_v:g} to "
-                    f"{USUAL.largest_gain_um_per_v:g}): is a unit wrong by 1000?")
-    return said
+    if not texts and not USUAL.least_gain_um_per_v <= gain <= USUAL.largest_gain_um_per_v:
+        texts.append(f"{range_um:.4g} um at a swing of {swing_v:.4g} V are {gain:.3g} um/V, which "
+                     f"no usual stage has ({USUAL.least_gain_um_per_v:g} to "
+                     f"{USUAL.largest_gain_um_per_v:g}): is a unit wrong by 1000?")
+    return texts
 
 
 def clipped_ends(displacement_um: FloatArray, voltage_v: FloatArray,

@@ -19,6 +19,7 @@ from piezo_common.regular_file import UnreadableFile, open_regular
 from piezo_common.text_file import read_bounded_text
 from piezo_recorder import sample_block
 from piezo_recorder.reading.columns import GUESSED, ColumnsDocument
+from piezo_recorder.reading.detected import columns_of_blocks
 from piezo_recorder.reading.recording import Recording, RecordingError
 from piezo_recorder.reading.table_reader import read_table_recordings
 from piezo_recorder.reading.tables.table import Progress, no_progress
@@ -398,6 +399,7 @@ def _join(path: Path, topic: str, blocks: list[Any], sample_rate_hz: float,
         flags=np.repeat(np.array([block.flags for block in blocks], dtype=np.uint32), counts),
         gaps=_gaps(path, topic, first, ends),
         attachments=contents.attachments,
+        columns=columns_of_blocks(blocks, counts),
         complete=contents.complete,
         axes=axes)
 

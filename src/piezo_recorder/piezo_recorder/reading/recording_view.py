@@ -66,13 +66,13 @@ def error_um(recording: "Recording") -> FloatArray:
 
 
 def _reference_rows(recording: "Recording") -> list[tuple[str | float | None, ...]]:
-    left_um = error_um(recording)
-    if not left_um.size:
+    errors_um = error_um(recording)
+    if not errors_um.size:
         return []
     followed = recording.reference_um[np.isfinite(recording.reference_um)]
     return [("reference", *_ends(followed), "um"),
-            ("rms error, with the way to its beginning", float(np.sqrt(np.mean(left_um**2))), None,
-             "um")]
+            ("rms error, with the way to its beginning", float(np.sqrt(np.mean(errors_um**2))),
+             None, "um")]
 
 
 def draw_recording(recording: "Recording") -> "Figure":
@@ -150,8 +150,8 @@ def _draw_tracking(displacement: "Axes", error: "Axes", recording: "Recording",
         displacement.plot(*outline(time_s, reference_um), color=ORANGE, linestyle="--",
                           linewidth=0.9, label="reference")
         displacement.legend(loc="best")
-        left_um = reference_um - recording.displacement_um[part][followed]
-        _draw_over_time(error, time_s, 1e3 * left_um)
+        errors_um = reference_um - recording.displacement_um[part][followed]
+        _draw_over_time(error, time_s, 1e3 * errors_um)
 
 
 def _draw_loop(axes: "Axes", voltage_v: FloatArray, displacement_um: FloatArray) -> None:

@@ -28,11 +28,11 @@ def report(recording: Recording) -> list[str]:
         f"{recording.time_s[-1]:.6g} s",
         f"sample periods {', '.join(f'{period_s:g} s' for period_s in periods_s[:8])}"
         + (" ..." if len(periods_s) > 8 else "")]
-    left_um = error_um(recording)
-    if left_um.size:
-        lines.append(f"reference of {left_um.size} samples: rms error "
-                     f"{np.sqrt(np.mean(left_um**2)):.4g} um, largest {np.abs(left_um).max():.4g} "
-                     "um, with the way to its beginning")
+    errors_um = error_um(recording)
+    if errors_um.size:
+        lines.append(f"reference of {errors_um.size} samples: rms error "
+                     f"{np.sqrt(np.mean(errors_um**2)):.4g} um, largest "
+                     f"{np.abs(errors_um).max():.4g} um, with the way to its beginning")
     if recording.attachments:
         lines.append(f"attachments {', '.join(sorted(recording.attachments))}")
     if not recording.complete:

@@ -55,14 +55,14 @@ class SignalSource:
     """Assumption to report; empty if there is none."""
 
 
-def needed_columns(table: Table, said: ColumnsDocument) -> dict[str, SignalSource]:
+def needed_columns(table: Table, described: ColumnsDocument) -> dict[str, SignalSource]:
     """Choose the columns of the signals.
 
     Parameters
     ----------
     table : Table
         Table, whose rows are not used.
-    said : ColumnsDocument
+    described : ColumnsDocument
         Description by the user; the rest is guessed.
 
     Returns
@@ -76,20 +76,20 @@ def needed_columns(table: Table, said: ColumnsDocument) -> dict[str, SignalSourc
         If a signal has no column, several candidates, or a column without a unit.
     """
     labels = list(table.columns)
-    own_time = said.time is not None or OWN_LABELS["time"] in labels
+    own_time = described.time is not None or OWN_LABELS["time"] in labels
     found: dict[str, SignalSource] = {}
     for signal in SIGNALS:
-        wish: SignalColumn | None = getattr(said, signal)
+        wish: SignalColumn | None = getattr(described, signal)
         if wish is not None:
-            label = said_label(table, signal, wish.column)
+            label = described_label(table, signal, wish.column)
         elif OWN_LABELS[signal] in labels:
             label = OWN_LABELS[signal]
         else:
             taken = {each.label for each in found.values()} | {
-                said_label(table, other, getattr(said, other).column)
-                for other in SIGNALS if getattr(said, other) is not None}
+                described_label(table, other, getattr(described, other).column)
+                for other in SIGNALS if getattr(described, other) is not None}
             best = guessed_labels(table, signal, [name for name in labels if name not in taken])
-            if signal == "time" and not own_time and not best and rate_hz_of(table, said):
+            if signal == "time" and not own_time and not best and rate_hz_of(table, described):
                 continue
             label = _only(table, signal, best)
         found[signal] = _source(table, signal, label, wish)
@@ -97,7 +97,7 @@ def needed_columns(table: Table, said: ColumnsDocument) -> dict[str, SignalSourc
     return found
 
 
-def said_label(table: Table, signal: str, name: str) -> str:
+def described_label(table: Table, signal: str, name: str) -> str:
     """Return the label of the column that a user gave by label, name or number."""
     labels = list(table.columns)
     small = name.strip().lower()
@@ -187,10 +187,10 @@ def _refuse_shared(table: Table, found: dict[str, SignalSource]) -> None:
                                  f"{EXAMPLE}")
 
 
-def rate_hz_of(table: Table, said: ColumnsDocument) -> float | None:
+def rate_hz_of(table: Table, described: ColumnsDocument) -> float | None:
     """Return the rate of the rows given by the user, or by a single number in the file."""
-    if said.sample_rate_hz is not None:
-        return said.sample_rate_hz
+    if described.sample_rate_hz is not None:
+        return described.sample_rate_hz
     for name, value in table.scalars.items():
         last = re.sub(r"[\W_]+", "", name.rpartition(".")[2].lower())
         if last in RATES and value > 0.0:

@@ -12,9 +12,9 @@ from piezo_recorder.reading.plausibility import implausible
 from piezo_recorder.reading.recording import Recording, RecordingError
 from piezo_recorder.reading.signal_columns import (
     SignalSource,
+    described_label,
     needed_columns,
     rate_hz_of,
-    said_label,
 )
 from piezo_recorder.reading.tables.file_kinds import read_tables
 from piezo_recorder.reading.tables.table import Progress, Table, no_progress
@@ -54,15 +54,15 @@ def read_table_recordings(path: Path, columns: ColumnsDocument = GUESSED,
     RecordingError
         If the file, a column, a row or the sample period is invalid; the message is one line.
     """
-    said = columns_for(path, columns)
-    tables = read_tables(path, lambda table: _needed_labels(table, said), progress)
+    described = columns_for(path, columns)
+    tables = read_tables(path, lambda table: _needed_labels(table, described), progress)
     if not tables:
         raise RecordingError(f"{path} holds no columns of numbers: save time, voltage and "
                              "displacement as arrays of one length")
-    return recordings_of(tables, said)
+    return recordings_of(tables, described)
 
 
-def recordings_of(tables: Sequence[Table], said: ColumnsDocument) -> list[Recording]:
+def recordings_of(tables: Sequence[Table], described: ColumnsDocument) -> list[Recording]:
     """Return the recordings in tables.
 
     Parameters
@@ -76,39 +76,39 @@ def recordings_of(tables: Sequence[Table], said: ColumnsDocument) -> list[Record
         If a table is invalid, see `read_table_recordings`.
     """
     *groups, whole = tables
-    usable = [group for group in groups if _sources(group, said)]
-    parts = [part for table in usable or [whole] for part in _parts(table, said)]
-    only = said.recording.only if said.recording else ""
+    usable = [group for group in groups if _sources(group, described)]
+    parts = [part for table in usable or [whole] for part in _parts(table, described)]
+    only = described.recording.only if described.recording else ""
     chosen = [part for part in parts if only in ("", part.title)]
     if not chosen:
         names = ", ".join(part.title or "1" for part in parts[:12])
         raise RecordingError(f"{whole.path} has no recording '{only}': give one of {names}")
-    return [_recording(part, said, several=len(parts) > 1) for part in chosen]
+    return [_recording(part, described, several=len(parts) > 1) for part in chosen]
 
 
-def _needed_labels(table: Table, said: ColumnsDocument) -> list[str]:
-    labels = [source.label for source in needed_columns(table, said).values()]
-    if said.recording and said.recording.column:
-        labels.append(said_label(table, "recording", said.recording.column))
+def _needed_labels(table: Table, described: ColumnsDocument) -> list[str]:
+    labels = [source.label for source in needed_columns(table, described).values()]
+    if described.recording and described.recording.column:
+        labels.append(described_label(table, "recording", described.recording.column))
     return labels
 
 
-def _sources(table: Table, said: ColumnsDocument) -> dict[str, SignalSource]:
+def _sources(table: Table, described: ColumnsDocument) -> dict[str, SignalSource]:
     """Return the columns of the signals of a group; empty if it lacks one of them."""
     try:
-        return needed_columns(table, said)
+        return needed_columns(table, described)
     except RecordingError:
         return {}
 
 
-def _parts(table: Table, said: ColumnsDocument) -> list[Table]:
+def _parts(table: Table, described: ColumnsDocument) -> list[Table]:
     """Split a table at the rows where another recording begins."""
-    sources = needed_columns(table, said)
+    sources = needed_columns(table, described)
     if table.rows < 2:
         return [table]
     titles: list[str] = []
-    if said.recording and said.recording.column:
-        number = table.columns[said_label(table, "recording", said.recording.column)]
+    if described.recording and described.recording.column:
+        number = table.columns[described_label(table, "recording", described.recording.column)]
         begins = (np.flatnonzero(np.diff(number) != 0.0) + 1).tolist()
         titles = [f"{number[row]:g}" for row in [0, *begins]]
     else:
@@ -126,16 +126,16 @@ def _parts(table: Table, said: ColumnsDocument) -> list[Table]:
         [0, *begins], [*begins, table.rows], titles, strict=True)]
 
 
-def _recording(table: Table, said: ColumnsDocument, several: bool) -> Recording:
+def _recording(table: Table, described: ColumnsDocument, several: bool) -> Recording:
     """Return the samples of one table."""
     if table.rows < 2:
         of_part = f" of recording {table.title}" if table.title else ""
         raise RecordingError(
             f"{table.path} has fewer than two rows of samples{of_part}: give more of them")
-    sources = needed_columns(table, said)
+    sources = needed_columns(table, described)
     signals = {signal: _in_unit(table, source) for signal, source in sources.items()}
     rows, row_notes = _rows_of_samples(table, sources, signals)
-    axis = _axis(table, sources, signals, rows, said)
+    axis = _axis(table, sources, signals, rows, described)
     used = {source.label for source in sources.values()}
     further = {label: values[rows] for label, values in table.columns.items()
                if label not in used}
@@ -160,17 +160,17 @@ def _recording(table: Table, said: ColumnsDocument, several: bool) -> Recording:
 
 
 def _axis(table: Table, sources: dict[str, SignalSource], signals: dict[str, np.ndarray],
-          rows: np.ndarray, said: ColumnsDocument) -> TimeAxis:
+          rows: np.ndarray, described: ColumnsDocument) -> TimeAxis:
     def place(row: int) -> str:
         return table.place(int(rows[row]))
 
     if "time" in sources:
         return time_axis(signals["time"][rows], place, sources["time"].label)
-    rate_hz = rate_hz_of(table, said)
+    rate_hz = rate_hz_of(table, described)
     assert rate_hz is not None  # otherwise a column of time is required
     axis = time_axis(rows / rate_hz, place, "the number of the row")
     return replace(axis, period_s=1.0 / rate_hz, notes=[
-        f"there is no time; {rate_hz:g} rows a second are assumed as told", *axis.notes])
+        f"there is no time; {rate_hz:g} rows a second are assumed as given", *axis.notes])
 
 
 def _in_unit(table: Table, source: SignalSource) -> np.ndarray:
@@ -198,8 +198,8 @@ def _rows_of_samples(table: Table, sources: dict[str, SignalSource],
             f"{table.place(row)}: {label} {what}: mend the value or cut the file there")
     notes = []
     if missing.size:
-        notes.append(f"{missing.size} rows lack a value, the first of them "
-                     f"{table.place(int(missing[0])).rpartition(', ')[2]}: they are left out")
+        notes.append(f"{missing.size} rows have no value, the first of them "
+                     f"{table.place(int(missing[0])).rpartition(', ')[2]}: they are skipped")
     rows = np.flatnonzero(good)
     if "time" in signals and rows.size:
         others = [values[rows] for signal, values in signals.items() if signal != "time"]
@@ -207,7 +207,7 @@ def _rows_of_samples(table: Table, sources: dict[str, SignalSource],
         if twice.any():
             notes.append(f"{int(twice.sum())} rows are there twice, the first of them "
                          f"{table.place(int(rows[twice][0])).rpartition(', ')[2]}: one of each is "
-                         "left out")
+                         "skipped")
         rows = rows[~twice]
     return rows, notes
 

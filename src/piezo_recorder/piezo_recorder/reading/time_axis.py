@@ -27,7 +27,7 @@ class TimeSettings:
     lost row; at this spread 1.5 periods are five standard deviations away."""
     most_gaps: float = 0.05
     """Part of the rows that may end at a gap; with more there is no period."""
-    anew: float = 0.05
+    restart: float = 0.05
     """Part of a recording's duration: if the time falls to this part, it starts again."""
     most_repeated: float = 0.05
     """Part of the rows that may repeat the row above by a fault of the logger."""
@@ -76,7 +76,7 @@ def restarts(time_s: FloatArray) -> list[int]:
     rows = (np.flatnonzero(np.diff(time_s) < 0.0) + 1).tolist()
     for begin, row in zip([0, *rows], rows, strict=False):
         first_s, last_s = time_s[begin], time_s[row - 1]
-        if time_s[row] - first_s > SETTINGS.anew * (last_s - first_s):
+        if time_s[row] - first_s > SETTINGS.restart * (last_s - first_s):
             return []
     return rows
 
@@ -126,7 +126,7 @@ def time_axis(time_s: FloatArray, place: Callable[[int], str], label: str) -> Ti
         usual_s = float(np.median(steps_s))
         raise RecordingError(
             f"{place(row)}: {label} steps by {steps_s[row - 1]:g} s where {usual_s:g} s is usual: "
-            "sort the rows, or tell recordings in one file apart by a column that numbers them "
+            "sort the rows, or number the recordings of one file in a column "
             "(--columns recording=NAME)")
     if time_s[-1] <= time_s[0]:
         raise RecordingError(f"{place(1)}: {label} steps by 0 s in every row: give the time of "

@@ -6,10 +6,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
 from piezo_common.regular_file import UnreadableFile, open_regular
 from piezo_recorder.reading.axes import axes_with_voltage
+from piezo_recorder.reading.detected import marks_in
 
 LARGEST_BYTES = 1_000_000_000
 """Largest size, some minutes of the sample clock; a table without line ends is read at once."""
@@ -27,10 +29,12 @@ class StoredWaveform(NamedTuple):
 
     axes: tuple[str, ...] = ()
     """Names of several axes."""
+    marks: NDArray[np.uint8] = np.empty(0, np.uint8)
+    """Marks of the samples, (N,); empty if the table has none."""
 
 
 def read_waveform(path: Path) -> StoredWaveform:
-    """Read the columns ``time_s`` and ``voltage_v``, or those of several axes, of a CSV file.
+    """Read ``time_s`` and ``voltage_v``, or those of several axes, and marks from a CSV file.
 
     Raises
     ------
@@ -66,4 +70,5 @@ def read_waveform(path: Path) -> StoredWaveform:
     if period_s <= 0.0 or np.abs(time_s - uniform_s).max() > UNEVEN * period_s:
         raise ValueError(f"{path} is not sampled uniformly: give its rows at equal intervals")
     return StoredWaveform(np.column_stack(by_axis) if axes else by_axis[0],
-                          float(f"{period_s:.9g}"), axes)
+                          float(f"{period_s:.9g}"), axes,
+                          marks_in({label: np.atleast_1d(table[label]) for label in labels}))

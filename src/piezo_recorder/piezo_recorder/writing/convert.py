@@ -12,6 +12,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from piezo_common.command_line import print_next
 from piezo_recorder.reading.data_options import read_all_given
+from piezo_recorder.reading.detected import is_detected, marks_in, signals_in
 from piezo_recorder.reading.reader import origin_of
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import TYPE_NAME
@@ -52,7 +53,7 @@ def write_recording(recording: Recording, path: Path) -> None:
     Parameters
     ----------
     recording : Recording
-        Recording; its further columns are not written, but gaps are.
+        Recording; of its further columns only marks and signals are written, and gaps are.
     path : Path
         Directory to create.
 
@@ -65,6 +66,8 @@ def write_recording(recording: Recording, path: Path) -> None:
     typestore = get_typestore(Stores.EMPTY)
     typestore.register(get_types_from_msg(definition.text, TYPE_NAME))
     types = typestore.types
+    marks, signals = marks_in(recording.columns), signals_in(recording.columns)
+    signal = np.array([*signals.values()], dtype=float).T
     stamp, header = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
     with RecordingWriter(path, recording.sample_rate_hz) as writer:
         writer.attach("conversion.json", json.dumps({
@@ -79,7 +82,8 @@ def write_recording(recording: Recording, path: Path) -> None:
                 first_sample=first, sample_period_s=float(recording.sample_periods_s[rows][0]),
                 tick=tick, voltage_v=np.ravel(recording.voltage_v[rows]).astype(float),
                 displacement_um=np.ravel(recording.displacement_um[rows]).astype(float),
-                flags=int(recording.flags[rows][0]), missed_feedback=0, axes=list(recording.axes))
+                flags=int(recording.flags[rows][0]), missed_feedback=0, axes=list(recording.axes),
+                marks=marks[rows], signals=list(signals), signal=np.ravel(signal[rows]))
             writer.write(channel, bytes(typestore.serialize_cdr(block, TYPE_NAME)), time_ns)
 
 
@@ -106,6 +110,8 @@ def convert_file(options: argparse.Namespace) -> None:
         is_csv = path.suffix.lower() == ".csv"
         (write_csv if is_csv else write_recording)(recording, path)
         print(f"{len(recording.voltage_v)} samples written to {path}")
-        if recording.columns and not is_csv:
-            print(f"not written: {', '.join(recording.columns)}, for which only a CSV has room")
+        left_out = [] if is_csv else [
+            label for label in recording.columns if not is_detected(label)]
+        if left_out:
+            print(f"not written: {', '.join(left_out)}, for which only a CSV has room")
         print_next(options, "piezo_identification", "check", "--data", path)

@@ -121,8 +121,43 @@ def test_arrays_that_do_not_fit_are_refused(changes, words):
 def test_an_axis_that_lacks_values_is_refused():
     table = columns()
     table["y_displacement_um"][-1] = np.nan
-    with pytest.raises(RecordingError, match="an axis lacks values"):
+    with pytest.raises(RecordingError, match="an axis has no values"):
         axes_recordings_in(table)
+
+
+MARKS = np.arange(400, dtype=np.uint8) % 16
+SIGNAL = np.random.default_rng(5).normal(size=(400, 2))
+
+
+def marked_blocks(sample_blocks):
+    """Blocks of two axes with two detectors; those in the middle have no marks."""
+    for first in range(0, 400, 40):
+        part = slice(first, first + 40)
+        yield sample_blocks.serialise(
+            first, np.zeros((40, 2)), np.zeros((40, 2)), axes=("x", "y"),
+            marks=() if 100 < first < 300 else MARKS[part], signals=("height_um", "camera"),
+            signal=SIGNAL[part])
+
+
+def test_marks_and_signals_are_columns_of_a_recording_of_a_stage(tmp_path, sample_blocks):
+    sample_blocks.write(tmp_path / "run", {"/stage/samples": marked_blocks(sample_blocks)})
+    recording, = read_axes(tmp_path / "run")
+    assert list(recording.signals) == ["height_um", "camera"]
+    assert np.array_equal(recording.signals["camera"], SIGNAL[:, 1])
+    assert np.array_equal(recording.columns["camera_signal"], SIGNAL[:, 1])
+    middle = (np.arange(400) >= 120) & (np.arange(400) < 320)
+    assert np.array_equal(recording.marks, np.where(middle, 0, MARKS))
+    assert np.array_equal(recording.columns["line"], recording.marks & 2 > 0)
+
+
+def test_marks_and_signals_of_a_table_are_kept_without_the_columns_of_axes(tmp_path):
+    table = columns() | {"detector_signal": np.arange(50.0), "pixel": np.arange(50) % 2,
+                         "backward": np.ones(50), "x_temperature_k": np.zeros(50)}
+    recording, = read_axes(write(tmp_path / "scan.csv", table))
+    assert np.array_equal(recording.signals["detector"], np.arange(50.0))
+    assert np.array_equal(recording.marks, 8 + np.arange(50) % 2)
+    assert set(recording.columns) == {"detector_signal", "pixel", "backward"}
+    assert not read_axes(write(tmp_path / "plain.csv", columns()))[0].marks.size
 
 
 def bag_of_axes(sample_blocks, path, samples=400, slow=False, names=("x", "y"),
@@ -177,7 +212,7 @@ def test_recording_whose_axes_change_or_that_lacks_samples_is_refused(tmp_path, 
         read_axes(tmp_path / "other")
     sample_blocks.write(tmp_path / "gap", {"/stage/samples": [blocks[0], sample_blocks.serialise(
         200, np.zeros((40, 2)), np.zeros((40, 2)), axes=("x", "y"))]})
-    with pytest.raises(RecordingError, match="gap lacks samples: record it again"):
+    with pytest.raises(RecordingError, match="gap has gaps: record it again"):
         read_axes(tmp_path / "gap")
 
 

@@ -120,7 +120,7 @@ def test_rows_without_a_value_are_left_out_and_told(tmp_path):
     known = np.delete(np.arange(ROWS), [50, 51, 120])
     np.testing.assert_allclose(recording.displacement_um[known], DISPLACEMENT_UM[known], atol=1e-9)
     np.testing.assert_allclose(recording.displacement_um, DISPLACEMENT_UM, atol=0.1)
-    assert any("3 rows lack a value, the first of them row 52" in note for note in recording.notes)
+    assert any("3 rows have no value, the first of them row 52" in note for note in recording.notes)
 
 
 def test_long_part_without_a_value_is_a_gap_also_without_times(tmp_path):

@@ -19,17 +19,19 @@ def write(path, header, rows):
 def test_voltage_and_period_are_those_of_the_table(tmp_path, period_s):
     rows = [(f"{2.0 + k * period_s:.9f}", 0.5 * k, "any") for k in range(7)]
     path = write(tmp_path / "mine.csv", ("time_s", "voltage_v", "displacement_um"), rows)
-    voltage_v, sample_period_s, axes = read_waveform(path)
+    voltage_v, sample_period_s, axes, marks = read_waveform(path)
     assert voltage_v.tolist() == [0.5 * k for k in range(7)]
     assert sample_period_s == pytest.approx(period_s, rel=1e-9)
-    assert axes == ()
+    assert axes == () and not marks.size
 
 
 def test_voltages_of_several_axes_are_the_columns_of_an_array(tmp_path):
-    rows = [(0.001 * k, 0.5 * k, -k, "any") for k in range(7)]
-    path = write(tmp_path / "both.csv", ("time_s", "x_voltage_v", "y_voltage_v", "line"), rows)
-    voltage_v, sample_period_s, axes = read_waveform(path)
+    rows = [(0.001 * k, 0.5 * k, -k, k % 2, "any") for k in range(7)]
+    path = write(tmp_path / "both.csv", ("time_s", "x_voltage_v", "y_voltage_v", "line", "note"),
+                 rows)
+    voltage_v, sample_period_s, axes, marks = read_waveform(path)
     assert axes == ("x", "y") and sample_period_s == 0.001
+    assert marks.tolist() == [0, 2, 0, 2, 0, 2, 0]
     assert voltage_v.tolist() == [[0.5 * k, -k] for k in range(7)]
 
 

@@ -55,14 +55,19 @@ def test_converted_recording_is_read_back_as_it_was(tmp_path, table, name, capsy
 
 
 @pytest.mark.parametrize("name", ["new.csv", "new"])
-def test_converted_recording_of_two_axes_is_read_back_as_it_was(tmp_path, sample_blocks, name):
+def test_converted_recording_of_two_axes_is_read_back_as_it_was(
+        tmp_path, sample_blocks, name, capsys):
     voltage_v, displacement_um = np.random.default_rng(6).uniform(0.0, 50.0, (2, 120, 2))
     sample_blocks.write(tmp_path / "run", {"/stage/samples": [sample_blocks.serialise(
-        first, voltage_v[first:first + 40], displacement_um[first:first + 40], axes=("x", "y"))
+        first, voltage_v[first:first + 40], displacement_um[first:first + 40], axes=("x", "y"),
+        marks=np.arange(first, first + 40) % 16, signals=["camera"], signal=voltage_v[:40, 0])
         for first in range(0, 120, 40)]}, 40_000.0)
     assert convert_main([str(tmp_path / "run"), str(tmp_path / name)]) == 0
+    assert "not written" not in capsys.readouterr().out
     recording, = read_axes(tmp_path / name)
     assert recording.axes == ("x", "y")
+    np.testing.assert_array_equal(recording.marks, np.arange(120) % 16)
+    np.testing.assert_array_equal(recording.signals["camera"], np.tile(voltage_v[:40, 0], 3))
     np.testing.assert_array_equal(recording.voltage_v, voltage_v)
     np.testing.assert_array_equal(recording.displacement_um, displacement_um)
 

@@ -26,7 +26,7 @@ from std_srvs.srv import Trigger
 from piezo_ros.deadlines import set_deadline
 from piezo_ros.messages import Message, MessageType
 from piezo_ros.requests.lost_answers import PatientActionClient
-from piezo_ros.requests.servers import WORD_AFTER_S, Waiting, server_of
+from piezo_ros.requests.servers import WORD_AFTER_S, Waiting, described_server
 
 InvalidHandle = rclpy_implementation.InvalidHandle
 
@@ -195,7 +195,7 @@ class ActionCaller:
                              CALL_TIMEOUT_S, self._settle_late())
         if not handle.accepted:
             raise CallFailed(f"{self._name} rejected the goal: its node is busy or not active, "
-                             "its log tells which")
+                             "its log states which")
         result = self._end(handle, lambda: bool(failures) or cancelled()).result
         if cancelled():
             return result
@@ -243,7 +243,7 @@ class ActionCaller:
         while sent.empty():
             _check_alive(self._node, self._name)
             if time.monotonic() - begin_s > CALL_TIMEOUT_S:
-                raise CallFailed(f"{self._name} was not asked within {CALL_TIMEOUT_S:g} s: this "
+                raise CallFailed(f"{self._name} was not called within {CALL_TIMEOUT_S:g} s: this "
                                  "node hangs, start it again")
             time.sleep(POLL_S / 10)
         return _await(sent.get, self._node, self._client.server_is_ready, self._name, timeout_s,
@@ -292,7 +292,7 @@ def _await(send: Callable[[], Future], node: Node, is_served: Callable[[], bool]
             raise CallFailed(f"the node that serves {name} has ended: start it again")
         if timeout_s is not None:
             if now_s - begin_s > timeout_s:
-                raise NoAnswer(f"{server_of(node, name) or 'nobody'} did not answer {name} within "
+                raise NoAnswer(f"{described_server(node, name)} did not answer {name} within "
                                f"{timeout_s:g} s: look at its log")
             waiting.look(now_s - begin_s)
         if repeatable and now_s - sent_s > resend_s:

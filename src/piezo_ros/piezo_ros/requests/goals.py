@@ -114,7 +114,7 @@ class GoalServers(ManagedEntity):
         self._servers: list[ActionServer] = []
         self._present: tuple[str, Progress] | None = None
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        node.create_timer(DIAGNOSTICS_PERIOD_S, self._tell,
+        node.create_timer(DIAGNOSTICS_PERIOD_S, self._publish,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
         node.add_managed_entity(self)
         keep_clock(node, lambda: "a goal runs" if self.busy else "")
@@ -161,17 +161,17 @@ class GoalServers(ManagedEntity):
         """Return whether a goal is accepted; the response has no field for a reason."""
         reason = ""
         if late := why_too_late(goal):
-            reason = f"is asked too late: {late}"
+            reason = f"was sent too late: {late}"
         elif self._why_ending or not self._active:
             reason = "is not active: activate it first"
         elif self.busy:
             reason = "is busy with another goal: wait or cancel it"
         if reason:
             self._node.get_logger().warning(f"goal rejected: {self._node.get_name()} {reason}")
-            self._tell()
+            self._publish()
         return GoalResponse.REJECT if reason else GoalResponse.ACCEPT
 
-    def _tell(self) -> None:
+    def _publish(self) -> None:
         """Publish the work state, from which rejected clients learn the reason."""
         present = self._present
         if present is not None:

@@ -30,14 +30,27 @@ class Waiting:
         if due <= self._told:
             return
         self._told = due
-        server = server_of(self._node, self._service)
         self._node.get_logger().warning(
-            f"{server} has not answered {self._service} for {waited_s:.0f} s: waiting" if server
+            f"{described_server(self._node, self._service)} has not answered {self._service} for "
+            f"{waited_s:.0f} s: waiting" if _is_served(self._node, self._service)
             else f"nobody has served {self._service} for {waited_s:.0f} s: waiting for its node")
 
 
+def described_server(node: Node, service: str) -> str:
+    """Return the full name of the node that serves a service or an action, or a description of it.
+
+    The middleware forgets the name of a node that it once took for dead, but not its services.
+
+    Parameters
+    ----------
+    node, service
+        As for `server_of`.
+    """
+    return server_of(node, service) or f"the node that serves {service}"
+
+
 def server_of(node: Node, service: str) -> str:
-    """Return the full name of the node that serves a service or an action; empty if none does.
+    """Return the full name of the node that serves a service or an action; empty if unknown.
 
     Parameters
     ----------
@@ -46,10 +59,18 @@ def server_of(node: Node, service: str) -> str:
     service : str
         Name of the service or action, relative to the node's namespace or full.
     """
-    full_name = node.resolve_service_name(service)
-    names = {full_name, f"{full_name}/_action/send_goal"}
+    names = _names(node, service)
     for name, namespace in node.get_node_names_and_namespaces():
         with suppress(NodeNameNonExistentError):  # gone meanwhile
             if names & dict(node.get_service_names_and_types_by_node(name, namespace)).keys():
                 return f"{namespace.rstrip('/')}/{name}"
     return ""
+
+
+def _is_served(node: Node, service: str) -> bool:
+    return any(node.count_services(name) for name in _names(node, service))
+
+
+def _names(node: Node, service: str) -> set[str]:
+    full_name = node.resolve_service_name(service)
+    return {full_name, f"{full_name}/_action/send_goal"}

@@ -60,9 +60,10 @@ class DescribedStage:
     def contradiction(self) -> str:
         """Parameters of this node that contradict the stage; empty if there are none."""
         return "; ".join(
-            f"parameter {name} is {value}, but {self.topic} says {told}: set it at the stage alone"
+            f"parameter {name} is {value}, but {self.topic} publishes {published}: "
+            "set it at the stage alone"
             for name, value in self._given.items()
-            if self._heard is not None and value != (told := getattr(self._heard, name)))
+            if self._heard is not None and value != (published := getattr(self._heard, name)))
 
     @property
     def too_many_axes(self) -> str:
@@ -128,7 +129,7 @@ class DescribedStage:
                    for name in description.get_fields_and_field_types()
                    if (before := getattr(description, name)) != (now := getattr(present, name))]
         if changes:
-            raise CallFailed(f"the stage was started anew meanwhile with {', '.join(changes)}: "
+            raise CallFailed(f"the stage was restarted meanwhile with {', '.join(changes)}: "
                              "send the goal again")
 
     def _check_start(self, state: Future | None, waited_s: float) -> None:

@@ -54,7 +54,7 @@ class RunAccount:
             failures.append(f"{self._limited}, more than max_limited_percent, "
                             f"{self._max_limited_percent:g}: ask for less travel or speed")
         if self.starved:
-            failures.append(f"the feedforward came too late for {self.starved} of {self.blocks} "
+            failures.append(f"the feedforward arrived too late for {self.starved} of {self.blocks} "
                             "ticks: relieve the computer")
         return "; ".join(failures)
 
@@ -66,7 +66,7 @@ class RunAccount:
 
     @property
     def _late(self) -> str:
-        return f"{self.late} of {self.blocks} answers came late"
+        return f"{self.late} of {self.blocks} answers were late"
 
     @property
     def _limited(self) -> str:

@@ -25,7 +25,7 @@ def test_flawless_run_counts_and_tells_nothing():
 
 
 @pytest.mark.parametrize(("flag", "allowed", "note"), [
-    (LATE, 10, "10 of 1000 answers came late"),
+    (LATE, 10, "10 of 1000 answers were late"),
     (RANGE, 20, "the stage limited the voltage in 20 of 1000 ticks"),
     (SLEW, 20, "the stage limited the voltage in 20 of 1000 ticks"),
 ])
@@ -46,6 +46,6 @@ def test_late_answers_that_do_not_act_do_not_count():
 
 
 def test_stream_that_is_late_once_fails_the_run():
-    assert "the feedforward came too late for 1 of 1000 ticks" in account_of(
+    assert "the feedforward arrived too late for 1 of 1000 ticks" in account_of(
         [STARVED], streamed=True).failure
     assert account_of([STARVED] * 1000).failure == ""

@@ -20,8 +20,8 @@ def _saturate(samples: FloatArray, low_v: float, high_v: float, knee_v: float) -
         below = (low_v - voltage) / knee_v
         # ln(1 + exp(x)) without overflow
         excess = max(above, 0.0) + math.log1p(math.exp(-abs(above)))
-        lack = max(below, 0.0) + math.log1p(math.exp(-abs(below)))
-        samples[n] = voltage - knee_v * (excess - lack)
+        deficit = max(below, 0.0) + math.log1p(math.exp(-abs(below)))
+        samples[n] = voltage - knee_v * (excess - deficit)
 
 
 @dataclass(frozen=True)

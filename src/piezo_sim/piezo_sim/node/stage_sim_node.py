@@ -11,6 +11,7 @@ from rclpy.lifecycle.node import LifecycleState
 from rclpy.publisher import Publisher
 
 from piezo_common.arrays import FloatArray
+from piezo_common.gsf import read_gsf
 from piezo_ros.parameters import declare
 from piezo_sim.paced import PacedStage
 from piezo_sim.plant.plant_file import AxesPlantConfig, read_any_plant
@@ -79,10 +80,13 @@ def create_simulated_stage(node: SimulatedStageNode) -> StageBackend:
     seed = declare(node, "seed", 1, "Seed of the sensor noise.", 0, 2**31 - 1)
     plant = declare(node, "plant", "", "Plant file (YAML), or the name of a plant that comes with "
                     "the simulator; empty for the default plant.")
+    specimen = declare(node, "specimen", "", "Heights under the tip of a stage of several axes "
+                       "(.gsf), for images; empty for none.")
     config = read_any_plant(plant or None)
     axes = tuple(config.axes) if isinstance(config, AxesPlantConfig) else ()
     stage = SimulatedStage(
-        config, seed, node.settings.sample_rate_hz, node.settings.rest_v(axes))
+        config, seed, node.settings.sample_rate_hz, node.settings.rest_v(axes),
+        read_gsf(specimen) if specimen else None)
     stage.on_truth = node.take_truth
     # Neither has `lead_samples`, which is optional.
     return cast(StageBackend, stage if node.settings.lockstep else PacedStage(stage))

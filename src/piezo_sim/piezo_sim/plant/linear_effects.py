@@ -102,8 +102,8 @@ def chain(effects: Sequence[LinearEffect]) -> StateSpace:
         beside = effect.beside
         if beside > len(systems):
             raise PlantConfigError(
-                f"{effect.name}: it lies beside {beside} linear effects, but only {len(systems)} "
-                "lie directly before it."
+                f"{effect.name}: it is parallel to {beside} linear effects, but only "
+                f"{len(systems)} lie directly before it."
             )
         systems[-beside:] = [effect.join(reduce(series, systems[-beside:]))]
     return reduce(series, systems)

@@ -189,7 +189,7 @@ class Parameter(Part):
 
     UNIT: ClassVar[str] = ""
 
-    value: Any = entry("A number, a whole number or a list of numbers, as the effect asks for.")
+    value: Any = entry("A number, a whole number or a list of numbers, as the effect requires.")
     unit: str = entry("The unit that the effect states.")
     source: str = entry("Where the value comes from; not empty.")
 
@@ -198,7 +198,7 @@ class Parameter(Part):
         if self.unit != self.UNIT:
             raise violation(f"is {quoted(self.unit)}", f'state the value in "{self.UNIT}"', "unit")
         if not self.source.strip():
-            raise violation("is empty", "say where the value comes from", "source")
+            raise violation("is empty", "give the source of the value", "source")
         return self
 
 

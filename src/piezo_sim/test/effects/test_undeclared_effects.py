@@ -191,7 +191,7 @@ def test_parallel_mode_adds_its_residue_to_the_response():
 
 
 def test_parallel_mode_needs_effects_to_lie_beside():
-    with pytest.raises(PlantConfigError, match="parallel_mode: .*beside 2 .* only 1 lie"):
+    with pytest.raises(PlantConfigError, match="parallel_mode: .*parallel to 2 .* only 1 lie"):
         LinearRunner([ElectricLag(1e-3), ParallelMode(8796.0, 0.01, 0.02, beside=2)], PERIOD_S)
 
 

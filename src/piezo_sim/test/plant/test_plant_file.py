@@ -140,7 +140,7 @@ def test_a_wrong_unit_is_refused():
 def test_an_empty_source_is_refused():
     content = default_content()
     content["stage"][2]["time_constant_s"]["source"] = " "
-    assert "time_constant_s.source is empty; say where" in refusal(content)
+    assert "time_constant_s.source is empty; give the source" in refusal(content)
 
 
 def test_missing_and_unknown_parameters_are_named():

@@ -45,6 +45,14 @@ class StageBackend(Protocol):
     A backend of two or three axes names them by an attribute ``axes : tuple of str``; it exchanges
     a column for each, all of one sample at the same instant. Names are short and lower-case.
 
+    A backend with digital outputs has a method ``put_out_marks(marks)``. Where samples have marks,
+    the node calls it before their ``exchange``, with one byte each, (n,). Bit i is put out on line
+    i when the voltage of the sample is applied; without a call all lines are low.
+
+    A backend with detectors names them by an attribute ``signals : tuple of str``. Its method
+    ``read_signals()`` returns what they measured at the samples of the last exchange, shape
+    (n, signals), at the instants of the displacements.
+
     A backend that can only play whole waveforms, such as one with a waveform memory, has an
     attribute ``longest_program_samples : int``, with as many ``lead_samples``. It then receives
     only waveforms that end at rest within that length. Its optional method ``watch_stop(stopped)``

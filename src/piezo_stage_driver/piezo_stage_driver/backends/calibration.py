@@ -1,17 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Calibration file of a stage behind a data acquisition card."""
 
-import re
 from os import PathLike
 from typing import ClassVar, TypeVar
 
 import numpy as np
 from pydantic import model_validator
 
-from piezo_common.regular_file import UnreadableFile
-from piezo_common.schema import Document, Number, Part, SchemaError, entry, parsed, violation
-from piezo_common.schema.checking import quoted
-from piezo_common.text_file import read_bounded_text
+from piezo_common.schema import Document, Number, Part, SchemaError, entry, violation
+from piezo_stage_driver.backends.axes_file import check_axes, load_axes_file
 
 # Terminal configurations of NI-DAQmx.
 TERMINALS = ("DEFAULT", "DIFF", "RSE", "NRSE", "PSEUDO_DIFF")
@@ -80,7 +77,16 @@ class AxisCalibration(Part):
         return self.sensor_um_per_v * card_v + self.sensor_offset_um
 
 
-class Calibration(AxisCalibration, Document):
+class CardPart(Part):
+    """Entries of a card, whatever the number of axes."""
+
+    lead_ticks: int = entry("How many ticks ahead the output is written.",
+                            at_least=1, at_most=1_000_000_000)
+    mark_lines: str = entry("Digital lines that put out the marks, from line 0 of a port: pixel, "
+                            "line, frame and backward; none by default.", default="")
+
+
+class Calibration(AxisCalibration, CardPart, Document):
     """The calibration of a stage of one axis.
 
     The output is written `lead_ticks` ahead. That is the tolerated delay of the computer, which
@@ -91,16 +97,13 @@ class Calibration(AxisCalibration, Document):
     SYNTAX: ClassVar[str] = "yaml"
     RENEW: ClassVar[str] = "add it"
 
-    lead_ticks: int = entry("How many ticks ahead the output is written.",
-                            at_least=1, at_most=1_000_000_000)
-
     @property
     def by_axis(self) -> dict[str, AxisCalibration]:
         """Return the only axis, without a name."""
         return {"": self}
 
 
-class AxesCalibration(Document):
+class AxesCalibration(CardPart, Document):
     """The calibration of a stage of several axes on one card."""
 
     TITLE: ClassVar[str] = "calibration file"
@@ -109,21 +112,15 @@ class AxesCalibration(Document):
 
     axes: dict[str, AxisCalibration] = entry(
         "Channels and factors of each axis, by its short lower-case name.", shortest=2, longest=3)
-    lead_ticks: int = entry("How many ticks ahead the output is written.",
-                            at_least=1, at_most=1_000_000_000)
 
     @model_validator(mode="after")
     def _check_axes(self) -> "AxesCalibration":
         first = next(iter(self.axes.values()))
         for axis, own in self.axes.items():
-            if not re.fullmatch("[a-z][a-z0-9]*", axis):
-                raise violation(f"has the name {quoted(axis)}", "give short ones such as x", "axes")
             if own.device != first.device:
                 raise violation(f"is on {own.device}, another axis on {first.device}",
                                 "use channels of one card", f"axes.{axis}.input_channel")
-        for name in ("output_channel", "input_channel"):
-            if len({getattr(own, name) for own in self.axes.values()}) < len(self.axes):
-                raise violation(f"name one {name} twice", "give each its own", "axes")
+        check_axes(self.axes, ("output_channel", "input_channel"))
         return self
 
     @property
@@ -141,11 +138,6 @@ def load_calibration(path: str | PathLike[str]) -> Calibration | AxesCalibration
         If the file cannot be read, or an entry is unknown, missing or impossible.
     """
     try:
-        text = read_bounded_text(path)
-        if re.search(r"^axes:", text, re.MULTILINE):
-            return parsed(AxesCalibration, text)
-        return parsed(Calibration, text)
-    except UnreadableFile as error:
-        raise CalibrationError(f"{path}: {error}; give a {Calibration.TITLE}") from None
+        return load_axes_file(Calibration, AxesCalibration, path)
     except SchemaError as error:
         raise CalibrationError(f"{path}: {error}") from None

@@ -64,7 +64,8 @@ def load_driver() -> SimpleNamespace:
     return SimpleNamespace(
         Task=nidaqmx.Task, constants=constants, Error=errors.Error, DaqError=errors.DaqError,
         Reader=readers.AnalogSingleChannelReader, Writer=writers.AnalogSingleChannelWriter,
-        AxesReader=readers.AnalogMultiChannelReader, AxesWriter=writers.AnalogMultiChannelWriter)
+        AxesReader=readers.AnalogMultiChannelReader, AxesWriter=writers.AnalogMultiChannelWriter,
+        LinesWriter=writers.DigitalSingleChannelWriter)
 
 
 class NidaqmxStage:
@@ -92,8 +93,9 @@ class NidaqmxStage:
         self.sample_rate_hz = settings.sample_rate_hz
         self.lead_samples = calibration.lead_ticks * settings.samples_per_tick
         self.axes = tuple(filter(None, calibration.by_axis))
+        self._mark_lines, self._marks = calibration.mark_lines, np.empty(0, np.uint8)
         self._channels = list(calibration.by_axis.values())
-        own = [settings.of_axis(axis) if axis else settings for axis in calibration.by_axis]
+        own = [settings.of_axis(axis) for axis in calibration.by_axis]
         for axis, channel, limits in zip(calibration.by_axis, self._channels, own, strict=True):
             lowest_v, highest_v = channel.voltage_range_v
             if not lowest_v <= limits.minimum_voltage_v < limits.maximum_voltage_v <= highest_v:
@@ -118,6 +120,10 @@ class NidaqmxStage:
         except ValueError:
             self._end_tasks()
             raise
+
+    def put_out_marks(self, marks: np.ndarray) -> None:
+        """Put out marks with the voltages that are written next."""
+        self._marks = marks
 
     def exchange(self, voltage_v: np.ndarray) -> np.ndarray:
         """Write the voltages for `lead_samples` later, and read the present measurement."""
@@ -156,21 +162,34 @@ class NidaqmxStage:
         if abs(actual_hz - self.sample_rate_hz) > RATE_TOLERANCE * self.sample_rate_hz:
             raise ValueError(f"the card's clock goes at {actual_hz:g} Hz, not at "
                              f"{self.sample_rate_hz:g} Hz: set sample_rate_hz to it")
-        playing.timing.cfg_samp_clk_timing(
-            self.sample_rate_hz, source=f"/{self._channels[0].device}/ai/SampleClock",
-            sample_mode=continuous, samps_per_chan=2 * self.lead_samples)
-        playing.out_stream.regen_mode = driver.constants.RegenerationMode.DONT_ALLOW_REGENERATION
+        self._follow_input(playing)
         reader, writer = ((driver.AxesReader, driver.AxesWriter) if self.axes
                           else (driver.Reader, driver.Writer))
         self._reader = reader(measuring.in_stream)
         self._writer = writer(playing.out_stream, auto_start=False)
+        if self._mark_lines:
+            lines = self._task("marks")
+            # One channel of all lines, so that a byte is a sample of all of them.
+            lines.do_channels.add_do_chan(
+                self._mark_lines, line_grouping=driver.constants.LineGrouping.CHAN_FOR_ALL_LINES)
+            self._follow_input(lines)
+            self._lines_writer = driver.LinesWriter(lines.out_stream, auto_start=False)
         self._ahead.clear()
         for _ in range(self._lead_ticks):
             self._write(np.full(
                 (self._settings.samples_per_tick, *np.shape(self._rest_v)), self._rest_v))
-        # The output waits for the clock, which begins with the input.
-        playing.start()
-        measuring.start()
+        # The outputs wait for the clock, which begins with the input.
+        for task in reversed(self._tasks):
+            task.start()
+
+    def _follow_input(self, task: Any) -> None:
+        """Let an output use the clock of the input."""
+        constants = self._driver.constants
+        task.timing.cfg_samp_clk_timing(
+            self.sample_rate_hz, source=f"/{self._channels[0].device}/ai/SampleClock",
+            sample_mode=constants.AcquisitionType.CONTINUOUS,
+            samps_per_chan=2 * self.lead_samples)
+        task.out_stream.regen_mode = constants.RegenerationMode.DONT_ALLOW_REGENERATION
 
     def _task(self, name: str) -> Any:
         task = self._driver.Task(f"piezo_stage_{name}")
@@ -185,6 +204,11 @@ class NidaqmxStage:
 
     def _write(self, voltage_v: np.ndarray) -> None:
         self._writer.write_many_sample(self._card_v(voltage_v), timeout=TIMEOUT_S)
+        if self._mark_lines:
+            marks = np.zeros(len(voltage_v), np.uint8)
+            marks[:len(self._marks)] = self._marks
+            self._lines_writer.write_many_sample_port_byte(marks, timeout=TIMEOUT_S)
+        self._marks = np.empty(0, np.uint8)
         self._ahead.append(voltage_v)
 
     def _card_v(self, voltage_v: np.ndarray) -> np.ndarray:

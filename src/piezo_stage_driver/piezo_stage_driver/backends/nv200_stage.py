@@ -14,8 +14,9 @@ from types import SimpleNamespace
 from typing import Any, ClassVar, Literal, TypeVar
 
 import numpy as np
+from pydantic import model_validator
 
-from piezo_common.schema import Document, Positive, entry
+from piezo_common.schema import Document, Positive, entry, violation
 from piezo_stage_driver.backends.registry import BackendSettings
 from piezo_stage_driver.backends.stored_waveforms import (
     StoredWaveformStage,
@@ -44,6 +45,15 @@ class Nv200Settings(Document):
         at_least=1, at_most=GENERATOR_SAMPLES)
     transfer_s: Positive = entry("What storing a waveform and reading its record may take.",
                                  unit="s")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_axes(cls, content: Any) -> Any:
+        if isinstance(content, dict) and "axes" in content:
+            raise violation(
+                "is not possible: an NV200 drives one axis, and shares its clock with no other",
+                "use a backend that drives all axes on one clock, such as pi_gcs", "axes")
+        return content
 
 
 def load_library() -> SimpleNamespace:
@@ -82,6 +92,7 @@ class Nv200:
     """
 
     name = "nv200"
+    axes: tuple[str, ...] = ()
     failures: tuple[type[Exception], ...]
 
     def __init__(self, settings: Nv200Settings, library: SimpleNamespace | None = None):
@@ -125,27 +136,27 @@ class Nv200:
     def recorded(self, samples: int) -> tuple[np.ndarray, np.ndarray]:
         """Read both channels of the recorder; see `WaveformInstrument`."""
         position, voltage = (
-            np.asarray(self._wait(self._recorder.read_recorded_data_of_channel(channel)).values)
+            np.array([self._wait(self._recorder.read_recorded_data_of_channel(channel)).values]).T
             for channel in (POSITION_CHANNEL, VOLTAGE_CHANNEL))
         if min(len(position), len(voltage)) < samples:
             raise RuntimeError(f"it recorded {min(len(position), len(voltage))} of {samples} "
                                "samples")
         return voltage[:samples], position[:samples]
 
-    def displacement_um(self) -> float:
+    def displacement_um(self) -> np.ndarray:
         """Read the position once (um)."""
-        return float(self._wait(self._device.get_current_position()))
+        return np.array([float(self._wait(self._device.get_current_position()))])
 
-    def held_v(self) -> float:
+    def held_v(self) -> np.ndarray:
         """Measure the voltage once (V) with the recorder, as the device has no other way."""
         value = float(self._wait(
             self._recorder.read_single_value_from(self._library.Source.PIEZO_VOLTAGE)))
         self._wait(self._prepare_recorder())
-        return value
+        return np.array([value])
 
-    def hold(self, voltage_v: float) -> None:
+    def hold(self, voltage_v: np.ndarray) -> None:
         """Set a voltage by a single command (V)."""
-        self._wait(self._device.move_to_voltage(voltage_v))
+        self._wait(self._device.move_to_voltage(float(voltage_v[0])))
 
     def halt(self) -> None:
         """Stop the waveform generator."""
@@ -172,7 +183,7 @@ class Nv200:
     async def _started(self, voltage_v: np.ndarray) -> None:
         await self._recorder.set_sample_buffer_size(len(voltage_v))
         waveform = self._library.Generator.WaveformData(
-            voltage_v.tolist(), self._sample_period_ms)
+            voltage_v[:, 0].tolist(), self._sample_period_ms)
         await self._generator.set_waveform(waveform, self._library.Unit.VOLTAGE)
         await self._generator.start(cycles=1)
 
@@ -194,6 +205,6 @@ def create(settings: BackendSettings) -> StoredWaveformStage:
     ValueError
         If the file is missing or invalid, or the library is missing.
     """
-    told = settings_of("nv200", Nv200Settings, settings)
+    told = settings_of("nv200", Nv200Settings, Nv200Settings, settings)
     return StoredWaveformStage(
         Nv200(told), settings, told.longest_program_samples, told.transfer_s)

@@ -31,8 +31,11 @@ class BackendSettings:
     """Returns the voltages and the ramp rate of an axis, see `of_axis`."""
 
     def of_axis(self, axis: str) -> "BackendSettings":
-        """Return the settings with the voltages and the ramp rate of one of several axes."""
-        return replace(self, **self.own(axis))
+        """Return the settings with the voltages and the ramp rate of one of several axes.
+
+        A single axis has the name ``""`` and these settings.
+        """
+        return replace(self, **self.own(axis)) if axis else self
 
 
 def create_backend(name: str, settings: BackendSettings) -> StageBackend:

@@ -11,11 +11,12 @@ waveform therefore cannot act, and commands that need them are refused: see
 
 import time
 from collections.abc import Callable
-from typing import Protocol, TypeVar
+from typing import Protocol
 
 import numpy as np
 
-from piezo_common.schema import Document, SchemaError, load_document
+from piezo_common.schema import SchemaError
+from piezo_stage_driver.backends.axes_file import One, Several, load_axes_file
 from piezo_stage_driver.backends.backend import BackendFault
 from piezo_stage_driver.backends.registry import BackendSettings
 
@@ -28,9 +29,6 @@ FASTEST_TICK_S = 1e-3
 VOLTAGE_TOLERANCE = 0.05
 
 
-Settings = TypeVar("Settings", bound=Document)
-
-
 class WaveformInstrument(Protocol):
     """Interface of an instrument with a waveform memory and a recorder.
 
@@ -38,11 +36,15 @@ class WaveformInstrument(Protocol):
     ----------
     name : str
         Name of the backend.
+    axes : tuple of str
+        Names of the axes if there are several. All play on one clock, begin in the same sample,
+        and stop together. Arrays have a column for each; a single axis has one column.
     failures : tuple of type
         Exceptions that its library raises if the instrument fails.
     """
 
     name: str
+    axes: tuple[str, ...]
     failures: tuple[type[Exception], ...]
 
     def open(self, sample_rate_hz: float, samples: int) -> None:
@@ -55,22 +57,22 @@ class WaveformInstrument(Protocol):
         """
 
     def start(self, voltage_v: np.ndarray) -> None:
-        """Store a waveform, shape (n,), and start it together with the recorder."""
+        """Store a waveform, shape (n, axes), and start it together with the recorder."""
 
     def running(self) -> bool:
         """Return whether the waveform is still played or recorded."""
 
     def recorded(self, samples: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the recorded voltage (V) and displacement (um), each of shape (samples,)."""
+        """Return the recorded voltage (V) and displacement (um), shape (samples, axes) each."""
 
-    def displacement_um(self) -> float:
-        """Read the sensor once (um)."""
+    def displacement_um(self) -> np.ndarray:
+        """Read the sensors once (um), shape (axes,)."""
 
-    def held_v(self) -> float:
-        """Return the present output voltage of the instrument (V)."""
+    def held_v(self) -> np.ndarray:
+        """Return the present output voltages of the instrument (V), shape (axes,)."""
 
-    def hold(self, voltage_v: float) -> None:
-        """Set a voltage by a single command (V)."""
+    def hold(self, voltage_v: np.ndarray) -> None:
+        """Set the voltages of all axes, shape (axes,), by a single command (V)."""
 
     def halt(self) -> None:
         """End a waveform that plays; the voltage may stay at its present value."""
@@ -110,10 +112,13 @@ class StoredWaveformStage:
         if ticks < 1:
             raise ValueError(f"{longest_program_samples} samples are less than a tick of "
                              f"{settings.samples_per_tick}: set samples_per_tick lower")
-        self.name = instrument.name
+        self.name, self.axes = instrument.name, instrument.axes
         self.sample_rate_hz = settings.sample_rate_hz
         self.lead_samples = self.longest_program_samples = ticks * settings.samples_per_tick
-        self._instrument, self._settings = instrument, settings
+        self._instrument = instrument
+        own = [settings.of_axis(axis) for axis in self.axes or ("",)]
+        self._rest_v = np.array([limits.rest_voltage_v for limits in own])
+        self._ramp_v_per_s = np.array([limits.ramp_rate_v_per_s for limits in own])
         self._wait_s = self.lead_samples / settings.sample_rate_hz + transfer_s
         if self._wait_s > settings.exchange_timeout_s:
             raise ValueError(
@@ -142,7 +147,8 @@ class StoredWaveformStage:
 
     def exchange(self, voltage_v: np.ndarray) -> np.ndarray:
         """Store the voltages for `lead_samples` later, and return the present displacements."""
-        self._planned_v = np.concatenate([self._planned_v, voltage_v])
+        self._planned_v = np.concatenate([
+            self._planned_v, voltage_v.reshape(len(voltage_v), -1)])
         due_v, self._planned_v = np.split(self._planned_v, [len(voltage_v)])
         # There is no need to wait for the clock while a waveform is only stored or returned.
         tick_s = len(due_v) / self.sample_rate_hz
@@ -150,14 +156,14 @@ class StoredWaveformStage:
         time.sleep(tick_s if idle else min(tick_s, FASTEST_TICK_S))
         if not len(self._recorded_um):
             if self._at_rest(due_v):
-                return self._idle(len(due_v))
+                return self._idle(len(due_v)).reshape(voltage_v.shape)
             program_v = np.concatenate([due_v, self._planned_v])
             self._recorded_um = self._play(program_v[:self._end(program_v)])
         displacement_um, self._recorded_um = np.split(self._recorded_um, [len(due_v)])
         if len(displacement_um) < len(due_v):
-            displacement_um = np.pad(displacement_um, (0, len(due_v) - len(displacement_um)),
-                                     mode="edge")
-        return displacement_um
+            missing = len(due_v) - len(displacement_um)
+            displacement_um = np.pad(displacement_um, ((0, missing), (0, 0)), mode="edge")
+        return displacement_um.reshape(voltage_v.shape)
 
     def close(self) -> None:
         """Disconnect; the instrument holds its last voltage."""
@@ -167,30 +173,30 @@ class StoredWaveformStage:
             pass  # it is disconnected already
 
     def _forget(self) -> None:
-        self._planned_v = np.full(self.lead_samples, self._settings.rest_voltage_v)
-        self._recorded_um = np.empty(0)
-        self._reading_um, self._read_at_s = 0.0, -np.inf
+        self._planned_v = np.tile(self._rest_v, (self.lead_samples, 1))
+        self._recorded_um = np.empty((0, len(self._rest_v)))
+        self._reading_um, self._read_at_s = np.zeros(len(self._rest_v)), -np.inf
 
     def _at_rest(self, voltage_v: np.ndarray) -> bool:
-        return bool((voltage_v == self._settings.rest_voltage_v).all())
+        return bool((voltage_v == self._rest_v).all())
 
     def _end(self, program_v: np.ndarray) -> int:
         """Return the length of a program up to its last sample away from rest, plus one at rest."""
-        last = int(np.flatnonzero(program_v != self._settings.rest_voltage_v)[-1])
+        last = int(np.flatnonzero((program_v != self._rest_v).any(axis=1))[-1])
         if last + 1 >= len(program_v):
             raise BackendFault(f"{self.name} was given a waveform that does not end at rest "
                                f"within {self.lead_samples} samples: none of it was played")
         return last + 2
 
     def _idle(self, samples: int) -> np.ndarray:
-        """Return the displacement at rest; the sensor is read from time to time."""
+        """Return the displacements at rest; the sensors are read from time to time."""
         if time.monotonic() - self._read_at_s >= IDLE_READING_S:
             try:
                 self._reading_um = self._instrument.displacement_um()
             except self._instrument.failures as error:
                 raise self._fault(error) from None
             self._read_at_s = time.monotonic()
-        return np.full(samples, self._reading_um)
+        return np.tile(self._reading_um, (samples, 1))
 
     def _play(self, program_v: np.ndarray) -> np.ndarray:
         """Play a program, and return the displacements that were recorded with it."""
@@ -213,13 +219,19 @@ class StoredWaveformStage:
         return displacement_um
 
     def _check_played(self, program_v: np.ndarray, voltage_v: np.ndarray) -> None:
-        """Raise if the recorded voltage is not that of the program."""
-        difference_v = float(np.sqrt(np.mean((voltage_v - program_v) ** 2)))
-        if difference_v > VOLTAGE_TOLERANCE * np.ptp(program_v):
+        """Raise if the recorded voltage of an axis is not that of the program."""
+        swing_v = np.ptp(program_v, axis=0)
+        # An axis that rests has no swing of its own, and may see some of the others'.
+        tolerance_v = VOLTAGE_TOLERANCE * np.maximum(swing_v, VOLTAGE_TOLERANCE * swing_v.max())
+        difference_v = np.sqrt(np.mean((voltage_v - program_v) ** 2, axis=0))
+        wrong = np.flatnonzero(~(difference_v <= tolerance_v))
+        if wrong.size:
+            at = wrong[0]
             raise self._fault(
-                f"its own record of the voltage is {difference_v:.3g} V RMS off what it was given "
-                f"({np.ptp(program_v):.3g} V from end to end): see that the servo is off, the "
-                "scales are right, and nothing else commands it")
+                f"{self.axes[at] + ': ' if self.axes else ''}its own record of the voltage is "
+                f"{difference_v[at]:.3g} V RMS off what it was given ({swing_v[at]:.3g} V from end "
+                "to end): see that the servo is off, the scales are right, and nothing else "
+                "commands it")
 
     def _fault(self, error: Exception | str) -> BackendFault:
         """Bring the amplifier to rest; return the fault to raise."""
@@ -233,25 +245,26 @@ class StoredWaveformStage:
 
     def _ramp_to_rest(self) -> None:
         """Ramp to rest by single commands in software time."""
-        rest_v = self._settings.rest_voltage_v
+        rest_v = self._rest_v
         start_v = self._instrument.held_v()
-        step_v = self._settings.ramp_rate_v_per_s * REST_STEP_S
-        steps = int(np.ceil(abs(start_v - rest_v) / step_v))
+        step_v = self._ramp_v_per_s * REST_STEP_S
+        steps = int(np.ceil(np.max(np.abs(start_v - rest_v) / step_v)))
         for voltage_v in np.linspace(start_v, rest_v, steps + 1)[1:]:
-            self._instrument.hold(float(voltage_v))
+            self._instrument.hold(voltage_v)
             time.sleep(REST_STEP_S)
         self._instrument.hold(rest_v)
 
 
-def settings_of(backend: str, kind: type[Settings], settings: BackendSettings) -> Settings:
+def settings_of(backend: str, one: type[One], several: type[Several],
+                settings: BackendSettings) -> One | Several:
     """Read the settings file of a backend.
 
     Parameters
     ----------
     backend : str
         Name of the backend.
-    kind : type
-        Class of the document.
+    one, several : type
+        Classes of the document for one axis and for several.
 
     Raises
     ------
@@ -262,7 +275,7 @@ def settings_of(backend: str, kind: type[Settings], settings: BackendSettings) -
         raise ValueError(
             f"the backend {backend} needs its settings: set the parameter backend_file")
     try:
-        return load_document(kind, settings.file)
+        return load_axes_file(one, several, settings.file)
     except SchemaError as error:
         raise ValueError(f"{settings.file}: {error}") from None
 

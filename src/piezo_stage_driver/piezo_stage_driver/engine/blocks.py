@@ -36,6 +36,20 @@ class Block:
     feedback_v: np.ndarray | None = None
     """Feedback of each tick, shape (ticks,) or (ticks, axes), if the stage evaluates the feedback
     by itself."""
+    marks: np.ndarray | None = None
+    """Marks of the samples, shape (n,); None if no sample has one."""
+    signal: np.ndarray | None = None
+    """What detectors measured with the samples, shape (n, signals); None without detectors."""
+
+
+class Detected(NamedTuple):
+    """What goes beside the voltages and displacements of some samples; see `Block`."""
+
+    marks: np.ndarray | None = None
+    signal: np.ndarray | None = None
+
+
+NOTHING_DETECTED = Detected()
 
 
 class Filled(NamedTuple):
@@ -46,6 +60,7 @@ class Filled(NamedTuple):
     displacement_um: np.ndarray
     flags: int
     feedback_v: list[Volts]
+    detected: Detected
 
 
 class BlockCollector:
@@ -69,10 +84,13 @@ class BlockCollector:
         self._voltage_v: list[np.ndarray] = []
         self._displacement_um: list[np.ndarray] = []
         self._feedback_v: list[Volts] = []
+        self._marks: list[np.ndarray] = []
+        self._signal: list[np.ndarray] = []
         self.pending_samples = self._flags = 0
 
     def add(self, voltage_v: np.ndarray, displacement_um: np.ndarray, flags: int, ends: bool,
-            feedback_v: Volts | None = None) -> "Filled | None":
+            feedback_v: Volts | None = None,
+            detected: Detected = NOTHING_DETECTED) -> "Filled | None":
         """Add samples, and return a block as soon as one is full.
 
         At the full rate all samples of a block have the same flags: other flags begin a new block.
@@ -84,6 +102,8 @@ class BlockCollector:
             Whether the samples that follow belong to another block.
         feedback_v : float or ndarray, shape (axes,), optional
             Voltage of a feedback on board, if there is one (V).
+        detected : Detected
+            Marks and signals of the samples.
 
         Returns
         -------
@@ -99,6 +119,10 @@ class BlockCollector:
         self._flags |= flags
         if feedback_v is not None:
             self._feedback_v.append(feedback_v)
+        self._marks.append(np.zeros(len(voltage_v), np.uint8) if detected.marks is None
+                           else detected.marks)
+        if detected.signal is not None:
+            self._signal.append(detected.signal)
         if before is not None:
             return before
         samples = (self.samples_per_block if self.decimation == 1
@@ -110,9 +134,16 @@ class BlockCollector:
     def flush(self) -> Filled:
         """Return the pending samples as a block."""
         filled = Filled(self.pending_samples, self._decimated(self._voltage_v),
-                        self._decimated(self._displacement_um), self._flags, self._feedback_v)
+                        self._decimated(self._displacement_um), self._flags, self._feedback_v,
+                        Detected(self._held_marks(),
+                                 self._decimated(self._signal) if self._signal else None))
         self._clear()
         return filled
+
+    def _held_marks(self) -> np.ndarray | None:
+        """Return the marks of the published samples, each of which is that of its clock samples."""
+        marks = np.concatenate(self._marks)[::self.decimation]
+        return marks if marks.any() else None
 
     def _decimated(self, parts: list[np.ndarray]) -> np.ndarray:
         samples = parts[0] if len(parts) == 1 else np.concatenate(parts)

@@ -131,9 +131,9 @@ class OnboardFeedback:
         """Return planned voltages with the feedback that acts, of the same shape, in V."""
         return planned_v + self._law.begin(planned_v)
 
-    def limit(self, lacking_v: np.ndarray) -> None:
+    def limit(self, clipped_v: np.ndarray) -> None:
         """Take the correction by the limits to the last result of `add`, of its shape, in V."""
-        self._law.correct(lacking_v.mean(axis=0))
+        self._law.correct(clipped_v.mean(axis=0))
 
     def take_sample(self, displacement_um: np.ndarray) -> None:
         """Take the sample that was measured while the last one was played, shape (1,)."""

@@ -21,6 +21,8 @@ class Phase:
     source: Source
     samples: float
     flag: int
+    marks: Source | None = None
+    """Marks of the samples; None if no sample has one."""
 
 
 class Program:

@@ -29,7 +29,7 @@ class RealTime:
 
     Attributes
     ----------
-    told : str
+    status : str
         What the system has granted; or what it has refused, and what to do.
     """
 
@@ -38,7 +38,7 @@ class RealTime:
         self._switch_interval_s = sys.getswitchinterval()
         self._raised: set[int] = set()
         self._locked = self._begun = False
-        self.told = "not asked for"
+        self.status = "not requested"
 
     def begin(self) -> None:
         """Raise the priority of all threads, lock the memory, and stop long garbage collections.
@@ -52,7 +52,7 @@ class RealTime:
         gc.freeze()
         if self._priority:
             refused = self._raise_threads(), self._lock_memory()
-            self.told = "; ".join(filter(None, refused)) or "granted"
+            self.status = "; ".join(filter(None, refused)) or "granted"
 
     def raise_loop(self) -> None:
         """Raise the priority of the calling thread above that of the others."""

@@ -78,6 +78,17 @@ class Waveform:
         return self._voltage_v[position // self._hold_samples % len(self._voltage_v)]
 
 
+class Marks(Waveform):
+    """The marks of the samples of a waveform, shape (n,); none behind its end."""
+
+    def take(self, count: int) -> np.ndarray:
+        """Return the marks of the next samples, shape (count,)."""
+        left = max(0, self.samples - self._at)
+        marks = super().take(count)
+        marks[left:] = 0
+        return marks
+
+
 class Feedforward:
     """A part played once, which may grow while it plays, then a part that is repeated.
 

@@ -17,7 +17,7 @@ from piezo_stage_driver.engine.feedback_hold import FeedbackHold
 from piezo_stage_driver.engine.onboard_feedback import CheckedLaw, OnboardFeedback
 from piezo_stage_driver.engine.program import Phase, Program, StageRefusal
 from piezo_stage_driver.engine.ramps import Ramps
-from piezo_stage_driver.engine.sources import Feedforward, Waveform
+from piezo_stage_driver.engine.sources import Feedforward, Marks, Waveform
 from piezo_stage_driver.engine.ticks import Ticks
 from piezo_stage_driver.safety.guard_set import GuardSet
 from piezo_stage_driver.safety.guards import StopLatch
@@ -62,7 +62,7 @@ class StageCommands:
 
     def play(self, voltage_v: npt.ArrayLike, sample_period_s: float, repeats: int = 1,
              hold_at_end: bool = False, client: str = "",
-             axes: Sequence[str] = ()) -> tuple[int, int]:
+             axes: Sequence[str] = (), marks: npt.ArrayLike = ()) -> tuple[int, int]:
         """Begin to play a waveform, after an approach from the present voltage.
 
         Parameters
@@ -77,6 +77,8 @@ class StageCommands:
             Name of the client; reported to others that are refused meanwhile.
         axes : sequence of str
             Names of all axes in the order of the stage, if it has several.
+        marks : array_like of uint8, shape (n,), optional
+            Marks of the samples, for cameras and detectors; held and repeated like the voltages.
 
         Returns
         -------
@@ -89,6 +91,10 @@ class StageCommands:
         """
         self._require_ready()
         voltage_v = self._by_sample(np.array(voltage_v, dtype=float), axes)
+        marks = np.array(marks, dtype=np.uint8)
+        if len(marks) not in (0, len(voltage_v)):
+            raise StageRefusal(f"the waveform has {len(voltage_v)} samples and {len(marks)} marks: "
+                               "give a mark for each sample, or none")
         hold_samples = self._ticks.samples_per_value(sample_period_s)
         if repeats < 1:
             raise StageRefusal("repeats is 0: play the waveform at least once")
@@ -102,7 +108,8 @@ class StageCommands:
         way_back_samples = 0 if hold_at_end else self._ramps.samples(
             voltage_v[-1], self._engine.rest_voltage_v)
         self._engine.begin(Program(
-            [approach, Phase("play", waveform, length, FLAG_PLAYING)],
+            [approach, Phase("play", waveform, length, FLAG_PLAYING,
+                             Marks(marks, hold_samples, repeats) if marks.any() else None)],
             way_back_samples, hold_at_end), client, decimation=hold_samples)
         return self._engine.last_sample + 1 + int(approach.samples), waveform.samples
 
@@ -190,7 +197,7 @@ class StageCommands:
             return
         self._require_ready()
         if self._feedforward is None:
-            raise StageRefusal("no feedforward is loaded beside which the feedback law could act: "
+            raise StageRefusal("no feedforward is loaded that the feedback law could correct: "
                                "call load_feedforward first")
         self._law = law
 
@@ -366,7 +373,7 @@ class StageCommands:
             raise StageRefusal("the backend plays stored waveforms, which end at rest: "
                                "set hold_at_end to false")
         # A return that begins at any moment must fit as well, and one sample at rest.
-        farthest_v = voltage_v[np.argmax(np.abs(voltage_v - engine.rest_voltage_v))]
+        farthest_v = engine.rest_voltage_v + np.abs(voltage_v - engine.rest_voltage_v).max(axis=0)
         needed = int(samples + self._ramps.phase(
             "return", farthest_v, engine.rest_voltage_v).samples) + self._ticks.samples_per_tick
         if needed > longest:

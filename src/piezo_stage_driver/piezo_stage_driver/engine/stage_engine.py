@@ -13,6 +13,7 @@ from piezo_stage_driver.engine.blocks import (
     SAMPLES_PER_BLOCK,
     Block,
     BlockCollector,
+    Detected,
     Filled,
 )
 from piezo_stage_driver.engine.feedback_hold import FeedbackHold
@@ -95,16 +96,19 @@ class StageEngine:
         self.voltage_v = rest_voltage_v
         self.next_sample = 0
         self.client = ""
-        # Ticks written ahead: their voltages, the flags of their blocks, and the voltage of a
-        # feedback on board.
+        # Ticks written ahead: their voltages, the flags of their blocks, the voltage of a feedback
+        # on board, and their marks.
         lead_ticks = getattr(backend, "lead_samples", 0) // samples_per_tick
-        self._ahead = deque[tuple[np.ndarray, int, Volts | None]](
-            [(held(rest_voltage_v, samples_per_tick), 0, None)] * lead_ticks)
+        self._ahead = deque[tuple[np.ndarray, int, Volts | None, np.ndarray | None]](
+            [(held(rest_voltage_v, samples_per_tick), 0, None, None)] * lead_ticks)
         self.lead_ticks = lead_ticks
         self.longest_program_samples = getattr(backend, "longest_program_samples", None)
         watch_stop = getattr(backend, "watch_stop", None)
         if watch_stop is not None:
             watch_stop(lambda: bool(self._latch.cause))
+        self._put_out_marks = getattr(backend, "put_out_marks", None)
+        self._read_signals = (
+            getattr(backend, "read_signals", None) if getattr(backend, "signals", ()) else None)
         self._feedback: FeedbackHold | OnboardFeedback | None = None
         self._blocks, self._samples_per_block = BlockCollector(), samples_per_block
         self._program = Program()
@@ -132,7 +136,7 @@ class StageEngine:
         # A copy, made at once, as the loop's thread continues while another one reads.
         ahead = tuple(self._ahead)
         return self.idle and self.has_returned and all(
-            (voltage_v == self.rest_voltage_v).all() for voltage_v, _, _ in ahead)
+            (voltage_v == self.rest_voltage_v).all() for voltage_v, *_ in ahead)
 
     @property
     def has_returned(self) -> bool:
@@ -264,23 +268,27 @@ class StageEngine:
         stopped = bool(self.stop_cause)  # read once: any thread may set it meanwhile
         if stopped:
             self.return_to_rest()
-        wanted_v, flags = self._next_voltages()
+        wanted_v, marks, flags = self._next_voltages()
         if self._feedback is not None:
             wanted_v, held_flag, cause = self._with_feedback(self._feedback, wanted_v)
             if cause:
                 self.stop(cause)
                 stopped = True
-                wanted_v, flags = self._next_voltages()
+                wanted_v, marks, flags = self._next_voltages()
             flags |= held_flag
         feedback = self._feedback
         tick = self.tick
+        if marks is not None and self._put_out_marks is not None:
+            self._put_out_marks(marks)
         voltage_v, displacement_um, limit_flags = self._exchange(wanted_v)
-        played_v, flags, feedback_v = self._count_played(
-            voltage_v, flags | limit_flags | (FLAG_STOPPED if stopped else 0))
+        signal = None if self._read_signals is None else self._read_signals()
+        played_v, flags, feedback_v, marks = self._count_played(
+            voltage_v, flags | limit_flags | (FLAG_STOPPED if stopped else 0), marks)
         if feedback is not None:
             feedback.take(tick, played_v, displacement_um)
         ended = self._program.advance(len(voltage_v))
-        block = self._collect(played_v, displacement_um, flags, ended is not None, feedback_v)
+        block = self._collect(played_v, displacement_um, flags, ended is not None, feedback_v,
+                              Detected(marks, signal))
         self._go_on_after(ended)
         self._watch(played_v, displacement_um)
         return block
@@ -299,8 +307,8 @@ class StageEngine:
         cause = feedback.cause or self._guards.examine_feedback(feedback.voltage_v)
         return wanted_v, FLAG_FEEDBACK_HELD if held else 0, cause
 
-    def _next_voltages(self) -> tuple[np.ndarray, int]:
-        """Return the next samples of the program, and their flags."""
+    def _next_voltages(self) -> tuple[np.ndarray, np.ndarray | None, int]:
+        """Return the next samples of the program, their marks if there are any, and their flags."""
         phase, decimation = self._program.phase(self.voltage_v), self._blocks.decimation
         # Tracking advances tick by tick: answers, laws and streams arrive between two ticks.
         wanted = SAMPLES_PER_BLOCK * decimation
@@ -309,7 +317,9 @@ class StageEngine:
                       else min(self._samples_per_block, WAVEFORM_STRETCH_SAMPLES))
         count = self._ticks.stretch(min(wanted, phase.samples), self._longest_stretch_samples)
         planned_v = phase.source.take(count)
-        return planned_v, phase.flag | (FLAG_FEEDFORWARD_HELD if phase.source.exhausted else 0)
+        marks = None if phase.marks is None else phase.marks.take(count)
+        held = FLAG_FEEDFORWARD_HELD if phase.source.exhausted else 0
+        return planned_v, marks, phase.flag | held
 
     def _exchange(self, wanted_v: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
         """Play voltages within the limits; return them, the displacement and the limits' flags."""
@@ -338,23 +348,25 @@ class StageEngine:
             flags |= flag
         return voltage_v, displacement_um, flags
 
-    def _count_played(self, voltage_v: np.ndarray,
-                      flags: int) -> tuple[np.ndarray, int, Volts | None]:
-        """Count samples; return the voltages, flags and feedback that were measured with them."""
+    def _count_played(
+            self, voltage_v: np.ndarray, flags: int, marks: np.ndarray | None,
+    ) -> tuple[np.ndarray, int, Volts | None, np.ndarray | None]:
+        """Count samples; return the voltages and so on that were measured with them."""
         last_v = voltage_v[-1]
         self.voltage_v = last_v.copy() if self.axes else float(last_v)
         self.next_sample += len(voltage_v)
         feedback = self._feedback
         self._ahead.append((voltage_v, flags, feedback.voltage_v
-                            if isinstance(feedback, OnboardFeedback) else None))
+                            if isinstance(feedback, OnboardFeedback) else None, marks))
         return self._ahead.popleft()
 
     def _collect(self, voltage_v: np.ndarray, displacement_um: np.ndarray, flags: int,
-                 ends: bool, feedback_v: Volts | None) -> Block | None:
+                 ends: bool, feedback_v: Volts | None, detected: Detected) -> Block | None:
         """Return the block that these samples complete, if any."""
         answered = isinstance(self._feedback, FeedbackHold) or self.phase_name != "track"
         self._blocks.samples_per_block = 1 if answered else self._samples_per_block
-        filled = self._blocks.add(voltage_v, displacement_um, flags, ends, feedback_v)
+        filled = self._blocks.add(
+            voltage_v, displacement_um, flags, ends, feedback_v, detected)
         return None if filled is None else self._block(filled)
 
     def _block(self, filled: Filled) -> Block:
@@ -365,7 +377,8 @@ class StageEngine:
             tick=next_sample // self._ticks.samples_per_tick,
             voltage_v=filled.voltage_v, displacement_um=filled.displacement_um,
             flags=filled.flags, missed_feedback=self.missed_feedback,
-            feedback_v=np.array(filled.feedback_v) if filled.feedback_v else None)
+            feedback_v=np.array(filled.feedback_v) if filled.feedback_v else None,
+            marks=filled.detected.marks, signal=filled.detected.signal)
 
     def _go_on_after(self, ended: Phase | None) -> None:
         """Return to rest after the last phase, unless its voltage is to be held."""

@@ -24,7 +24,7 @@ class CommandRouter:
         Whether commands act between two callbacks, so that the supervisor need not wait for a tick.
     latch : StopLatch
         Latch of the stops, which outlive the supervisor.
-    tell_stop : callable
+    report_stop : callable
         Called once the stage has been stopped.
 
     Attributes
@@ -33,8 +33,8 @@ class CommandRouter:
         Supervisor of the configured stage.
     """
 
-    def __init__(self, lockstep: bool, latch: StopLatch, tell_stop: Callable[[], None]) -> None:
-        self._lockstep, self._latch, self._tell_stop = lockstep, latch, tell_stop
+    def __init__(self, lockstep: bool, latch: StopLatch, report_stop: Callable[[], None]) -> None:
+        self._lockstep, self._latch, self._report_stop = lockstep, latch, report_stop
         self.supervisor: StageSupervisor | None = None
 
     @property
@@ -94,4 +94,4 @@ class CommandRouter:
         if self.supervisor is not None:
             self.supervisor.stop(cause)
         self._latch.stop(cause)
-        self._tell_stop()
+        self._report_stop()

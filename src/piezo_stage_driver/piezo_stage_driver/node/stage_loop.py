@@ -27,7 +27,7 @@ class StageLoop:
         Backend that the supervisor drives.
     publish : callable
         Takes each `Block`.
-    tell_stop, settle : callable
+    report_stop, settle : callable
         Called after the ticks, from the ticking thread: to report a stop that has occurred since,
         and to answer the clients that wait for rest.
 
@@ -39,10 +39,10 @@ class StageLoop:
 
     def __init__(self, supervisor: StageSupervisor, backend: StageBackend,
                  settings: StageSettings, publish: Callable[[Block], None],
-                 tell_stop: Callable[[], None], settle: Callable[[], None]) -> None:
+                 report_stop: Callable[[], None], settle: Callable[[], None]) -> None:
         self.supervisor = supervisor
         self._backend, self._settings = backend, settings
-        self._publish, self._tell_stop, self._settle = publish, tell_stop, settle
+        self._publish, self._report_stop, self._settle = publish, report_stop, settle
         self.real_time = RealTime(settings.real_time_priority)
         self._thread: threading.Thread | None = None
         self._own_rest: threading.Thread | None = None
@@ -133,7 +133,7 @@ class StageLoop:
         supervisor = self.supervisor
         was_idle = supervisor.engine.idle
         self._tick()
-        self._tell_stop()
+        self._report_stop()
         if self._settings.lockstep and supervisor.engine.idle and not was_idle:
             # Time stops after this, so the last block must report that the stage is at rest.
             for _ in range(supervisor.engine.lead_ticks + 1 + supervisor.engine.holds_block):
@@ -167,5 +167,5 @@ class StageLoop:
         except Exception as error:  # of a vendor's library
             self.supervisor.give_up(f"the backend hangs, and cannot come to rest: {error}")
         else:
-            self.supervisor.give_up("the backend hung, and came to rest in its own way",
+            self.supervisor.give_up("the backend hung, and the amplifier went to rest",
                                     at_rest=True)

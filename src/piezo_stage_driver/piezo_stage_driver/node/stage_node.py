@@ -68,7 +68,7 @@ class StageNode(LifecycleNode):
         self._loop: StageLoop | None = None
         latch = self._latch = StopLatch()
         self._reports = StageReports(self, self._outputs, latch, lambda: self._loop)
-        self._router = CommandRouter(self.settings.lockstep, latch, self._reports.tell_stop)
+        self._router = CommandRouter(self.settings.lockstep, latch, self._reports.report_stop)
         self._client_watch = ClientWatch(self)
         self._goals = WaveformGoals(self, self._router.submit)
         self._client_services = StageServices(
@@ -100,7 +100,7 @@ class StageNode(LifecycleNode):
             return TransitionCallbackReturn.FAILURE
         self._backend, self._router.supervisor = backend, supervisor
         self._loop = StageLoop(supervisor, backend, self.settings, self._publish,
-                               self._reports.tell_stop, self._client_services.settle)
+                               self._reports.report_stop, self._client_services.settle)
         self._outputs.describe(self.settings.description(backend))
         return TransitionCallbackReturn.SUCCESS
 
@@ -156,7 +156,7 @@ class StageNode(LifecycleNode):
             return IDLE_WAIT_S
         wait_s = self._loop.step()
         if self._loop.supervisor.state is State.FAULTED:
-            self._reports.tell_stop()
+            self._reports.report_stop()
             self.trigger_deactivate()
             self._reports.publish()
         return wait_s
@@ -186,7 +186,7 @@ class StageNode(LifecycleNode):
         if self._loop is None:
             return
         self._loop.watch()
-        self._reports.tell_stop()
+        self._reports.report_stop()
         self._client_services.settle()
 
     def _watch_client(self) -> None:
@@ -204,7 +204,7 @@ class StageNode(LifecycleNode):
         except ValueError as error:
             self.get_logger().warning(f"feedback refused: {error}",
                                       throttle_duration_sec=FEEDBACK_WARNING_PERIOD_S)
-            self._reports.tell_stop()
+            self._reports.report_stop()
 
     def _one_node_answers(self) -> bool:
         return self.count_publishers(self._feedback_topic) <= 1

@@ -7,7 +7,7 @@ import time
 import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
-from piezo_interfaces.msg import AppliedFeedback, SampleBlock, StageDescription
+from piezo_interfaces.msg import AppliedFeedback, Marks, SampleBlock, StageDescription
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -33,18 +33,20 @@ class StageOutputs:
     ----------
     epoch_ns : int
         ROS time of sample 0.
-    axes : list of str
-        Names of the axes, if there are several.
+    axes, signals : list of str
+        Names of the axes, if there are several, and of the detectors.
     """
 
     def __init__(self, node: Node, settings: StageSettings) -> None:
         self._node, self._settings = node, settings
         self.epoch_ns = 0
         self.axes: list[str] = []
+        self.signals: list[str] = []
         self.quality = SAMPLES if settings.lockstep else PACED_SAMPLES
         self._samples = node.create_publisher(SampleBlock, "samples", self.quality)
         self._applied_feedback = node.create_publisher(
             AppliedFeedback, "applied_feedback", FEEDBACK)
+        self._marks = node.create_publisher(Marks, "marks", self.quality)
         self._joint_states = node.create_publisher(JointState, "joint_states", 10)
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._clock = node.create_publisher(Clock, "/clock", 10) if settings.lockstep else None
@@ -55,6 +57,7 @@ class StageOutputs:
     def describe(self, description: StageDescription) -> None:
         """Publish the description of the stage, also for later subscribers, until withdrawn."""
         self.axes = [axis.name for axis in description.axes]
+        self.signals = list(description.signals)
         self._description = self._node.create_publisher(
             StageDescription, "stage/description", DESCRIPTION)
         self._description.publish(description)
@@ -80,12 +83,19 @@ class StageOutputs:
         idle : bool
             Whether nothing follows at present.
         """
-        self.publish_samples(self._samples, SampleBlock(
+        message = SampleBlock(
             first_sample=block.first_sample, sample_period_s=block.sample_period_s,
             tick=block.tick, flags=block.flags, missed_feedback=block.missed_feedback,
             axes=self.axes,
             voltage_v=array.array("d", block.voltage_v.tobytes()),
-            displacement_um=array.array("d", block.displacement_um.tobytes())))
+            displacement_um=array.array("d", block.displacement_um.tobytes()))
+        if block.signal is not None:
+            message.signals = self.signals
+            message.signal = array.array("d", block.signal.tobytes())
+        if block.marks is not None:
+            message.marks = array.array("B", block.marks.tobytes())
+            self._publish_marks(block, block.marks)
+        self.publish_samples(self._samples, message)
         if block.feedback_v is not None:
             feedback = AppliedFeedback(first_sample=block.first_sample,
                                        voltage_v=array.array("d", block.feedback_v.tobytes()))
@@ -97,9 +107,21 @@ class StageOutputs:
         if self._clock is not None:
             self._publish_clock(self._clock, samples, next_sample, idle)
 
+    def _publish_marks(self, block: Block, marks: np.ndarray) -> None:
+        marked = np.flatnonzero(marks)
+        stride = round(block.sample_period_s * self._settings.sample_rate_hz)
+        samples = block.first_sample + stride * marked
+        message = Marks(sample=samples.tolist(), stamp=[*map(self.stamp, samples.tolist())],
+                        kind=array.array("B", marks[marked].tobytes()))
+        message.header.stamp = message.stamp[0]
+        self._publish(self._marks, message)
+
     def publish_samples(self, publisher: Publisher, message: SampleBlock) -> None:
         """Publish; in lockstep wait for a slow subscriber, for a limited time."""
         message.header.stamp = self.stamp(message.first_sample)
+        self._publish(publisher, message)
+
+    def _publish(self, publisher: Publisher, message: SampleBlock | Marks) -> None:
         message.header.frame_id = self._settings.joint_name
         patient = self._settings.lockstep and not self._losing_samples
         deadline = time.monotonic() + (LONGEST_HOLD_BACK_S if patient else 0.0)

@@ -35,15 +35,15 @@ class StageReports:
     def __init__(self, node: Node, outputs: StageOutputs, latch: StopLatch,
                  loop: Callable[[], StageLoop | None]) -> None:
         self._node, self._outputs, self._latch, self._loop = node, outputs, latch, loop
-        self._told_cause = ""
+        self._reported_cause = ""
         self.latency = AnswerLatency()
         self.tick_times: TickTimes | None = None
 
-    def tell_stop(self) -> None:
+    def report_stop(self) -> None:
         """Log a stop that has occurred since the last call; called from both threads."""
-        cause, told = self._latch.cause, self._told_cause
-        self._told_cause = cause
-        if cause and cause != told:
+        cause, reported = self._latch.cause, self._reported_cause
+        self._reported_cause = cause
+        if cause and cause != reported:
             self._node.get_logger().error(f"stopped: {cause}")
             self.publish()
 
@@ -66,7 +66,7 @@ class StageReports:
     def _pace(self, loop: StageLoop) -> dict[str, object]:
         if self.tick_times is None:
             return {}
-        return {**self.tick_times.described(), "real_time": loop.real_time.told}
+        return {**self.tick_times.described(), "real_time": loop.real_time.status}
 
     def _state(self, loop: StageLoop | None) -> tuple[bytes, str]:
         if self._latch.cause:

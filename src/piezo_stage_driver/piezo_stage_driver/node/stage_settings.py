@@ -154,8 +154,8 @@ class StageSettings:
              "Samples of one message of samples while nobody has to answer it; at least a tick.",
              1, 40000)
         take("real_time_priority", 40,
-             "Priority of the loop of a paced stage, from 1 to 99, with memory that stays; 0 asks "
-             "the system for neither.", 0, 99)
+             "Priority of the loop of a paced stage, from 1 to 99, with locked memory; 0 requests "
+             "neither.", 0, 99)
         take("joint_name", "stage", "Name of the joint in joint_states.")
         take("joint_state_rate_hz", 50.0,
              "Rate of joint_states (Hz), as far as blocks of samples come so often.", 0.1, 1000.0)
@@ -192,9 +192,10 @@ class StageSettings:
 
         Raises
         ------
-        LimitError
-            If the limits contradict each other.
+        ValueError
+            If the limits contradict each other, or are of an axis that the backend does not have.
         """
+        self._refuse_limits_of_others(getattr(backend, "axes", ()))
         # In lockstep time stops after the last block, which reports the end.
         # A backend with stored waveforms begins to play one only when it is complete.
         lasting = self.lockstep or getattr(backend, "longest_program_samples", None) is not None
@@ -213,8 +214,20 @@ class StageSettings:
         return StageDescription(
             backend=getattr(backend, "name", type(backend).__name__),
             lead_ticks=self._lead_ticks(backend), **described,
+            signals=list(getattr(backend, "signals", ())),
             axes=[StageAxis(name=axis, **{name: getattr(own, name) for name in fields})
                   for axis, own in zip(names, settings, strict=False)])
+
+    def _refuse_limits_of_others(self, axes: Sequence[str]) -> None:
+        """Refuse parameters of axes that the backend lacks, which would limit nothing."""
+        # rclpy tells nobody else which parameters were given and never declared.
+        for name in self._node._parameter_overrides:
+            axis, _, limit = name.partition(".")
+            if limit in AxisSettings._fields and axis not in axes:
+                raise ValueError(
+                    f"parameter {name} is of an axis that the backend does not have, which has "
+                    f"{', '.join(axes) or 'one axis without a name'}: correct the name, or the "
+                    "axes in the file of the backend")
 
     def _lead_ticks(self, backend: StageBackend) -> int:
         return getattr(backend, "lead_samples", 0) // self.samples_per_tick

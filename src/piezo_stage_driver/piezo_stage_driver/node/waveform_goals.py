@@ -37,7 +37,7 @@ class WaveformGoal:
         self._answer = answer
         self._result = PlayWaveform.Result()
         self._answered = threading.Lock()
-        self._told = "", 0.0
+        self._reported = "", 0.0
 
     @property
     def cancelled(self) -> bool:
@@ -54,10 +54,10 @@ class WaveformGoal:
 
     def attend(self, engine: StageEngine) -> None:
         """Report the progress from time to time, and each new phase, however short."""
-        (phase, told_s), now_s = self._told, time.monotonic()
-        if phase == engine.phase_name and now_s - told_s < PROGRESS_PERIOD_S:
+        (phase, reported_s), now_s = self._reported, time.monotonic()
+        if phase == engine.phase_name and now_s - reported_s < PROGRESS_PERIOD_S:
             return
-        self._told = engine.phase_name, now_s
+        self._reported = engine.phase_name, now_s
         self.handle.publish_feedback(PlayWaveform.Feedback(
             stage=engine.phase_name, fraction=float(engine.fraction),
             seconds_left=float(engine.seconds_left)))
@@ -109,7 +109,7 @@ class WaveformGoals:
         self._submit(Command(
             Event.PLAY, lambda stage: stage.play(
                 wanted.voltage_v, wanted.sample_period_s, wanted.repeats, wanted.hold_at_end,
-                wanted.client, wanted.axes),
+                wanted.client, wanted.axes, wanted.marks),
             on_done=goal.begin, goal=goal))
 
     def _answer(self, goal: WaveformGoal, result: PlayWaveform.Result) -> None:

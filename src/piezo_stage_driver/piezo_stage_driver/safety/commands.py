@@ -100,8 +100,8 @@ class CommandQueue:
         for command in list(self._commands):
             if command.expires_s <= now_s and command.claim():
                 command.finish(error=StageRefusal(
-                    f"the stage has not got round to it within {self._timeout_s:g} s: it will not "
-                    "act any more; look at the stage's diagnostics, then ask again"))
+                    f"the stage did not carry it out within {self._timeout_s:g} s: it is "
+                    "withdrawn; look at the stage's diagnostics, then ask again"))
 
     def drain(self, reason: str) -> None:
         """Refuse all commands in the queue."""

@@ -59,7 +59,7 @@ class LawGuard:
                 return cause
         if abs(error_um) <= self._bound_um:
             return ""
-        return (f"the feedback law leaves an error of {abs(error_um):.3g} um, more than "
+        return (f"the feedback law has an error of {abs(error_um):.3g} um, more than "
                 f"{self._bound_um:.3g} um: settle the stage (stage settle) and track again; if "
                 "that recurs, identify it again")
 

@@ -4,6 +4,7 @@
 import contextlib
 import threading
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +30,9 @@ class BackendSession:
         self.axes = getattr(backend, "axes", ())
         self.lead_samples = getattr(backend, "lead_samples", 0)
         self.longest_program_samples = getattr(backend, "longest_program_samples", None)
+        self.signals: tuple[str, ...] = tuple(getattr(backend, "signals", ()))
+        self._marks: np.ndarray | None = None
+        self._signal = np.empty((0, len(self.signals)))
         self._lock = threading.Lock()
         self._over = False
         self._began_s: float | None = None
@@ -54,6 +58,15 @@ class BackendSession:
         if watch is not None:
             watch(stopped)
 
+    def put_out_marks(self, marks: np.ndarray) -> None:
+        """Put out marks with the samples of the next exchange, if the backend can."""
+        if hasattr(self._backend, "put_out_marks"):
+            self._marks = marks
+
+    def read_signals(self) -> np.ndarray:
+        """Return what the detectors measured in the last exchange, shape (n, signals)."""
+        return self._signal
+
     def exchange(self, voltage_v: np.ndarray) -> np.ndarray:
         """Play samples; see ``StageBackend.exchange``.
 
@@ -71,7 +84,7 @@ class BackendSession:
         fault: BackendFault | None = None
         displacement_um = np.empty(0)
         try:
-            displacement_um = self._checked(self._backend.exchange(voltage_v), voltage_v.shape)
+            displacement_um = self._exchanged(self._backend, voltage_v)
         except BackendFault as raised:
             fault = raised
         except Exception as error:  # of any kind: the backend must not be driven any further
@@ -108,11 +121,21 @@ class BackendSession:
         with contextlib.suppress(Exception):
             self._backend.close()
 
-    @staticmethod
-    def _checked(displacement_um: object, shape: tuple[int, ...]) -> np.ndarray:
-        displacement_um = np.asarray(displacement_um, dtype=float)
-        if displacement_um.shape != shape:
-            raise BackendFault(
-                f"the backend returned displacements of shape {displacement_um.shape} for "
-                f"voltages of shape {shape}", at_rest=False)
+    def _exchanged(self, backend: Any, voltage_v: np.ndarray) -> np.ndarray:
+        """Exchange samples, with the methods that only some backends have."""
+        if self._marks is not None:
+            backend.put_out_marks(self._marks)
+            self._marks = None
+        displacement_um = _checked("displacements", backend.exchange(voltage_v), voltage_v.shape)
+        if self.signals:
+            self._signal = _checked("signals", backend.read_signals(),
+                                    (len(voltage_v), len(self.signals)))
         return displacement_um
+
+
+def _checked(name: str, values: object, shape: tuple[int, ...]) -> np.ndarray:
+    found = np.asarray(values, dtype=float)
+    if found.shape != shape:
+        raise BackendFault(f"the backend returned {name} of shape {found.shape}, not {shape}: "
+                           "give one for each sample", at_rest=False)
+    return found

@@ -55,8 +55,8 @@ STATES = {
                     "the goal's client, by cancelling it"),
     State.TRACKING: ("The feedforward plays; the answers that bear the number of the run act, or "
                      "a law on board.",
-                     "any client: append, stop_tracking, and load_feedback beside a law; who knows "
-                     "the number of the run: replace_feedforward"),
+                     "any client: append, stop_tracking, and load_feedback under a law; clients "
+                     "that know the number of the run: replace_feedforward"),
     State.STOPPING: ("The voltage returns to rest at ramp_rate_v_per_s.", "nobody"),
     State.LATCHED: ("At rest after a stop whose cause is kept.", "any client: reset"),
     State.FAULTED: ("The backend has failed or is given up. The node deactivates itself.",

@@ -20,7 +20,7 @@ from piezo_stage_driver.backends.registry import BackendSettings, create_backend
 from piezo_stage_driver.engine.blocks import FLAG_TRACKING
 from piezo_stage_driver.engine.stage_engine import StageEngine
 from piezo_stage_driver.engine.tick_times import TickTimes
-from piezo_stage_driver.safety.limits import VoltageLimits
+from piezo_stage_driver.safety.limits import AxesLimits, VoltageLimits
 from piezo_stage_driver.safety.supervisor import StageSupervisor
 from piezo_stage_driver.safety.transitions import State
 
@@ -132,6 +132,37 @@ def test_axes_of_one_card_are_exchanged_together_and_scaled_each_by_its_own(two_
     measured_um = stage.exchange(voltage_v[-40:])
     assert measured_um.shape == (40, 2)
     assert np.allclose(measured_um, np.array(card.played_v[-41:-1]) * [10.0, 20.0])
+
+
+def test_marks_are_put_out_with_the_samples_that_carry_them(tmp_path):
+    path = axes_calibration(tmp_path)
+    path.write_text(path.read_text() + "mark_lines: Dev1/port0/line0:3\n")
+    card = Card(channels=2)
+    stage = NidaqmxStage(load_calibration(path), settings(own=of_y), card.driver())
+    stage.open()
+    limits = AxesLimits({axis: VoltageLimits(-20.0, 50.0, 2.0e6) for axis in ("x", "y")})
+    engine = StageEngine(stage, limits, np.array([0.0, 5.0]), np.full(2, 2000.0),
+                         sensor_guards={"x": (), "y": ()})
+    voltage_v = np.linspace([10.0, 20.0], [30.0, 0.0], 400)
+    marks = np.arange(400) % 7 * (np.arange(400) % 5 == 0)
+    engine.commands.play(voltage_v.ravel(), 1 / 40000.0, axes=("x", "y"), marks=marks)
+    blocks = []
+    while not engine.at_rest:
+        blocks.append(engine.advance())
+    played_v = np.array(card.played_v) * [10.0, 5.0]
+    begin = int(np.flatnonzero(np.isclose(played_v, voltage_v[0]).all(axis=1))[-1])
+    assert np.allclose(played_v[begin:begin + 400], voltage_v)
+    put_out = np.array(card.put_out)
+    assert np.array_equal(put_out[begin:begin + 400], marks)
+    assert not put_out[:begin].any() and not put_out[begin + 400:].any()
+    # Published beside the voltages that were applied at the same instant.
+    published = np.concatenate([
+        np.zeros(len(block.voltage_v)) if block.marks is None else block.marks
+        for block in filter(None, blocks)])
+    applied_v = np.concatenate([block.voltage_v for block in filter(None, blocks)])
+    marked = np.flatnonzero(marks)
+    assert np.array_equal(applied_v[published > 0], voltage_v[marked])
+    assert np.array_equal(published[published > 0], marks[marked])
 
 
 def test_card_that_runs_out_ramps_all_axes_to_their_rest_each_at_its_rate(two_axes):

@@ -39,7 +39,7 @@ class Kind:
 
     @property
     def held_v(self):
-        return getattr(self.device, "held_v", getattr(self.device, "held", None))
+        return np.max(self.device.held_v if self.name == "nv200" else self.device.held)
 
 
 def make_pi(**device):
@@ -97,7 +97,7 @@ def test_waveform_comes_back_with_what_was_measured_at_each_sample(kind):
 
 def test_instrument_is_open_loop_and_at_rest_before_anything_is_played(kind):
     if kind.name == "pi_gcs":
-        kind.device.held = 50.0
+        kind.device.held[0] = 50.0
     else:
         kind.device.held_v = 50.0
     stage = stage_of(kind)
@@ -254,6 +254,8 @@ def test_missing_library_and_missing_file_get_one_line(name, monkeypatch, make):
     ("nv200", {"interface": "tcp"}, "interface is not 'serial' or 'telnet'"),
     ("nv200", {"longest_program_samples": 2000}, "longest_program_samples is out of range"),
     ("nv200", {"rate": 1}, "rate is unknown"),
+    ("nv200", {"axes": {"x": {}, "y": {}}},
+     "axes is not possible: an NV200 drives one axis, and shares its clock with no other; use a"),
 ])
 def test_impossible_settings_are_refused_in_one_sentence(tmp_path, name, change, sentence):
     document = yaml.safe_load((CONFIG / f"{name}_settings.yaml").read_text())

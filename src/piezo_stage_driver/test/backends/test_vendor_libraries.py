@@ -9,19 +9,31 @@ import gcs_stand_in
 import numpy as np
 import nv200_stand_in
 import pytest
-from stored_waveform_runs import CONFIG, LONGEST, WAVE_V, engine_of, played, settings
+from stored_waveform_runs import (
+    BOTH_V,
+    CONFIG,
+    LONGEST,
+    WAVE_V,
+    axes_engine_of,
+    engine_of,
+    of_y,
+    pi_axes,
+    played,
+    settings,
+)
 
-from piezo_common.schema import load_document
+from piezo_common.schema import checked, load_document
 from piezo_stage_driver.backends import nv200_stage, pi_gcs_stage
 from piezo_stage_driver.backends.stored_waveforms import StoredWaveformStage
 
 
-def plays_through(instrument, device):
-    stage = StoredWaveformStage(instrument, settings(), LONGEST, 10.0)
-    stage.open()
-    voltage_v, displacement_um = played(engine_of(stage), WAVE_V)
-    stage.close()
-    assert np.allclose(displacement_um[1:], voltage_v[:-1], atol=1e-4)
+def plays_through(instrument, make_engine=engine_of, waveform_v=WAVE_V):
+    stage = StoredWaveformStage(instrument, settings(own=of_y), LONGEST, 10.0)
+    for _ in range(2):
+        stage.open()
+        voltage_v, displacement_um = played(make_engine(stage), waveform_v)
+        stage.close()
+        assert np.allclose(displacement_um[1:], voltage_v[:-1], atol=1e-4)
 
 
 @pytest.fixture
@@ -50,19 +62,29 @@ def served():
     with Server(("127.0.0.1", 0), Handler) as server:
         thread = threading.Thread(target=server.serve_forever, daemon=True)
         thread.start()
-        yield controller, server.server_address[1]
+        yield server.server_address[1]
         server.shutdown()
         thread.join()
 
 
-def test_pipython_speaks_to_the_stand_in(served):
+@pytest.fixture
+def pipython(served):
     pytest.importorskip("pipython", reason="the optional package is not installed")
-    controller, port = served
     library = pi_gcs_stage.load_library()
-    library.Socket = functools.partial(library.Socket, port=port)
+    library.Socket = functools.partial(library.Socket, port=served)
+    return library
+
+
+def test_pipython_speaks_to_the_stand_in(pipython):
     told = load_document(pi_gcs_stage.PiSettings, CONFIG / "pi_gcs_settings.yaml")
     told = told.model_copy(update={"address": "127.0.0.1"})
-    plays_through(pi_gcs_stage.PiController(told, library), controller)
+    plays_through(pi_gcs_stage.PiController(told, pipython))
+
+
+def test_pipython_drives_two_axes_together(pipython):
+    told = checked(pi_gcs_stage.PiAxesSettings, pi_axes(
+        control_per_v=1.0, displacement_um_per_unit=1.0) | {"address": "127.0.0.1"})
+    plays_through(pi_gcs_stage.PiController(told, pipython), axes_engine_of, BOTH_V)
 
 
 def test_nv200_library_speaks_to_the_stand_in():
@@ -98,4 +120,4 @@ def test_nv200_library_speaks_to_the_stand_in():
     library = nv200_stage.load_library()
     library.connect = connect
     told = load_document(nv200_stage.Nv200Settings, CONFIG / "nv200_settings.yaml")
-    plays_through(nv200_stage.Nv200(told, library), box)
+    plays_through(nv200_stage.Nv200(told, library))

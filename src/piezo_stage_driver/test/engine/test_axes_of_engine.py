@@ -55,8 +55,8 @@ def guards():
     return (SensorRange(-15.0, 65.0), SensorResponse(20.0, 0.4), SensorNoise(0.2))
 
 
-def make_engine(**options):
-    backend = Backend()
+def make_engine(backend_class=Backend, **options):
+    backend = backend_class()
     return StageEngine(
         backend, LIMITS, np.array([0.0, 10.0]), np.array([2000.0, 1000.0]),
         sensor_guards={"x": guards(), "y": guards()}, **options), backend
@@ -101,6 +101,65 @@ def test_slow_waveform_is_published_as_means_of_each_axis():
     playing = [block for block in run(engine) if block.flags & FLAG_PLAYING]
     assert np.allclose(np.concatenate([block.voltage_v for block in playing])[:20], circle(20))
     assert all(block.voltage_v.shape == block.displacement_um.shape for block in playing)
+
+
+class Detecting(Backend):
+    """A detector of twice the voltage of x, and digital lines."""
+
+    signals = ("camera",)
+
+    def __init__(self):
+        super().__init__()
+        self.put_out = {}
+
+    def put_out_marks(self, marks):
+        self.put_out[len(self.played_v)] = marks
+
+    def read_signals(self):
+        return 2.0 * self.played_v[-1][:, :1]
+
+
+def test_marks_of_a_waveform_are_put_out_and_published_with_its_samples_in_every_repeat():
+    engine, backend = make_engine(Detecting)
+    marks = np.zeros(400, np.uint8)
+    marks[[0, 100, 399]] = 7, 1, 2
+    first, _ = play(engine, circle(), repeats=2, marks=marks)
+    blocks = run(engine)
+    wanted = np.zeros(len(backend.voltage_v), np.uint8)
+    wanted[first:first + 800] = np.tile(marks, 2)
+    put_out = [backend.put_out.get(number, np.zeros(len(each), np.uint8))
+               for number, each in enumerate(backend.played_v)]
+    assert np.array_equal(np.concatenate(put_out), wanted)
+    published = {block.first_sample + at: block.marks[at] for block in blocks
+                 if block.marks is not None for at in np.flatnonzero(block.marks)}
+    assert published == {at: wanted[at] for at in np.flatnonzero(wanted)}
+
+
+def test_marks_and_signals_of_a_slow_waveform_are_those_of_its_values():
+    engine, _ = make_engine(Detecting)
+    marks = np.arange(20) % 4
+    play(engine, circle(20), 0.001, marks=marks)
+    playing = [block for block in run(engine) if block.flags & FLAG_PLAYING]
+    assert np.array_equal(np.concatenate([block.marks for block in playing])[:20], marks)
+    assert np.allclose(np.concatenate([block.signal for block in playing])[:20, 0],
+                       2.0 * circle(20)[:, 0])
+
+
+def test_stop_ends_the_marks():
+    engine, backend = make_engine(Detecting)
+    play(engine, circle(4000), marks=np.ones(4000, np.uint8))
+    while engine.phase_name != "play":
+        engine.advance()
+    engine.stop("of the test")
+    put_out = len(backend.put_out)
+    assert all(block.marks is None for block in run(engine))
+    assert len(backend.put_out) == put_out
+
+
+def test_marks_that_do_not_fit_the_samples_are_refused():
+    engine, _ = make_engine()
+    with pytest.raises(StageRefusal, match="400 samples and 399 marks: give a mark for each"):
+        play(engine, circle(), marks=np.ones(399))
 
 
 def test_waveform_that_holds_at_its_end_leaves_both_axes_there():

@@ -198,7 +198,7 @@ def test_law_of_another_reference_that_bounds_no_error_is_stopped_as_the_one_bef
     while not engine.stop_cause:
         engine.advance()
     assert engine.tick - begun <= 2
-    assert "leaves an error of 30 um" in engine.stop_cause
+    assert "has an error of 30 um" in engine.stop_cause
     assert "settle the stage (stage settle) and track again" in engine.stop_cause
     assert np.abs(np.concatenate(stage.displacement_um[begun:])).max() < 35.0
 
@@ -269,7 +269,7 @@ def test_law_that_leaves_a_large_error_stops_the_stage():
     while not engine.stop_cause:
         engine.advance()
     assert engine.tick - begun <= 2
-    assert "leaves an error of" in engine.stop_cause
+    assert "has an error of" in engine.stop_cause
 
 
 @pytest.mark.parametrize("sample", [LinearBlock(), LinearBlock.of([0.9], [0.1], [0.3], [0.2])])

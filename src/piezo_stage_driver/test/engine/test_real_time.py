@@ -40,7 +40,7 @@ def test_every_thread_is_raised_and_the_loop_above_them_until_the_end(system):
     fifo = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
     assert system["priorities"][mine] == (fifo, 39)
     assert system["priorities"][0] == (fifo, 40)
-    assert system["locked"] and real.told == "granted"
+    assert system["locked"] and real.status == "granted"
     assert sys.getswitchinterval() == pytest.approx(SWITCH_INTERVAL_S)
     assert gc.get_freeze_count() > 0
     for _ in range(2):
@@ -74,7 +74,7 @@ def test_thread_that_ends_meanwhile_is_no_refusal(system, monkeypatch):
     monkeypatch.setattr(os, "sched_setscheduler", end)
     real = RealTime(40)
     real.begin()
-    assert real.told == "granted"
+    assert real.status == "granted"
     real.end()
 
 
@@ -83,7 +83,7 @@ def test_no_priority_asks_the_system_for_nothing(system):
     real.begin()
     real.raise_loop()
     assert system == {"priorities": {}, "locked": None}
-    assert real.told == "not asked for"
+    assert real.status == "not requested"
     real.end()
 
 
@@ -97,7 +97,7 @@ def test_what_the_system_refuses_is_told_with_what_to_do(system, monkeypatch):
     real = RealTime(40)
     real.begin()
     real.raise_loop()
-    assert "the priority is not raised (Operation not permitted): let" in real.told
-    assert "the memory is not locked (there is a limit): let" in real.told
+    assert "the priority is not raised (Operation not permitted): let" in real.status
+    assert "the memory is not locked (there is a limit): let" in real.status
     assert system["locked"] is None
     real.end()

@@ -20,7 +20,7 @@ def test_command_that_has_waited_too_long_is_refused_where_nobody_looked_but_the
     waiting = Waiting(Event.PLAY)
     waiting.now_s = 5.0
     assert waiting.queue.take() is None
-    assert "will not act any more" in str(waiting.refusals)
+    assert "is withdrawn" in str(waiting.refusals)
 
 
 def test_command_is_taken_once_in_its_turn_as_long_as_it_may_run():

@@ -118,7 +118,7 @@ def _strongest_poles(armax: Armax, input: FloatArray, mode_count: int) -> Comple
     real = ranked[ranked.imag == 0.0][: 1 + 2 * (mode_count - pairs.size)]
     if real.size + 2 * pairs.size < 1 + 2 * mode_count:
         raise ValueError(
-            f"an ARMAX model of order {poles.size} shows no lag beside {mode_count} modes: ask "
-            "for another order or fewer modes"
+            f"an ARMAX model of order {poles.size} shows no lag besides {mode_count} modes: "
+            "give another order or fewer modes"
         )
     return np.concatenate([real, pairs, pairs.conj()])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Watch a stage of another form than its model, then change it; write docs/diagnosis.md."""
+"""Watch a stage of another form than its model, then change it; write docs/monitor.md."""
 
 import argparse
 from pathlib import Path
@@ -18,8 +18,8 @@ SECTION = "changes in operation"
 def main(arguments: list[str] | None = None) -> None:
     """Run the command."""
     parser = argparse.ArgumentParser(prog="changes_in_operation", description=__doc__)
-    parser.add_argument("--page", type=Path, default=Path("docs/diagnosis.md"),
-                        help="page whose table is written anew; its text stays")
+    parser.add_argument("--page", type=Path, default=Path("docs/monitor.md"),
+                        help="page whose table is written again; its text stays")
     parser.add_argument("--output", type=Path, default=Path("runs/changes-in-operation"),
                         help="folder of the model; one that it has is taken as it is")
     parser.add_argument("--hours", type=float, default=10.0,

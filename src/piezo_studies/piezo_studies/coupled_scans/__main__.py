@@ -6,11 +6,15 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
+from piezo_common.picture_style import to_png
 from piezo_studies.coupled_scans.feedback_trials import feedback_table, rasters_with_feedback
+from piezo_studies.coupled_scans.images import image_table, images_figure, images_of_grating
 from piezo_studies.coupled_scans.trials import TABLES, Row
 from piezo_studies.coupled_scans.xy_stage import identified
 from piezo_studies.marked_sections import with_sections
 
+PICTURE_DOTS_PER_INCH, COLOURS = 110, 64
+IMAGES = "images"
 SECTIONS = "scans: "
 """How the marks of the tables in the page begin."""
 
@@ -24,8 +28,10 @@ def main(arguments: list[str] | None = None) -> None:
         Those of the command line by default.
     """
     parser = argparse.ArgumentParser(prog="coupled_scans", description=__doc__)
+    parser.add_argument("--picture", type=Path, default=Path("docs/pictures/scan.png"),
+                        help="picture of images to draw anew")
     parser.add_argument("--page", type=Path, default=Path("docs/several_axes.md"),
-                        help="page whose tables are written anew; its text stays")
+                        help="page whose tables are written again; its text stays")
     options = parser.parse_args(arguments)
     model = identified()
     print(model.summary(), file=sys.stderr, flush=True)
@@ -35,9 +41,13 @@ def main(arguments: list[str] | None = None) -> None:
         print(tables[SECTIONS + name], file=sys.stderr, flush=True)
     tables[SECTIONS + "feedback"] = feedback_table(rasters_with_feedback(model))
     print(tables[SECTIONS + "feedback"], file=sys.stderr, flush=True)
+    images, specimen = images_of_grating(model)
+    tables[SECTIONS + IMAGES] = image_table(images, specimen)
+    print(tables[SECTIONS + IMAGES], file=sys.stderr, flush=True)
+    options.picture.write_bytes(to_png(images_figure(images), PICTURE_DOTS_PER_INCH, COLOURS))
     options.page.write_text(with_sections(
         options.page.read_text(encoding="utf-8"), tables, SECTIONS), encoding="utf-8")
-    print(f"{len(tables)} tables: {options.page}")
+    print(f"{len(tables)} tables: {options.page}; drawn {options.picture}")
 
 
 def table(name: str, rows: Iterable[Row]) -> str:

@@ -5,16 +5,14 @@ All errors are by the sensors, with the offset removed; the noise stands beside 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from piezo_client.scan_learning import learned
-from piezo_client.scans import Scanned, StoredScan
-from piezo_controller.axes.coupled_inverse import invert_path
+from piezo_client.scans import Scanned, StoredScan, stored_scan
 from piezo_controller.axes.path_plan import PathPlan
-from piezo_controller.axes.repeated_period import faded_in
 from piezo_controller.axes.scan import scan
 from piezo_controller.axes.scan_path import ScanPath
 from piezo_models.axes.identified_axes import IdentifiedAxes
@@ -122,7 +120,7 @@ def _sine(model: IdentifiedAxes, samples: int) -> ScanPath:
 def _row(text: str, wanted: float, plan: PathPlan, measure: Callable[[Scanned], float],
          noise: float, mean_of: int = 1) -> Row:
     """Play a plan in each way; of what is learned, the best run counts."""
-    planned = stored(plan)
+    planned = stored_scan(plan)
     periods = 2 + round(MEAN_OF_S * CLOCK_HZ / len(plan.voltage_v))
 
     def play(each: StoredScan) -> Scanned:
@@ -134,8 +132,7 @@ def _row(text: str, wanted: float, plan: PathPlan, measure: Callable[[Scanned], 
         if max(done[-1].error_percent) > max(done[-2].error_percent):
             break
     best = min(done, key=lambda run: max(run.error_percent))
-    plain_v = invert_path(plan.path.position_um, plan.model, "none").voltage_v
-    plain = replace(planned, voltage_v=plain_v, begin_voltage_v=faded_in(plain_v, plan.model))
+    plain = stored_scan(plan.without_inverse())
     return Row(text, measure(play(plain)), measure(done[0]), measure(best), noise, wanted,
                len(done) - 1)
 

@@ -7,13 +7,14 @@ import numpy as np
 
 from piezo_client.scans import Scanned, StoredScan
 from piezo_common.arrays import FloatArray
-from piezo_controller.axes.path_plan import PathPlan
+from piezo_common.gsf import Field
 from piezo_identification.axes.identify_axes import identify_several_axes
 from piezo_identification.experiments.catalogue import Experiment
 from piezo_identification.experiments.several_axes import axes_experiments
 from piezo_identification.experiments.stage_limits import StageLimits
 from piezo_models.axes.identified_axes import IdentifiedAxes
 from piezo_recorder.reading.axes import AxesRecording
+from piezo_recorder.reading.detected import SIGNAL, mark_columns
 from piezo_sim.plant.plant_file import AxesPlantConfig, read_any_plant
 from piezo_sim.simulated_stage import SimulatedStage
 
@@ -82,12 +83,6 @@ def identified() -> IdentifiedAxes:
         hysteresis=recorded("hysteresis", 3))
 
 
-def stored(plan: PathPlan) -> StoredScan:
-    """Return a plan as it is played."""
-    return StoredScan(plan.path.axes, plan.path.sample_period_s, plan.begin_voltage_v,
-                      plan.voltage_v, plan.path.position_um)
-
-
 def followed(scan: StoredScan, periods: int, mean_of: int = 1, seed: int = 21) -> Scanned:
     """Play a path on the stage, fresh from rest, and return how it was followed.
 
@@ -98,10 +93,28 @@ def followed(scan: StoredScan, periods: int, mean_of: int = 1, seed: int = 21) -
     mean_of : int
         Periods whose mean counts, which has less noise.
     """
-    stage = SimulatedStage(plant_of_study(), seed)
+    stage = _moving(scan, periods, seed)
+    displacement_um = np.mean([stage.exchange(scan.voltage_v) for _ in range(mean_of)], axis=0)
+    return Scanned(Path(PLANT), scan, displacement_um)
+
+
+def imaged(scan: StoredScan, specimen: Field, seed: int = 21) -> AxesRecording:
+    """Play two periods of a scan over a specimen; return the recording of the second."""
+    stage = _moving(scan, 1, seed, specimen)
+    displacement_um = stage.exchange(scan.voltage_v)
+    signals = dict(zip(stage.signals, stage.read_signals().T, strict=True))
+    return AxesRecording(
+        PLANT, scan.axes, scan.sample_period_s, scan.voltage_v, displacement_um, columns={
+            **{name + SIGNAL: column for name, column in signals.items()},
+            **mark_columns(scan.marks)})
+
+
+def _moving(scan: StoredScan, periods: int, seed: int,
+            specimen: Field | None = None) -> SimulatedStage:
+    """Return the stage after some periods of a scan."""
+    stage = SimulatedStage(plant_of_study(), seed, specimen=specimen)
     stage.open()
     stage.exchange(ramp_of_study(scan.begin_voltage_v[0]))
     stage.exchange(np.tile(scan.begin_voltage_v[0], (round(SETTLING_S * CLOCK_HZ), 1)))
     stage.exchange(scan.repeated_v(periods))
-    displacement_um = np.mean([stage.exchange(scan.voltage_v) for _ in range(mean_of)], axis=0)
-    return Scanned(Path(PLANT), scan, displacement_um)
+    return stage

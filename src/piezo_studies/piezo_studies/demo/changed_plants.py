@@ -8,7 +8,7 @@ import yaml
 
 from piezo_sim.plant.named_plants import PLANTS
 
-SOURCE = "the demo: a change that the model is not told of"
+SOURCE = "the demo: a change that is hidden from the model"
 
 
 def with_faster_mode(plant, factor, begin_s):
@@ -35,8 +35,8 @@ def with_faster_mode(plant, factor, begin_s):
         return None
     # Reduce the mass, as the stiffness would also change the compliance.
     content["stage"][modes[-1]] |= {
-        "effect": "loaded_mode", "added_mass": _told(factor**-2 - 1.0, "1"),
-        "added_stiffness": _told(0.0, "1"), "begin_s": _told(begin_s, "s")}
+        "effect": "loaded_mode", "added_mass": _valued(factor**-2 - 1.0, "1"),
+        "added_stiffness": _valued(0.0, "1"), "begin_s": _valued(begin_s, "s")}
     return content
 
 
@@ -55,7 +55,7 @@ def with_sensor_lag(plant, lag_s):
     """
     content = _content(plant)
     content["sensor"].insert(0, {
-        "effect": "distributed_lag", "lag_s": _told(lag_s, "s"), "sections": _told(1, "1")})
+        "effect": "distributed_lag", "lag_s": _valued(lag_s, "s"), "sections": _valued(1, "1")})
     return content
 
 
@@ -78,5 +78,5 @@ def _content(plant):
     return yaml.safe_load(file.read_text(encoding="utf-8"))
 
 
-def _told(value, unit):
+def _valued(value, unit):
     return {"value": value, "unit": unit, "source": SOURCE}

@@ -20,7 +20,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
                         help="gets all results (default: runs/demo, and runs/demo-PLANT for any "
                              "other stage than the usual one); an earlier run there is moved aside")
     parser.add_argument("--first-part", action="store_true",
-                        help="leave out the stage that changes while it tracks, and the recording "
+                        help="without the stage that changes while it tracks, and the recording "
                              "that decides")
 
 

@@ -113,7 +113,7 @@ class WatchfulClient(Client):
         return [name for name in self._names if name not in there]
 
 
-def run_demo(plant, directory, command, progress, tell, has_second_part=True):
+def run_demo(plant, directory, command, progress, show_summary, has_second_part=True):
     """Run the demo.
 
     Parameters
@@ -125,7 +125,7 @@ def run_demo(plant, directory, command, progress, tell, has_second_part=True):
     command : str
         Command line of the user.
     progress : ProgressLine
-    tell : callable
+    show_summary : callable
         Called with the summary of the first part after its report was written.
     has_second_part : bool
         Whether to run the second part; see `operation`.
@@ -145,8 +145,8 @@ def run_demo(plant, directory, command, progress, tell, has_second_part=True):
     with Processes(directory / "logs", data_root=directory) as processes:
         progress.show("start the nodes", 0.0)
         for name in NODES_OF_EXPERIMENTS:
-            told = {"plant": plant.plant} if name == "stage" else {}
-            processes.start(name, {**NODES[name], **told})
+            parameters = {"plant": plant.plant} if name == "stage" else {}
+            processes.start(name, {**NODES[name], **parameters})
         with WatchfulClient(processes) as client:
             client.wait_for_nodes(NODES_OF_EXPERIMENTS)
             processes.start("controller", NODES["controller"])  # it imports during the experiments
@@ -156,20 +156,20 @@ def run_demo(plant, directory, command, progress, tell, has_second_part=True):
             identified_s = time.monotonic()
             # The diagnosis runs while the stage tracks and while the runs are drawn. Its report is
             # written during the second tracking, which needs only the model.
-            with (ThreadPoolExecutor(1) as beside,
+            with (ThreadPoolExecutor(1) as background,
                   _diagnosing(client, processes, identified, recording, directory,
                               progress) as diagnosing):
                 tracks = [*_track_all(client, processes, identified.model, directory, progress)]
                 tracked_s = time.monotonic()
-                drawn = beside.submit(_draw_runs, identified, tracks, directory)
+                drawn = background.submit(_draw_runs, identified, tracks, directory)
                 extended_model = directory / "diagnosis" / "extended_model.json"
                 if not diagnosing.wait_until(extended_model.exists):
                     diagnosing.result()  # raises the failure
                 diagnosed_s = time.monotonic()
-                compared = beside.submit(draw_models, identified.model, extended_model,
-                                         _recording_of("validation", identified))
+                compared = background.submit(draw_models, identified.model, extended_model,
+                                             _recording_of("validation", identified))
                 runs_after = [
-                    beside.submit(read_tracked_run, track) for track in _track_all(
+                    background.submit(read_tracked_run, track) for track in _track_all(
                         client, processes, extended_model, directory / "after", progress)]
                 diagnosis = diagnosing.result()
             tracked_again_s = time.monotonic()
@@ -190,7 +190,7 @@ def run_demo(plant, directory, command, progress, tell, has_second_part=True):
             }
             _write_summary(summary, directory)
             progress.clear()
-            tell(summary)
+            show_summary(summary)
             if has_second_part:
                 begin_s = time.monotonic()
                 with _blaming(processes, "identification"):

@@ -99,12 +99,12 @@ def _introduction(plant, command):
         "A simulated stage was identified from its own measurements. It then followed sines, "
         "controlled with the identified model.",
         plant.sentence,
-        "A diagnostic recording was searched for what the model lacks, the model was extended by "
-        "it, and the stage followed the same sines again. Stage, recorder, identification and "
-        "controller ran as separate ROS 2 nodes in lockstep: the speed of the machine changes no "
-        "number except the speed itself.",
+        "A diagnostic recording was searched for effects missing from the model, the model was "
+        "extended by them, and the stage followed the same sines again. Stage, recorder, "
+        "identification and controller ran as separate ROS 2 nodes in lockstep: the speed of the "
+        "machine changes no number except the speed itself.",
         f"All numbers and pictures come from one run of `{command}`. The recordings, the model and "
-        "the numbers (`summary.json`) lie beside this page.",
+        "the numbers (`summary.json`) lie next to this page.",
     )
 
 
@@ -120,12 +120,12 @@ def _errors_section(summary):
          "Open loop divides the reference by the gain of the stage over the whole range. "
          "Feedforward inverts the identified model, but repeats one period throughout: the creep "
          "within the run stays in its error as a drift. Composite adds the feedback.",
-         "The thesis' figures were measured on a real stage, ours on a simulated one: they tell "
-         "the scale. A dash stands where the thesis gives none."),
+         "The thesis' figures were measured on a real stage, ours on a simulated one: they show "
+         "the order of magnitude. A dash stands where the thesis gives none."),
         table_rows(summary),
         (pictured("Errors over frequency", tracking_pictures.draw_errors(
                       summary["tracking"], summary["tracking_after"]),
-                  "Tracking error of each mode over the frequency; that of composite once more "
+                  "Tracking error of each mode over the frequency; that of composite also "
                   "with the extended model. The distance between hollow and full circles is the "
                   "sensor's noise.", closer=True),))
 

@@ -82,9 +82,9 @@ def _effects_section(sentence, effects):
     return Section(
         "What the model lacks",
         (f"{sentence} The diagnosis had only the model and one recording of the experiment "
-         "`diagnostic`, which shows every effect that the diagnosis knows.",
-         "The page `diagnosis/report.html` beside this one holds the residuals, what was tried and "
-         "rejected, and what the data could not decide; `diagnosis/verdict.json` holds the "
+         "`diagnostic`, which excites every effect in the list of the diagnosis.",
+         "The page `diagnosis/report.html` next to this one holds the residuals, what was tried "
+         "and rejected, and what the data could not decide; `diagnosis/verdict.json` holds the "
          "numbers."),
         rows if len(rows) > 1 else ())
 

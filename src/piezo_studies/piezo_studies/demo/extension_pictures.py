@@ -38,8 +38,8 @@ def draw_model_errors(before, after, sample_period_s):
 
     curves = density(before), density(after)
     figure, axes = _compared(*curves)
-    frequency_hz, left = curves[1]
-    axes.axhline(np.median(left[frequency_hz > QUIET_HZ]), label="noise", **LIMIT)
+    frequency_hz, residual = curves[1]
+    axes.axhline(np.median(residual[frequency_hz > QUIET_HZ]), label="noise", **LIMIT)
     axes.legend()
     label(axes, "frequency (Hz)", "model error (nm per root Hz)")
     return figure

@@ -44,8 +44,8 @@ def _monitor_section(monitor):
         "A change while the stage tracks",
         ("Behind the second rest the second mode of the stage became faster by 3 %, while it "
          "tracked tones of 50, 400 and 750 Hz with the extended model. The node `monitor` ran the "
-         f"model beside it. The change was at {monitor['change_s']:.1f} s of the stage's time; the "
-         f"monitor suspects it since {monitor['since_s']:.1f} s.",
+         f"model in parallel. The change was at {monitor['change_s']:.1f} s of the stage's time; "
+         f"the monitor suspects it since {monitor['since_s']:.1f} s.",
          f"It diagnosed in the background, and offered a model: {monitor['sentence']}. `track` "
          "took it between two runs, when it was accepted."),
         [["", "before", "after"],
@@ -66,9 +66,9 @@ def _decision_section(decision):
               else "The first diagnosis was sure, and nothing was played.")
     return Section(
         "A recording that decides",
-        (f"The stage got {decision['hidden']}, of which nobody was told, and followed a scan line. "
-         "The action `diagnose` was asked with `experiments: 1`: where explanations remain, it "
-         "designs the recording that tells them apart, plays it, and diagnoses again.",
+        (f"The stage got {decision['hidden']}, hidden from the identification, and followed a scan "
+         "line. The action `diagnose` was called with `experiments: 1`: where explanations remain, "
+         "it designs the recording that decides between them, plays it, and diagnoses again.",
          f"{played} {decision['decision'].capitalize()}. {decision['sentence']} The whole "
          "diagnosis is in `decision/diagnosis/report.html`."),
         rows)

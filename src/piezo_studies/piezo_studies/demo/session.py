@@ -38,9 +38,9 @@ class RunningGoal:
     def __init__(self, client, name, show, **fields):
         self._client, self._name, self._show = client, name, show
         self._waits, self.stage = False, ""
-        self._ended = client.send(name, self._tell, **fields).get_result_async()
+        self._ended = client.send(name, self._report, **fields).get_result_async()
 
-    def _tell(self, feedback):
+    def _report(self, feedback):
         self.stage = feedback.stage
         if self._waits:
             self._show(feedback)
@@ -142,7 +142,7 @@ class Session:
 
     def track(self, reference, model, duration_s, directory):
         """Rest, track a reference with composite control, and return the result of the action."""
-        self._show(f"track beside the monitor, {directory.name}")
+        self._show(f"track while the monitor watches, {directory.name}")
         rest(self.client, self.rest_v)
         return self.client.track(reference, model, "composite", duration_s, directory)
 

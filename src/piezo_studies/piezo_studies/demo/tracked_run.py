@@ -71,7 +71,7 @@ def read_tracked_run(path):
     count = round(parameters["duration_s"] * recording.sample_rate_hz)
     part = tracked.select(np.arange(len(tracked.sample_index)) >= tracked.sample_index.size - count)
     if tracked.gaps or part.sample_index.size < count:
-        raise ValueError(f"{path} lacks samples of the run: track again")
+        raise ValueError(f"{path} has gaps in the run: track again")
     loop_samples, loop_wall_s, missed = _loop_times(path, *tracked.sample_index[[0, -1]])
     return TrackedRun(
         mode=parameters["mode"], frequency_hz=reference.frequency_hz[0],
@@ -95,7 +95,7 @@ def _true_displacement_um(path, part):
     truth = read_recording(path, topic=GROUND_TRUTH, sample_rate_hz=part.sample_rate_hz)
     at = np.searchsorted(truth.sample_index, part.sample_index)
     if at[-1] >= truth.sample_index.size or (truth.sample_index[at] != part.sample_index).any():
-        raise ValueError(f"{path} lacks samples of the ground truth: track again")
+        raise ValueError(f"{path} has gaps in the ground truth: track again")
     return truth.displacement_um[at]
 
 

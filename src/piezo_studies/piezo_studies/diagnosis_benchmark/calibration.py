@@ -118,12 +118,12 @@ def first_statements(results, strict=False):
     probabilities : (n,) array of float
     true : (n,) array of bool
     """
-    told = [result for result in results if result.get("probabilities")]
-    first = [max(result["probabilities"], key=result["probabilities"].get) for result in told]
+    weighed = [result for result in results if result.get("probabilities")]
+    first = [max(result["probabilities"], key=result["probabilities"].get) for result in weighed]
     return (np.array([result["probabilities"][label]
-                      for result, label in zip(told, first, strict=True)]),
+                      for result, label in zip(weighed, first, strict=True)]),
             np.array([is_true(result, label, strict)
-                      for result, label in zip(told, first, strict=True)], dtype=bool))
+                      for result, label in zip(weighed, first, strict=True)], dtype=bool))
 
 
 def reliability(probabilities, true, bins=BINS):
@@ -138,22 +138,22 @@ def reliability(probabilities, true, bins=BINS):
     edges = np.linspace(0.0, 1.0, bins + 1)
     number = np.minimum((probabilities * bins).astype(int), bins - 1)
     counts = np.bincount(number, minlength=bins)
-    stated, came_true = (np.bincount(number, values, bins)
-                         for values in (probabilities, np.asarray(true, dtype=float)))
+    stated, occurred = (np.bincount(number, values, bins)
+                        for values in (probabilities, np.asarray(true, dtype=float)))
     random = np.random.default_rng(SEED)
     of_calibrated = []
     for _ in range(DRAWS):
         comes_true = random.random(number.size) < probabilities
         of_calibrated.append(_error(stated, np.bincount(number, comes_true, bins), counts))
     return Reliability(
-        tuple(edges.tolist()), _means(stated, counts), _means(came_true, counts),
-        tuple(counts.tolist()), _error(stated, came_true, counts),
+        tuple(edges.tolist()), _means(stated, counts), _means(occurred, counts),
+        tuple(counts.tolist()), _error(stated, occurred, counts),
         float(np.mean(of_calibrated)), float(np.quantile(of_calibrated, 0.95)))
 
 
-def _error(stated, came_true, counts):
+def _error(stated, occurred, counts):
     """Return the calibration error from sums of probabilities and of true statements per bin."""
-    return float(np.sum(np.abs(stated - came_true)) / max(1, np.sum(counts)))
+    return float(np.sum(np.abs(stated - occurred)) / max(1, np.sum(counts)))
 
 
 def _means(sums, counts):

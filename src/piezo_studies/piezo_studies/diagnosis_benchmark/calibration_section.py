@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The section of docs/diagnosis.md on the calibration of probabilities and intervals."""
+"""The section of docs/studies/diagnosis_rates.md on the suite of long cases."""
 
 from piezo_studies.diagnosis_benchmark.calibration import bin_table, error_rows
 from piezo_studies.marked_sections import with_sections

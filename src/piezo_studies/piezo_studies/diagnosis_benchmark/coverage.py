@@ -48,15 +48,15 @@ def estimates(cause, effect, entries, nearest=None):
     entry = next((entry for entry in entries if entry["name"] == cause), None)
     if entry is None or "standard_deviations" not in entry:
         return []
-    told = []
+    found_intervals = []
     for name, of_plant in KNOWN.get(cause, {}).items():
         drawn = float(of_plant(effect))
-        told.append({
+        found_intervals.append({
             "cause": cause, "name": name, "drawn": drawn,
             "true": drawn if nearest is None else float(nearest[name]),
             "found": entry["parameters"][name],
             "standard_deviation": entry["standard_deviations"][name]})
-    return told
+    return found_intervals
 
 
 def coverage(results, value="true"):

@@ -31,10 +31,10 @@ def nearest_parameters(effect, without_um, added_um, sample_period_s, regression
     rows, = regression.dataset.rows
     values, low, high = fitted_values(effect, regression.dataset.extent)
 
-    def left(numbers):
+    def error(numbers):
         tried = with_fitted_values(effect, numbers)
         missing_um = added_um + without_um - tried.apply(without_um, sample_period_s)
         return regression.remainder(missing_um[rows] / regression.tolerance_um)
 
-    solution = least_squares(left, np.clip(values, low, high), bounds=(low, high), x_scale="jac")
+    solution = least_squares(error, np.clip(values, low, high), bounds=(low, high), x_scale="jac")
     return with_fitted_values(effect, solution.x).parameters()

@@ -62,7 +62,7 @@ def outcome(result):
 
     Returns
     -------
-    group, came_to : str
+    group, counted : str
         The group is "clean", "outside", "clear" or "weak", by the contribution. The first name is
         right only if all further named effects are present.
     """
@@ -95,13 +95,13 @@ def summary(results):
     results : list of dict
         Results of `run_case`.
     """
-    came_to: dict[str, Counter[str]] = {
+    counted: dict[str, Counter[str]] = {
         group: Counter() for group in ("clear", "weak", "clean", "outside")}
     confusion: dict[str, Counter[str]] = {}
     of_perfect: list[float] = []
     for result in results:
         group, what = outcome(result)
-        came_to[group][what] += 1
+        counted[group][what] += 1
         if result["verdict"] == "explained" and group == "clear":
             of_perfect.append(result["after_um"] / result["perfect_um"])
         if result["verdict"] == "refused":
@@ -114,22 +114,22 @@ def summary(results):
             named = result["effects"][0] if result["effects"] else result["verdict"]
         if group != "weak":
             confusion.setdefault(row, Counter())[named] += 1
-    clear = came_to["clear"]
+    clear = counted["clear"]
     decidable = clear.total() - clear["not decidable"]
     ratios = np.array(of_perfect)
     return {
         "figures": {
             "named_first_percent": _percent(clear["right"], decidable),
             "named_first_of_all_percent": _percent(clear["right"], clear.total()),
-            "false_alarms_percent": _percent(came_to["clean"]["false alarm"],
-                                             came_to["clean"].total()),
-            "outside_unexplained_percent": _percent(came_to["outside"]["right"],
-                                                    came_to["outside"].total()),
+            "false_alarms_percent": _percent(counted["clean"]["false alarm"],
+                                             counted["clean"].total()),
+            "outside_unexplained_percent": _percent(counted["outside"]["right"],
+                                                    counted["outside"].total()),
             "error_within_1.2_percent": _percent(int(np.sum(ratios <= ERROR_RATIO)), ratios.size),
             "error_ratio_median": float(np.median(ratios)) if ratios.size else None,
         },
         "targets": {name: " ".join(map(str, target)) for name, target in TARGETS.items()},
-        "outcomes": {group: dict(sorted(counts.items())) for group, counts in came_to.items()},
+        "outcomes": {group: dict(sorted(counts.items())) for group, counts in counted.items()},
         "confusion": {row: dict(sorted(counts.items()))
                       for row, counts in sorted(confusion.items())},
     }
@@ -146,7 +146,7 @@ def _percent(part, whole):
 
 def as_text(document):
     """Return the summary as text."""
-    lines = ["what was there -> what came first (contributions above "
+    lines = ["what was there -> most probable effect (contributions above "
              f"{CLEAR:g} x noise; clean and outside the list: the verdict)"]
     for row, counts in document["confusion"].items():
         named = ", ".join(f"{name} {count}" for name, count in

@@ -101,9 +101,9 @@ def run_case(case, clean, experiments=0):
     clock_samples = records.clock_samples(experiment)
     drawn: list[DrawnEffect] = []
     for index, (cause, multiple) in enumerate(zip(case.causes, case.multiples, strict=True)):
-        beside = drawn[-1].plant if drawn else plant
+        previous = drawn[-1].plant if drawn else plant
         drawn.append(_drawn(
-            cause, beside, voltage_v, surroundings, multiple, seed + index, clock_samples))
+            cause, previous, voltage_v, surroundings, multiple, seed + index, clock_samples))
     hidden = drawn[-1].plant if drawn else plant
     (model, _), (known, identified_from) = clean, clean
     if drawn and not case.later:
@@ -115,10 +115,10 @@ def run_case(case, clean, experiments=0):
     perfect_um = _least_error_um(model.model, records.record(plant, experiment, seed))
     noise = noise_um(plant)
     contributions = []
-    for effect, beside in zip(drawn, [plant, *(effect.plant for effect in drawn)], strict=False):
+    for effect, previous in zip(drawn, [plant, *(effect.plant for effect in drawn)], strict=False):
         with_it_um, without_um = (
             response_um(stage, voltage_v, surroundings, clock_samples)[recording.playing]
-            for stage in (effect.plant, beside)
+            for stage in (effect.plant, previous)
         )
         part = diagnosis.selection.regression.dataset.simulated[0]
         beyond_um = _beyond_model_um(part, with_it_um - without_um)
@@ -134,11 +134,11 @@ def run_case(case, clean, experiments=0):
         "contributions": contributions,
         "in_model": [effect.name for effect in known.model.effects],
         "experiments": len(diagnoses) - 1,
-        **_told(diagnosis),
-        "before_experiments": _told(diagnoses[0]),
+        **_reported(diagnosis),
+        "before_experiments": _reported(diagnoses[0]),
         "estimates": [each for effect in drawn for each in estimates(
             effect.cause, effect.effect, diagnosis.effects)],
-        "lacking_over_noise": _lacking_um(diagnosis) / noise,
+        "lacking_over_noise": _missing_um(diagnosis) / noise,
         "noise_um": noise, "noise_found_um": diagnosis.noise_floor_um,
         "before_um": diagnosis.before["rms_um"], "after_um": diagnosis.after["rms_um"],
         "perfect_um": perfect_um,
@@ -157,7 +157,7 @@ def _diagnoses(known, identified_from, recording, hidden, seed, experiments):
     return [step.diagnosis for step in steps]
 
 
-def _told(diagnosis):
+def _reported(diagnosis):
     return {"verdict": diagnosis.verdict, "probabilities": diagnosis.probabilities,
             "effects": [entry["name"] for entry in diagnosis.effects],
             "not_decidable": sorted(diagnosis.not_decidable)}
@@ -166,10 +166,10 @@ def _told(diagnosis):
 def _least_error_um(model, recording):
     """Return the error on held-out data without effects, with the model's parameters tuned."""
     regression = first_regression(simulate_recordings(model, [recording]))
-    return regression.left_um(regression.fit(()))
+    return regression.residual_um(regression.fit(()))
 
 
-def _lacking_um(diagnosis):
+def _missing_um(diagnosis):
     """Return the RMS of the tuned model's residual beyond the noise."""
     regression = diagnosis.selection.regression
     rms_tolerances = np.sqrt(lack_of_fit(regression, diagnosis.selection.start))
@@ -194,6 +194,6 @@ def _beyond_model_um(part, added_um):
     columns = np.column_stack([
         nuisance_regressors(part, rows), parameter_sensitivities(part, rows)])
     columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    left = added_um[rows]
-    left = left - columns @ np.linalg.lstsq(columns, left, rcond=1e-10)[0]
-    return float(np.sqrt(np.mean(left**2)))
+    residual = added_um[rows]
+    residual = residual - columns @ np.linalg.lstsq(columns, residual, rcond=1e-10)[0]
+    return float(np.sqrt(np.mean(residual**2)))

@@ -23,8 +23,8 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
                         help="directory of table.json, and of the results that are kept, from "
                              "which a run goes on (%(default)s)")
     parser.add_argument("--page", type=Path,
-                        help="page whose section on calibration is written anew, such as "
-                             "docs/diagnosis.md")
+                        help="page whose section on calibration is written again, such as "
+                             "docs/studies/diagnosis_rates.md")
 
 
 COMMAND = Command(

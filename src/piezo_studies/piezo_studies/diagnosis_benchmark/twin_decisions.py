@@ -69,9 +69,9 @@ def main(arguments=None):
     options = parser.parse_args(arguments)
     clean = clean_model(options.seed, 0)
     for number, cause in enumerate(ORDER, start=1):
-        told = decide_twin(cause, clean, (options.seed, 0), number, options.budget)
+        decision = decide_twin(cause, clean, (options.seed, 0), number, options.budget)
         print(cause)
-        for step in told["steps"]:
+        for step in decision["steps"]:
             chances = ", ".join(f"{name} {share:.3f}"
                                 for name, share in step["probabilities"].items())
             played = step["proposed"] and (

@@ -23,10 +23,11 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--output", type=Path, default=Path("runs/diagnosis-calibration"),
                         help="directory of models and results, from which a run goes on")
     parser.add_argument("--page", type=Path,
-                        help="page whose section is written anew, such as docs/diagnosis.md; its "
-                             "picture goes to pictures beside it")
+                        help="page whose section is written again, such as "
+                             "docs/studies/diagnosis_rates.md; its picture goes to pictures "
+                             "next to it")
     parser.add_argument("--model-errors", action="store_true",
-                        help="say how wrong the models are in clean recordings, and nothing else")
+                        help="report only the errors of the models in clean recordings")
     options = parser.parse_args(arguments)
     if options.model_errors:
         print(sentence(np.concatenate([

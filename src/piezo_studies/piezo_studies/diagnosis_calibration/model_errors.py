@@ -36,8 +36,8 @@ def errors_over_stated(seed, plant, identified):
             case = SmallCase(number, seed, plant, None, 0.0, kind, logger)
             recording = records.record(stage, waveform(case), number)
             regression = first_regression(simulate_recordings(identified.model, [recording]))
-            left_um = regression.left_um(regression.fit(()))
-            ratios.append(np.sqrt(max(0.0, left_um**2 - noise_um(stage)**2)))
+            residual_um = regression.residual_um(regression.fit(()))
+            ratios.append(np.sqrt(max(0.0, residual_um**2 - noise_um(stage)**2)))
     return np.array(ratios) / stated_error_um(identified)
 
 

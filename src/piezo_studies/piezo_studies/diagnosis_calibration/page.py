@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The section of docs/diagnosis.md on the calibration with small cases."""
+"""The section of docs/studies/diagnosis_rates.md on the calibration with small cases."""
 
 from collections import Counter
 
@@ -41,11 +41,11 @@ def section(seed, results):
         *error_rows(calibration),
         f"| expected calibration error, strict | {strict:.3f} |",
         f"| {level} that contain the parameter | "
-        f"{_told(intervals)} |",
-        f"| the same, where it is explained | {_told(explained)} |",
-        f"| the same, of the parameter that was drawn | {_told(coverage(results, 'drawn'))} |"]
+        f"{_right_of(intervals)} |",
+        f"| the same, where it is explained | {_right_of(explained)} |",
+        f"| the same, of the parameter that was drawn | {_right_of(coverage(results, 'drawn'))} |"]
     lines += [
-        f"| {level} of `{cause}` | {_told(found)} |"
+        f"| {level} of `{cause}` | {_right_of(found)} |"
         for cause in KNOWN if (found := coverage(_with_cause(results, cause)))["intervals"]]
     lines += [
         "",
@@ -54,7 +54,7 @@ def section(seed, results):
     return "\n".join(lines)
 
 
-def _told(found):
+def _right_of(found):
     return f"{found['right']} of {found['intervals']}"
 
 

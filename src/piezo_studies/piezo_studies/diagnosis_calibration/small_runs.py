@@ -44,11 +44,11 @@ def run_small_case(case, identified):
     recording = records.record(plant if drawn is None else drawn.plant, experiment, seed)
     diagnosis = diagnose(identified.model, [recording], stated_um=stated_error_um(identified),
                          noise=noise_of_model(identified))
-    size, told = 0.0, []
+    size, estimated = 0.0, []
     if drawn is not None:
         without_um, added_um = _responses_um(plant, drawn.plant, experiment, seed, recording)
         size = _shown_um(identified.model, recording, added_um) / noise
-        told = estimates(case.cause, drawn.effect, diagnosis.effects, _nearest(
+        estimated = estimates(case.cause, drawn.effect, diagnosis.effects, _nearest(
             case.cause, diagnosis, without_um, added_um, recording.sample_period_s))
     return {
         "number": case.number, "kind": case.kind, "logger": case.logger,
@@ -60,7 +60,7 @@ def run_small_case(case, identified):
         "verdict": diagnosis.verdict, "probabilities": diagnosis.probabilities,
         "effects": [entry["name"] for entry in diagnosis.effects],
         "not_decidable": sorted(diagnosis.not_decidable),
-        "estimates": told,
+        "estimates": estimated,
         "noise_um": noise, "noise_found_um": diagnosis.noise_floor_um,
         "before_um": diagnosis.before["rms_um"], "after_um": diagnosis.after["rms_um"],
     }
@@ -84,9 +84,9 @@ def _shown_um(model, recording, added_um):
     """
     regression = first_regression(simulate_recordings(model, [recording]))
     rows, tolerance_um = regression.dataset.rows[0], regression.tolerance_um
-    left = regression.remainder(added_um[rows] / tolerance_um)[
+    residual = regression.remainder(added_um[rows] / tolerance_um)[
         : np.count_nonzero(regression.estimation)]
-    return float(np.sqrt(np.mean((left * tolerance_um[regression.estimation]) ** 2)))
+    return float(np.sqrt(np.mean((residual * tolerance_um[regression.estimation]) ** 2)))
 
 
 def _nearest(cause, diagnosis, without_um, added_um, sample_period_s):

@@ -19,7 +19,7 @@ def main(arguments: list[str] | None = None) -> None:
                         help="directory of the controller files, from which a run goes on, and of "
                              "what searches found")
     parser.add_argument("--page", type=Path, default=Path("docs/high_bandwidth.md"),
-                        help="page; its picture goes to pictures beside it")
+                        help="page; its picture goes to pictures next to it")
     parser.add_argument("--effort", type=float, default=1.0,
                         help="multiplies the number of controllers that are tried")
     options = parser.parse_args(arguments)

@@ -68,7 +68,7 @@ class Search:
                                               nominal_hysteresis_gain(model)))
 
     def run(self, seed: int, starts: int, trials: int,
-            tell: Callable[[str, FloatArray, float], None]) -> float:
+            report: Callable[[str, FloatArray, float], None]) -> float:
         """Search, and return the largest margin found (dB).
 
         Exceeded bounds reduce the margin to the demands.
@@ -77,7 +77,7 @@ class Search:
         ----------
         starts, trials : int
             Number of random initial values, and of random changes of the best result.
-        tell : callable
+        report : callable
             Called at each improvement with its name, the best parameters and their margin.
         """
         rng = np.random.default_rng(seed)
@@ -92,8 +92,8 @@ class Search:
                     numbers, found = self._tuned(numbers, STEPS)
             if found.allowed and found.cost < least:
                 best, least = numbers, found.cost
-                tell(f"start {number + 1}" if drawn else f"trial {number + 1 - starts}",
-                     best, -least)
+                report(f"start {number + 1}" if drawn else f"trial {number + 1 - starts}",
+                       best, -least)
         return -least
 
     def from_anywhere(self, rng: np.random.Generator) -> tuple[FloatArray, Linearised]:
@@ -201,7 +201,7 @@ def main(arguments: list[str] | None = None) -> None:
         f"_{options.seed}.json")
     begun_s = time.monotonic()
 
-    def tell(what: str, numbers: FloatArray, margin_db: float) -> None:
+    def report(what: str, numbers: FloatArray, margin_db: float) -> None:
         print(f"{time.monotonic() - begun_s:6.0f} s  {what}: margin {margin_db:+.2f} dB",
               flush=True)
         path.write_text(json.dumps({
@@ -211,7 +211,7 @@ def main(arguments: list[str] | None = None) -> None:
             "resonances": search.as_resonances(numbers)}, indent=1), encoding="utf-8")
 
     search = Search(identified_stage(), demands)
-    margin_db = search.run(options.seed, options.starts, options.trials, tell)
+    margin_db = search.run(options.seed, options.starts, options.trials, report)
     print(f"margin {margin_db:+.2f} dB, start in {path}")
 
 

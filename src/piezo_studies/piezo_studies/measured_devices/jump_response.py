@@ -139,7 +139,7 @@ def estimate_jump_dynamics(response: JumpResponse, mode_count: int | None = None
         if start is not None:
             fits[count] = _fit(response, start)
     if not fits:
-        raise ValueError("the response to the jump shows no such modes: ask for fewer")
+        raise ValueError("the response to the jump shows no such modes: give fewer")
     order = min(fits, key=lambda count: fits[count][2].information)
     model, deviations, _ = fits[order]
     return Estimate(

@@ -218,7 +218,7 @@ def nanopositioner(directory):
             measured.gain[band])
         figures.append(Figure(
             "nanopositioner", f"relative L2, {lowest_hz:g} to {highest_hz:g} Hz",
-            f"{PARTS - 1} of {PARTS} frequencies", "those left out, in turn", "%", 6.3, 6.3,
+            f"{PARTS - 1} of {PARTS} frequencies", "the held-out ones, in turn", "%", 6.3, 6.3,
             float(100.0 * error), remark,
         ))
     return figures, measured, whole.response(measured.frequency_hz), predicted

@@ -17,7 +17,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 COMMAND = Command(
     "measured", "Identify stages from measured data, and print the error on data that was not "
-    "fitted beside the figures in the data's note.", _add_options,
+    "fitted next to the figures in the data's note.", _add_options,
     "piezo_studies.measured_devices.measured_work:measure_devices", inputs=("data",),
     interrupted="table.json, if it is there, is of an earlier run")
 main = COMMAND.main

@@ -94,7 +94,7 @@ def nanopositioner_without_creep(directory):
     fit = estimate_from_response(measured.between(*RESONANCES_HZ), RESONANCES).model
     line = PreisachModel.line(-1.0, 1.0, fit.gain)
     model = StageModel(
-        line, CreepDynamics(), fit.dynamics, effects=(*fit.beside, Delay(fit.delay_s)))
+        line, CreepDynamics(), fit.dynamics, effects=(*fit.parallel, Delay(fit.delay_s)))
     return finding_of("nanopositioner", "resonances only", diagnose_response(model, measured),
                       "a third of the frequencies")
 

@@ -126,6 +126,6 @@ def rms_um(model: StageModel, recording: Recording) -> float:
 
 def _frequency_hz(model: StageModel) -> float:
     """Return the frequency of the slowest mode, in series or in parallel."""
-    beside = [effect.frequency_rad_per_s for effect in model.effects
-              if isinstance(effect, VibrationMode)]
-    return min((*model.dynamics.mode_frequencies_rad_per_s, *beside)) / (2.0 * np.pi)
+    further = [effect.frequency_rad_per_s for effect in model.effects
+               if isinstance(effect, VibrationMode)]
+    return min((*model.dynamics.mode_frequencies_rad_per_s, *further)) / (2.0 * np.pi)

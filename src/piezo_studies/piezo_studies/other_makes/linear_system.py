@@ -45,7 +45,7 @@ class LinearSystem:
                       following.residues * self.at(following.poles_per_s)),
             self.direct * following.direct)
 
-    def beside(self, other: Self) -> Self:
+    def parallel_to(self, other: Self) -> Self:
         """Return the two systems in parallel."""
         return type(self)(np.append(self.poles_per_s, other.poles_per_s),
                           np.append(self.residues, other.residues), self.direct + other.direct)
@@ -74,9 +74,9 @@ def mode(frequency_hz: float, damping: float, share: float = 1.0) -> LinearSyste
                         np.array([share * w**2 / (2j * damped)]))
 
 
-def beside_each_other(systems: Iterable[LinearSystem]) -> LinearSystem:
+def in_parallel(systems: Iterable[LinearSystem]) -> LinearSystem:
     """Return systems in parallel."""
-    return reduce(LinearSystem.beside, systems)
+    return reduce(LinearSystem.parallel_to, systems)
 
 
 def coupled_flexures(mass: FloatArray, damping: FloatArray, stiffness: FloatArray,

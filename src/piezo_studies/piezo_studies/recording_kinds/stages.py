@@ -23,14 +23,14 @@ def play_stage() -> Stage:
     """Return a stage with plays between two curves, for 100 V and about 13 um."""
     widths_v = np.linspace(0.0, 25.0, 12)
     weights = 0.12 * np.append(0.8, 0.04 * np.exp(-widths_v[1:] / 15.0))
-    modes = mode(620.0, 0.02, 0.92).beside(mode(1450.0, 0.015, 0.08))
+    modes = mode(620.0, 0.02, 0.92).parallel_to(mode(1450.0, 0.015, 0.08))
     return Stage(Plays(widths_v, weights, (1.0, 1.5e-3), (1.002, 1.0e-3)),
                  logarithmic_creep(0.012, 1e-3, 1e4).then(modes).then(lag(4e-4)))
 
 
 def duhem_stage() -> Stage:
     """Return a stage with the Duhem equation and slower modes, for 100 V and about 30 um."""
-    modes = mode(210.0, 0.03, 0.9).beside(mode(760.0, 0.02, 0.1))
+    modes = mode(210.0, 0.03, 0.9).parallel_to(mode(760.0, 0.02, 0.1))
     return Stage(Duhem(0.2, 0.2, 0.4, 0.03, 0.5),
                  logarithmic_creep(0.008, 1e-3, 1e4).then(modes).then(lag(8e-4)))
 

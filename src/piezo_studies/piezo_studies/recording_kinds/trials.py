@@ -122,8 +122,8 @@ def run(trial: Trial, folder: Path) -> Outcome:
 
 
 def _verdict(adequacy: dict[str, dict[str, object]]) -> str:
-    left = [name for name, each in adequacy.items() if each["verdict"] != "adequate"]
-    return f"inadequate: {', '.join(left)}" if left else "adequate"
+    poor = [name for name, each in adequacy.items() if each["verdict"] != "adequate"]
+    return f"inadequate: {', '.join(poor)}" if poor else "adequate"
 
 
 def recordings(stage: str, experiment: str, kind: str, variant: str, folder: Path) -> list[Path]:

@@ -17,7 +17,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the command."""
     parser = argparse.ArgumentParser(prog="recording_recipe", description=__doc__)
     parser.add_argument("--page", type=Path, default=Path("docs/recipe.md"),
-                        help="page whose tables are written anew; its text stays")
+                        help="page whose tables are written again; its text stays")
     options = parser.parse_args(arguments)
     made: dict[str, list[Trial]] = {}
     for name, (_, _, trials) in TABLES.items():

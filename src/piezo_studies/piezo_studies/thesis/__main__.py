@@ -18,7 +18,7 @@ def main(arguments=None):
     parser.add_argument("--output", type=Path, default=Path("runs/reproduce"),
                         help="directory of table.json")
     parser.add_argument("--page", type=Path, default=Path("docs/reproduction.md"),
-                        help="page; its pictures go to pictures/reproduction beside it")
+                        help="page; its pictures go to pictures/reproduction next to it")
     options = parser.parse_args(arguments)
     pictures = options.page.parent / "pictures" / "reproduction"
     for directory in (options.output, pictures):

@@ -42,9 +42,9 @@ def study():
             "0 V"),
         Row(SECTION, "RMS error, feedforward, offset removed", None,
             float(np.std(reference_um - feedforward_um)), "um",
-            "the thesis' 5.02 um leaves 0.45 um"),
+            "0.45 um remain of the thesis' 5.02 um"),
         Row(SECTION, "RMS error, composite", 0.22, _rms(reference_um - composite_um), "um",
-            "over 10 s with the start; the thesis does not say how long"),
+            "over 10 s with the start; the thesis does not state how long"),
         Row(SECTION, "RMS error, composite, after the first second", None,
             _rms((reference_um - composite_um)[settled]), "um"),
     ])

@@ -67,7 +67,7 @@ def study():
         Row(SECTION, "drift of the stage in 100 s", float(DRIFT(100.0) - DRIFT(0.0)),
             float(drift(100.0) - drift(0.0)), "um",
             "the simulated stage's creep; the thesis' stage drifts differently"),
-        Row(SECTION, "drift left at the samples at rest, RMS", None,
+        Row(SECTION, "remaining drift at the samples at rest, RMS", None,
             float(np.std(steady_um[starts])), "um"),
         Row(SECTION, "quadratic term of the thesis' drift, added and found", 1.21e-4,
             float(known.convert().coef[2]), "um/s^2"),
@@ -91,7 +91,7 @@ def _draw_drift(time_s, displacement_um, drift, steady_um):
     left.legend()
     label(left, "time (s)", "drift (um)")
     right.plot(time_s, 1e3 * steady_um, color=VERMILION, marker=".", linestyle="none")
-    label(right, "time (s)", "drift left (nm)")
+    label(right, "time (s)", "remaining drift (nm)")
     return figure
 
 

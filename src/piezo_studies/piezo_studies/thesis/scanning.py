@@ -66,5 +66,5 @@ def study():
     rows.append(Row("3.4.5", "Table 3.2: e_rms at 600 Hz, 1.3 times the first mode",
                     THESIS_COMPARED_PERCENT, best.e_rms_percent, "%",
                     f"the first mode is at {FIRST_MODE_HZ:g} Hz; others reach 5.28 % at 300 Hz and "
-                    "10.25 % at 450 Hz, says the thesis"))
+                    "10.25 % at 450 Hz, according to the thesis"))
     return Study(rows, {"3.10": figure})

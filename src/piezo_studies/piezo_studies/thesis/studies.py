@@ -50,7 +50,7 @@ CAPTIONS = {
     "2.8": "Loop at 1 Hz, measured and modelled; actual over desired displacement with the "
            "inverse. Creep makes most of the error.",
     "2.11": "Errors at 1 Hz and 25 Hz under PID and composite control.",
-    "3.5": "Drift between harmonics, the polynomial through it, and what it leaves.",
+    "3.5": "Drift between harmonics, the polynomial through it, and its residual.",
     "3.6": "Singular values of the normal equations of 3661 chosen samples, and the density.",
     "3.8": "Six sines, measured and modelled.",
     "3.10": "Displacement over reference in open loop and under composite control.",

@@ -64,7 +64,7 @@ class Tracked:
     @property
     def feedforward_remark(self):
         """Remark on the error without the offset, which a feedforward cannot correct."""
-        return f"{self.centred_e_rms_percent:.2g} % without the offset, which it cannot know"
+        return f"{self.centred_e_rms_percent:.2g} % without the offset, which it cannot predict"
 
 
 @cache

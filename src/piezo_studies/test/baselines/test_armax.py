@@ -95,7 +95,7 @@ def test_more_modes_than_poles_are_refused():
     wave, response = square_record(ONE_MODE, 1e-4, 0.02, 40, 10.0)
     armax = fit_armax(wave, response + 1e-3 * np.random.default_rng(0).normal(size=wave.size),
                       3, 3, 3)
-    with pytest.raises(ValueError, match="order 3 shows no lag beside 2 modes"):
+    with pytest.raises(ValueError, match="order 3 shows no lag besides 2 modes"):
         dynamics_of_armax(armax, wave, 1e-4, 2)
 
 

@@ -4,15 +4,18 @@
 from dataclasses import replace
 from pathlib import Path
 
+import control
 import numpy as np
 import pytest
 
 from piezo_client.scans import StoredScan
+from piezo_models.axes.coupled import CoupledModel
 from piezo_models.feedback_law.axes_law import AxesLaw
 from piezo_models.feedback_law.feedback_law import DeclaredPlant, LinearBlock
 from piezo_studies.coupled_scans import feedback_trials, xy_stage
-from piezo_studies.coupled_scans.__main__ import SECTIONS, table
+from piezo_studies.coupled_scans.__main__ import IMAGES, SECTIONS, table
 from piezo_studies.coupled_scans.feedback_trials import FeedbackRow, feedback_table
+from piezo_studies.coupled_scans.images import image_table, images_figure, images_of_grating
 from piezo_studies.coupled_scans.trials import TABLES, Row
 from piezo_studies.marked_sections import with_sections
 
@@ -22,8 +25,11 @@ ROW = Row("spiral", 49.0, 0.0721, 0.0282, 0.0281, 0.1, 5)
 
 def test_page_has_a_table_of_every_trial():
     before = PAGE.read_text(encoding="utf-8")
-    after = with_sections(before, {SECTIONS + name: table(name, [ROW]) for name in TABLES} | {
+    sections = {SECTIONS + name: table(name, [ROW]) for name in TABLES}
+    after = with_sections(before, sections | {
+        SECTIONS + IMAGES: image_table({}, None),
         SECTIONS + "feedback": feedback_table(iter(()))}, SECTIONS)
+    assert image_table({}, None) in before, "run make coupled-scans"
     assert after.count("| spiral | 49 | 0.072 | 0.028 | 5 | 0.028 | 0.1 |") == len(TABLES)
     for name in TABLES:
         assert table(name, []) in before, "run make coupled-scans"
@@ -68,3 +74,21 @@ def test_recording_holds_the_periods_behind_those_that_settle(monkeypatch):
     recording, = xy_stage.recorded("multisine", 1)
     assert recording.periods == 2 and len(recording.voltage_v) == 3200
     assert np.array_equal(recording.voltage_v[:1600], recording.voltage_v[1600:])
+
+
+def test_images_of_the_grating_are_less_distorted_by_measured_positions():
+    s, frequency = control.tf("s"), 2.0 * np.pi * np.array([307.4, 364.9])
+    modes = [control.ss(gain * w**2 / (s**2 + 0.03 * w * s + w**2))
+             for gain, w in zip((0.36, 0.29), frequency, strict=True)]
+    model = replace(
+        CoupledModel.from_control(
+            control.sample_system(control.append(*modes), 1.0 / xy_stage.CLOCK_HZ), ("x", "y")),
+        operating_voltage_v=np.array([50.0, 50.0]),
+        operating_displacement_um=np.array([18.4, 14.3]))
+    images, specimen = images_of_grating(model, 64, 100.0)
+    rows = [row.split("|")[1:3] for row in image_table(images, specimen).splitlines()[2:]]
+    assert [name.strip() for name, _ in rows] == list(images)
+    by_commanded, by_measured = [float(seen) for _, seen in rows][::2], [
+        float(seen) for _, seen in rows][1::2]
+    assert min(by_commanded) > 5.0 * max(by_measured) and max(by_measured) < 0.1
+    assert len(images_figure(images).axes) == 2

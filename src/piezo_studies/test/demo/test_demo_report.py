@@ -175,7 +175,7 @@ def test_every_picture_is_in_the_report_and_can_be_decoded(report):
     pictures = {attributes["alt"]: attributes["src"] for tag, attributes in Page(report).tags
                 if tag == "img"}
     assert set(pictures) == {
-        "Errors over frequency", "Displacement", "Loops", "What is left over frequency", "Density",
+        "Errors over frequency", "Displacement", "Loops", "Residual over frequency", "Density",
         "Fit of the creep", "Fit of the dynamics", "Frequency response",
         "Model error before and after", "Response before and after",
         "Tracking errors before and after",

@@ -31,7 +31,7 @@ def line(voltage_v):
 
 
 def parallel_modes():
-    return mode(1200.0, 0.02, 0.85).beside(mode(1900.0, 0.015, 0.15))
+    return mode(1200.0, 0.02, 0.85).parallel_to(mode(1900.0, 0.015, 0.15))
 
 
 def as_scipy(frequency_hz, damping, share=1.0):

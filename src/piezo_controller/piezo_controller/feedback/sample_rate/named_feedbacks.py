@@ -162,7 +162,7 @@ def comparison_page(model: StageModel, controllers: Mapping[str, FeedbackControl
         f"{best} attenuates most: {controllers[best].report['margin_db']:.3g} dB", origin, [
             Section(table.title, table.notes, [table.heads, *cells], [pictured(
                 "Sensitivity", comparison_figure(model, controllers),
-                "What each loop leaves of a disturbance, at each frequency; dotted, the peak that "
+                "Part of a disturbance that remains, at each frequency; dotted, the peak that "
                 "no stage exceeds.", wide=True, closer=True)]),
             Section("How", [
                 "Each law answers every sample, and was searched for the largest attenuation. Its "

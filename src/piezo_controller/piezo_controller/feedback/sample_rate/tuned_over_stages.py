@@ -74,28 +74,28 @@ class LoopProblem:
                  slopes: ComplexArray) -> tuple[FloatArray, FloatArray]:
         values, found = [], []
         for one, inverse in zip(loop[:self._reached], sensitivity, strict=False):
-            lacking_db, lacking_slopes = self._lacking_bandwidth(one, inverse, slopes)
-            values.append(lacking_db)
-            found.append(lacking_slopes)
+            missing_db, missing_slopes = self._missing_bandwidth(one, inverse, slopes)
+            values.append(missing_db)
+            found.append(missing_slopes)
             for band, asked_db in zip(self._loops.disturbances, self._demands.attenuation_db,
                                       strict=True):
                 values.append(asked_db + DECIBELS * np.log(np.abs(inverse[band])))
                 found.append(-DECIBELS * np.real(one * inverse * slopes)[:, band])
         return np.concatenate(values), np.concatenate(found, axis=1).T
 
-    def _lacking_bandwidth(self, loop: ComplexArray, sensitivity: ComplexArray,
+    def _missing_bandwidth(self, loop: ComplexArray, sensitivity: ComplexArray,
                            slopes: ComplexArray) -> tuple[FloatArray, FloatArray]:
         """Return by how much (dB) a loop misses the bandwidth, at its frequencies and its end."""
-        lacking_db = DECIBELS * np.log(BAND_EDGE / np.abs(loop * sensitivity))
-        end = int((lacking_db > 0.0).argmax())
+        missing_db = DECIBELS * np.log(BAND_EDGE / np.abs(loop * sensitivity))
+        end = int((missing_db > 0.0).argmax())
         reached = end > 0 and self._beyond_db[end - 1] > 0.0
-        counts = (self._beyond_db <= 0.0) | reached & (np.arange(lacking_db.size) < end)
-        counts &= lacking_db > -OUT_OF_REACH_DB
-        values = lacking_db[counts] - np.maximum(self._beyond_db[counts], 0.0)
+        counts = (self._beyond_db <= 0.0) | reached & (np.arange(missing_db.size) < end)
+        counts &= missing_db > -OUT_OF_REACH_DB
+        values = missing_db[counts] - np.maximum(self._beyond_db[counts], 0.0)
         found = -DECIBELS * np.real(sensitivity * slopes)
         if not reached:
             return values, found[:, counts]
-        before, after = lacking_db[end - 1:end + 1]
+        before, after = missing_db[end - 1:end + 1]
         rise_db = self._beyond_db[end] - self._beyond_db[end - 1]
         crossed_db = self._beyond_db[end - 1] - before / (after - before) * rise_db
         return (np.append(values, -crossed_db),

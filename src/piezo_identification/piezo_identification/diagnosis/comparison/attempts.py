@@ -63,10 +63,10 @@ def _attempt(regression: Regression, kind: type[Effect], current: Fit,
              evidence: Sequence[Evidence]) -> Attempt:
     if not kind.several and any(type(effect) is kind for effect in current.effects):
         return Attempt(kind.name, None)
-    lacking = [kind.lacks_excitation(shown) for shown in evidence]
-    if all(lacking):
+    unexcited = [kind.lacks_excitation(shown) for shown in evidence]
+    if all(unexcited):
         return Attempt(kind.name, None, undecided=Undecided(
-            Reason.NOT_EXCITED, str(lacking[0])))
+            Reason.NOT_EXCITED, str(unexcited[0])))
     fit = fit_one_more(regression, kind, current.effects, evidence)
     if fit is None:
         return Attempt(kind.name, None)

@@ -33,12 +33,12 @@ class Criteria:
     candidates."""
     noticeable: float = 0.25
     """Smallest contribution of an effect that is named, in tolerances."""
-    beside: float = 0.02
+    noticeable_share: float = 0.02
     """The same relative to the error of the model without effects, because effects are not known
     more accurately."""
     visible: float = 0.1
     """Smallest part of a contribution that other parameters of the model cannot imitate."""
-    told_apart: float = 3.0
+    distinguished: float = 3.0
     """Standard deviations by which a set must be better to be distinguished from another."""
     penalty: float = 10.0
     """Squared tolerances by which a fitted parameter must reduce the sum on held-out data."""
@@ -68,7 +68,8 @@ def is_convincing(regression: Regression, start: Fit, before: Fit, after: Fit) -
     before, after : Fit
         Fits with the smaller and the larger set.
     """
-    least = max(CRITERIA.noticeable, CRITERIA.beside * np.sqrt(mean_square(regression, start)))
+    residual = np.sqrt(mean_square(regression, start))
+    least = max(CRITERIA.noticeable, CRITERIA.noticeable_share * residual)
     square_before, square_after = (mean_square(regression, fit) for fit in (before, after))
     return bool(
         (significance(regression, before, after) > CRITERIA.significant
@@ -79,7 +80,7 @@ def is_convincing(regression: Regression, start: Fit, before: Fit, after: Fit) -
 
 
 def is_indistinguishable(regression: Regression, best: Fit, other: Fit,
-                         told_apart: float = CRITERIA.told_apart) -> bool:
+                         distinguished: float = CRITERIA.distinguished) -> bool:
     """Return whether the data cannot distinguish a set of effects from the best one.
 
     The residual of the best set beyond the noise shows the accuracy of its prediction: sets that
@@ -87,11 +88,11 @@ def is_indistinguishable(regression: Regression, best: Fit, other: Fit,
 
     Parameters
     ----------
-    told_apart : float
+    distinguished : float
         Standard deviations by which the best set must be better.
     """
-    return bool(distance(regression, other, best) < _left(regression, best)
-                or significance(regression, other, best) < told_apart)
+    return bool(distance(regression, other, best) < _remaining(regression, best)
+                or significance(regression, other, best) < distinguished)
 
 
 def score(regression: Regression, fit: Fit | None) -> float:
@@ -108,7 +109,8 @@ def alternatives(regression: Regression, fits: Sequence[Fit]) -> list[Fit]:
     """Return the first few fits, without those with a much larger residual than the first."""
     return [
         fit for fit in fits[:CRITERIA.alternatives]
-        if _left(regression, fit) < CRITERIA.worst_alternative * _left(regression, fits[0])
+        if _remaining(regression, fit)
+        < CRITERIA.worst_alternative * _remaining(regression, fits[0])
     ]
 
 
@@ -129,6 +131,6 @@ def simplest_first(regression: Regression, fits: list[Fit]) -> list[Fit]:
     return sorted(fits, key=lambda fit: fit is not first)
 
 
-def _left(regression: Regression, fit: Fit) -> float:
+def _remaining(regression: Regression, fit: Fit) -> float:
     """Return the RMS residual beyond the noise on held-out data, in tolerances."""
     return np.sqrt(max(CRITERIA.noticeable**2, lack_of_fit(regression, fit)))

@@ -143,9 +143,9 @@ def select_effects(regression: Regression, progress: Progress | None = None,
         regression, start, best, rounds, indistinguishable, not_shown, tuple(others), parts)
 
 
-def left_rms_um(selection: Selection) -> float:
+def residual_rms_um(selection: Selection) -> float:
     """Return the RMS residual of a selection on the validation set, including noise."""
-    return selection.regression.left_um(selection.end)
+    return selection.regression.residual_um(selection.end)
 
 
 def _share_of(progress: Progress | None, begun: float, share: float) -> Progress:

@@ -90,8 +90,8 @@ def explained_by_parameters(regression: Regression, kinds: Sequence[type[Effect]
         Names of the effects, and the reason why they are not decidable.
     """
     fixed = with_fixed_parameters(regression, best.effects)
-    left = max(CRITERIA.noise**2, lack_of_fit(regression, best))
-    if lack_of_fit(fixed, fixed.fit(best.effects)) <= SETTINGS.as_good * left:
+    remaining = max(CRITERIA.noise**2, lack_of_fit(regression, best))
+    if lack_of_fit(fixed, fixed.fit(best.effects)) <= SETTINGS.as_good * remaining:
         return {}
     evidence = recording_evidence(fixed, best.effects)
     present = {effect.name for effect in best.effects}
@@ -100,7 +100,7 @@ def explained_by_parameters(regression: Regression, kinds: Sequence[type[Effect]
         if kind.name in present or all(map(kind.lacks_excitation, evidence)):
             return False
         fit = fit_one_more(fixed, kind, best.effects, evidence)
-        return fit is not None and lack_of_fit(fixed, fit) <= SETTINGS.as_good * left
+        return fit is not None and lack_of_fit(fixed, fit) <= SETTINGS.as_good * remaining
 
     as_well = side_by_side(does_as_well, kinds)
     return {kind.name: OTHER_PARAMETERS

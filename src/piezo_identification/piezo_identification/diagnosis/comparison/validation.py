@@ -45,7 +45,7 @@ class Validation:
                  reference: "Validation | None" = None) -> None:
         self.regression, self.holdout, self.reference = regression, holdout, reference
 
-    def beside(self, regression: Regression) -> "Validation":
+    def for_regression(self, regression: Regression) -> "Validation":
         """Return the validation for fits with another model, compared with the model as given."""
         return Validation(regression, self.holdout, self)
 
@@ -116,21 +116,21 @@ class Validation:
             the error.
         """
         regression, dataset = self.regression, self.regression.dataset
-        left_um = fit.residual * regression.tolerance_um
+        residual_um = fit.residual * regression.tolerance_um
         found = []
         for recording, part, mask in zip(
                 dataset.recordings, dataset.simulated, dataset.masks(), strict=True):
             rows = mask & regression.validation
             measured_um = part.measured_um[part.begin :]
             found.append(Remainder(
-                str(recording.path), HeldOut(left_um[rows], dataset.stretch[rows]),
+                str(recording.path), HeldOut(residual_um[rows], dataset.stretch[rows]),
                 part.sample_period_s, float(np.ptp(measured_um)), float(np.std(measured_um))))
         if self.holdout is not None:
             samples = [self._of(fit), *([] if fit.effects else [self._given])]
             best = min(samples, key=lambda each: each.errors(each.good)["rms_um"])
-            measured_um, left_um = best.measured_um[best.good], best.left_um[best.good]
+            measured_um, residual_um = best.measured_um[best.good], best.residual_um[best.good]
             found.append(Remainder(
-                self.source, HeldOut(left_um, np.zeros(left_um.size, dtype=np.intp)),
+                self.source, HeldOut(residual_um, np.zeros(residual_um.size, dtype=np.intp)),
                 played(self.holdout).sample_period_s, float(np.ptp(measured_um)),
                 float(np.std(measured_um))))
         return found
@@ -188,12 +188,12 @@ class Validation:
             return _predicted(self.regression.extended_model(fit), self.holdout)
         return self._at_rows(fit.residual)
 
-    def _at_rows(self, left: FloatArray) -> "_Samples":
+    def _at_rows(self, residual: FloatArray) -> "_Samples":
         """Return samples for a residual, in tolerances, at the rows of the data set."""
         dataset = self.regression.dataset
         measured_um = dataset.at_rows([part.measured_um for part in dataset.simulated])
         time_s = dataset.at_rows([part.time_s for part in dataset.simulated])
-        return _Samples(time_s, measured_um, left * self.regression.tolerance_um,
+        return _Samples(time_s, measured_um, residual * self.regression.tolerance_um,
                         self.regression.validation, np.zeros(time_s.size, dtype=bool))
 
 
@@ -206,26 +206,26 @@ class _Samples:
 
     time_s: FloatArray
     measured_um: FloatArray
-    left_um: FloatArray
+    residual_um: FloatArray
     good: BoolArray
     outlier: BoolArray
 
     def errors(self, good: BoolArray) -> dict[str, float]:
         """Return the errors of some samples."""
-        measured_um, left_um = self.measured_um[good], self.left_um[good]
-        return {"rms_um": float(np.sqrt(np.mean(left_um**2))),
-                "e_y_percent": float(e_y_percent(measured_um, measured_um - left_um))}
+        measured_um, residual_um = self.measured_um[good], self.residual_um[good]
+        return {"rms_um": float(np.sqrt(np.mean(residual_um**2))),
+                "e_y_percent": float(e_y_percent(measured_um, measured_um - residual_um))}
 
 
 def _predicted(model: StageModel, recording: Recording) -> _Samples:
     """Predict all samples of a recording."""
     prediction = predict(model, recording)
     measured_um = np.zeros(recording.time_s.size)
-    left_um = measured_um.copy()
+    residual_um = measured_um.copy()
     good, outlier = np.zeros((2, measured_um.size), dtype=bool)
     # Samples count from where the model has settled.
     at = np.searchsorted(recording.sample_index, prediction.sample_index)
     measured_um[at] = prediction.measured_um
-    left_um[at] = prediction.measured_um - prediction.simulated_um
+    residual_um[at] = prediction.measured_um - prediction.simulated_um
     good[at], outlier[at] = prediction.good, ~prediction.good
-    return _Samples(recording.time_s, measured_um, left_um, good, outlier)
+    return _Samples(recording.time_s, measured_um, residual_um, good, outlier)

@@ -75,15 +75,15 @@ class Ceiling:
 
     def sentence(self) -> str:
         """Describe the repeatable and the random part of the residual."""
-        left, told, voltage, other = (
+        rms, predicted, voltage, other = (
             f"{1e3 * value:.3g} nm" for value in (self.left_um, self.predictable_um,
                                                   self.from_voltage_um, self.random_um))
         if self.predictable_um == 0.0:
-            return (f"Of the {left} left on held-out stretches no learner predicts any: it is "
-                    "random, or has a cause that voltage and displacement do not show.")
-        return (f"Of the {left} left on held-out stretches a learner predicts {told} from voltage, "
-                f"displacement and their past ({voltage} from the voltage alone): this part "
-                f"repeats and has no name yet. {other} are random.")
+            return (f"No learner predicts any of the residual of {rms} on held-out stretches: it "
+                    "is random, or has a cause that voltage and displacement do not show.")
+        return (f"Of the residual of {rms} on held-out stretches a learner predicts {predicted} "
+                f"from voltage, displacement and their past ({voltage} from the voltage alone): "
+                f"this part repeats and has no name yet. {other} are random.")
 
 
 def ceiling(regression: Regression, fit: Fit) -> Ceiling:
@@ -122,9 +122,9 @@ def _features(regression: Regression, fit: Fit) -> tuple[FloatArray, FloatArray]
     for index, (part, rows) in enumerate(zip(dataset.simulated, dataset.rows, strict=True)):
         of_voltage.append(np.column_stack(
             [*_of_voltage(part.voltage_v, part.simulate(fit.effects), rows, lags)]))
-        left = residual_um(dataset, index, fit.effects, regression.noise)
-        left = np.where(regression.noise.outliers[index], 0.0, left)
-        of_past.append(np.column_stack([_before(left, rows, lag) for lag in lags]))
+        residual = residual_um(dataset, index, fit.effects, regression.noise)
+        residual = np.where(regression.noise.outliers[index], 0.0, residual)
+        of_past.append(np.column_stack([_before(residual, rows, lag) for lag in lags]))
     alone = np.vstack(of_voltage)
     return alone, np.hstack([alone, np.vstack(of_past)])
 
@@ -184,24 +184,24 @@ def _unpredicted(regression: Regression, fit: Fit, features: FloatArray) -> Floa
     return residual if is_sure else fit.residual
 
 
-def _how_many(features: FloatArray, left: FloatArray, stretch: NDArray[np.intp]) -> int:
+def _how_many(features: FloatArray, residual: FloatArray, stretch: NDArray[np.intp]) -> int:
     """Return the number of learners that predicts other data best."""
     half = stretch // SPLIT.held_out % 2 == 0
     squares = np.zeros(len(LEARNERS) + 1)
     for seen in (half, ~half):
-        learners = _trained(features[seen], left[seen], stretch[seen])
+        learners = _trained(features[seen], residual[seen], stretch[seen])
         for count in range(squares.size):
-            error = left[~seen] - _sum_of(learners[:count], features[~seen])
+            error = residual[~seen] - _sum_of(learners[:count], features[~seen])
             squares[count] += error @ error
     return int(np.argmin(squares))
 
 
-def _trained(features: FloatArray, left: FloatArray,
+def _trained(features: FloatArray, residual: FloatArray,
              stretch: NDArray[np.intp]) -> list[RegressorMixin]:
     """Return the learners, each trained on the residual of those before it."""
     learners: list[RegressorMixin] = []
     for learner in LEARNERS:
-        target = left - _sum_of(learners, features)
+        target = residual - _sum_of(learners, features)
         learners.append(learner(features, stretch).fit(features, target))
     return learners
 

@@ -57,22 +57,22 @@ def with_model_errors(regression: Regression, fit: Fit) -> Fit:
     """
     if fit.covariance is None or not fit.covariance.size:
         return fit
-    left = derivatives(regression, fit)
-    scales = np.linalg.norm(left, axis=0)
+    slopes = derivatives(regression, fit)
+    scales = np.linalg.norm(slopes, axis=0)
     scales[scales == 0.0] = 1.0
-    scaled = left / scales
+    scaled = slopes / scales
     inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
     errors = np.column_stack([
         regression.remainder(error_um / regression.tolerance_um)
         for error_um in drawn_errors_um(regression.dataset)])
     rows = np.count_nonzero(regression.estimation)
 
-    def beside(columns: FloatArray) -> FloatArray:
+    def without_effects(columns: FloatArray) -> FloatArray:
         """Return columns with the part along the effects removed."""
         return (columns - scaled @ (inverse @ (scaled.T @ columns)))[:rows]
 
     noise, size = noise_and_errors(
-        beside(regression.remainder(fit.difference)), beside(errors))
+        without_effects(regression.remainder(fit.difference)), without_effects(errors))
     changes = inverse @ (scaled.T @ errors) / scales[:, None]
     white = noise * np.diag(inverse) / scales**2
     # The scatter of the residual does not include the prior of the parameters, and white noise
@@ -132,7 +132,7 @@ def _erring(hysteresis: PreisachModel) -> Iterator[PreisachModel]:
         yield replace(hysteresis, density_um_per_v2=density * factors[np.abs(rising - falling)])
 
 
-def noise_and_errors(left: FloatArray, errors: FloatArray) -> tuple[float, float]:
+def noise_and_errors(residual: FloatArray, errors: FloatArray) -> tuple[float, float]:
     """Return the variance of white noise, and the size of drawn errors, from a residual.
 
     Half of the drawn errors span the shapes of errors of the density in these rows. The residual
@@ -143,7 +143,7 @@ def noise_and_errors(left: FloatArray, errors: FloatArray) -> tuple[float, float
 
     Parameters
     ----------
-    left : (n,) array
+    residual : (n,) array
         Residual of the fit.
     errors : (n, d) array
         Drawn errors after projecting out effects and regressors.
@@ -154,8 +154,8 @@ def noise_and_errors(left: FloatArray, errors: FloatArray) -> tuple[float, float
     size : float
         Factor of the squares of the drawn errors.
     """
-    means = block_means(np.column_stack([left, errors]))
-    half, total = min(errors.shape[1], len(means)) // 2, float(np.mean(left**2))
+    means = block_means(np.column_stack([residual, errors]))
+    half, total = min(errors.shape[1], len(means)) // 2, float(np.mean(residual**2))
     shapes = orth(means[:, 1 : 1 + half])
     if not shapes.size:
         return total, 0.0  # the rows are too few, or there is no density

@@ -31,10 +31,10 @@ def effect_entries(regression: Regression, fit: Fit) -> list[dict[str, Any]]:
     # Removing an effect, with all else unchanged, would increase the error by its contribution.
     added = [contribution_rms(regression, regression.fit(fit.without(number)), fit)
              for number in range(len(fit.effects))]
-    left = np.sqrt(mean_square(regression, fit))
+    residual = np.sqrt(mean_square(regression, fit))
     entries: list[dict[str, Any]] = [{
         "name": effect.name, "parameters": effect.parameters(),
-        "error_reduction_percent": float(100.0 * (1.0 - left / np.hypot(left, each)))}
+        "error_reduction_percent": float(100.0 * (1.0 - residual / np.hypot(residual, each)))}
         for effect, each in zip(fit.effects, added, strict=True)]
     if fit.covariance is not None:
         _add_deviations(entries, fit.effects, fit.covariance)

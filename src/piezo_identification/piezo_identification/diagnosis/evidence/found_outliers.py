@@ -37,12 +37,12 @@ class FoundOutliers:
 
     def entry(self, regression: Regression, fit: Fit) -> dict[str, Any]:
         """Return their entry of the verdict, in addition to the effects of a fit."""
-        left = regression.left_um(fit)
-        with_them = np.hypot(left, np.sqrt(self.share) * self.size_um)
+        residual_rms_um = regression.residual_um(fit)
+        with_them = np.hypot(residual_rms_um, np.sqrt(self.share) * self.size_um)
         return {
             "name": Outliers.name,
             "parameters": {"share": self.share, "size_um": self.size_um},
-            "error_reduction_percent": float(100.0 * (1.0 - left / with_them)),
+            "error_reduction_percent": float(100.0 * (1.0 - residual_rms_um / with_them)),
         }
 
 
@@ -62,9 +62,9 @@ def found_outliers(regression: Regression,
         settled = slice(part.begin, None)
         outlier = regression.noise.outliers[index][settled]
         # Samples that stand out of the residual only have no interpolated neighbours.
-        left_um = residual_um(regression.dataset, index, noise=regression.noise)
-        beside_um = np.where(part.outlier, part.off_um, left_um)[settled]
-        off_um.append(beside_um[outlier & (np.abs(beside_um) >= least_um)])
+        unexplained_um = residual_um(regression.dataset, index, noise=regression.noise)
+        off_model_um = np.where(part.outlier, part.off_um, unexplained_um)[settled]
+        off_um.append(off_model_um[outlier & (np.abs(off_model_um) >= least_um)])
         samples += outlier.size
     joined_um = np.concatenate(off_um)
     if joined_um.size < FEWEST:

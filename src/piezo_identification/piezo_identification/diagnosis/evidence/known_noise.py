@@ -76,7 +76,7 @@ class KnownNoise:
         """Return whether the noise for a sample period is known, not only bounded."""
         return any(source.at(period_s).is_shown for source in self.sources)
 
-    def beside(self, sources: Sequence[NoiseSource]) -> "KnownNoise":
+    def including(self, sources: Sequence[NoiseSource]) -> "KnownNoise":
         """Return the noise with more sources."""
         return replace(self, sources=(*self.sources, *sources))
 
@@ -95,7 +95,7 @@ def noise_of_model(identified: IdentifiedModel) -> KnownNoise:
 
 def noise_of_residuals(regression: Regression) -> list[NoiseSource]:
     """Return the noise that each recording of a regression shows with the model."""
-    return [NoiseSource(noise_um, part.sample_period_s, f"{recording.path} beside the model",
+    return [NoiseSource(noise_um, part.sample_period_s, f"the residual of {recording.path}",
                         shows_noise(part.measured_um[part.begin :], part.voltage_v[part.begin :]))
             for recording, part, noise_um in zip(
                 regression.dataset.recordings, regression.dataset.simulated,

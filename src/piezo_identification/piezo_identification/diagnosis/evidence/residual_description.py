@@ -11,7 +11,7 @@ from piezo_identification.diagnosis.evidence.residual_tests import (
 from piezo_identification.fitting.noise_estimate import residual_um
 from piezo_identification.fitting.regression import Fit, Regression
 
-WORTH_TELLING = 0.05
+WORTH_REPORTING = 0.05
 """Smallest share of the residual power related to a quantity for which the quantity is named."""
 
 MOST_OF_IT = 0.1, 0.9
@@ -38,12 +38,12 @@ def _sentence(regression: Regression, fit: Fit, index: int) -> str:
     strongest = max(found, key=lambda dependence: dependence.share)
     worst = part.begin + int(np.argmax(np.abs(residual)))
     text = (
-        f"{part.path}: {1e3 * np.sqrt(np.mean(residual**2)):.3g} nm RMS beside "
+        f"{part.path}: {1e3 * np.sqrt(np.mean(residual**2)):.3g} nm RMS, against "
         f"{1e3 * noise.noise_um[index]:.3g} nm of noise; largest at "
         f"{part.time_s[worst]:.4g} s, {part.voltage_v[worst]:.4g} V; most of it from "
         f"{low:.3g} to {high:.3g} Hz, strongest at {peak_hz:.4g} Hz"
     )
-    if strongest.share > WORTH_TELLING:
+    if strongest.share > WORTH_REPORTING:
         text += (f"; {100 * strongest.share:.0f} % of its power goes with "
                  f"{strongest.quantity.split(' / ')[0]}")
     if whiteness(residual).passed:

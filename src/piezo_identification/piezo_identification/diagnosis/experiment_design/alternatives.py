@@ -10,7 +10,7 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.diagnosis.comparison.reasons import Reason
-from piezo_identification.diagnosis.joint.alternatives import Came, evidence_of
+from piezo_identification.diagnosis.joint.alternatives import Appearance, evidence_of
 from piezo_identification.diagnosis.joint.expected_errors import expected_errors
 from piezo_identification.diagnosis.joint.far_starts import may_lead
 from piezo_identification.diagnosis.joint.probabilities import NONE, listed_probabilities
@@ -131,7 +131,7 @@ def find_alternatives(regression: Regression, verdict: Mapping[str, Any],
         sets.setdefault(_name(effects), effects)
     problem = JointProblem(dataset.model, dataset.recordings, old, len(dataset.recordings),
                            simulated=dataset.simulated)
-    was_there = any(entry.get("came") == Came.BEFORE
+    was_there = any(entry.get("came") == Appearance.BEFORE
                     for entry in verdict.get("effects", []))
     return _weighed(problem, _fit(problem, sets, was_there), stated_um)
 
@@ -151,11 +151,11 @@ def _fit(problem: JointProblem, sets: Mapping[str, Effects], was_there: bool,
     def begins_from_first(effects: Effects) -> bool:
         return {effect.name for effect in found} < {effect.name for effect in effects}
 
-    def beside(effects: Effects) -> JointFit:
+    def fit_of(effects: Effects) -> JointFit:
         begun = first if begins_from_first(effects) else None
         return _gone_on(problem, _fitted(problem, effects, was_there, begun), first)
 
-    fitted = [first, *side_by_side(beside, others)]
+    fitted = [first, *side_by_side(fit_of, others)]
     best = min(fitted, key=lambda fit: fit.against)
 
     def again(fit: JointFit) -> JointFit:
@@ -223,14 +223,14 @@ def _weighed(problem: JointProblem, fitted: Mapping[str, JointFit],
                         *_errors(problem, evidence[alternatives[0].name].held_out))
 
 
-def _errors(problem: JointProblem, left: Sequence[HeldOut]) -> tuple[float, float]:
+def _errors(problem: JointProblem, residuals: Sequence[HeldOut]) -> tuple[float, float]:
     """Return the number of correlated errors in new recordings, and the residual beyond noise."""
     alike, misfit = 1.0, 0.0
     for part, of_recording, noise_um in zip(
-            problem.dataset.simulated[: problem.new_count], left, problem.noise.noise_um,
+            problem.dataset.simulated[: problem.new_count], residuals, problem.noise.noise_um,
             strict=False):
-        square = float(np.mean(of_recording.left_um**2))
-        alike = max(alike, of_recording.left_um.size / of_recording.independent)
+        square = float(np.mean(of_recording.residual_um**2))
+        alike = max(alike, of_recording.residual_um.size / of_recording.independent)
         motion_um = float(np.std(part.measured_um[part.begin :]))
         misfit = max(misfit, np.sqrt(max(0.0, square - noise_um**2)) / motion_um)
     return alike, float(misfit)

@@ -9,18 +9,18 @@ from piezo_identification.diagnosis.diagnose import (
     Decision,
     Diagnosis,
     ceiling_of,
+    conclude,
     condition,
     hold_to_noise,
-    tell,
 )
 from piezo_identification.diagnosis.evidence.found_outliers import found_outliers
 from piezo_identification.diagnosis.experiment_design.alternatives import Alternatives
 from piezo_identification.diagnosis.joint.alternatives import Alternative as Competitor
-from piezo_identification.diagnosis.joint.alternatives import Came, evidence_of
+from piezo_identification.diagnosis.joint.alternatives import Appearance, evidence_of
 from piezo_identification.diagnosis.joint.competition import (
     Competition,
-    beside_alternative,
     probabilities_of_named,
+    selection_from,
 )
 from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
 from piezo_identification.diagnosis.joint.probabilities import SOMETHING_ELSE
@@ -55,18 +55,18 @@ def decided_verdict(model: StageModel, recordings: Sequence[Recording], holdout:
                for name, share in alternatives.probabilities.items()} | {SOMETHING_ELSE: unnamed}
     competitor = Competitor(names, bool(best.fit.later), best.fit, evidence_of(best.name, best.fit))
     competition = Competition(chances, competitor)
-    left = competition.indistinguishable()
+    alike = competition.indistinguishable()
     found = sorted(entry["name"] for entry in diagnosis.effects if entry["name"] != Outliers.name)
     if list(names) == found:
-        decided = diagnosis.not_told_from.keys() - left.keys()
+        decided = diagnosis.not_told_from.keys() - alike.keys()
         return replace(diagnosis.without_undecided(decided), probabilities=chances)
     given = condition(model, recordings, holdout)
     first = first_regression(simulate_recordings(model, given.recordings))
-    beside = beside_alternative(
+    extended = selection_from(
         replace(diagnosis.selection, regression=first), competition, competitor)
     selection = replace(
-        beside, start=fit_without_effects(beside.regression), indistinguishable=left)
-    validation = Validation(first, given.holdout).beside(beside.regression)
+        extended, start=fit_without_effects(extended.regression), indistinguishable=alike)
+    validation = Validation(first, given.holdout).for_regression(extended.regression)
     if names and not validation.improves(selection.end):
         return replace(diagnosis, probabilities=chances)
     outliers = found_outliers(selection.regression, selection.end.effects)
@@ -79,19 +79,19 @@ def decided_verdict(model: StageModel, recordings: Sequence[Recording], holdout:
     verdict = "unexplained"
     if chances[SOMETHING_ELSE] < PROBABILITIES.believed:
         verdict = "explained" if names or outliers else "none"
-    decision = Decision(verdict, selection.end, outliers, {}, _came(alternatives), chances,
+    decision = Decision(verdict, selection.end, outliers, {}, _appearance(alternatives), chances,
                         held.sentence, held.predicted)
-    told = tell(
+    diagnosed = conclude(
         model, given, selection, validation, decision, ceiling_of(selection, decision))
     return replace(
-        told, identified_from=diagnosis.identified_from, probabilities=decision.probabilities,
+        diagnosed, identified_from=diagnosis.identified_from, probabilities=decision.probabilities,
         noise=diagnosis.noise, stated_um=diagnosis.stated_um)
 
 
-def _came(alternatives: Alternatives) -> Came:
+def _appearance(alternatives: Alternatives) -> Appearance:
     """Return when the effects of the most probable alternative appeared."""
     problem = alternatives.problem
     if problem.new_count == len(problem.dataset.recordings):
-        return Came.NOT_ASKED
+        return Appearance.NOT_ASKED
     later = alternatives.alternatives[0].fit.later
-    return Came.AFTER if later else Came.BEFORE
+    return Appearance.AFTER if later else Appearance.BEFORE

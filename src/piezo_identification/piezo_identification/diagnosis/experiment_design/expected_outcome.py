@@ -82,10 +82,10 @@ def expected_outcome(alternatives: Alternatives, experiment: Experiment,
             if true != other:
                 difference = np.concatenate([
                     (predicted - predictions[other]) / error_um, np.zeros(len(root))])
-                left = difference - basis @ (basis.T @ difference)
-                rms_um[true, other] = error_um * np.sqrt(np.mean(left[: rows.size] ** 2))
+                remaining = difference - basis @ (basis.T @ difference)
+                rms_um[true, other] = error_um * np.sqrt(np.mean(remaining[: rows.size] ** 2))
                 # Alternatives are compared on the held-out part of the data.
-                distance[true, other] = np.linalg.norm(left) / np.sqrt(SPLIT.held_out)
+                distance[true, other] = np.linalg.norm(remaining) / np.sqrt(SPLIT.held_out)
     chances = np.array([alternative.probability for alternative in alternatives.alternatives])
     deciding = _deciding(distance, chances)
     # Chances sum to one except for rounding.

@@ -81,9 +81,9 @@ class Proposal:
         """Describe what the recording is expected to decide."""
         names = " from ".join(each.name for each in self.alternatives.alternatives[:2])
         apart_um = self.outcome.rms_um[0, 1]
-        return (f"{self.experiment.description}, for {self.experiment.duration_s:.3g} s, tells "
-                f"{names} with probability {self.outcome.probability:.2f}: their predictions "
-                f"differ by {1e3 * apart_um:.3g} nm RMS.")
+        return (f"{self.experiment.description}, for {self.experiment.duration_s:.3g} s, "
+                f"distinguishes {names} with probability {self.outcome.probability:.2f}: "
+                f"their predictions differ by {1e3 * apart_um:.3g} nm RMS.")
 
 
 def alternatives_of_files(model: StageModel, recordings: Sequence[Recording],

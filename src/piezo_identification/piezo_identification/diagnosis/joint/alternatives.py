@@ -32,7 +32,7 @@ from piezo_identification.fitting.regression import Regression, accuracies_um
 from piezo_models.effects import Effect, fitted_values, known_effects, with_fitted_values
 
 
-class Came(StrEnum):
+class Appearance(StrEnum):
     """When an effect appeared, as far as the recordings of the identification show."""
 
     BEFORE = "before the identification"
@@ -59,7 +59,7 @@ class AlternativeSettings:
     """Total number of samples above which only one effect, besides those that explain the new
     recordings, is fitted as present from the start, because the cost of a fit is proportional to
     the length of the recordings."""
-    told_apart: float = float(np.log(19.0))
+    decided: float = float(np.log(19.0))
     """Logarithm of the probability ratio, 95 to 5, above which the time when an effect appeared is
     considered known."""
 
@@ -133,7 +133,7 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
         if names and not {effect.name for effect in none.effects} & set(names):
             fit = problem.fit((*none.effects, *effects), names, none)
             alternatives.append(_alternative(names, fit, True))
-    if any(_leaves_noise(problem, each, len(each.mean_square_um2)) for each in alternatives):
+    if any(_is_at_noise(problem, each, len(each.mean_square_um2)) for each in alternatives):
         # No error remains that another effect could explain.
         return _possible(problem, alternatives)
     best, asked = alternatives[0], {name for names in named for name in names}
@@ -143,14 +143,14 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
         for turn in range(1 if is_long else SETTINGS.most_effects):
             guesses = _promising(problem, best.fit.regression, best.fit.effects, asked)
             guesses = guesses[: len(since[0]) + (1 if is_long else SETTINGS.fitted)]
-            fitted = _each_beside(problem, best, guesses, _turn_of(progress, turn))
+            fitted = _each_with_guess(problem, best, guesses, _turn_of(progress, turn))
             if turn == 0 and not is_long and not any(
-                    _leaves_noise(problem, each, problem.new_count) for each in fitted):
+                    _is_at_noise(problem, each, problem.new_count) for each in fitted):
                 fitted = _from_afar(problem, best, guesses, fitted)
             alternatives = converged(
                 problem, _possible(problem, [*alternatives, *fitted]), expected)
             now = most_probable(alternatives, expected)
-            if now is best or now.since or _leaves_noise(problem, now, problem.new_count):
+            if now is best or now.since or _is_at_noise(problem, now, problem.new_count):
                 break
             best = now
     return alternatives
@@ -170,7 +170,7 @@ def converged(problem: JointProblem, alternatives: Sequence[Alternative],
         logarithms = _logarithms(alternatives, expected)
         behind = np.max(logarithms) - logarithms
         numbers = [number for number, each in enumerate(alternatives)
-                   if not each.fit.has_converged and not _leaves_noise(
+                   if not each.fit.has_converged and not _is_at_noise(
                        problem, each, len(each.mean_square_um2))
                    and behind[number] < FITS.hopeful * each.fit.gain]
         if not numbers:
@@ -199,8 +199,8 @@ def asked_when(problem: JointProblem, alternatives: Sequence[Alternative],
     return converged(problem, [*alternatives, along], expected)
 
 
-def beside_free_model(problem: JointProblem, sets: Sequence[Sequence[Effect]],
-                      expected: ExpectedErrors) -> list[Alternative]:
+def fits_of_free_model(problem: JointProblem, sets: Sequence[Sequence[Effect]],
+                       expected: ExpectedErrors) -> list[Alternative]:
     """Fit each set of effects together with all parameters of the model."""
     def fitted(effects: Sequence[Effect]) -> Alternative:
         return _alternative([effect.name for effect in effects],
@@ -209,8 +209,8 @@ def beside_free_model(problem: JointProblem, sets: Sequence[Sequence[Effect]],
     return converged(problem, side_by_side(fitted, sets), expected)
 
 
-def _each_beside(problem: JointProblem, best: Alternative, guesses: Sequence[Sequence[Effect]],
-                 progress: Progress) -> list[Alternative]:
+def _each_with_guess(problem: JointProblem, best: Alternative, guesses: Sequence[Sequence[Effect]],
+                     progress: Progress) -> list[Alternative]:
     """Fit one more effect in addition to those of an alternative, from the best guess of each."""
     def fitted(of_kind: Sequence[Effect]) -> Alternative:
         return _alternative((*best.names, of_kind[0].name), problem.fit(
@@ -222,7 +222,7 @@ def _each_beside(problem: JointProblem, best: Alternative, guesses: Sequence[Seq
 
 def _from_afar(problem: JointProblem, best: Alternative, guesses: Sequence[Sequence[Effect]],
                fitted: Sequence[Alternative]) -> list[Alternative]:
-    """Return the better fit of each effect: the given one, or one beside a held guess."""
+    """Return the better fit of each effect: the given one, or one refitted with a held guess."""
     def better(entry: tuple[Sequence[Effect], Alternative]) -> Alternative:
         of_kind, nearby = entry
         fit = from_afar(problem, best.fit, of_kind, nearby.fit)
@@ -248,7 +248,7 @@ def most_probable(alternatives: Sequence[Alternative], expected: ExpectedErrors)
 
 
 def times_of_coming(alternatives: Sequence[Alternative],
-                    expected: ExpectedErrors) -> dict[tuple[str, ...], Came]:
+                    expected: ExpectedErrors) -> dict[tuple[str, ...], Appearance]:
     """Return when each set of effects appeared, as far as the recordings show.
 
     Returns
@@ -262,19 +262,19 @@ def times_of_coming(alternatives: Sequence[Alternative],
     for each, logarithm in zip(alternatives, logarithms, strict=True):
         ways = best.setdefault(each.names, {})
         ways[each.since] = max(logarithm, ways.get(each.since, -np.inf))
-    told = {}
+    times = {}
     for names, ways in best.items():
         gain = ways.get(False, -np.inf) - ways.get(True, -np.inf)
-        told[names] = (Came.NOT_DECIDABLE if abs(gain) < SETTINGS.told_apart
-                       else Came.BEFORE if gain > 0.0 else Came.AFTER)
-    return told
+        times[names] = (Appearance.NOT_DECIDABLE if abs(gain) < SETTINGS.decided
+                        else Appearance.BEFORE if gain > 0.0 else Appearance.AFTER)
+    return times
 
 
-def _leaves_noise(problem: JointProblem, alternative: Alternative, count: int) -> bool:
+def _is_at_noise(problem: JointProblem, alternative: Alternative, count: int) -> bool:
     """Return whether the residual of the first recordings is too small for another effect."""
     noise = np.array(problem.noise.noise_um) ** 2 + accuracies_um(problem.dataset) ** 2
-    left = np.array(alternative.mean_square_um2) < SETTINGS.second * noise
-    return bool(np.all(left[:count]))
+    is_small = np.array(alternative.mean_square_um2) < SETTINGS.second * noise
+    return bool(np.all(is_small[:count]))
 
 
 def _possible(problem: JointProblem, alternatives: Sequence[Alternative]) -> list[Alternative]:
@@ -302,7 +302,7 @@ def _promising(problem: JointProblem, regression: Regression, own: Sequence[Effe
     old = range(problem.new_count, len(evidence))
     worst = max(old, key=lambda index: np.std(evidence[index].residual_um)
                 / evidence[index].noise_um)
-    telling = [*evidence[: problem.new_count], evidence[worst]]
+    decisive = [*evidence[: problem.new_count], evidence[worst]]
     present = {effect.name for effect in own}
 
     def tried(kind: type[Effect]) -> list[tuple[float, list[Effect]]]:
@@ -311,7 +311,7 @@ def _promising(problem: JointProblem, regression: Regression, own: Sequence[Effe
             return []
         if all(kind.lacks_excitation(shown) for shown in evidence):
             return []
-        asked_for = telling if kind.of_the_stage else evidence[: problem.new_count]
+        asked_for = decisive if kind.of_the_stage else evidence[: problem.new_count]
         guesses = [with_fitted_values(guess, fitted_values(guess, problem.dataset.extent)[0])
                    for shown in asked_for for guess in kind.starts(shown)]
         costs = [_cost(problem, regression, own, guess) for guess in guesses]
@@ -330,7 +330,7 @@ def _promising(problem: JointProblem, regression: Regression, own: Sequence[Effe
 def _cost(problem: JointProblem, regression: Regression, own: Sequence[Effect],
           guess: Effect) -> float:
     """Return the sum of squares with a guess in addition to the model's own effects."""
-    left = regression.remainder(regression.difference((*own, guess), (guess,)))
+    residual = regression.remainder(regression.difference((*own, guess), (guess,)))
     if guess.recurs:
         dataset = regression.dataset
         blocks = [guess.recurrence(part.time_s[rows], part.time_s[-1])
@@ -339,5 +339,5 @@ def _cost(problem: JointProblem, regression: Regression, own: Sequence[Effect],
             np.zeros((len(block), 0)) if index < problem.new_count else block
             for index, block in enumerate(blocks))) / regression.tolerance_um[:, None]
         signals = np.column_stack([regression.remainder(signal) for signal in of_its_own.T])
-        left = left - signals @ np.linalg.lstsq(signals, left, rcond=1e-9)[0]
-    return float(left @ left)
+        residual = residual - signals @ np.linalg.lstsq(signals, residual, rcond=1e-9)[0]
+    return float(residual @ residual)

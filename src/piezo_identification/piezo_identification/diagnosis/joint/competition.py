@@ -13,17 +13,17 @@ from piezo_identification.diagnosis.comparison.selection import Selection
 from piezo_identification.diagnosis.comparison.undecided import in_place_of_the_found
 from piezo_identification.diagnosis.joint.alternatives import (
     Alternative,
-    Came,
+    Appearance,
     asked_when,
-    beside_free_model,
     compete,
+    fits_of_free_model,
     most_probable,
     settled,
     times_of_coming,
 )
 from piezo_identification.diagnosis.joint.expected_errors import ExpectedErrors, expected_errors
 from piezo_identification.diagnosis.joint.plain_model import (
-    beside_plain_model,
+    fits_of_plain_model,
     is_plain,
     plain_model,
 )
@@ -64,18 +64,18 @@ class Competition:
     one."""
     best: Alternative | None = None
     """The most probable model; None if only the new recordings were used, with the given model."""
-    times: dict[tuple[str, ...], Came] = field(default_factory=dict)
+    times: dict[tuple[str, ...], Appearance] = field(default_factory=dict)
     """When each compared set of effects appeared."""
     stated_um: float = 0.0
     """RMS of the known error of the most probable model."""
     is_plain: bool = False
     """True if it is the simplest model with effects, not the given one."""
 
-    def came(self, names: Iterable[str]) -> Came:
+    def appearance(self, names: Iterable[str]) -> Appearance:
         """Return when a set of effects appeared."""
         if not self.times:
-            return Came.NOT_ASKED
-        return self.times.get(tuple(sorted(names)), Came.NOT_DECIDABLE)
+            return Appearance.NOT_ASKED
+        return self.times.get(tuple(sorted(names)), Appearance.NOT_DECIDABLE)
 
     def indistinguishable(self) -> dict[str, str]:
         """Return probable effects of other sets, and the best set's effect that each replaces."""
@@ -119,21 +119,21 @@ def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Re
     none = settled(problem, progress)
     # This is the known error, except for what an alternative explains in the recordings of the
     # identification.
-    left_um = left_of_old_um(problem, none)
-    expected = _expected(problem, left_um if stated_um is None else min(stated_um, left_um))
+    residual_um = residual_of_old_um(problem, none)
+    expected = _expected(problem, residual_um if stated_um is None else min(stated_um, residual_um))
     alternatives = asked_when(
         problem, compete(problem, none, _sets(selection), expected, progress), expected)
     best = most_probable(alternatives, expected)
-    left_um = left_of_old_um(problem, best.fit)
-    stated_um = left_um if stated_um is None else min(stated_um, left_um)
+    residual_um = residual_of_old_um(problem, best.fit)
+    stated_um = residual_um if stated_um is None else min(stated_um, residual_um)
     return Competition(_probabilities(problem, alternatives, stated_um), best,
                        times_of_coming(alternatives, _expected(problem, stated_um)), stated_um)
 
 
-def left_of_old_um(problem: JointProblem, fit: JointFit) -> float:
+def residual_of_old_um(problem: JointProblem, fit: JointFit) -> float:
     """Return the largest residual beyond noise of the recordings of the identification."""
-    left = np.array([held_out.mean_square_um2 for held_out in held_out_of(fit)])
-    beyond = np.maximum(0.0, left - np.square(problem.noise.noise_um))
+    residual_um2 = np.array([held_out.mean_square_um2 for held_out in held_out_of(fit)])
+    beyond = np.maximum(0.0, residual_um2 - np.square(problem.noise.noise_um))
     return float(np.sqrt(np.max(beyond[problem.new_count :])))
 
 
@@ -173,7 +173,7 @@ def with_free_model(competition: Competition, model: StageModel, new: Sequence[R
     stated_um = competition.stated_um
     expected = _expected(problem, stated_um)
     smaller = [fit.effects for fit in selection.parts if _names(fit) < _names(selection.end)]
-    fitted = beside_free_model(problem, [effects, *smaller], expected)
+    fitted = fits_of_free_model(problem, [effects, *smaller], expected)
     return replace(competition, probabilities=_probabilities(problem, fitted, stated_um),
                    best=most_probable(fitted, expected))
 
@@ -201,14 +201,14 @@ def with_plain_model(competition: Competition, model: StageModel, new: Sequence[
     if probable == NONE or selection.interrupted or is_plain(model):
         return competition
     regression = selection.regression
-    left_um = regression.left_um(regression.as_given())
-    with while_time_lasts("effects beside a line and one mode"):
+    residual_um = regression.residual_um(regression.as_given())
+    with while_time_lasts("effects added to a line and one mode"):
         check_cancelled()
-        plain = plain_model(model, [*new, *old], left_um)
+        plain = plain_model(model, [*new, *old], residual_um)
         if plain is None:
             return competition
         stated_um = competition.stated_um
-        problem, fitted = beside_plain_model(
+        problem, fitted = fits_of_plain_model(
             plain, new, old, lambda problem: _expected(problem, stated_um), progress)
         expected = _expected(problem, stated_um)
         best = most_probable(fitted, expected)
@@ -341,13 +341,13 @@ def _evidence_of(regression: Regression, fit: Fit) -> Evidence:
 
 def _held_out(regression: Regression, fit: Fit) -> tuple[HeldOut, ...]:
     """Return the residual of a fit on the held-out rows of each recording."""
-    left_um, stretch = fit.residual * regression.tolerance_um, regression.dataset.stretch
-    return tuple(HeldOut(left_um[rows], stretch[rows]) for rows in (
+    residual_um, stretch = fit.residual * regression.tolerance_um, regression.dataset.stretch
+    return tuple(HeldOut(residual_um[rows], stretch[rows]) for rows in (
         mask & regression.validation for mask in regression.dataset.masks()))
 
 
-def beside_alternative(selection: Selection, competition: Competition,
-                       alternative: Alternative) -> Selection:
+def selection_from(selection: Selection, competition: Competition,
+                   alternative: Alternative) -> Selection:
     """Return a selection of the effects of an alternative that were present from the start.
 
     Parameters

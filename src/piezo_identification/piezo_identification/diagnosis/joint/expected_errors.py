@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Expected residual of recordings if a model lacks nothing: noise, and errors of the model.
+"""Expected residual of recordings of a complete model: noise, and errors of the model.
 
 Errors of a model have a long correlation: at most k_r of them are independent in recording r. They
 are at least as large as those of a good model, l_r, and as the known error of this model, w_r. They
 are larger by a factor f, the logarithm of which has a half-normal distribution, and over which the
 evidence is averaged. For a mean square m_r with noise of variance s_r^2 the evidence is
-evidence is averaged. Of a mean square m_r beside noise of variance s_r^2 it is
+evidence is averaged. For a mean square m_r and noise of variance s_r^2 it is
 
     ln p = ln E_f exp(- sum_r k_r / 2 (ln v_r + (m_r - s_r^2) / v_r))
     v_r = f^2 (l_r^2 + w_r^2) + s_r^2 (k_r / n_r + d)
@@ -33,7 +33,7 @@ class ErrorSettings:
     carried_spread: float = 0.6
     """RMS of the logarithm of the error of a complete model in another recording, relative to the
     worst of those that it was fitted to. Set on 40 recordings of five drawn stages:
-    docs/diagnosis.md."""
+    docs/diagnosis_method.md."""
     independent: float = 10.0
     """Number of independent errors of a model in one recording. Set on the same data: the best of
     the known effects explains a third or half of them."""
@@ -56,7 +56,7 @@ WEIGHTS = -0.5 * DEVIATIONS**2 - logsumexp(-0.5 * DEVIATIONS**2)
 
 @dataclass(frozen=True, eq=False)
 class ExpectedErrors:
-    """Expected RMS residual of each recording if a model lacks nothing."""
+    """Expected RMS residual of each recording with a complete model."""
 
     noise_um: FloatArray
     """Noise of the sensor, (R,)."""
@@ -70,12 +70,12 @@ class ExpectedErrors:
         return ExpectedErrors(
             self.noise_um[:count], self.model_um[:count], self.accuracy_um[:count])
 
-    def logarithms(self, left_um2: FloatArray, samples: FloatArray) -> FloatArray:
+    def logarithms(self, squares_um2: FloatArray, samples: FloatArray) -> FloatArray:
         """Return the log-evidence of a residual.
 
         Parameters
         ----------
-        left_um2 : (..., R) array
+        squares_um2 : (..., R) array
             Mean squares.
         samples : (R,) array
             Number of independent samples.
@@ -87,28 +87,28 @@ class ExpectedErrors:
         count = np.minimum(samples, SETTINGS.independent)
         variance = SIZES * self.model_um**2 + self.noise_um**2 * (
             count / samples + SETTINGS.noise_known)
-        beyond = np.maximum(0.0, left_um2 - self.noise_um**2)
+        beyond = np.maximum(0.0, squares_um2 - self.noise_um**2)
         against = 0.5 * (np.log(variance) @ count + beyond @ (count / variance).T)
         return np.asarray(logsumexp(WEIGHTS - against, axis=-1))
 
-    def logarithm_of_chance(self, left_um2: FloatArray, samples: FloatArray) -> float:
+    def logarithm_of_chance(self, squares_um2: FloatArray, samples: FloatArray) -> float:
         """Return the logarithm of the probability of so large a residual.
 
         Parameters
         ----------
-        left_um2, samples : (R,) array
+        squares_um2, samples : (R,) array
             See `logarithms`.
         """
         passing = (self.noise_um**2 + self.accuracy_um**2) * (1.0 + CRITERIA.noise**2)
         wrong = self.model_um**2 - self.accuracy_um**2
         against = 0.5 * np.maximum(0.0, np.log(
-            (left_um2 + self.accuracy_um**2) / (passing + SIZES * wrong))) @ samples
+            (squares_um2 + self.accuracy_um**2) / (passing + SIZES * wrong))) @ samples
         return float(logsumexp(WEIGHTS - against))
 
 
 def expected_errors(dataset: Dataset, noise_um: Sequence[float],
                     stated_um: float) -> ExpectedErrors:
-    """Return the expected errors of the recordings of a data set if the model lacks nothing.
+    """Return the expected errors of the recordings of a data set with a complete model.
 
     Parameters
     ----------

@@ -27,23 +27,23 @@ class FarSettings:
 SETTINGS = FarSettings()
 
 
-def from_afar(problem: JointProblem, beside: JointFit, guesses: Sequence[Effect],
+def from_afar(problem: JointProblem, simpler: JointFit, guesses: Sequence[Effect],
               nearby: JointFit) -> JointFit:
     """Return the best fit of an effect: the given one, or one that starts from a changed model.
 
     Parameters
     ----------
-    beside : JointFit
+    simpler : JointFit
         Fit of the model without the effect.
     guesses : sequence of piezo_models.effects.effect.Effect
         Initial guesses of the effect; the given fit started from the first.
     nearby : JointFit
         Given fit of the effect.
     """
-    held = _held(problem, beside, guesses[1:])
+    held = _held(problem, simpler, guesses[1:])
     if held is not None and may_lead(held, nearby):
         nearby = _better(problem.fit(held.effects, begun=held), nearby)
-    fit = _taken_out(problem, beside, guesses)
+    fit = _taken_out(problem, simpler, guesses)
     if fit is not None:
         for _ in range(SETTINGS.turns):
             if fit.has_converged or not may_lead(fit, nearby):
@@ -62,13 +62,13 @@ def may_lead(fit: JointFit, best: JointFit) -> bool:
     return fit.against - SETTINGS.hopeful * fit.gain < best.against
 
 
-def _held(problem: JointProblem, beside: JointFit, guesses: Sequence[Effect]) -> JointFit | None:
+def _held(problem: JointProblem, simpler: JointFit, guesses: Sequence[Effect]) -> JointFit | None:
     """Fit the model by one step with each guess held fixed, and return the best."""
-    fits = [problem.fit(beside.effects, begun=beside, held=(guess,)) for guess in guesses]
+    fits = [problem.fit(simpler.effects, begun=simpler, held=(guess,)) for guess in guesses]
     return _better(*fits) if fits else None
 
 
-def _taken_out(problem: JointProblem, beside: JointFit,
+def _taken_out(problem: JointProblem, simpler: JointFit,
                guesses: Sequence[Effect]) -> JointFit | None:
     """Remove the best guess from the hysteresis that contains it, and fit both from there."""
     model, found = problem.dataset.model, []
@@ -76,7 +76,7 @@ def _taken_out(problem: JointProblem, beside: JointFit,
         ahead = guess.hysteresis_ahead(model.hysteresis)
         if ahead is not None:
             made_way = replace(model, hysteresis=ahead)
-            effects = (*beside.effects, guess)
+            effects = (*simpler.effects, guess)
             found.append((problem.against(made_way, effects), made_way, effects))
     if not found:
         return None

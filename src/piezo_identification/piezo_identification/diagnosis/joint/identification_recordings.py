@@ -46,7 +46,7 @@ class IdentificationRecordings:
         if not self.missing:
             return ""
         among = "of some of" if self.recordings else "of"
-        return ("not asked: which effects were in the stage already when the model was identified, "
+        return ("not tested: which effects the stage already had when the model was identified, "
                 f"{among} the recordings that it was identified from ({'; '.join(self.missing)}; "
                 "give them with --identified-from FILE...)")
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezo_identification.diagnosis.comparison.selection import select_effects
-from piezo_identification.diagnosis.joint.alternatives import Alternative, beside_free_model
+from piezo_identification.diagnosis.joint.alternatives import Alternative, fits_of_free_model
 from piezo_identification.diagnosis.joint.expected_errors import ExpectedErrors
 from piezo_identification.fitting.dataset import simulate_recordings
 from piezo_identification.fitting.joint_fit import JointProblem
@@ -30,7 +30,7 @@ from piezo_recorder.reading.recording import Recording
 class PlainSettings:
     """When a simple model is worth a comparison of effects."""
 
-    most_left: float = 2.0
+    largest_residual: float = 2.0
     """Largest residual relative to that of the given model: hysteresis, creep and further modes
     then explain less than half of the misfit."""
     steps: int = 20
@@ -48,14 +48,14 @@ def is_plain(model: StageModel) -> bool:
 
 
 def plain_model(model: StageModel, recordings: Sequence[Recording],
-                left_um: float) -> StageModel | None:
+                residual_um: float) -> StageModel | None:
     """Fit a line and the loudest mode of a model, with a held voltage and with a smooth one.
 
     Parameters
     ----------
     recordings : sequence of Recording
         Recordings with the sign of the model and with marked outliers.
-    left_um : float
+    residual_um : float
         RMS residual of the model.
 
     Returns
@@ -71,14 +71,15 @@ def plain_model(model: StageModel, recordings: Sequence[Recording],
     starts: list[tuple[StageModel, float | None]] = [(bare, None)]
     if problem.is_sampled:
         starts.append((replace(bare, effects=(BandLimitedVoltage(),)), 0.5 * period_s))
-    best = min((_fitted(problem, *start) for start in starts), key=_left_um)
-    return best.delayed_model if _left_um(best) < SETTINGS.most_left * left_um else None
+    best = min((_fitted(problem, *start) for start in starts), key=_residual_rms_um)
+    is_close = _residual_rms_um(best) < SETTINGS.largest_residual * residual_um
+    return best.delayed_model if is_close else None
 
 
-def beside_plain_model(plain: StageModel, new: Sequence[Recording], old: Sequence[Recording],
-                       expected: Callable[[JointProblem], ExpectedErrors],
-                       report: Callable[[str, float], None],
-                       ) -> tuple[JointProblem, list[Alternative]]:
+def fits_of_plain_model(plain: StageModel, new: Sequence[Recording], old: Sequence[Recording],
+                        expected: Callable[[JointProblem], ExpectedErrors],
+                        report: Callable[[str, float], None],
+                        ) -> tuple[JointProblem, list[Alternative]]:
     """Select the effects that recordings show with a simple model, and refit all together.
 
     Parameters
@@ -102,7 +103,7 @@ def beside_plain_model(plain: StageModel, new: Sequence[Recording], old: Sequenc
     selection = select_effects(first_regression(dataset), report)
     problem = JointProblem(plain, new, old, simulated=dataset.simulated)
     sets = [fit.effects for fit in (selection.end, *selection.parts)]
-    return problem, beside_free_model(problem, sets, expected(problem))
+    return problem, fits_of_free_model(problem, sets, expected(problem))
 
 
 def _fitted(problem: WholeModel, model: StageModel, delay_s: float | None) -> WholeFit:
@@ -121,6 +122,6 @@ def _line(model: StageModel, recordings: Sequence[Recording]) -> PreisachModel:
     return PreisachModel.line(low_v, high_v, gain_um_per_v, low_um)
 
 
-def _left_um(fit: WholeFit) -> float:
+def _residual_rms_um(fit: WholeFit) -> float:
     """Return the RMS residual of the fitted rows."""
-    return float(np.sqrt(np.mean(np.concatenate([left for left, _ in fit.left_um]) ** 2)))
+    return float(np.sqrt(np.mean(np.concatenate([fitted for fitted, _ in fit.residual_um]) ** 2)))

@@ -86,7 +86,7 @@ def penalty_of(held_out: Sequence[HeldOut], covariance: FloatArray | None, width
         recordings determine them, and each has the largest cost.
     """
     counted = sum(min(part.independent, ERRORS.independent) for part in held_out)
-    rows = float(sum(part.left_um.size for part in held_out))
+    rows = float(sum(part.residual_um.size for part in held_out))
     return (occam_penalty(covariance, widths, rows, counted)
             + occam_penalty(None, np.zeros(recurrence_count), rows, counted))
 
@@ -94,25 +94,25 @@ def penalty_of(held_out: Sequence[HeldOut], covariance: FloatArray | None, width
 def logarithms_of_evidence(alternatives: Sequence[Evidence],
                            expected: ExpectedErrors) -> FloatArray:
     """Return the log-evidence of each alternative, (n,)."""
-    left = np.array([alternative.mean_square_um2 for alternative in alternatives])
-    return (expected.logarithms(left, _samples(alternatives))
+    squares_um2 = np.array([alternative.mean_square_um2 for alternative in alternatives])
+    return (expected.logarithms(squares_um2, _samples(alternatives))
             - [alternative.cost for alternative in alternatives])
 
 
 def listed_probabilities(alternatives: Sequence[Evidence], expected: ExpectedErrors) -> FloatArray:
     """Return the probability of each alternative, assuming there are no others, (n,)."""
     random = np.random.default_rng(SEED)
-    left = np.empty((DRAWS, len(alternatives), expected.noise_um.size))
+    squares_um2 = np.empty((DRAWS, len(alternatives), expected.noise_um.size))
     for number in range(expected.noise_um.size):
         of_recording = [each.held_out[number] for each in alternatives]
         numbers = np.unique(np.concatenate([part.stretch for part in of_recording]))
         weights = random.dirichlet(np.ones(numbers.size), DRAWS)
         for index, part in enumerate(of_recording):
             places = np.searchsorted(numbers, part.stretch)
-            squares = weights @ np.bincount(places, part.left_um**2, numbers.size)
-            left[:, index, number] = squares / (
+            squares = weights @ np.bincount(places, part.residual_um**2, numbers.size)
+            squares_um2[:, index, number] = squares / (
                 weights @ np.bincount(places, minlength=numbers.size))
-    logarithms = expected.logarithms(left, _samples(alternatives))
+    logarithms = expected.logarithms(squares_um2, _samples(alternatives))
     return np.asarray(softmax(
         logarithms - [each.cost for each in alternatives], axis=1).mean(axis=0))
 
@@ -152,7 +152,7 @@ def probabilities(alternatives: Sequence[Evidence], expected: ExpectedErrors,
     return dict(sorted(summed.items(), key=lambda entry: -entry[1]))
 
 
-def odds_of_something_else(left_um2: FloatArray, samples: FloatArray,
+def odds_of_something_else(squares_um2: FloatArray, samples: FloatArray,
                            expected: ExpectedErrors) -> float:
     """Return the odds of an unlisted cause that would reduce the residual to noise.
 
@@ -160,10 +160,10 @@ def odds_of_something_else(left_um2: FloatArray, samples: FloatArray,
 
     Parameters
     ----------
-    left_um2 : (R,) array
+    squares_um2 : (R,) array
         Mean square residuals of the alternative.
     samples : (R,) array
         Number of independent samples of each recording.
     """
     return SETTINGS.one_cause * float(
-        np.exp(min(-expected.logarithm_of_chance(left_um2, samples), MOST_GAIN)))
+        np.exp(min(-expected.logarithm_of_chance(squares_um2, samples), MOST_GAIN)))

@@ -62,16 +62,17 @@ def held_to_noise(shares: Mapping[str, float], remainders: Sequence[Remainder], 
     sources = [known.least(each.period_s) for each in remainders]
     noise_um = np.array([source.rms_um for source in sources])
     accuracy_um = np.array([tolerance * each.travel_um for each in remainders])
-    left = np.array([each.held_out.mean_square_um2 for each in remainders])
+    squares_um2 = np.array([each.held_out.mean_square_um2 for each in remainders])
     samples = np.array([min(each.held_out.independent, SETTINGS.most_effective)
                         for each in remainders])
-    odds = odds_of_something_else(left, samples, errors_of_model(
+    odds = odds_of_something_else(squares_um2, samples, errors_of_model(
         noise_um, accuracy_um, np.array([each.motion_um for each in remainders]),
         np.minimum(stated_um, noise_um) if contradicts else stated_um))
-    worst = int(np.argmax(left / noise_um**2))
+    worst = int(np.argmax(squares_um2 / noise_um**2))
     sentence = (
-        f"What remains of {remainders[worst].name} is {np.sqrt(left[worst]) / noise_um[worst]:.3g} "
-        f"times the noise of {1e3 * sources[worst].rms_um:.3g} nm RMS that "
+        f"What remains of {remainders[worst].name} is "
+        f"{np.sqrt(squares_um2[worst]) / noise_um[worst]:.3g} times the noise of "
+        f"{1e3 * sources[worst].rms_um:.3g} nm RMS that "
         f"{sources[worst].name} shows.")
     if contradicts:
         sentence += (f" The identification already called inadequate: "

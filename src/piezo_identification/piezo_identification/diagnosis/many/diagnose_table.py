@@ -43,7 +43,7 @@ def diagnose_table(options: argparse.Namespace) -> None:
             print(f"{name}: {verdict} {effects}".rstrip() + again)
     for each in histories(rows, results):
         if each.since is not None:
-            print(f"stage {each.stage} lacks something since {each.since.date()}")
+            print(f"stage {each.stage}: its model lacks an effect since {each.since.date()}")
     for sentence in errors_of(results):
         print(f"{options.prog}: {sentence}", file=sys.stderr)
     print(f"report: {page}")
@@ -53,14 +53,14 @@ def diagnose_table(options: argparse.Namespace) -> None:
 def _print_next(options: argparse.Namespace, rows: Sequence[DiagnosisRow],
                 results: Sequence[dict[str, Any]]) -> None:
     """Print the next command: for the model with the largest error, or a feedback if none lacks."""
-    lacking = [(result["verdict"]["before"]["rms_um"], number)
-               for number, result in enumerate(results)
-               if "verdict" in result and result["verdict"]["verdict"] != "none"]
-    if not lacking:
+    poor = [(result["verdict"]["before"]["rms_um"], number)
+            for number, result in enumerate(results)
+            if "verdict" in result and result["verdict"]["verdict"] != "none"]
+    if not poor:
         print_next(options, "piezo_controller", "design", "--model", rows[0].model, "--output",
                    options.output / "controller.json")
         return
-    row = rows[max(lacking)[1]]
+    row = rows[max(poor)[1]]
     print_next(options, "piezo_identification", "propose", "--model", row.model, "--verdict",
                row.directory / "verdict.json", "--data", *row.data, "--output",
                row.directory / "next")

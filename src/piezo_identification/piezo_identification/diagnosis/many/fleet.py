@@ -32,10 +32,10 @@ class StageHistory:
     @property
     def since(self) -> datetime | None:
         """Time since when each recording shows that the model lacks something, or None."""
-        lacking = [verdict["verdict"] != "none" for verdict in self.verdicts]
-        fine = [number for number, lacks in enumerate(lacking) if not lacks]
+        poor = [verdict["verdict"] != "none" for verdict in self.verdicts]
+        fine = [number for number, is_poor in enumerate(poor) if not is_poor]
         begin = fine[-1] + 1 if fine else 0
-        return self.recorded[begin] if begin < len(lacking) else None
+        return self.recorded[begin] if begin < len(poor) else None
 
     def errors_nm(self) -> list[float]:
         """Return the RMS error of the model in each recording."""
@@ -76,13 +76,13 @@ def histories(rows: Sequence[DiagnosisRow],
 
 def fleet_section(found: Sequence[StageHistory]) -> Section:
     """Return the section of a page that compares the stages."""
-    lacking = sum(each.since is not None for each in found)
+    poor = sum(each.since is not None for each in found)
     return Section("Stages", [
-        f"{lacking} of {len(found)} stages show something that their model lacks. Since: the first "
+        f"{poor} of {len(found)} stages show an effect that their model lacks. Since: the first "
         "recording from which on each of a stage does. Error: RMS of the given model."],
         [FLEET_HEADS, *(each.row() for each in found)],
         [pictured("Errors of the stages", fleet_figure(found),
-                  "Error of the model in each recording; filled where the model lacks something.",
+                  "Error of the model in each recording; filled where the model lacks an effect.",
                   wide=True)])
 
 
@@ -96,8 +96,8 @@ def fleet_figure(found: Sequence[StageHistory]) -> Figure:
         days = np.array([(time - first).total_seconds() for time in each.recorded]) / DAY_S
         errors_nm = np.array(each.errors_nm())
         axes.semilogy(days, errors_nm, label=each.stage, **style)
-        lacks = np.array([verdict["verdict"] != "none" for verdict in each.verdicts])
-        for chosen, face in ((lacks, style["color"]), (~lacks, "white")):
+        is_poor = np.array([verdict["verdict"] != "none" for verdict in each.verdicts])
+        for chosen, face in ((is_poor, style["color"]), (~is_poor, "white")):
             axes.plot(days[chosen], errors_nm[chosen], linestyle="none", marker="o",
                       color=style["color"], markerfacecolor=face)
     axes.legend(fontsize="small")

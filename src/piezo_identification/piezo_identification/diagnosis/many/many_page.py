@@ -28,7 +28,7 @@ def many_page(rows: Sequence[DiagnosisRow], results: Sequence[dict[str, Any]],
     counts = Counter(result["verdict"]["verdict"] for result in verdicts)
     effects = Counter(entry["name"] for result in verdicts
                       for entry in result["verdict"]["effects"])
-    told = ", ".join(f"{count} {name}" for name, count in counts.most_common()) or "none"
+    counted = ", ".join(f"{count} {name}" for name, count in counts.most_common()) or "none"
     skipped = list(errors_of(results))
     of_stages = histories(rows, results)
     sections = [fleet_section(of_stages)] if of_stages else []
@@ -42,7 +42,7 @@ def many_page(rows: Sequence[DiagnosisRow], results: Sequence[dict[str, Any]],
             *((name, str(count)) for name, count in effects.most_common())]))
     if skipped:
         sections.append(Section("Skipped", skipped))
-    return render_page(f"{len(verdicts)} of {len(results)} diagnosed: {told}", origin, sections)
+    return render_page(f"{len(verdicts)} of {len(results)} diagnosed: {counted}", origin, sections)
 
 
 def summary_row(result: dict[str, Any]) -> list[str]:

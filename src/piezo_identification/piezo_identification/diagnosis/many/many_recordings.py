@@ -122,12 +122,12 @@ def _row(table: Path, number: int, entry: dict[str, str | None], output: Path) -
     name = (entry.get("name") or "").strip() or f"{number:03}_{paths('data')[0].stem}"
     if name in (".", "..") or Path(name).name != name:
         raise ValueError(f"row {number} of {table} has the name {name}: give the name of a folder")
-    said = (entry.get("recorded") or "").strip()
+    text = (entry.get("recorded") or "").strip()
     try:
         # A time without a zone is local.
-        recorded = datetime.fromisoformat(said).astimezone() if said else None
+        recorded = datetime.fromisoformat(text).astimezone() if text else None
     except ValueError:
-        raise ValueError(f"row {number} of {table} was recorded '{said}': give a day or a time as "
+        raise ValueError(f"row {number} of {table} was recorded '{text}': give a day or a time as "
                          "2026-03-04 or 2026-03-04T10:11:12") from None
     return DiagnosisRow(name, paths("model")[0], paths("data"), next(iter(paths("holdout")), None),
                         paths("identified_from"), output.absolute() / name,

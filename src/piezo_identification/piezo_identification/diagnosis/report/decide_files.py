@@ -90,8 +90,8 @@ def decision_sentence(steps: Sequence[DecisionStep]) -> str:
     """Report what the experiments have decided, and with which probability."""
     last, played = steps[-1], len(steps) - 1
     after = f"after {played} experiment{'s' * (played != 1)}"
-    told = [f"{name} has probability {share:.3f}"
-            for name, share in list(last.probabilities.items())[: 1 if last.is_decided else 3]]
+    chances = [f"{name} has probability {share:.3f}"
+               for name, share in list(last.probabilities.items())[: 1 if last.is_decided else 3]]
     if last.is_decided:
-        return f"decided {after}: {told[0]}"
-    return f"not decided {after}, as none has {SURE:g}: {', '.join(told)}"
+        return f"decided {after}: {chances[0]}"
+    return f"not decided {after}, as none has {SURE:g}: {', '.join(chances)}"

@@ -185,8 +185,8 @@ def draw_error_response(part: SimulatedRecording, before_um: FloatArray, after_u
     stands_out = power[1:-1] > 2.0 * part.sample_period_s * noise_um**2
     for residual_um, style in ((before_um, BEFORE), (after_um, AFTER)):
         found = error_response(residual_um[part.begin :], simulated_um, part.sample_period_s)
-        told = (found.coherence > found.limit) & stands_out
-        percent = np.where(told, 100.0 * np.abs(found.gain), np.nan)
+        significant = (found.coherence > found.limit) & stands_out
+        percent = np.where(significant, 100.0 * np.abs(found.gain), np.nan)
         every = slice(None, None, max(1, percent.size // MOST_POINTS))
         axes.loglog(found.frequency_hz[every], np.minimum(percent, MOST_PERCENT)[every], **style)
     label(axes, "frequency (Hz)", "part of the displacement (%)")

@@ -49,19 +49,19 @@ def _sentence(diagnosis: Diagnosis) -> str:
     before, after = (1e3 * errors["rms_um"] for errors in (diagnosis.before, diagnosis.after))
     names = " and ".join(map(name_of, diagnosis.effects))
     if diagnosis.verdict == "none":
-        anew = "" if after == before else (
-            f", and {after:.3g} nm with its parameters estimated anew")
-        return f"The model lacks nothing that the data shows: {before:.3g} nm RMS are left{anew}."
+        after_refit = "" if after == before else (
+            f", and {after:.3g} nm with its parameters estimated again")
+        return f"The data shows no missing effect: {before:.3g} nm RMS remain{after_refit}."
     if diagnosis.verdict == "explained":
         if [entry["name"] for entry in diagnosis.effects] == ["outliers"]:
             # Outliers are excluded before and after; the model's own parameters differ.
-            return (f"The sensor has outliers: without them {before:.3g} nm RMS are left on "
+            return (f"The sensor has outliers: without them {before:.3g} nm RMS remain on "
                     f"held-out data, and {after:.3g} nm with the model tuned to the other samples.")
         return (f"The model lacks {names}: with it the error on held-out data falls from "
                 f"{before:.3g} to {after:.3g} nm RMS.")
-    beside = f" beside {names}" if names else ""
+    residual = f"With {names} a residual" if names else "A residual"
     compared = "effect compared until then" if diagnosis.not_tried else "known effect"
-    return (f"Something is left{beside} that no {compared} explains: {after:.3g} nm RMS on "
+    return (f"{residual} remains that no {compared} explains: {after:.3g} nm RMS on "
             f"held-out data.")
 
 
@@ -100,7 +100,7 @@ def render_report(diagnosis: Diagnosis, origin: Sequence[tuple[str, str]] = ()) 
     if diagnosis.effects:
         sections.append(Section(
             "What was added", tuple(_on_intervals(diagnosis)), effect_rows(diagnosis.effects)))
-    sections += _left(diagnosis)
+    sections += _residual(diagnosis)
     sections += [_undecided(diagnosis), *_would_decide(diagnosis)]
     sections += [
         _recording(diagnosis, part, residual_um(dataset, index, noise=noise),
@@ -126,26 +126,26 @@ def _on_intervals(diagnosis: Diagnosis) -> Iterator[str]:
     if stand_ins:
         yield (f"What the model lacks behaves like {' and '.join(stand_ins)}, which fits but "
                "cannot be believed: a parameter ended at its bound, the probability is below "
-               f"{LEAST_PROBABILITY:g}, or it contributes less than the noise beside a stronger "
+               f"{LEAST_PROBABILITY:g}, or it contributes less than the noise next to a stronger "
                "effect. So there is no interval.")
 
 
 def _found(diagnosis: Diagnosis) -> Section:
     before, after = diagnosis.before, diagnosis.after
     where = "{samples} samples of {source}".format(**diagnosis.holdout)
-    told = [f"Held out: {where}, the same before and after. e_y is the norm of the difference over "
-            "that of the measured displacement without its mean, in percent (4.20).",
-            *(f"It ended early: {each}." for each in filter(None, [diagnosis.not_tried])),
-            *(f"{text}." for text in diagnosis.left_out),
-            *(f"{fault['name']}: {fault['sentence']}. What to do: {fault['remedy']}."
-              for fault in diagnosis.recording_faults)]
+    texts = [f"Held out: {where}, the same before and after. e_y is the norm of the difference "
+             "over that of the measured displacement without its mean, in percent (4.20).",
+             *(f"It ended early: {each}." for each in filter(None, [diagnosis.not_tried])),
+             *(f"{text}." for text in diagnosis.left_out),
+             *(f"{fault['name']}: {fault['sentence']}. What to do: {fault['remedy']}."
+               for fault in diagnosis.recording_faults)]
     rows = [
         ("error on held-out data", "before", "after"),
         ("RMS (nm)", *(f"{1e3 * errors['rms_um']:.3g}" for errors in (before, after))),
         ("e_y (%)", *(f"{errors['e_y_percent']:.3g}" for errors in (before, after))),
         ("noise of the sensor (nm)", *2 * (f"{1e3 * diagnosis.noise_floor_um:.3g}",)),
     ]
-    return Section("What was found", tuple(told), rows)
+    return Section("What was found", tuple(texts), rows)
 
 
 def _alternatives(diagnosis: Diagnosis) -> Iterator[Section]:
@@ -155,11 +155,11 @@ def _alternatives(diagnosis: Diagnosis) -> Iterator[Section]:
     shown = [(name, value) for name, value in sorted(
         known.items(), key=lambda item: -item[1]) if value >= SHOWN_PROBABILITY]
     rest = len(known) - len(shown)
-    told = ["Each row is a whole model with these effects in it; the probabilities sum to one."]
+    texts = ["Each row is a whole model with these effects in it; the probabilities sum to one."]
     if rest:
-        told.append(f"{rest} more {'has' if rest == 1 else 'have'} less than "
-                    f"{100.0 * SHOWN_PROBABILITY:g} %.")
-    yield Section("Alternatives", told, [("what the model lacks", "probability (%)"), *(
+        texts.append(f"{rest} more {'has' if rest == 1 else 'have'} less than "
+                     f"{100.0 * SHOWN_PROBABILITY:g} %.")
+    yield Section("Alternatives", texts, [("what the model lacks", "probability (%)"), *(
         (_alternative(name), _percent(value)) for name, value in shown)])
 
 
@@ -169,22 +169,22 @@ def _alternative(name: str) -> str:
     return "nothing" if name == "none" else " and ".join(name.split("+"))
 
 
-def _left(diagnosis: Diagnosis) -> Iterator[Section]:
+def _residual(diagnosis: Diagnosis) -> Iterator[Section]:
     """Yield the section on the residual, and the part of it that any learner would predict."""
-    told, rows = [diagnosis.left] if diagnosis.left else [], []
+    texts, rows = [diagnosis.left] if diagnosis.left else [], []
     if diagnosis.ceiling is not None:
         ceiling = {name: 1e3 * value for name, value in diagnosis.ceiling.items()}
-        told.append(
-            "The ceiling: a learner that knows nothing of stages predicts what is left from "
+        texts.append(
+            "The ceiling: a learner that knows nothing of stages predicts the residual from "
             "voltage, displacement and their past, on data held out. What it predicts is "
             "deterministic and has no name yet; the rest is random.")
-        rows = [("part of what is left", "RMS (nm)"), *(
+        rows = [("part of the residual", "RMS (nm)"), *(
             (what, f"{ceiling[name]:.3g}") for what, name in (
                 ("predictable by a learner", "predictable_um"),
                 ("predictable from the voltage alone", "from_voltage_um"),
                 ("random", "random_um")))]
-    if told:
-        yield Section("What is left", told, rows)
+    if texts:
+        yield Section("Residual", texts, rows)
 
 
 def _recording(diagnosis: Diagnosis, part: SimulatedRecording, before_um: FloatArray,
@@ -220,17 +220,17 @@ def _on_whiteness(diagnosis: Diagnosis, part: SimulatedRecording, after_um: Floa
                   noise_um: float) -> list[str]:
     """Explain a residual that is not white in spite of a successful verdict."""
     test = whiteness(after_um[part.begin :])
-    told = ["Of white noise about 1 % of the lags lie outside the band of 99 %."]
+    texts = ["Of white noise about 1 % of the lags lie outside the band of 99 %."]
     if diagnosis.verdict == "unexplained" or test.passed:
-        return told
-    left_um = float(np.std(after_um[part.begin :]))
+        return texts
+    rms_um = float(np.std(after_um[part.begin :]))
     extended = "after the extension " if diagnosis.effects else ""
-    return [*told, (
+    return [*texts, (
         f"That {100.0 * test.share_outside:.0f} % do {extended}is no contradiction to "
-        f"the verdict. The test asks whether what is left is noise alone, not how large it is: of "
-        f"{after_um.size - part.begin} samples it sees a correlation of {test.band:.2g}. What is "
-        f"left here is {1e3 * left_um:.3g} nm beside a noise of {1e3 * noise_um:.3g} nm, within "
-        "what a model identified on noisy data may be wrong by.")]
+        f"the verdict. The test asks whether the residual is noise alone, not how large it is: of "
+        f"{after_um.size - part.begin} samples it sees a correlation of {test.band:.2g}. The "
+        f"residual is {1e3 * rms_um:.3g} nm at a noise of {1e3 * noise_um:.3g} nm, within "
+        "the error that a model identified on noisy data may have.")]
 
 
 def _tests_table(part: SimulatedRecording, before_um: FloatArray,
@@ -250,8 +250,8 @@ def _tests_table(part: SimulatedRecording, before_um: FloatArray,
 def _tried(selection: Selection) -> Iterator[Section]:
     yield Section("What was tried", (
         "Significance is in standard deviations of a gain by chance; more than "
-        f"{CRITERIA.significant:g} are asked for. The tolerance is the noise and what a "
-        "good model may be wrong by.",))
+        f"{CRITERIA.significant:g} are required. The tolerance is the noise and the "
+        "error that a good model may have.",))
     for number, attempts in enumerate(selection.rounds, 1):
         rows: list[tuple[str, ...]] = [
             ("candidate", "error reduction (%)", "significance", "size / tolerance", "outcome")]
@@ -268,12 +268,12 @@ def _outcome(attempt: Attempt, best: Attempt, selection: Selection) -> str:
     """Return the outcome of a candidate in words."""
     added = {effect.name for effect in selection.end.effects}
     if attempt.fit is None:
-        among = "added already" if attempt.name in added else "nothing hints at it"
+        among = "added already" if attempt.name in added else "no initial guess was found"
         return attempt.undecided.sentence if attempt.undecided else among
     if attempt.name in added:
         return "added" if attempt is best else "added in the end"
     if attempt.name in selection.indistinguishable:
-        return f"cannot be told from {selection.indistinguishable[attempt.name]}"
+        return f"cannot be distinguished from {selection.indistinguishable[attempt.name]}"
     if attempt.undecided:
         return attempt.undecided.sentence
     if attempt.reduction_percent <= 0.0:
@@ -301,13 +301,13 @@ def _would_decide(diagnosis: Diagnosis) -> Iterator[Section]:
     if designed is None:
         return
     chance = designed["probability_of_deciding"]
-    told = [f"Play {designed['file']}: {designed['description']}, from {designed['lowest_v']:.3g} "
-            f"to {designed['highest_v']:.3g} V, for {designed['duration_s']:.3g} s. Then diagnose "
-            "both recordings together. The probability that one explanation has more than 95 % "
-            f"afterwards is {_percent(chance)} %."]
+    texts = [f"Play {designed['file']}: {designed['description']}, from {designed['lowest_v']:.3g} "
+             f"to {designed['highest_v']:.3g} V, for {designed['duration_s']:.3g} s. Then diagnose "
+             "both recordings together. The probability that one explanation has more than 95 % "
+             f"afterwards is {_percent(chance)} %."]
     if chance < UNLIKELY:
-        told.append("No waveform of the families that were tried tells the explanations apart more "
-                    "surely: within these limits the stage does not show which one is right.")
+        texts.append("No waveform of the families that were tried decides more surely: "
+                     "within these limits the stage does not show which one is right.")
     rows: list[tuple[str, ...]] = [(
         "if it lacks", "probability (%)", "probability that this is decided (%)",
         "RMS difference from the others (nm)")]
@@ -316,7 +316,7 @@ def _would_decide(diagnosis: Diagnosis) -> Iterator[Section]:
               ", ".join(f"{_alternative(name)}: {1e3 * apart_um:.3g}" for name, apart_um in
                         each["expected_rms_difference_um"].items()))
              for each in designed["alternatives"]]
-    yield Section("What would decide", told, rows)
+    yield Section("What would decide", texts, rows)
 
 
 def _other_parameters(before: StageModel, after: StageModel) -> Section:
@@ -332,9 +332,9 @@ def _other_parameters(before: StageModel, after: StageModel) -> Section:
     if density[0]:
         rows.append(("density of the hysteresis, sum", *map(_number, density),
                      f"{100.0 * (density[1] / density[0] - 1.0):+.2f}"))
-    return Section("What changed beside", (
+    return Section("Changes of the model's own parameters", (
         "Without the effects the model's own parameters had been fitted to make up for them. "
-        "Beside the effects they were free to move as far as they are uncertain.",), rows)
+        "With the effects they were free to change within their uncertainty.",), rows)
 
 
 def _number(value: float | Sequence[float], digits: int = 5) -> str:

@@ -28,14 +28,14 @@ def distortion_sections(part: SimulatedRecording, before_um: FloatArray,
         ("part of the answer (%)", "stage", "error before", "error after")]
     for name, value in (("linear", "linear_um"), ("even distortion", "even_um"),
                         ("odd distortion", "odd_um"), ("noise of a period", "noise_of_period_um"),
-                        ("told from the noise above", "significant_um")):
+                        ("significant above", "significant_um")):
         rows.append((name, *(f"{100.0 * getattr(found, value) / answer.answer_um:.3g}"
                              for found in (answer, before.error, after.error))))
     pictures = [
         Picture(name, caption, distortion_png(found), wide=True) for name, caption, found in (
-            ("Distortion of the stage", "Answer, noise, even and odd distortion before any model "
-             "is asked.", answer),
-            ("Distortion left", "The same of what the extended model leaves.", after.error))]
+            ("Distortion of the stage", "Answer, noise, even and odd distortion, without any "
+             "model.", answer),
+            ("Distortion of the residual", "The same with the extended model.", after.error))]
     return [
         Section(f"Distortion in {part.path}", (before.sentence(),), rows, pictures),
         Section("Distortion over frequency", (), distortion_rows(answer)),

@@ -113,7 +113,7 @@ def diagnose_response(
     budget = budget or Budget()
     with spending(budget):
         selection = select_linear_effects(problem, progress)
-    return replace(_told(problem, selection, is_reversed), not_tried=budget.sentence())
+    return replace(_diagnosis(problem, selection, is_reversed), not_tried=budget.sentence())
 
 
 def moves_against(model: StageModel, measured: FrequencyResponse) -> bool:
@@ -146,7 +146,7 @@ def select_linear_effects(
                 break
             best = fits[0]
             for other in fits[1:]:
-                if reduction_percent(problem, best, other) > -CRITERIA.told_apart_percent:
+                if reduction_percent(problem, best, other) > -CRITERIA.distinguished_percent:
                     not_told_from[other.effects[-1].name] = best.effects[-1].name
             effects.append({
                 "name": best.effects[-1].name,
@@ -179,15 +179,16 @@ def _accepted(problem: ResponseProblem,
         for effect, error in zip(found[-1].effects[kept:], after[kept:], strict=True)}
 
 
-def _told(problem: ResponseProblem, selection: ResponseSelection,
-          is_reversed: bool) -> ResponseDiagnosis:
+def _diagnosis(problem: ResponseProblem, selection: ResponseSelection,
+               is_reversed: bool) -> ResponseDiagnosis:
     """Assemble the verdict with its numbers and reasons."""
     given, effects = problem.as_given(), selection.effects
     # Even without an effect, other parameters may explain what the given ones do not.
     is_changed = bool(effects) or selection.is_explained and not is_explained(problem, given)
     final = selection.fit if is_changed else given
     faults = [wrong_sign(problem.measured.path)] if is_reversed else []
-    undecided = {name: Undecided(Reason.LIKE_ANOTHER, f"the response does not tell it from {found}")
+    undecided = {name: Undecided(Reason.LIKE_ANOTHER,
+                                 f"the response does not distinguish it from {found}")
                  for name, found in selection.not_told_from.items()} | selection.refused
     verdict, left = "explained" if effects else "none", ""
     if not selection.is_explained:

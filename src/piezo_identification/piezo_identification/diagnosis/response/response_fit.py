@@ -139,8 +139,8 @@ class ResponseProblem:
             return changed, (*effects[:-1], *found)
 
         def errors(vector: FloatArray) -> FloatArray:
-            left = self._residual(*at(vector))[self.estimation]
-            return np.concatenate([left.real, left.imag])
+            residual = self._residual(*at(vector))[self.estimation]
+            return np.concatenate([residual.real, residual.imag])
 
         start = np.concatenate([changes[:count], values])
         if start.size == 0:

@@ -22,7 +22,7 @@ class ResponseCriteria:
     """Significance required of a gain on held-out blocks, in standard deviations."""
     worthwhile_percent: float = 10.0
     """Smallest reduction of the error on held-out frequencies for which an effect is named."""
-    told_apart_percent: float = 5.0
+    distinguished_percent: float = 5.0
     """Smallest difference of two errors that distinguishes candidates."""
     explained: float = 1.0
     """Largest mean square beyond the tolerance of an explained response."""
@@ -78,15 +78,15 @@ def held_out_errors(problem: ResponseProblem, fit: ResponseFit) -> dict[str, flo
 
 def describe_residual(problem: ResponseProblem, fit: ResponseFit) -> str:
     """Return a sentence on the residual and its frequencies."""
-    left = np.abs(fit.residual) ** 2
-    power = np.cumsum(left) / np.sum(left)
+    energy = np.abs(fit.residual) ** 2
+    power = np.cumsum(energy) / np.sum(energy)
     frequency_hz = problem.measured.frequency_hz
     low_hz, high_hz = frequency_hz[np.searchsorted(power, [0.1, 0.9])]
-    worst = int(np.argmax(left))
+    worst = int(np.argmax(energy))
     return (
         f"What remains is {held_out_errors(problem, fit)['rms_um'] / problem.noise:.3g} times the "
         "noise that neighbouring frequencies show. "
-        f"Left is {np.sqrt(np.mean(left)):.3g} times the tolerance of "
+        f"The residual is {np.sqrt(np.mean(energy)):.3g} times the tolerance of "
         f"{100 * SETTINGS.tolerance:g} % and the noise, most of it from {low_hz:.3g} to "
         f"{high_hz:.3g} Hz, largest at {frequency_hz[worst]:.4g} Hz."
     )

@@ -72,7 +72,7 @@ def response_sentence(diagnosis: ResponseDiagnosis) -> str:
         if diagnosis.after != diagnosis.before:
             who = "No effect is missing: the model with slightly other dynamics"
         return f"{who} explains the response: what remains passes for noise."
-    found = f"The model lacks {names}." if names else "No linear effect explains what is left."
+    found = f"The model lacks {names}." if names else "No linear effect explains the residual."
     return f"{found} {diagnosis.left}".strip()
 
 

@@ -124,10 +124,10 @@ def estimate_slow_creep(
     point, trials = _search(problem, pair_count)
     residual = problem.residual(point)
 
-    def gain(beside: _Problem) -> float:
-        left = beside.residual(point)
+    def gain(larger: _Problem) -> float:
+        residual_then = larger.residual(point)
         return problem.gain_of(
-            residual, left, beside.width - problem.width, beside.alike(left))
+            residual, residual_then, larger.width - problem.width, larger.alike(residual_then))
 
     tried = [_Problem(parts, settling_s, each) for each in NUISANCES]
     gains = [gain(each) for each in tried]
@@ -155,13 +155,13 @@ def _search(
                 trial_point = problem.refine(start)
                 if not problem.refusal(trial_point):
                     break
-            left = problem.residual(trial_point)
-            gain = problem.gain_of(residual, left, 3, problem.alike(left))
-            trials.append(problem.trial(trial_point, left, trials[-1].information - gain))
+            residual_then = problem.residual(trial_point)
+            gain = problem.gain_of(residual, residual_then, 3, problem.alike(residual_then))
+            trials.append(problem.trial(trial_point, residual_then, trials[-1].information - gain))
             if pair_count is None and (trials[-1].refusal or gain <= 0.0):
                 break
             point = best = trial_point
-            residual = left
+            residual = residual_then
     return best, trials
 
 
@@ -180,14 +180,14 @@ class _Problem:
         self._parts = [
             _Part(part, levels_v, settling_s, MOST_BINS // len(parts), nuisances)
             for part in parts]
-        self._span, self._left = self._explained_by_hysteresis()
+        self._span, self._remaining = self._explained_by_hysteresis()
         longest_s = max(part.time_s[-1] for part in parts)
         shortest_s = max(ROWS_OF_DECAY * min(part.sample_period_s for part in parts),
                          settling_s / 3.0)
         if self.rows < 20 or 0.3 / longest_s >= 0.5 / shortest_s:
             raise ValueError(
-                f"{parts[0].path} leaves too little beside the {settling_s:.3g} s after each "
-                "jump, too fast to show creep: give the recording of a creep experiment")
+                f"{parts[0].path} has too few samples apart from the {settling_s:.3g} s after each "
+                "jump, which are too fast to show creep: give the recording of a creep experiment")
         self.rates = np.log([0.3 / longest_s, 1.0 / shortest_s])
         self.gains = np.log(GAINS)
 
@@ -223,8 +223,8 @@ class _Problem:
         # Hundreds of the values are zero: under some kernels divide and conquer does not converge.
         directions, made, mixed = svd(kept[:count], full_matrices=False, lapack_driver="gesvd")
         # Sines and cosines of the same angles: the penalties give a small residual accurately.
-        left = np.linalg.norm(kept[count:] @ mixed.T, axis=0)
-        return directions[:, made > HELD], left[made > HELD]
+        shares = np.linalg.norm(kept[count:] @ mixed.T, axis=0)
+        return directions[:, made > HELD], shares[made > HELD]
 
     def residual(self, point: FloatArray) -> FloatArray:
         """Return the residual of hysteresis, offsets and initial creep, with the creep removed."""
@@ -241,15 +241,16 @@ class _Problem:
             both[first : first + len(each), column : column + zeros.size] = each
             first += len(each)
         # As long as the residual of regression and penalties, without the rows of the penalties.
-        both = both - self._span @ ((1.0 - self._left)[:, None] * (self._span.T @ both))
-        left: FloatArray = both[:, 0]
+        both = both - self._span @ ((1.0 - self._remaining)[:, None] * (self._span.T @ both))
+        residual: FloatArray = both[:, 0]
         if both.shape[1] > 1:
-            left = left - both[:, 1:] @ np.linalg.lstsq(both[:, 1:], left, rcond=1e-9)[0]
-        return left * self._noise_raised(rates, gains)
+            residual = residual - both[:, 1:] @ np.linalg.lstsq(
+                both[:, 1:], residual, rcond=1e-9)[0]
+        return residual * self._noise_raised(rates, gains)
 
     def alike(self, residual: FloatArray) -> float:
         """Return the correlation of neighbouring rows of a residual, from 0 to 1."""
-        data = residual - self._span @ ((1.0 - self._left) * (self._span.T @ residual))
+        data = residual - self._span @ ((1.0 - self._remaining) * (self._span.T @ residual))
         return float(np.clip(data[1:] @ data[:-1] / (data @ data), 0.0, 0.98))
 
     def _noise_raised(self, rates: FloatArray, gains: FloatArray) -> float:

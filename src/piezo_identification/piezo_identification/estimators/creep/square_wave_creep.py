@@ -13,8 +13,17 @@ from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.conditioning.generator_edges import free_running_level
 from piezo_identification.conditioning.recording_start import square_part, without_first
-from piezo_identification.conditioning.settling import low_frequency_delay_s, settling_time_s
-from piezo_identification.conditioning.waveforms import played, samples_per_mean, square_wave
+from piezo_identification.conditioning.settling import (
+    MOST_OF_RECORDING,
+    low_frequency_delay_s,
+    settling_time_s,
+)
+from piezo_identification.conditioning.waveforms import (
+    SquareWave,
+    played,
+    samples_per_mean,
+    square_wave,
+)
 from piezo_identification.estimators.estimate import (
     ROWS_OF_DECAY,
     Estimate,
@@ -35,6 +44,9 @@ MOST_PAIRS = 8
 
 USUAL_SETTLING_S = 0.03
 """Time omitted after a step if the electric and vibration dynamics are not known."""
+
+FAST = 0.99
+"""Rate relative to the upper bound from which the bound limits it."""
 
 BINS_PER_DECADE = 60
 """Bins for averaging after a step: creep needs no finer resolution in logarithmic time."""
@@ -104,10 +116,12 @@ def estimate_creep(
                    f"{size}off the loop of the later ones: left out")
 
 
-def left_out_s(dynamics: ElectricVibrationDynamics | None, delay_s: float = 0.0) -> float:
+def left_out_s(dynamics: ElectricVibrationDynamics | None, delay_s: float = 0.0,
+               step_s: float = np.inf) -> float:
     """Return the time after a step in which fast motion hides the creep.
 
-    The time depends on the dynamics, because a fast stage may creep within milliseconds.
+    The time depends on the dynamics, because a fast stage may creep within milliseconds. It is at
+    most the fraction `MOST_OF_RECORDING` of a step, however slowly a mode decays.
 
     Parameters
     ----------
@@ -115,10 +129,18 @@ def left_out_s(dynamics: ElectricVibrationDynamics | None, delay_s: float = 0.0)
         If None or static, the dynamics are unknown, and at least the usual time is omitted.
     delay_s : float
         Delay of the rows of the recording in addition to the dynamics.
+    step_s : float
+        Duration of the longest step of the recording.
     """
     if dynamics is None or dynamics.is_static:
         return max(USUAL_SETTLING_S, delay_s)
-    return settling_time_s(dynamics) + max(delay_s, 0.0)
+    return min(settling_time_s(dynamics), MOST_OF_RECORDING * step_s) + max(delay_s, 0.0)
+
+
+def longest_step_s(recording: Recording, wave: SquareWave) -> float:
+    """Return the duration of the longest run between the steps of a square wave."""
+    edges = [0, *wave.steps, wave.level.size]
+    return float(np.max(np.diff(edges))) * recording.sample_period_s
 
 
 def _estimate(record: "_CreepRecord", pair_count: int | None) -> Estimate:
@@ -141,16 +163,14 @@ def _estimate_as_held(record: "_CreepRecord", pair_count: int | None) -> Estimat
             better = trials[-1].information < min(trial.information for trial in trials[:-1])
             if pair_count is None and not better:
                 break
-            # With creep over many decades, a number of pairs may be refused and a larger one fit.
-            if pair_count is not None or not trials[-1].refusal:
-                best = rates
+            best = rates
     model, standard_deviations = record.creep(best)
     shown = len(model.poles_rad_per_s)
-    if pair_count is not None and (trials[-1].refusal or shown < pair_count):
+    if pair_count is not None and shown < pair_count:
         raise CreepNotShown(
-            f"{record.path} does not show {pair_count} pairs of creep poles and zeros "
-            f"({trials[-1].refusal or 'a gain is not positive'}): ask for fewer, or record longer"
-        )
+            f"{record.path} shows {shown} of {pair_count} pairs of creep poles and zeros; the "
+            "others are too fast for the rows, or have no positive gain: ask for fewer, or record "
+            "longer")
     return Estimate(model, standard_deviations, best.size, tuple(trials), pair_count is not None)
 
 
@@ -166,7 +186,7 @@ class _CreepRecord:
         self.delay_s = delay_s
         if dynamics is not None:
             self.delay_s += low_frequency_delay_s(dynamics)
-        self.settling_s = left_out_s(dynamics, delay_s)
+        self.settling_s = left_out_s(dynamics, delay_s, longest_step_s(recording, self.wave))
         self.held = self.wave.level
         self.time_s = np.arange(self.wave.level.size) * self.period_s
         self.bins, self.weights = self._logarithmic_bins()
@@ -264,7 +284,11 @@ class _CreepRecord:
     def creep(
         self, rates: FloatArray,
     ) -> tuple[CreepDynamics, dict[str, tuple[float, ...]]]:
-        """Model with those rates that have a gain, and its standard deviations."""
+        """Model with those rates that have a gain, and its standard deviations.
+
+        With creep over many decades, the fastest rate stands for all that the rows do not show. It
+        is not part of the model, but without it the others would be too fast.
+        """
         coefficients, residual = self._fit(rates)
         gains = coefficients[2 : 2 + rates.size] / coefficients[1]
         has_gain = gains > 0.0
@@ -285,7 +309,8 @@ class _CreepRecord:
         relative[rates.size :, rates.size + 2 : 2 * rates.size + 2] = (
             np.eye(rates.size) / coefficients[1]
         )
-        return creep_of_partial_fractions(rates, gains, propagated(relative, covariance))
+        return creep_of_partial_fractions(
+            rates, gains, propagated(relative, covariance), FAST * self.fastest)
 
     @property
     def first_run_s(self) -> float:
@@ -313,11 +338,9 @@ class _CreepRecord:
         return float(coefficients[basis.shape[1]]) if gain > free * np.log(rows) else 0.0
 
     def trial(self, rates: FloatArray) -> OrderTrial:
-        """Rate a fit with these rates, and refuse rates that are too fast."""
+        """Rate a fit with these rates."""
         residual = self._fit(rates)[1]
-        is_fast = rates.max(initial=0.0) >= 0.99 * self.fastest
-        refusal = "a rate is too fast for the rows" if is_fast else ""
-        return order_trial(rates.size, residual, 2 + 3 * rates.size, refusal, self.displacement)
+        return order_trial(rates.size, residual, 2 + 3 * rates.size, signal=self.displacement)
 
     def best_further_rate(self, rates: FloatArray) -> float:
         """Rate that explains most when added to the others."""

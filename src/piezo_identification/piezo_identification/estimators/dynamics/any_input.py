@@ -19,7 +19,7 @@ from piezo_identification.conditioning.sensor_noise import noise_floor_um
 from piezo_identification.conditioning.settling import AT_REST
 from piezo_identification.conditioning.waveforms import two_levels
 from piezo_identification.estimators.creep.square_wave_creep import USUAL_SETTLING_S
-from piezo_identification.estimators.dynamics.fast_creep import fit_beside_fast_creep
+from piezo_identification.estimators.dynamics.fast_creep import fit_with_fast_creep
 from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
 from piezo_identification.estimators.dynamics.fast_signals import (
     FEWEST_SAMPLES,
@@ -33,11 +33,11 @@ from piezo_identification.estimators.dynamics.fast_signals import (
 )
 from piezo_identification.estimators.dynamics.generator_signals import with_edges_between
 from piezo_identification.estimators.dynamics.output_error import fit_output_error
-from piezo_identification.estimators.dynamics.slow_misfit import beside_slow_misfit
+from piezo_identification.estimators.dynamics.slow_misfit import project_out_slow_error
 from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S
 from piezo_identification.estimators.estimate import Estimate
-from piezo_identification.estimators.hysteresis.beside_dynamics import hysteresis_beside_dynamics
 from piezo_identification.estimators.hysteresis.fast_loops import FastLoops
+from piezo_identification.estimators.hysteresis.loops_with_dynamics import hysteresis_with_dynamics
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
@@ -106,26 +106,26 @@ def estimate_dynamics_any(
         levels = [wave.level for wave in waves]
         timed = with_edges_between(
             _signals(squares, levels, creep), [generator_edges(wave) for wave in waves])
-        return fit_beside_fast_creep(
+        return fit_with_fast_creep(
             lambda known: replace(_signals(squares, levels, known), early=timed.early,
                                   phase_room=timed.phase_room).record(),
             creep, mode_count, among=among)
     if hysteresis is not None:
         entering_um = [through_hysteresis(recording, part, hysteresis)
                        for recording, part in zip(recordings, parts, strict=True)]
-        return fit_beside_fast_creep(
-            lambda known: beside_slow_misfit(_signals(parts, entering_um, known).record()),
+        return fit_with_fast_creep(
+            lambda known: project_out_slow_error(_signals(parts, entering_um, known).record()),
             creep, mode_count, among=among)
     without_hysteresis = _signals(
         parts, [np.asarray(part.voltage_v, dtype=float) for part in parts], creep)
     linear = fit_signals(without_hysteresis, MODES_OF_A_LINE)
-    estimate = _beside_hysteresis(parts, creep, mode_count, among)
+    estimate = _with_hysteresis(parts, creep, mode_count, among)
     if estimate.residual_rms < linear.residual_rms:
         return estimate
     return fit_signals(without_hysteresis, mode_count)
 
 
-def _beside_hysteresis(
+def _with_hysteresis(
     parts: Sequence[Recording], creep: CreepDynamics, mode_count: int | None,
     among: Collection[ModeOrder],
 ) -> Estimate:
@@ -135,10 +135,10 @@ def _beside_hysteresis(
                   remove_creep(part.displacement_um, creep, part.sample_period_s),
                   drift_basis(part.time_s, creep), _first_kept(part), part.sample_period_s)
         for part in parts]
-    found = hysteresis_beside_dynamics(loops)
+    found = hysteresis_with_dynamics(loops)
     entering = [found.entering_um(each) for each in loops]
     return fit_output_error(
-        beside_slow_misfit(_signals(parts, entering, creep).record()), mode_count, among=among)
+        project_out_slow_error(_signals(parts, entering, creep).record()), mode_count, among=among)
 
 
 def _signals(
@@ -147,10 +147,10 @@ def _signals(
     """Join recordings with known inputs, from where the past of each no longer matters."""
     first_kept = [_first_kept(part) for part in parts]
     for part, first in zip(parts, first_kept, strict=True):
-        left = part.voltage_v.size - LATE_ROWS - first
-        if left < FEWEST_SAMPLES:
+        remaining = part.voltage_v.size - LATE_ROWS - first
+        if remaining < FEWEST_SAMPLES:
             raise ValueError(
-                f"{part.path} leaves {max(left, 0)} samples after its start has settled, "
+                f"{part.path} has {max(remaining, 0)} samples after its start has settled, "
                 f"fewer than {FEWEST_SAMPLES}: record the dynamics longer or faster")
     return joined_signals(parts, inputs, first_kept, creep)
 
@@ -201,6 +201,6 @@ def _rings(part: Recording, rows: slice) -> bool:
     displacement_um = part.displacement_um[rows]
     trend = np.column_stack([
         np.vander(np.linspace(-1.0, 1.0, displacement_um.size), 3), part.voltage_v[rows]])
-    left_um = displacement_um - trend @ np.linalg.lstsq(trend, displacement_um, rcond=None)[0]
+    residual_um = displacement_um - trend @ np.linalg.lstsq(trend, displacement_um, rcond=None)[0]
     noise_um = noise_floor_um(part.displacement_um)
-    return bool(np.std(left_um) > STILL * noise_um)
+    return bool(np.std(residual_um) > STILL * noise_um)

@@ -59,7 +59,7 @@ class FastCreep:
     """Standard deviations of its poles and zeros; the poles are fixed, not fitted."""
 
 
-def fit_beside_fast_creep(
+def fit_with_fast_creep(
     record_without: Callable[[CreepDynamics], FastRecord], creep: CreepDynamics,
     mode_count: int | None = None, delay: float | None = None, among: Collection[ModeOrder] = (),
 ) -> Estimate:
@@ -83,8 +83,8 @@ def fit_beside_fast_creep(
     found = fast_creep(made, creep)
     if found is None:
         return fit_output_error(made(creep), mode_count, delay, among)
-    beside = fit_output_error(made(joined_creep(creep, found.model)), mode_count, delay, among)
-    return replace(beside, creep=found.model, creep_deviations=found.deviations)
+    again = fit_output_error(made(joined_creep(creep, found.model)), mode_count, delay, among)
+    return replace(again, creep=found.model, creep_deviations=found.deviations)
 
 
 def fast_creep(
@@ -100,7 +100,7 @@ def fast_creep(
     Parameters
     ----------
     creep : CreepDynamics
-        See `fit_beside_fast_creep`.
+        See `fit_with_fast_creep`.
     """
     free = best_free_fit(record_without(creep))
     record = record_without(creep).thinned(ROWS_OF_SEARCH)
@@ -213,13 +213,13 @@ def _positive_parts(record: FastRecord, free: FreeFit, rates: FloatArray) -> Fas
     used = np.arange(rates.size)
     while used.size:
         chosen = columns[:, [0, *(1 + used)]]
-        parts, left = nnls(chosen, target)
+        parts, norm = nnls(chosen, target)
         if parts[0] == 0.0:
             return None
         if not parts.all():
             used = used[parts[1:] > 0.0]
             continue
-        covariance = np.linalg.pinv(chosen.T @ chosen) * left**2 / target.size
+        covariance = np.linalg.pinv(chosen.T @ chosen) * norm**2 / target.size
         over_deviation = parts[1:] / np.sqrt(np.diag(covariance)[1:])
         if over_deviation.min() > SIGNIFICANT:
             gains = parts[1:] / parts[0]

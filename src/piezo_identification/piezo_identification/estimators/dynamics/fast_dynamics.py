@@ -33,7 +33,7 @@ class ModeOrder:
     """Modes in series (4.3)."""
     antiresonances: int = 0
     """Antiresonances between them."""
-    beside: int = 0
+    parallel: int = 0
     """Modes in parallel, each of which contributes a part of the displacement."""
     sensor_lags: int = 0
 
@@ -45,8 +45,8 @@ class ModeOrder:
         text = f"{self.modes}"
         if self.antiresonances:
             text += f"-{self.antiresonances}"
-        if self.beside:
-            text += f"+{self.beside}"
+        if self.parallel:
+            text += f"+{self.parallel}"
         return text + " lag" * self.sensor_lags + " coupled" * self.is_coupled
 
     @property
@@ -57,12 +57,12 @@ class ModeOrder:
     @property
     def positive(self) -> int:
         """Number of elements of the vector that are logarithms."""
-        return 1 + 2 * (self.modes + self.antiresonances + self.beside) + self.sensor_lags
+        return 1 + 2 * (self.modes + self.antiresonances + self.parallel) + self.sensor_lags
 
     @property
     def shares(self) -> int:
         """Number of elements at the end of the vector that are parts of the displacement."""
-        return self.beside * (1 + self.is_coupled)
+        return self.parallel * (1 + self.is_coupled)
 
 
 def coupled_vector(poles: ComplexArray, residues: ComplexArray) -> FloatArray:
@@ -116,10 +116,10 @@ def fast_dynamics_of(
     values = values_of(ascending(vector, order), order)
     main, frequencies, dampings, lags, *shares = _split(values, order)
     kind = CoupledMode if order.is_coupled else VibrationMode
-    beside = (kind(*numbers) for numbers in zip(*(
+    parallel = (kind(*numbers) for numbers in zip(*(
         each.tolist() for each in (frequencies, dampings, *shares)), strict=True))
     return (dynamics_of_vector(main, order.modes, order.antiresonances),
-            (*beside, *(SensorLag(lag) for lag in lags.tolist())))
+            (*parallel, *(SensorLag(lag) for lag in lags.tolist())))
 
 
 def ascending(vector: FloatArray, order: ModeOrder) -> FloatArray:
@@ -157,17 +157,17 @@ def split_deviations(
     """
     main, frequencies, dampings, lag, *shares = _split(deviations, order)
     names = "frequency_rad_per_s", "damping_ratio", "participation", "velocity_participation"
-    beside = [dict(zip(names, map(float, numbers), strict=False))
-              for numbers in zip(frequencies, dampings, *shares, strict=True)]
+    parallel = [dict(zip(names, map(float, numbers), strict=False))
+                for numbers in zip(frequencies, dampings, *shares, strict=True)]
     return split_dynamics_vector(main, order.modes, order.antiresonances), (
-        *beside, *({"time_constant_s": float(value), "roundness": 0.0} for value in lag))
+        *parallel, *({"time_constant_s": float(value), "roundness": 0.0} for value in lag))
 
 
 def _split(values: np.ndarray, order: ModeOrder) -> list[np.ndarray]:
     """Split a vector: dynamics, frequencies and dampings of parallel modes, sensor lag, shares."""
-    shares = [order.beside] * order.is_coupled
+    shares = [order.parallel] * order.is_coupled
     return np.split(values, np.cumsum([
-        1 + 2 * (order.modes + order.antiresonances), order.beside, order.beside,
+        1 + 2 * (order.modes + order.antiresonances), order.parallel, order.parallel,
         order.sensor_lags, *shares]), axis=-1)
 
 
@@ -232,14 +232,14 @@ def poles_and_residues(
     shares = parts[:, None, :]
     for velocity in velocities:
         shares = shares + velocity[:, None, :] * poles[:, :, None] / side_w[:, None, :]
-    shares = np.broadcast_to(shares, (*poles.shape, order.beside))
+    shares = np.broadcast_to(shares, (*poles.shape, order.parallel))
     through_side = [shares[:, :, i] * _over(poles, side[:, 2 * i : 2 * i + 2])
-                    for i in range(order.beside)]
+                    for i in range(order.parallel)]
     # The branches add up at the poles of the lags; only its own branch is infinite at a pole.
     branch = through_series + sum(through_side, np.zeros_like(poles))
     first = lags.shape[-1]
     own = [through_series, *through_side]
-    for part, size in zip(own, [2 * order.modes] + [2] * order.beside, strict=True):
+    for part, size in zip(own, [2 * order.modes] + [2] * order.parallel, strict=True):
         branch[:, first : first + size] = part[:, first : first + size]
         first += size
     return poles, -poles * branch * _over(poles, lags.astype(complex))

@@ -26,7 +26,7 @@ from piezo_identification.estimators.poles.spectral_input import (
 from piezo_identification.fitting.evidence import INDEPENDENT, independent_errors, log_evidence
 from piezo_identification.fitting.regression import SETTINGS as FIT
 
-BESIDE_LOOPS = 0.5
+LEAST_INDEPENDENT = 0.5
 """Smallest fraction of the rows that counts as independent, because correlated errors may come from
 the hysteresis, which is estimated later."""
 
@@ -45,7 +45,7 @@ bounds, and coinciding poles have no partial fractions."""
 LEAST_DAMPING, MOST_DAMPING = 1e-5, 20.0
 """Range of damping ratios."""
 
-BESIDE_DAMPING, PARTICIPATION = (1e-3, 0.4), (-2.0, 3.0)
+PARALLEL_DAMPING, PARTICIPATION = (1e-3, 0.4), (-2.0, 3.0)
 """Bounds of the damping ratio and participation of parallel modes, as in
 `piezo_models.effects.vibration_mode.VibrationMode`."""
 
@@ -161,7 +161,7 @@ class FastRecord:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_span", independent(self.fixed))
-        object.__setattr__(self, "_target", _left(self.measured_um, self._span))
+        object.__setattr__(self, "_target", _without(self.measured_um, self._span))
 
     @property
     def linear_parameters(self) -> int:
@@ -186,7 +186,7 @@ class FastRecord:
         """Return the number of independent errors of a fit, within the limits of what may count."""
         if self.every_row:
             return INDEPENDENT
-        fewest = min(BESIDE_LOOPS * fit.residual.size, INDEPENDENT)
+        fewest = min(LEAST_INDEPENDENT * fit.residual.size, INDEPENDENT)
         return max(independent_errors(fit.residual), fewest)
 
     def thinned(self, most_rows: int) -> "FastRecord":
@@ -284,8 +284,8 @@ class FastRecord:
                 np.column_stack([np.zeros_like(residues), residues[:, None] * by_pole])]),
             real_products([answers.by_delay], [residues[:, None]]),
         ])
-        span, target = self._beside_poles(poles)
-        columns = _left(columns, span)
+        span, target = self._projected_out(poles)
+        columns = _without(columns, span)
         response, slopes = columns[:, 0], columns[:, 1:]
         energy = response @ response
         gain = response @ target / energy
@@ -320,8 +320,8 @@ class FastRecord:
             answer = self.input.responses(poles[0], delay, self.kept).value @ residues[0]
             columns.append(answer.real)
             all_poles.append(poles[0])
-        span, target = self._beside_poles(np.unique(np.concatenate(all_poles)))
-        basis = _left(np.column_stack(columns), span)
+        span, target = self._projected_out(np.unique(np.concatenate(all_poles)))
+        basis = _without(np.column_stack(columns), span)
         gains: FloatArray = np.linalg.lstsq(basis, target, rcond=COLLINEAR)[0].astype(float)
         return gains, float(np.sum((target - basis @ gains) ** 2))
 
@@ -342,8 +342,8 @@ class FastRecord:
         # Real for conjugate poles as well as for two real ones.
         basis = np.column_stack([
             answers.value[:, :1], one + other, (one - other) * (scale / apart)]).real
-        span, target = self._beside_poles(poles)
-        basis = _left(basis, span)
+        span, target = self._projected_out(poles)
+        basis = _without(basis, span)
         norms = np.linalg.norm(basis, axis=0)
         left, values, right = np.linalg.svd(basis / norms, full_matrices=False)
         kept = values > COLLINEAR * values[0]
@@ -361,7 +361,7 @@ class FastRecord:
         slopes = np.column_stack([
             (answers.by_pole @ (residues[:, None] * by_vector)).real,
             (answers.by_delay @ residues).real])
-        slopes = _left(slopes, span)
+        slopes = _without(slopes, span)
         return residual, left @ (left.T @ slopes) - slopes, poles, residues
 
     def _bounds(self, order: ModeOrder, size: int) -> tuple[FloatArray, FloatArray]:
@@ -378,22 +378,22 @@ class FastRecord:
         limits = [lag, *rates(order.modes), *[damping] * order.modes]
         limits += [*rates(order.antiresonances), *[damping] * order.antiresonances]
         of_modes, shares = ((damping, COUPLED_SHARE) if order.is_coupled
-                            else (np.log(BESIDE_DAMPING), PARTICIPATION))
-        limits += [*rates(order.beside), *[of_modes] * order.beside]
+                            else (np.log(PARALLEL_DAMPING), PARTICIPATION))
+        limits += [*rates(order.parallel), *[of_modes] * order.parallel]
         limits += [*[lag] * order.sensor_lags, *[np.array(shares)] * order.shares]
         limits += [np.array([EARLIEST, min(LATEST, 0.25 * self.input.samples.size)])]
         lower, upper = np.array(limits).T
         return lower, upper
 
-    def _beside_poles(self, poles: ComplexArray) -> tuple[FloatArray, FloatArray]:
+    def _projected_out(self, poles: ComplexArray) -> tuple[FloatArray, FloatArray]:
         """Return orthonormal columns of the further signals, and the target without them."""
         if isinstance(self.input, HeldInput):
             return self._span, self._target
         transients = independent(self.input.transients(poles), self._span)
-        return np.column_stack([self._span, transients]), _left(self._target, transients)
+        return np.column_stack([self._span, transients]), _without(self._target, transients)
 
 
-def _left(columns: FloatArray, span: FloatArray) -> FloatArray:
+def _without(columns: FloatArray, span: FloatArray) -> FloatArray:
     """Return columns with the part along orthonormal columns removed."""
     return np.asarray(columns - span @ (span.T @ columns))
 
@@ -439,7 +439,7 @@ def real_products(signals: list[ComplexArray], weights: list[ComplexArray]) -> F
     return product
 
 
-def independent(columns: FloatArray, beside: FloatArray | None = None) -> FloatArray:
+def independent(columns: FloatArray, span: FloatArray | None = None) -> FloatArray:
     """Return orthonormal columns of the same span, without directions that are only rounding.
 
     Slow exponentials are nearly equal in a short record. If they were kept as they are, the
@@ -448,7 +448,7 @@ def independent(columns: FloatArray, beside: FloatArray | None = None) -> FloatA
     Parameters
     ----------
     columns : ndarray, shape (N, K)
-    beside : ndarray, shape (N, M), optional
+    span : ndarray, shape (N, M), optional
         Orthonormal columns, to which the ones returned are orthogonal.
 
     Returns
@@ -459,7 +459,7 @@ def independent(columns: FloatArray, beside: FloatArray | None = None) -> FloatA
     norms = np.linalg.norm(columns, axis=0)
     # A decay that ends before the record begins is zero throughout.
     columns = columns[:, norms > 0.0] / norms[norms > 0.0]
-    beside = np.empty((len(columns), 0)) if beside is None else beside
-    left, values, _ = np.linalg.svd(_left(columns, beside), full_matrices=False)
-    # Small columns contain rounding errors along `beside`, too.
-    return _left(left[:, values > COLLINEAR], beside)
+    span = np.empty((len(columns), 0)) if span is None else span
+    left, values, _ = np.linalg.svd(_without(columns, span), full_matrices=False)
+    # Small columns contain rounding errors along `span`, too.
+    return _without(left[:, values > COLLINEAR], span)

@@ -82,7 +82,7 @@ def joined_signals(
             raise ValueError(
                 f"{part.path} shows no displacement that rises with the voltage: its sensor counts "
                 "down, or it is no recording of the dynamics; give one of the creep or the "
-                "hysteresis too, which tells the sign, or change the sign of the displacement")
+                "hysteresis too, which shows the sign, or change the sign of the displacement")
     sizes = [part.voltage_v.size for part in parts]
     begins = np.cumsum([0, *sizes])
     stretches = [slice(begin + first, begin + size - LATE_ROWS)

@@ -83,7 +83,7 @@ def _of_alike_lags(covariance: FloatArray, fit: FastFit) -> FloatArray:
 def _of_positive_lag(covariance: FloatArray, lag: int) -> FloatArray:
     """Limit the variance of a lag to what follows from its square.
 
-    To first order, a lag T acts as a delay T; beside a delay, only T^2 / 2 is identifiable. If that
+    To first order, a lag T acts as a delay T; with a delay, only T^2 / 2 is identifiable. If that
     has the deviation d, a long lag has the deviation d / T, and one that may be zero is below
     (2 d)^(1/2). The variances of all correlated parameters are reduced as if the lag had been
     measured.

@@ -55,8 +55,8 @@ def with_edges_between(
     timed = replace(
         signals, early=np.concatenate([each.early for each in found]),
         phase_room=max(each.phase_room for each in found))
-    held, left = _fitted_edges(timed.record(), directions)
-    return replace(timed, early=held.early) if left < sampled.cost else signals
+    held, cost_then = _fitted_edges(timed.record(), directions)
+    return replace(timed, early=held.early) if cost_then < sampled.cost else signals
 
 
 def _fitted_edges(record: FastRecord, directions: FloatArray) -> tuple[HeldInput, float]:

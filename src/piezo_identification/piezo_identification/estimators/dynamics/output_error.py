@@ -19,8 +19,8 @@ from piezo_identification.estimators.dynamics.fast_dynamics import (
     values_of,
 )
 from piezo_identification.estimators.dynamics.fast_record import (
-    BESIDE_DAMPING,
     EARLIEST,
+    PARALLEL_DAMPING,
     FastFit,
     FastRecord,
     FreeFit,
@@ -211,7 +211,7 @@ class _Search:
 
         coupled, *others = side_by_side(fitted, [
             self._as_coupled_modes(free), self._with_antiresonances(free),
-            self._with_modes_beside(free)])
+            self._with_parallel_modes(free)])
         found = [fit for fits in others for fit in fits]
         self._keep(coupled + found)
         best = sorted(found, key=self._information)[:LAGGING_FORMS]
@@ -257,7 +257,7 @@ class _Search:
             chosen = min(([each for each in chosen if each != left_out] for left_out in chosen),
                          key=cost)
 
-    def _with_modes_beside(self, free: FreeFit) -> Iterator[tuple[ModeOrder, list[_Start]]]:
+    def _with_parallel_modes(self, free: FreeFit) -> Iterator[tuple[ModeOrder, list[_Start]]]:
         """Yield all modes in parallel, then one more of them in series each time."""
         series: tuple[int, ...] = ()
 
@@ -268,16 +268,16 @@ class _Search:
         def rank(chosen: tuple[int, ...]) -> tuple[bool, float]:
             # Modes with too much damping for a parallel mode must be in series.
             cost, vector, _ = start(chosen, free.delay)
-            return not _may_stand_beside(vector, len(chosen)), cost
+            return not _may_be_parallel(vector, len(chosen)), cost
 
         for count in range(min(MOST_IN_SERIES, free.modes - 1) + 1):
             if count:
                 series = min(((*series, i) for i in range(free.modes) if i not in series), key=rank)
             rated = [start(series, delay) for delay in self._delays_near(free.delay)]
-            rated += self._with_one_more_beside(free, count)
+            rated += self._with_one_more_parallel(free, count)
             yield ModeOrder(count, 0, free.modes - count), self._best_starts(rated)
 
-    def _with_one_more_beside(
+    def _with_one_more_parallel(
         self, free: FreeFit, count: int,
     ) -> list[tuple[float, FloatArray, float]]:
         """Return starts with a mode of the free fit added to the form with one mode less."""
@@ -286,20 +286,21 @@ class _Search:
         if smaller is None:
             return []
         main, frequencies, dampings, _ = np.split(
-            smaller.vector, np.cumsum([1 + 2 * count, order.beside, order.beside]))
-        beside = [np.array([main[0], *mode])
-                  for mode in zip(frequencies, dampings, strict=True)]
+            smaller.vector, np.cumsum([1 + 2 * count, order.parallel, order.parallel]))
+        parallel = [np.array([main[0], *mode])
+                    for mode in zip(frequencies, dampings, strict=True)]
         modes = [_chosen(free.vector, (i,)) for i in range(free.modes)]
-        return [self._side_by_side(main, [*beside, np.append(main[0], mode[1:])], smaller.delay)
+        return [self._side_by_side(main, [*parallel, np.append(main[0], mode[1:])], smaller.delay)
                 for mode in modes]
 
     def _side_by_side(
-        self, main: FloatArray, beside: list[FloatArray], delay: float,
+        self, main: FloatArray, parallel: list[FloatArray], delay: float,
     ) -> tuple[float, FloatArray, float]:
         """Return cost and start of modes in series and parallel, with the best participations."""
         gains, cost = self._coarse.parts(
-            [(ModeOrder(main.size // 2), main), *((ModeOrder(1), each) for each in beside)], delay)
-        numbers = np.array(beside)
+            [(ModeOrder(main.size // 2), main), *((ModeOrder(1), each) for each in parallel)],
+            delay)
+        numbers = np.array(parallel)
         return cost, np.concatenate([
             main, numbers[:, 1], numbers[:, 2], gains[1:] / (gains.sum() or 1.0)]), delay
 
@@ -350,11 +351,11 @@ def _subsets(count: int, size: int) -> Iterator[tuple[int, ...]]:
     return combinations(range(count), size)
 
 
-def _may_stand_beside(vector: FloatArray, modes: int) -> bool:
+def _may_be_parallel(vector: FloatArray, modes: int) -> bool:
     """Return whether the damping of all parallel modes is below its bound."""
-    beside = (vector.size - 1 - 2 * modes) // 3
-    first = 1 + 2 * modes + beside
-    return bool(np.all(vector[first : first + beside] < np.log(BESIDE_DAMPING[1])))
+    parallel = (vector.size - 1 - 2 * modes) // 3
+    first = 1 + 2 * modes + parallel
+    return bool(np.all(vector[first : first + parallel] < np.log(PARALLEL_DAMPING[1])))
 
 
 def _chosen(vector: FloatArray, modes: tuple[int, ...]) -> FloatArray:

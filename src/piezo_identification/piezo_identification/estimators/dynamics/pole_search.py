@@ -11,7 +11,11 @@ from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.estimators.dynamics.fast_record import FastRecord, FreeFit
 from piezo_identification.estimators.poles.spectral_input import SpectralInput
-from piezo_identification.estimators.poles.vector_fitting import Lines, left_by_poles, vector_fit
+from piezo_identification.estimators.poles.vector_fitting import (
+    Lines,
+    residual_of_poles,
+    vector_fit,
+)
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
 MOST_MODES = 8
@@ -117,7 +121,7 @@ def generous_poles(record: FastRecord) -> tuple[ComplexArray, float]:
     assert isinstance(seen.input, SpectralInput)
     held, rows = seen.input, (seen.measured_um, seen.fixed)
     shown = held.phases < HIGHEST * np.pi
-    output, beside = (_complex(each)[shown] for each in rows)
+    output, further = (_complex(each)[shown] for each in rows)
     stretch = np.repeat(np.arange(len(held.counts)), held.counts)[shown]
     # Transients at the ends of a stretch have the same poles.
     begun = stretch[:, None] == np.arange(0 if held.is_periodic else len(held.counts))
@@ -128,9 +132,9 @@ def generous_poles(record: FastRecord) -> tuple[ComplexArray, float]:
     for delay in SCANNED_DELAYS:
         check_cancelled()
         late = held.lines[shown] * np.exp(-1j * delay * held.phases[shown])
-        lines = Lines(rate, output, np.column_stack([late, begun]), beside)
+        lines = Lines(rate, output, np.column_stack([late, begun]), further)
         poles = vector_fit(lines, 2 * modes, RELOCATIONS)
-        rated.append((float(np.linalg.norm(left_by_poles(lines, poles))), delay, poles))
+        rated.append((float(np.linalg.norm(residual_of_poles(lines, poles))), delay, poles))
     _, delay, poles = min(rated, key=lambda each: each[0])
     discrete: ComplexArray = (1.0 + poles) / (1.0 - poles)
     # A negative pole has no continuous equivalent; a fast pole is the closest.

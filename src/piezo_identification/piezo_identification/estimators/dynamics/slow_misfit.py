@@ -28,7 +28,7 @@ MOST_OF_THE_MOTION = 0.95
 """Part of the input power that defines the frequency of its loops."""
 
 
-def beside_slow_misfit(record: FastRecord) -> FastRecord:
+def project_out_slow_error(record: FastRecord) -> FastRecord:
     """Add slow cosines to the further signals of a record, if it needs them.
 
     It does if its loops are far slower than the ringing modes, and free poles form slow oscillating

@@ -10,7 +10,7 @@ from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.settled_periods import first_settled_step
 from piezo_identification.conditioning.waveforms import square_wave
-from piezo_identification.estimators.dynamics.fast_creep import fit_beside_fast_creep
+from piezo_identification.estimators.dynamics.fast_creep import fit_with_fast_creep
 from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
 from piezo_identification.estimators.dynamics.fast_record import FastRecord
 from piezo_identification.estimators.dynamics.fast_signals import drift_basis, played_at_the_clock
@@ -57,7 +57,7 @@ def estimate_dynamics(
     ValueError
         If the recording has gaps, is no square wave, is averaged, or is too short.
     """
-    return fit_beside_fast_creep(
+    return fit_with_fast_creep(
         lambda known: mean_period(recording, known), creep, mode_count, delay, among)
 
 

@@ -43,7 +43,7 @@ class RationalForm:
 
     antiresonances: int = 0
     """0 for parallel modes."""
-    is_beside: bool = True
+    is_parallel: bool = True
 
     @property
     def creep_places(self) -> NDArray[np.intp]:
@@ -58,7 +58,7 @@ class RationalForm:
     @property
     def mode_places(self) -> NDArray[np.intp]:
         """Indices of frequency and damping of modes; for parallel modes, of both parts too."""
-        rows = 4 if self.is_beside else 2
+        rows = 4 if self.is_parallel else 2
         return self.gain_place + 1 + np.arange(rows * self.modes).reshape(rows, -1)
 
     @property
@@ -98,7 +98,7 @@ class RationalForm:
         poles, zeros = np.exp(vector[self.creep_places])
         before = np.exp(-scaled * vector[DELAY]) / (1.0 + scaled * vector[LAG]) * np.prod(
             (s + zeros) / (s + poles), axis=1, keepdims=True)
-        core, slopes = (self._beside if self.is_beside else self._in_series)(vector, s)
+        core, slopes = (self._parallel if self.is_parallel else self._in_series)(vector, s)
         whole = before * core
         derivatives = np.hstack([
             -scaled * whole, -scaled / (1.0 + scaled * vector[LAG]) * whole,
@@ -114,7 +114,7 @@ class RationalForm:
             shape, *(-core * slope / modes for slope in by_mode),
             *(core * slope / zeros for slope in by_zero)])
 
-    def _beside(self, vector: FloatArray, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    def _parallel(self, vector: FloatArray, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         quadratics, slopes = _quadratics(vector, self.mode_places, s)
         position, velocity = vector[self.mode_places[2:]]
         ratio = s / np.exp(vector[self.mode_places[0]])
@@ -143,7 +143,7 @@ class RationalForm:
     def reduced(self, vector: FloatArray, free: BoolArray) -> Iterator[Reduced]:
         """Yield the form without the delay, without the lag, and without each other component."""
         droppable = [DELAY, LAG]
-        if self.is_beside:
+        if self.is_parallel:
             droppable += [self.gain_place] * (self.modes > 0) + self.mode_places[3].tolist()
         for place in droppable:
             if free[place]:
@@ -154,7 +154,7 @@ class RationalForm:
             yield self._without(vector, free, places, creep_pairs=self.creep_pairs - 1)
         for places in self.zero_places.T:
             yield self._without(vector, free, places, antiresonances=self.antiresonances - 1)
-        if self.modes > 1 or (self.modes and (free[self.gain_place] or not self.is_beside)):
+        if self.modes > 1 or (self.modes and (free[self.gain_place] or not self.is_parallel)):
             yield from self._without_modes(vector, free)
 
     def _without_modes(self, vector: FloatArray, free: BoolArray) -> Iterator[Reduced]:

@@ -129,7 +129,7 @@ def estimate_from_response(
     model = _model(search, best)
     deviations, of_effects = _deviations(search, best, model)
     is_given = None not in (order.creep_pairs, order.modes, order.antiresonances)
-    return Estimate(model, deviations, chosen, trials, is_given, effects=model.beside,
+    return Estimate(model, deviations, chosen, trials, is_given, effects=model.parallel,
                     effect_deviations=of_effects)
 
 
@@ -147,12 +147,12 @@ def _fits(
     yield best
     least = np.inf
     if order.antiresonances is None:
-        beside = [best, *search.reduced(best, order)]
+        parallel = [best, *search.reduced(best, order)]
         if best.form.modes:
             real = search.with_real_parts(best)
-            beside += [real, *search.reduced(real, order, min(map(search.information, beside)))]
-        yield from beside
-        least = min(map(search.information, beside))
+            parallel += [real, *search.reduced(real, order, min(map(search.information, parallel)))]
+        yield from parallel
+        least = min(map(search.information, parallel))
     series = [search.in_series(fit, order.antiresonances) for fit in grown
               if (order.modes or 0) <= fit.form.modes <= best.form.modes + 1 and fit.form.modes]
     yield from series
@@ -161,8 +161,8 @@ def _fits(
 
 
 def _trial(search: ResponseSearch, order: ResponseOrder, fit: ResponseFit) -> OrderTrial:
-    left = np.sqrt(fit.cost / (2.0 * search.rate.size))
-    return OrderTrial(order, fit.parameters, float(left), search.information(fit))
+    residual = np.sqrt(fit.cost / (2.0 * search.rate.size))
+    return OrderTrial(order, fit.parameters, float(residual), search.information(fit))
 
 
 def _in_dynamics(fit: ResponseFit) -> NDArray[np.intp]:
@@ -172,7 +172,7 @@ def _in_dynamics(fit: ResponseFit) -> NDArray[np.intp]:
     part.
     """
     form = fit.form
-    if not form.is_beside:
+    if not form.is_parallel:
         return np.argsort(fit.vector[form.mode_places[0]])
     plain = np.flatnonzero(~fit.free[form.mode_places[3]])
     if fit.free[form.gain_place] or not plain.size:
@@ -184,7 +184,7 @@ def _in_dynamics(fit: ResponseFit) -> NDArray[np.intp]:
 def _order(fit: ResponseFit) -> ResponseOrder:
     form, free = fit.form, fit.free
     modes = _in_dynamics(fit).size
-    is_coupled = form.is_beside and bool(np.any(free[form.mode_places[3]]))
+    is_coupled = form.is_parallel and bool(np.any(free[form.mode_places[3]]))
     return ResponseOrder(form.creep_pairs, modes, form.antiresonances, form.modes - modes,
                          is_coupled, bool(free[LAG]), bool(free[DELAY]))
 
@@ -197,18 +197,18 @@ def _model(search: ResponseSearch, fit: ResponseFit) -> ResponseModel:
     series = np.exp(vector[form.mode_places[:2, modes]])
     antiresonances = np.exp(vector[form.zero_places])
     antiresonances = antiresonances[:, np.argsort(antiresonances[0])]
-    gain, beside = vector[form.gain_place], tuple[VibrationMode, ...]()
-    if form.is_beside:
+    gain, parallel = vector[form.gain_place], tuple[VibrationMode, ...]()
+    if form.is_parallel:
         parts = vector[form.mode_places[2:]]
         gain += np.sum(parts[0])
         others = np.setdiff1d(np.argsort(vector[form.mode_places[0]]), modes)
         others = others[np.argsort(vector[form.mode_places[0, others]])]
-        beside = tuple(_mode(*np.exp(vector[form.mode_places[:2, mode]]), *parts[:, mode] / gain)
-                       for mode in others)
+        parallel = tuple(_mode(*np.exp(vector[form.mode_places[:2, mode]]), *parts[:, mode] / gain)
+                         for mode in others)
     dynamics = ElectricVibrationDynamics(vector[LAG] / top, *map(tuple, (*series, *antiresonances)))
     return ResponseModel(
         float(gain), float(vector[DELAY] / top), CreepDynamics(tuple(poles), tuple(zeros)),
-        dynamics, beside)
+        dynamics, parallel)
 
 
 def _is_model(search: ResponseSearch, fit: ResponseFit) -> bool:
@@ -231,9 +231,9 @@ def _mode(frequency: float, damping: float, position: float, velocity: float) ->
 
 def _numbers(model: ResponseModel) -> FloatArray:
     """All parameters of a model; four for each parallel mode."""
-    beside = [(*astuple(mode), 0.0)[:4] for mode in model.beside]
+    parallel = [(*astuple(mode), 0.0)[:4] for mode in model.parallel]
     return np.concatenate([np.ravel(part) for part in (
-        model.gain, model.delay_s, *astuple(model.creep), *astuple(model.dynamics), *beside)])
+        model.gain, model.delay_s, *astuple(model.creep), *astuple(model.dynamics), *parallel)])
 
 
 def _deviations(
@@ -255,7 +255,7 @@ def _deviations(
             key: tuple(next(spread) for _ in value) if isinstance(value, tuple) else next(spread)
             for key, value in asdict(part).items()}
     of_effects = []
-    for mode in model.beside:
+    for mode in model.parallel:
         four = [next(spread) for _ in range(4)]
         of_effects.append({field.name: each for field, each in zip(
             fields(mode), four, strict=False)})

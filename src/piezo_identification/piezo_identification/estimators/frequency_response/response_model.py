@@ -23,26 +23,26 @@ class ResponseModel:
     creep: CreepDynamics
     dynamics: ElectricVibrationDynamics
 
-    beside: tuple[VibrationMode, ...] = ()
+    parallel: tuple[VibrationMode, ...] = ()
     """Parallel modes, which place zeros anywhere in the plane."""
 
     @property
     def states(self) -> int:
         """Number of states of the rational part."""
-        modes = len(self.dynamics.damping_ratios) + len(self.beside)
+        modes = len(self.dynamics.damping_ratios) + len(self.parallel)
         lag = self.dynamics.time_constant_s > 0.0
         return len(self.creep.poles_rad_per_s) + lag + 2 * modes
 
     def linear(self) -> control.StateSpace:
         """Continuous `control.StateSpace` without gain and delay."""
-        return self.creep.state_space() * self.dynamics.state_space(self.beside)
+        return self.creep.state_space() * self.dynamics.state_space(self.parallel)
 
     def response(self, frequency_hz: ArrayLike) -> ComplexArray:
         """Complex response at the given frequencies, in the shape of `frequency_hz`."""
         delay = np.exp(-2j * np.pi * np.asarray(frequency_hz, dtype=float) * self.delay_s)
         return (
             self.gain * delay * self.creep.response(frequency_hz)
-            * self.dynamics.response(frequency_hz, self.beside)
+            * self.dynamics.response(frequency_hz, self.parallel)
         )
 
     def error(self, measured: FrequencyResponse) -> float:
@@ -59,7 +59,7 @@ class ResponseOrder:
     modes: int | None
     antiresonances: int | None
     """None in a request: as many as the data justify."""
-    beside: int = 0
+    parallel: int = 0
     """Number of parallel modes. In a request they count as modes if the number of antiresonances is
     open."""
     is_coupled: bool = False
@@ -70,18 +70,18 @@ class ResponseOrder:
     @property
     def states(self) -> int:
         """Number of states of the rational part."""
-        return (self.creep_pairs or 0) + self.has_lag + 2 * ((self.modes or 0) + self.beside)
+        return (self.creep_pairs or 0) + self.has_lag + 2 * ((self.modes or 0) + self.parallel)
 
     def __str__(self) -> str:
         text = f"{self.creep_pairs}+{self.modes}-{self.antiresonances}"
-        text += f"+{self.beside}" * bool(self.beside) + " coupled" * self.is_coupled
+        text += f"+{self.parallel}" * bool(self.parallel) + " coupled" * self.is_coupled
         return text + " no lag" * (not self.has_lag) + " no delay" * (not self.has_delay)
 
     def grants(self, order: "ResponseOrder") -> bool:
         """Return whether an order meets this request."""
-        if self.antiresonances is not None and (order.beside or order.is_coupled):
+        if self.antiresonances is not None and (order.parallel or order.is_coupled):
             return False
-        numbers = (order.creep_pairs, (order.modes or 0) + order.beside, order.antiresonances)
+        numbers = (order.creep_pairs, (order.modes or 0) + order.parallel, order.antiresonances)
         return all(wanted is None or wanted == number for wanted, number in zip(
             (self.creep_pairs, self.modes, self.antiresonances), numbers, strict=True))
 

@@ -19,7 +19,7 @@ from piezo_identification.estimators.frequency_response.response_file import Fre
 from piezo_identification.estimators.frequency_response.response_model import ResponseOrder
 from piezo_identification.estimators.poles.vector_fitting import (
     Lines,
-    left_by_poles,
+    residual_of_poles,
     vector_fit,
 )
 from piezo_identification.fitting.evidence import log_evidence
@@ -104,15 +104,15 @@ class ResponseSearch:
         self._coarse = slice((self.rate.size - 1) % step, None, step)
         self.weight = np.ones(self.rate.size)
         self._delays_s, poles = self._delays_and_poles()
-        left = self._left(poles)
-        self.weight = weight_of_noise(left, self.gain - left)
-        left = self.weight * self._left(poles)
-        self.independent = independent_rows(np.concatenate([left.real, left.imag]))
+        residual = self._residual(poles)
+        self.weight = weight_of_noise(residual, self.gain - residual)
+        residual = self.weight * self._residual(poles)
+        self.independent = independent_rows(np.concatenate([residual.real, residual.imag]))
         self._rounding = finest_power(np.abs(self.gain))
 
-    def _left(self, poles: ComplexArray) -> ComplexArray:
+    def _residual(self, poles: ComplexArray) -> ComplexArray:
         turned = self.gain * np.exp(1j * self.rate * self._delays_s[0])
-        return left_by_poles(Lines(self.rate, turned, weight=self.weight), poles)
+        return residual_of_poles(Lines(self.rate, turned, weight=self.weight), poles)
 
     def _delays_and_poles(self) -> tuple[list[float], ComplexArray]:
         """Delays with which a fit of many poles is good, best first, and the poles of that one."""
@@ -129,9 +129,9 @@ class ResponseSearch:
             check_cancelled()
             turned = Lines(rate, gain * np.exp(1j * rate * delay_s))
             poles = vector_fit(turned, min(SPARE_POLES, rate.size // 5), 8)
-            tried.append((np.linalg.norm(left_by_poles(turned, poles)), delay_s, poles))
+            tried.append((np.linalg.norm(residual_of_poles(turned, poles)), delay_s, poles))
         tried.sort(key=lambda entry: entry[0])
-        near = [delay_s for left, delay_s, _ in tried if left < NEARLY_AS_LITTLE * tried[0][0]]
+        near = [delay_s for norm, delay_s, _ in tried if norm < NEARLY_AS_LITTLE * tried[0][0]]
         return near[:1] + near[1::-(-len(near) // FEW_DELAYS)], tried[0][2]
 
     def information(self, fit: ResponseFit) -> float:
@@ -288,8 +288,8 @@ class ResponseSearch:
             check_cancelled()
             turned = Lines(rate, gain * np.exp(1j * rate * delay_s), weight=weight)
             found = vector_fit(turned, 2 * modes + creep_pairs + 1, 8)
-            left = np.linalg.norm(weight * left_by_poles(turned, found))
-            tried.append((left, delay_s, found))
+            residual = np.linalg.norm(weight * residual_of_poles(turned, found))
+            tried.append((residual, delay_s, found))
         _, delay_s, poles = min(tried, key=lambda entry: entry[0])
         relaxations = np.sort(-poles[poles.imag == 0.0].real)
         creep, fast = np.split(relaxations, [min(creep_pairs, relaxations.size)])
@@ -341,22 +341,22 @@ class ResponseSearch:
         error, slopes = self.residual(form, vector, self._coarse)
         slopes = slopes[:, free]
         basis = np.linalg.qr(slopes)[0]
-        left = error - basis @ (basis.T @ error)
+        residual = error - basis @ (basis.T @ error)
         return self.information(ResponseFit(
-            form, vector, free, float(left @ left), error.size // 2))
+            form, vector, free, float(residual @ residual), error.size // 2))
 
     def in_series(self, fit: ResponseFit, antiresonances: int | None) -> ResponseFit:
         """Fit the same modes in series, with the zeros between them."""
-        beside = fit.form
-        zeros = beside.zeros_between(fit.vector, self.rate)
+        parallel = fit.form
+        zeros = parallel.zeros_between(fit.vector, self.rate)
         missing = max(0, (antiresonances or 0) - zeros.shape[1])
         if missing:
             # Missing zeros start on modes, which they cancel.
-            zeros = np.hstack([zeros, fit.vector[beside.mode_places[:2, :missing]]])
-        form = RationalForm(beside.creep_pairs, beside.modes, zeros.shape[1], is_beside=False)
+            zeros = np.hstack([zeros, fit.vector[parallel.mode_places[:2, :missing]]])
+        form = RationalForm(parallel.creep_pairs, parallel.modes, zeros.shape[1], is_parallel=False)
         vector = np.zeros(form.size)
         vector[: form.gain_place] = fit.vector[: form.gain_place]
-        vector[form.mode_places] = fit.vector[beside.mode_places[:2]]
+        vector[form.mode_places] = fit.vector[parallel.mode_places[:2]]
         vector[form.zero_places] = zeros
         vector[form.gain_place] = 1.0
         error, slopes = self.residual(form, vector)
@@ -370,26 +370,26 @@ def _leads_to(form: RationalForm, wanted: ResponseOrder) -> bool:
     """Return whether a form has at least as many of each component as requested."""
     return all(number >= (asked or 0) for number, asked in (
         (form.creep_pairs, wanted.creep_pairs), (form.modes, wanted.modes),
-        (form.antiresonances, 0 if form.is_beside else wanted.antiresonances)))
+        (form.antiresonances, 0 if form.is_parallel else wanted.antiresonances)))
 
 
 def _grants(form: RationalForm, wanted: ResponseOrder) -> bool:
     return wanted.grants(ResponseOrder(
-        form.creep_pairs, form.modes, form.antiresonances, is_coupled=form.is_beside))
+        form.creep_pairs, form.modes, form.antiresonances, is_coupled=form.is_parallel))
 
 
 def _orthogonal(columns: FloatArray, basis: FloatArray) -> FloatArray:
     return columns - basis @ (basis.T @ columns)
 
 
-def weight_of_noise(left: ComplexArray, gain: ComplexArray) -> FloatArray:
+def weight_of_noise(residual: ComplexArray, gain: ComplexArray) -> FloatArray:
     """Return the inverse noise of each gain, which has a constant and a relative part.
 
     Their ratio maximises the likelihood of the residual of a rich fit.
 
     Parameters
     ----------
-    left, gain : ndarray of complex, shape (N,)
+    residual, gain : ndarray of complex, shape (N,)
 
     Returns
     -------
@@ -399,6 +399,7 @@ def weight_of_noise(left: ComplexArray, gain: ComplexArray) -> FloatArray:
     power, best = np.abs(gain) ** 2, (np.inf, np.ones(gain.size))
     for relative in (0.0, *np.geomspace(1e-2, 1e3, 26)):
         variance = 1.0 + relative**2 * power / power.max()
-        misfit = np.sum(np.log(variance)) + gain.size * np.log(np.mean(np.abs(left)**2 / variance))
+        misfit = np.sum(np.log(variance)) + gain.size * np.log(
+            np.mean(np.abs(residual)**2 / variance))
         best = min(best, (misfit, variance), key=lambda entry: entry[0])
     return np.sqrt(np.mean(best[1]) / best[1])

@@ -110,12 +110,12 @@ class Equations:
         quadratic = self.quadratic / self.count + roughness
         border = self.border / self.count
         # The bounds apply to the sum.
-        unknowns, beside, forces = nonnegative_minimum(
+        unknowns, coefficients, forces = nonnegative_minimum(
             quadratic, self.linear / self.count + quadratic @ self.about, _bounded(self.size),
             border, self.corner / self.count,
             self.border_linear / self.count + self.about @ border, multiplier,
         )
-        return unknowns - self.about, beside, forces
+        return unknowns - self.about, coefficients, forces
 
     def solve_line(self) -> tuple[FloatArray, FloatArray]:
         """Return unknowns of a line through the data, and coefficients of the other columns."""
@@ -125,17 +125,18 @@ class Equations:
             [(line @ self.border)[:, None], self.corner],
         ])
         right = np.append(line @ self.linear, self.border_linear)
-        slope, *beside = np.linalg.lstsq(normal, right, rcond=1e-13)[0]
-        return slope * line, np.array(beside)
+        slope, *coefficients = np.linalg.lstsq(normal, right, rcond=1e-13)[0]
+        return slope * line, np.array(coefficients)
 
-    def misfit(self, unknowns: FloatArray, beside: FloatArray) -> float:
+    def misfit(self, unknowns: FloatArray, coefficients: FloatArray) -> float:
         """Sum of squared residuals of the regression."""
         return float(self.square + (
-            unknowns @ (self.quadratic @ unknowns + 2.0 * self.border @ beside - 2.0 * self.linear)
-            + beside @ (self.corner @ beside - 2.0 * self.border_linear)
+            unknowns @ (self.quadratic @ unknowns + 2.0 * self.border @ coefficients
+                        - 2.0 * self.linear)
+            + coefficients @ (self.corner @ coefficients - 2.0 * self.border_linear)
         ))
 
-    def beside(self, unknowns: FloatArray) -> FloatArray:
+    def coefficients(self, unknowns: FloatArray) -> FloatArray:
         """Return the best coefficients of the other columns for given unknowns."""
         right = self.border_linear - self.border.T @ unknowns
         return np.asarray(np.linalg.lstsq(self.corner, right, rcond=1e-13)[0])

@@ -109,12 +109,12 @@ def density_operator(size: int) -> csr_array:
     i, j = np.tril_indices(size)
     cell = np.arange(i.size)
     inner = i > j
-    beside = cell - i  # crossing (i, j)
+    neighbour = cell - i  # crossing (i, j)
     corners = [
         (cell, cell, np.where(inner, 1.0, 2.0)),
-        (cell[inner], beside[inner], np.array(-1.0)),
+        (cell[inner], neighbour[inner], np.array(-1.0)),
         (cell[inner], cell[inner] + 1, np.array(-1.0)),
-        (cell[i > j + 1], beside[i > j + 1] + 1, np.array(1.0)),
+        (cell[i > j + 1], neighbour[i > j + 1] + 1, np.array(1.0)),
         (cell[i == j], cell.size + np.arange(size), np.array(-2.0)),
     ]
     return coo_array(

@@ -130,8 +130,8 @@ class LoopRegression:
         inverse /= np.outer(scale, scale)
         unknowns = inverse @ linear
         bent = unknowns[:size] @ (self._bending @ unknowns[:size])
-        left_um = self._measured_um - columns @ unknowns
-        return LoopFit(columns, inverse, unknowns, np.append(left_um, np.sqrt(max(bent, 0.0))))
+        residual_um = self._measured_um - columns @ unknowns
+        return LoopFit(columns, inverse, unknowns, np.append(residual_um, np.sqrt(max(bent, 0.0))))
 
     def slopes(self, fit: LoopFit, changes: Callable[[FloatArray], ComplexArray]) -> FloatArray:
         """Return the derivatives of a fit's residual by the parameters of its response.
@@ -158,16 +158,16 @@ class LoopRegression:
         longest = int(np.argmax([part.voltage_v.size - part.first_kept for part in self._parts]))
         part, spectrum, frequency_hz, count, _ = list(self._each())[longest]
         size = self._bending.shape[0]
-        left = part.displacement_um - irfft(
+        residual_um = part.displacement_um - irfft(
             (fit.unknowns[:size] @ spectrum) * response(frequency_hz), count)[: part.voltage_v.size]
-        left = (left - np.mean(left))[part.first_kept :]
-        strength = np.abs(np.fft.rfft(left * np.hanning(left.size))) ** 2
+        residual_um = (residual_um - np.mean(residual_um))[part.first_kept :]
+        strength = np.abs(np.fft.rfft(residual_um * np.hanning(residual_um.size))) ** 2
         width = max(strength.size // LINES_OF_A_PEAK, 1)
         strength = np.convolve(strength, np.full(width, 1.0 / width), "same")
         inner = strength[1:-1]
         tops = 1 + np.flatnonzero((inner >= strength[:-2]) & (inner > strength[2:]))
         strongest = tops[np.argsort(-strength[tops])][:most]
-        return 2.0 * np.pi * strongest / (left.size * part.sample_period_s)
+        return 2.0 * np.pi * strongest / (residual_um.size * part.sample_period_s)
 
     def hysteresis(self, response: Response) -> PreisachModel:
         """Return the hysteresis of least error with a non-negative density."""

@@ -148,8 +148,8 @@ def without_first_rise(
     """
     part = played(recording)
     shown_v = highest_before(recording)
-    lacking_um = first_rise.simulate(
+    missing_um = first_rise.simulate(
         part.voltage_v, shown_v if highest_v is None else max(highest_v, shown_v))
-    lacking_um = respond(creep.state_space() * dynamics.state_space(), lacking_um,
+    missing_um = respond(creep.state_space() * dynamics.state_space(), missing_um,
                          part.sample_period_s, samples_per_mean(part))
-    return replace(part, displacement_um=part.displacement_um - lacking_um)
+    return replace(part, displacement_um=part.displacement_um - missing_um)

@@ -72,24 +72,24 @@ def nonnegative_minimum(
         factor = _factor(quadratic + penalty * (rows.T @ rows))
         right_sides = np.column_stack([linear + rows.T @ forces[active], border])
         solved = factor.solve(right_sides)
-        beside = np.linalg.lstsq(
+        free = np.linalg.lstsq(
             corner - border.T @ solved[:, 1:], border_linear - border.T @ solved[:, 0], rcond=1e-13
         )[0]
-        return solved[:, 0] - solved[:, 1:] @ beside, beside
+        return solved[:, 0] - solved[:, 1:] @ free, free
 
     def slope_along(step: FloatArray,
-                    step_beside: FloatArray) -> Callable[[float], float]:
+                    step_free: FloatArray) -> Callable[[float], float]:
         """Return the slope of the function along a step from the point, by the length."""
         moved = bounded @ step
-        start = (quadratic @ point + border @ beside - linear) @ step + (
-            border.T @ point + corner @ beside - border_linear) @ step_beside
-        bend = (quadratic @ step + border @ step_beside) @ step + (
-            border.T @ step + corner @ step_beside) @ step_beside
+        start = (quadratic @ point + border @ free - linear) @ step + (
+            border.T @ point + corner @ free - border_linear) @ step_free
+        bend = (quadratic @ step + border @ step_free) @ step + (
+            border.T @ step + corner @ step_free) @ step_free
         return lambda length: float(start + length * bend - np.maximum(
             forces - penalty * (values + length * moved), 0.0) @ moved)
 
     active = forces > 0.0
-    point, beside = newton_point(active)
+    point, free = newton_point(active)
     for _ in range(MOST_FACTORISATIONS):
         check_cancelled()
         values = bounded @ point
@@ -100,11 +100,11 @@ def nonnegative_minimum(
             forces = np.maximum(forces - penalty * values, 0.0)
             violated = forces > 0.0
         active = violated
-        target, target_beside = newton_point(active)
-        step, step_beside = target - point, target_beside - beside
-        length = _length(slope_along(step, step_beside))
-        point, beside = point + length * step, beside + length * step_beside
-    return point, beside, np.maximum(forces - penalty * (bounded @ point), 0.0)
+        target, target_free = newton_point(active)
+        step, step_free = target - point, target_free - free
+        length = _length(slope_along(step, step_free))
+        point, free = point + length * step, free + length * step_free
+    return point, free, np.maximum(forces - penalty * (bounded @ point), 0.0)
 
 
 def _length(slope: Callable[[float], float]) -> float:

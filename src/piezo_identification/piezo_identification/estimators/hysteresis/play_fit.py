@@ -92,8 +92,8 @@ class PlaySum:
         # Any excess is due to plays so narrow that they act on nearly every reversal.
         diagonal = np.flatnonzero(upper == lower)
         inner_um = answers_um[diagonal]
-        beside_um = answers_um[diagonal[1:] - 1] - inner_um[1:] - inner_um[:-1]
-        narrow_um = np.maximum(0.0, inner_um - 0.5 * np.append(beside_um[:1], beside_um))
+        adjacent_um = answers_um[diagonal[1:] - 1] - inner_um[1:] - inner_um[:-1]
+        narrow_um = np.maximum(0.0, inner_um - 0.5 * np.append(adjacent_um[:1], adjacent_um))
         return np.concatenate([everett_um, np.diff(reversible_um) + narrow_um])
 
 
@@ -123,16 +123,16 @@ def fit_plays(segments: Sequence[HysteresisSegment], levels_v: FloatArray,
         return None
     straight = np.zeros(5)
     bent = least_squares(
-        regression.left_um, straight if near is None else np.append(near.rising, near.falling),
+        regression.residual_um, straight if near is None else np.append(near.rising, near.falling),
         bounds=(-MOST_BENT, MOST_BENT), diff_step=STEP, x_scale=0.1, ftol=WORTHWHILE,
         max_nfev=MOST_EVALUATIONS)
     curves = bent.x
-    if np.sum(regression.left_um(straight) ** 2) < LARGEST_GAIN * 2.0 * bent.cost:
+    if np.sum(regression.residual_um(straight) ** 2) < LARGEST_GAIN * 2.0 * bent.cost:
         # A few loops may be compatible with many curves.
         curves = straight
-    weights, left_um = regression.weights(curves)
+    weights, residual_um = regression.weights(curves)
     return PlaySum(curves[:2], curves[2:], weights[SLOPE_KNOTS:], weights[:SLOPE_KNOTS],
-                   float(np.std(np.diff(left_um)) / np.sqrt(2.0)))
+                   float(np.std(np.diff(residual_um)) / np.sqrt(2.0)))
 
 
 class _PlayRegression:
@@ -140,7 +140,7 @@ class _PlayRegression:
 
     def __init__(self, segments: Sequence[HysteresisSegment], levels_v: FloatArray) -> None:
         stride = max(1, sum(segment.samples.size for segment in segments) // MOST_ROWS)
-        self._rows, self._ways, outputs, reversible, beside = [], [], [], [], []
+        self._rows, self._ways, outputs, reversible, nuisance = [], [], [], [], []
         first = 0
         for segment in segments:
             samples = segment.samples[::stride]
@@ -153,26 +153,26 @@ class _PlayRegression:
             reversible.append(_reversible_columns(2.0 * np.clip(
                 (segment.voltage_v[samples][known] - levels_v[0]) / (levels_v[-1] - levels_v[0]),
                 0.0, 1.0) - 1.0))
-            beside.append(np.column_stack([
+            nuisance.append(np.column_stack([
                 history[known, None] == np.arange(history.max(initial=0) + 1),
                 segment.transients[samples][known]]))
             first += int(known.sum())
         self.count = first
         self._pairs = np.concatenate(self._ways)
         self._row_of_pair = np.concatenate(self._rows)
-        fixed = np.zeros((first, sum(each.shape[1] for each in beside)))
+        fixed = np.zeros((first, sum(each.shape[1] for each in nuisance)))
         row = column = 0
-        for each in beside:
+        for each in nuisance:
             fixed[row : row + len(each), column : column + each.shape[1]] = each
             row, column = row + len(each), column + each.shape[1]
         scale = np.maximum(np.linalg.norm(fixed, axis=0), np.finfo(float).tiny)
-        self._beside = np.linalg.svd(fixed / scale, full_matrices=False)[0]
+        self._nuisance = np.linalg.svd(fixed / scale, full_matrices=False)[0]
         self._output_um = self._without(np.concatenate(outputs))
         self._reversible = np.concatenate(reversible)
 
     def _without(self, columns: FloatArray) -> FloatArray:
         """Project out the offsets and transients."""
-        return columns - self._beside @ (self._beside.T @ columns)
+        return columns - self._nuisance @ (self._nuisance.T @ columns)
 
     def weights(self, curves: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the best slopes and weights for two curves, and the residual (um)."""
@@ -183,17 +183,17 @@ class _PlayRegression:
         columns = self._without(np.hstack([self._reversible, plays]))
         triangle = np.asarray(
             np.linalg.qr(np.column_stack([columns, self._output_um]), mode="r"))
-        weights, left = nnls(triangle[:, :-1], triangle[:, -1], maxiter=30 * columns.shape[1])
+        weights, residual = nnls(triangle[:, :-1], triangle[:, -1], maxiter=30 * columns.shape[1])
         # Try to omit the reversible part and the play of zero width, or only the reversible part.
         for first in (SLOPE_KNOTS + 1, SLOPE_KNOTS):
             fewer, without = nnls(
                 triangle[:, first:-1], triangle[:, -1], maxiter=30 * columns.shape[1])
-            if without**2 < LARGEST_GAIN * left**2:
+            if without**2 < LARGEST_GAIN * residual**2:
                 weights = np.concatenate([np.zeros(first), fewer])
                 break
         return weights, self._output_um - columns @ weights
 
-    def left_um(self, curves: FloatArray) -> FloatArray:
+    def residual_um(self, curves: FloatArray) -> FloatArray:
         """Return the residual of the best plays for two curves, in um."""
         check_cancelled()
         return self.weights(curves)[1]

@@ -151,8 +151,9 @@ def density_of_segments(
     elif smoothing_weight is None:
         choice, plays, segments, parts = _choice_for(
             segments, levels_v, translation_weight, near)
-        if size % 2 == 0 and size >= 2 * CELLS_FOR_THE_WEIGHT and (
-                plays is not None or not has_time_for("a density of more cells", WEIGHTS)):
+        is_fine = plays is None and (whole_plane or _many(segments, size))
+        if size % 2 == 0 and size >= 2 * CELLS_FOR_THE_WEIGHT and not (
+                is_fine and has_time_for("a density of more cells", WEIGHTS)):
             # A smooth density needs fewer cells.
             levels_v, size = levels_v[::2], size // 2
             parts = parts if plays is None else 2 * parts
@@ -164,27 +165,28 @@ def density_of_segments(
     [equations] = equations_of_folds(segments, levels_v, about=about)
     is_line = is_enough and plays is None
     if is_line:
-        unknowns, beside = equations.solve_line()
+        unknowns, coefficients = equations.solve_line()
     elif is_enough:
         unknowns = 0.0 * equations.linear
-        beside = equations.beside(unknowns)
+        coefficients = equations.coefficients(unknowns)
     else:
-        unknowns, beside, multiplier = equations.solve(penalties, multiplier)
+        unknowns, coefficients, multiplier = equations.solve(penalties, multiplier)
         with while_time_lasts("a density of fewer parts"):
             if translation_weight is None and penalties.translation and plays is None:
                 # Loops that are equal on the coarse grid need not be so on the fine one.
                 free = choice.without_translation
                 others = equations.solve(free, multiplier)[:2]
-                if equations.misfit(unknowns, beside) > (
+                if equations.misfit(unknowns, coefficients) > (
                         LARGEST_TRANSLATION_COST * equations.misfit(*others)):
-                    penalties, (unknowns, beside) = free, others
+                    penalties, (unknowns, coefficients) = free, others
             without = equations.solve(replace(penalties, is_reversible=False), multiplier)[:2]
             if equations.misfit(*without) < (
-                    LARGEST_REVERSIBLE_GAIN * equations.misfit(unknowns, beside)):
-                penalties, (unknowns, beside) = replace(penalties, is_reversible=False), without
+                    LARGEST_REVERSIBLE_GAIN * equations.misfit(unknowns, coefficients)):
+                penalties = replace(penalties, is_reversible=False)
+                unknowns, coefficients = without
     # The first column of a segment is the offset of its samples with known past.
     known = np.flatnonzero(np.diag(equations.corner)[equations.offset_columns] > 0.0)
-    offset_um = float(beside[equations.offset_columns[known[0]]]) if known.size else 0.0
+    offset_um = float(coefficients[equations.offset_columns[known[0]]]) if known.size else 0.0
     if is_line:
         return DensityEstimate(
             LINE, levels_v[[0, -1]], np.zeros((1, 1)), offset_um, np.ones((1, 1), dtype=bool),
@@ -252,10 +254,10 @@ def _choice_for(
     parts = _parts_for(size, plays)
     relieved = [replace(segment, output_um=segment.output_um - _output_um(
         segment, levels_v, plays, parts)) for segment in segments]
-    beside = choose_penalties(
+    with_plays = choose_penalties(
         relieved, coarse_v, translation, plays.unknowns(coarse_v.size - 1), first)
-    if choice is None or LEAST_GAIN * beside.misfit < choice.misfit:
-        return beside, plays, relieved, parts
+    if choice is None or LEAST_GAIN * with_plays.misfit < choice.misfit:
+        return with_plays, plays, relieved, parts
     return choice, None, segments, 1
 
 

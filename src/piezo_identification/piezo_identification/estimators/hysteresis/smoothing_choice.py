@@ -255,7 +255,7 @@ class _Trials:
         Offsets and transients do not belong to the hysteresis and are fitted to all samples. A
         transient may lie in one fold only, so that the other folds do not determine it.
         """
-        return unseen.misfit(unknowns, self._whole.beside(unknowns))
+        return unseen.misfit(unknowns, self._whole.coefficients(unknowns))
 
     def _as_well(self, misfits: FloatArray, least: Penalties) -> bool:
         best = self.misfits(least)

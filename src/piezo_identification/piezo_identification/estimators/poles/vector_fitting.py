@@ -22,7 +22,7 @@ class Lines:
     """For a single input of 1, a measured response, (N,)."""
     inputs: ComplexArray | None = None
     """By default 1, (N, K)."""
-    beside: ComplexArray | None = None
+    further: ComplexArray | None = None
     """Further signals that the output may contain, with real coefficients, (N, L); by default
     none."""
     weight: FloatArray | float = 1.0
@@ -32,8 +32,8 @@ class Lines:
         """Return the regressors of the output for given responses of poles, (N, n)."""
         whole = np.column_stack([basis, np.ones(basis.shape[0])])
         inputs = np.ones((whole.shape[0], 1)) if self.inputs is None else self.inputs
-        beside = [] if self.beside is None else [self.beside]
-        return np.hstack([*(each[:, None] * whole for each in inputs.T), *beside])
+        further = [] if self.further is None else [self.further]
+        return np.hstack([*(each[:, None] * whole for each in inputs.T), *further])
 
 
 def vector_fit(lines: Lines, pole_count: int, iterations: int = 20) -> ComplexArray:
@@ -72,7 +72,7 @@ def vector_fit(lines: Lines, pole_count: int, iterations: int = 20) -> ComplexAr
     return poles * scale
 
 
-def left_by_poles(lines: Lines, poles: ComplexArray) -> ComplexArray:
+def residual_of_poles(lines: Lines, poles: ComplexArray) -> ComplexArray:
     """Return the residual of the best rational functions with given poles, shape (N,).
 
     Parameters

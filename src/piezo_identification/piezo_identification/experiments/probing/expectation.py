@@ -48,17 +48,17 @@ def expected_errors(findings: Findings, limits: StageLimits,
     creep, dynamics, hysteresis = (
         parameters[name] for name in ("creep", "dynamics", "hysteresis"))
 
-    def left_percent(travel_v: float, samples: float) -> float:
+    def error_percent(travel_v: float, samples: float) -> float:
         noise_um = findings.rest.of_mean_um(max(1, round(samples)))
         return float(100.0 * noise_um / (travel_v * gain_um_per_v))
 
     # The fastest creep appears after both steps, from one to about ten settling times.
     percent = {
-        "creep": left_percent(
+        "creep": error_percent(
             creep["swing_v"], 10.0 * findings.response.settling_s * rate_hz),
-        "dynamics": left_percent(
+        "dynamics": error_percent(
             dynamics["swing_v"], dynamics["duration_s"] / dynamics["period_s"]),
-        "hysteresis": left_percent(
+        "hysteresis": error_percent(
             limits.span_v,
             hysteresis["harmonic_period_s"] * rate_hz / (2 * hysteresis["level_count"])),
     }
@@ -90,12 +90,12 @@ def _remarks(findings: Findings, limits: StageLimits, percent: Mapping[str, floa
     if response.settling_s * rate_hz < FEWEST_SETTLING_SAMPLES:
         remarks.append(
             f"the stage settles within {FEWEST_SETTLING_SAMPLES:g} samples of {1.0 / rate_hz:.2g} "
-            "s: its fast motion cannot be told apart; use a faster clock")
+            "s: its fast motion cannot be resolved; use a faster clock")
     if model_percent > NOTABLE_PERCENT:
         worst = max(percent, key=percent.__getitem__)
         remarks.append(
-            f"the noise of {findings.rest.noise_rms_um:.2g} um leaves about "
-            f"{model_percent:.2g} % in the model after {duration_s / 60.0:.3g} min of "
+            f"the noise of {findings.rest.noise_rms_um:.2g} um causes about "
+            f"{model_percent:.2g} % error of the model after {duration_s / 60.0:.3g} min of "
             f"experiments, most of it in the {worst}: only four times that time would halve it; "
             "use a quieter sensor")
     if findings.creep.time_s and not findings.creep.ended:

@@ -102,7 +102,7 @@ class Probe:
     def findings(self) -> Findings:
         """The results; RuntimeError before the last step was taken."""
         if self._findings is None:
-            raise RuntimeError("the probe has steps left: play them first")
+            raise RuntimeError("steps of the probe remain: play them first")
         return self._findings
 
     def take(self, recording: Recording) -> None:

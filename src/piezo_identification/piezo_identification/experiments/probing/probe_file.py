@@ -58,8 +58,8 @@ class ProbedStage(Part):
     noise_rms_um: Positive = entry("Noise of a sample.", unit="um")
     gain_um_per_v: Number = entry("Gain of the first rise to that step, signed.", unit="um/V")
     lag_s: NotNegative = entry(
-        "Time constant of the largest motion without ringing; 0: none was told apart.", unit="s")
-    settling_s: Positive = entry("Time until 1 % of a step is left, creep aside.", unit="s")
+        "Time constant of the largest motion without ringing; 0: none was found.", unit="s")
+    settling_s: Positive = entry("Time until 1 % of a step remains, without creep.", unit="s")
     modes: list[ProbedMode] = entry("Vibrations, the largest first.")
     creep_share_per_decade: Number = entry("Creep over the step in a decade of time.", unit="1")
     creep_time_s: NotNegative = entry("Up to which the stage creeps; 0: no creep.", unit="s")
@@ -257,5 +257,5 @@ def probe_summary(document: ProbeDocument) -> str:
         f"periods: creep {experiments.creep.period_s:g} s, dynamics "
         f"{experiments.dynamics.period_s:g} s, harmonics "
         f"{experiments.hysteresis.harmonic_period_s:g} s",
-        *([f"noise leaves about {document.expected.model_percent:.2g} % in the model",
+        *([f"noise causes about {document.expected.model_percent:.2g} % error of the model",
            *document.expected.remarks] if document.expected else [])])

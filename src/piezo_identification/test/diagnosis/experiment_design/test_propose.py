@@ -33,7 +33,7 @@ VERDICT = {
                  "error_reduction_percent": 90.0}],
     "not_decidable": ["sensor_lag", "thermal_drift"],
     "not_decidable_because": {
-        "sensor_lag": "the data does not tell it from delay",
+        "sensor_lag": "the data does not distinguish it from delay",
         "thermal_drift": "in so short a time, a drift looks like creep that had begun before"},
     "not_told_from": {"sensor_lag": "delay"},
 }
@@ -186,7 +186,7 @@ def test_command_writes_waveform_and_outcome(plant, play, csv_of, tmp_path, monk
                  "--sample-rate-hz", "10000", "--slew-limit-v-per-s", "1e5"]
     assert main(arguments) == 0
     told = capsys.readouterr().out
-    assert "tells" in told and "stage play" in told
+    assert "distinguishes" in told and "stage play" in told
     assert (tmp_path / "next" / "next_experiment.csv").exists()
     (tmp_path / "verdict.json").write_text("[]")
     assert main(arguments) == 2

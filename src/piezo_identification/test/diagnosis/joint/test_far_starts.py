@@ -53,14 +53,14 @@ def bent(width_um):
     pytest.param(0.4, marks=pytest.mark.long), pytest.param(0.8, marks=pytest.mark.long), 1.6])
 def test_a_play_is_taken_out_of_the_hysteresis_that_has_it(width_um):
     problem = JointProblem(bent(width_um), [recording(1, width_um)], [recording(2, width_um)])
-    beside = problem.fit(())
+    simpler = problem.fit(())
     guesses = [Backlash(width) for width in np.geomspace(0.01, 3.0, 5)]
-    nearby = problem.fit(guesses[:1], begun=beside)
-    found = from_afar(problem, beside, guesses, nearby)
+    nearby = problem.fit(guesses[:1], begun=simpler)
+    found = from_afar(problem, simpler, guesses, nearby)
     assert found.against < nearby.against - 100.0
     assert found.effects[0].width_um == pytest.approx(width_um, rel=0.05)
     dynamics = found.model.dynamics
     assert dynamics.mode_frequencies_rad_per_s[0] == pytest.approx(MODE_RAD_PER_S, rel=0.01)
     assert dynamics.damping_ratios[0] == pytest.approx(DAMPING_RATIO, rel=0.1)
-    left_um, held_out = found.left_um()[0]
-    assert np.sqrt(np.mean(left_um[held_out] ** 2)) < 0.02 * width_um
+    residual_um, held_out = found.residual_um()[0]
+    assert np.sqrt(np.mean(residual_um[held_out] ** 2)) < 0.02 * width_um

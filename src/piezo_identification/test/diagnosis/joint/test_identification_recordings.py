@@ -124,4 +124,4 @@ def test_the_command_says_what_it_could_not_ask(files, tmp_path, capsys):
     assert "--identified-from" in document["not_asked"]
     document, told = diagnose("--identified-from", moved)
     assert document == {"recordings": [str(moved), str(files["hysteresis"])], "not_asked": ""}
-    assert "not asked" not in told
+    assert "not tested" not in told

@@ -110,7 +110,7 @@ def test_a_rest_passes_that_is_no_larger_than_what_the_model_is_known_to_be_wron
 
 
 def test_the_probability_of_something_else_rises_steadily_beyond_what_is_declared():
-    # The figures of docs/diagnosis.md.
+    # The figures of docs/diagnosis_method.md.
     wrong_um = 0.003
     found = [shares(("none", np.hypot(0.002, times * wrong_um), 0), wrong_um=wrong_um,
                     noise_um=0.002)["something_else"] for times in (1.0, 2.0, 4.0, 6.0)]

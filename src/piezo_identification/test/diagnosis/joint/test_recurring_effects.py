@@ -96,9 +96,9 @@ def test_recordings_of_the_identification_have_none_left_and_the_derivatives_are
             gradient[number], rel=5e-3, abs=5e-3 * np.linalg.norm(jacobian[:, number]))
     found = problem.fit((effect,))
     clean = JointProblem(LINE, [recording(1)], [recording(2)]).fit(())
-    assert _left_um(found) == pytest.approx(_left_um(clean), rel=0.03)
+    assert _residual_um(found) == pytest.approx(_residual_um(clean), rel=0.03)
     assert found.count > problem.fit((effect,), (effect.name,)).count
 
 
-def _left_um(fit):
-    return [np.sqrt(np.mean(left_um[held_out] ** 2)) for left_um, held_out in fit.left_um()]
+def _residual_um(fit):
+    return [np.sqrt(np.mean(each_um[held_out] ** 2)) for each_um, held_out in fit.residual_um()]

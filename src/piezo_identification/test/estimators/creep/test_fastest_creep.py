@@ -18,17 +18,17 @@ SLOW_RAD_PER_S, PART = 0.1, 0.05
 LEVELS_V = (20.0, 80.0, 20.0, 80.0, 20.0)
 
 
-def recording(fast_rad_per_s):
+def recording(fast_rad_per_s, fast_part=PART):
     """Steps of a linear stage with two exponentials of creep, read when the row begins."""
     voltage_v = np.repeat(LEVELS_V, 1200)
     time_s = np.arange(voltage_v.size) * PERIOD_S
     displacement_um = np.append(voltage_v[0], voltage_v[:-1])
-    for rate in (SLOW_RAD_PER_S, fast_rad_per_s):
+    for rate, part in ((SLOW_RAD_PER_S, PART), (fast_rad_per_s, fast_part)):
         crept = np.full(voltage_v.size, LEVELS_V[0])
         for number, (before, after) in enumerate(zip(LEVELS_V[:-1], LEVELS_V[1:], strict=True), 1):
             since = np.maximum(time_s - 1200 * number * PERIOD_S, 0.0)
             crept -= (after - before) * np.expm1(-rate * since)
-        displacement_um = displacement_um + PART * crept
+        displacement_um = displacement_um + part * crept
     noise = np.random.default_rng(1).normal(size=voltage_v.size)
     return Recording(
         "closed form", 1.0 / PERIOD_S, np.arange(voltage_v.size),
@@ -49,6 +49,13 @@ def test_no_pole_is_faster_than_the_rows_tell(estimate, rows):
         assert poles == pytest.approx((SLOW_RAD_PER_S, fast_rad_per_s), rel=0.03)
     else:
         assert poles.size == 1
+
+
+def test_what_the_rows_do_not_show_does_not_make_the_rest_faster():
+    found = estimate_creep(recording(1.0 / (0.7 * PERIOD_S), 0.5)).model
+    assert found.poles_rad_per_s == pytest.approx((SLOW_RAD_PER_S,), rel=0.02)
+    [pole], [zero] = found.poles_rad_per_s, found.zeros_rad_per_s
+    assert zero / pole - 1.0 == pytest.approx(PART / 1.5, rel=0.03)
 
 
 def test_creep_faster_than_the_rows_explains_no_noise(recorded):

@@ -129,5 +129,5 @@ def test_a_square_wave_too_fast_for_creep_is_refused(play):
 
 
 def test_missing_samples_are_refused_with_their_place(record):
-    with pytest.raises(ValueError, match="lacks 20 samples from sample 40000"):
+    with pytest.raises(ValueError, match="gap of 20 samples at sample 40000"):
         played(replace(record(), gaps=[(40_000, 20)]))

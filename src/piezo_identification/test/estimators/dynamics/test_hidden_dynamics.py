@@ -169,8 +169,8 @@ def test_the_search_does_not_end_before_three_modes_nor_begin_where_none_may_sta
 def test_no_form_leaves_less_than_coupled_modes_with_its_poles(seed):
     estimate = estimated(drawn_stage(seed), seed)
     trials = {trial.order: trial.residual_rms for trial in estimate.trials}
-    coupled = {order.beside: left for order, left in trials.items() if order.is_coupled}
-    forms = [(order.modes + order.beside, left) for order, left in trials.items()
+    coupled = {order.parallel: left for order, left in trials.items() if order.is_coupled}
+    forms = [(order.modes + order.parallel, left) for order, left in trials.items()
              if not order.is_coupled and not order.sensor_lags]
     assert any(modes in coupled for modes, _ in forms)
     assert all(left > 0.999 * coupled[modes] for modes, left in forms if modes in coupled)
@@ -210,7 +210,7 @@ def test_eight_modes_of_a_structure_are_found():
     stage = IndependentStage(1e-4, tuple((w, 0.02, part) for w, part in zip(
         frequencies.tolist(), parts.tolist(), strict=True)))
     estimate = estimated(stage)
-    assert estimate.order.modes + estimate.order.beside == 8
+    assert estimate.order.modes + estimate.order.parallel == 8
     assert estimate.residual_rms < 1.2 * FOLDED_NOISE_UM
 
 
@@ -218,7 +218,7 @@ def test_eight_modes_of_a_structure_are_found():
 def test_a_spring_that_stiffens_makes_no_further_mode():
     stage = IndependentStage(4.9e-4, MODES, stiffening_per_um2=1e-5)
     estimate = estimated(stage)
-    assert estimate.order.modes + estimate.order.beside == 2
+    assert estimate.order.modes + estimate.order.parallel == 2
     # What is left is a hundred times the noise: the test of adequacy has to say so.
     assert estimate.residual_rms > 30.0 * FOLDED_NOISE_UM
 

@@ -51,5 +51,5 @@ def test_a_spring_that_stiffens_is_one_mode_whatever_it_leaves():
     estimate = fit_output_error(FastRecord(
         HeldInput(inputs, PERIOD_S, False), rows, measured, np.ones((rows.size, 1))))
     assert estimate.residual_rms > 1000.0 * 1e-5
-    assert estimate.order.modes + estimate.order.beside == 1
+    assert estimate.order.modes + estimate.order.parallel == 1
     assert estimate.order.antiresonances == 0

@@ -42,8 +42,8 @@ def test_a_record_may_hold_slow_motion_where_slow_poles_are_no_vibration(
         poles += [pole, np.conj(pole)]
     monkeypatch.setattr(slow_misfit, "best_free_fit",
                         lambda coarse: SimpleNamespace(poles=np.array(poles)))
-    beside = slow_misfit.beside_slow_misfit(record)
-    assert (beside.fixed.shape[1] > record.fixed.shape[1]) == needs_waves
+    projected = slow_misfit.project_out_slow_error(record)
+    assert (projected.fixed.shape[1] > record.fixed.shape[1]) == needs_waves
 
 
 def test_loops_are_as_fast_as_nearly_all_of_their_power():

@@ -75,7 +75,7 @@ def tables_of(path: Path, groups: list[Group]) -> list[Table]:
 
 
 @contextmanager
-def damage_told(path: Path, kind: str) -> Iterator[None]:
+def damage_reported(path: Path, kind: str) -> Iterator[None]:
     """Convert any error of a library on damaged bytes to a one-line message."""
     try:
         with warnings.catch_warnings():
@@ -91,7 +91,7 @@ def damage_told(path: Path, kind: str) -> Iterator[None]:
 
 def read_npy(path: Path, progress: Progress) -> list[Table]:
     """Read an array of NumPy; columns without names are numbered."""
-    with damage_told(path, "NumPy file"):
+    with damage_reported(path, "NumPy file"):
         values = np.load(path, mmap_mode="r")
         group = Group("")
         group.take("", values)
@@ -101,7 +101,7 @@ def read_npy(path: Path, progress: Progress) -> list[Table]:
 def read_npz(path: Path, progress: Progress) -> list[Table]:
     """Read the arrays of an .npz."""
     group = Group("")
-    with damage_told(path, "NumPy file"):
+    with damage_reported(path, "NumPy file"):
         with zipfile.ZipFile(path) as archive:
             size = sum(each.file_size for each in archive.infolist())
         if size > LARGEST_BYTES:
@@ -124,7 +124,7 @@ def read_wav(path: Path, progress: Progress) -> list[Table]:
     from scipy.io import wavfile
 
     group = Group("")
-    with damage_told(path, "WAV file"):
+    with damage_reported(path, "WAV file"):
         rate_hz, values = wavfile.read(path)
         group.take("channel", values)
         group.scalars["rate"] = float(rate_hz)
@@ -135,7 +135,7 @@ def read_hdf5(path: Path, progress: Progress) -> list[Table]:
     """Read the datasets of an HDF5 file, or of a MATLAB file of version 7.3."""
     h5py = library("h5py", path)
     groups = {"": Group("")}
-    with damage_told(path, "HDF5 file"), h5py.File(path, "r") as file:
+    with damage_reported(path, "HDF5 file"), h5py.File(path, "r") as file:
         found: list[tuple[str, Any]] = []
         file.visititems(lambda name, node: found.append((name, node)))
         for number, (name, node) in enumerate(found, start=1):

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from piezo_recorder.reading.tables.array_files import Group, damage_told, tables_of
+from piezo_recorder.reading.tables.array_files import Group, damage_reported, tables_of
 from piezo_recorder.reading.tables.libraries import library
 from piezo_recorder.reading.tables.table import Progress, Table
 
@@ -24,7 +24,7 @@ def read_tdms(path: Path, progress: Progress) -> list[Table]:
     """Read the channels of a TDMS file; each of its groups is a table."""
     nptdms = library("nptdms", path)
     groups = []
-    with (damage_told(path, "TDMS file"), _warnings_of_tdms() as warned,
+    with (damage_reported(path, "TDMS file"), _warnings_of_tdms() as warned,
           nptdms.TdmsFile.open(path) as file):
         channels = sum(len(group.channels()) for group in file.groups())
         for found in file.groups():
@@ -72,7 +72,7 @@ def _take_channel(group: Group, channel: Any) -> None:
 def read_parquet(path: Path, progress: Progress) -> list[Table]:
     """Read the columns of a Parquet file, batch by batch."""
     parquet = library("pyarrow.parquet", path)
-    with damage_told(path, "Parquet file"), parquet.ParquetFile(path) as file:
+    with damage_reported(path, "Parquet file"), parquet.ParquetFile(path) as file:
         return _tables(path, file.schema_arrow, file.iter_batches(), file.metadata.num_rows,
                        progress)
 
@@ -80,7 +80,7 @@ def read_parquet(path: Path, progress: Progress) -> list[Table]:
 def read_arrow(path: Path, progress: Progress) -> list[Table]:
     """Read the columns of an Arrow (Feather) file, batch by batch."""
     ipc = library("pyarrow.ipc", path)
-    with damage_told(path, "Arrow file"), ipc.open_file(str(path)) as file:
+    with damage_reported(path, "Arrow file"), ipc.open_file(str(path)) as file:
         count = file.num_record_batches
         batches = (file.get_batch(number) for number in range(count))
         return _tables(path, file.schema, batches, 0, progress)

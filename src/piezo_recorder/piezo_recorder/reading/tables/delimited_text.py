@@ -222,7 +222,7 @@ class _Reading:
             break
         columns = {self._labels[column]: np.concatenate([chunk[:, place] for chunk in chunks])
                    for place, column in enumerate(self._used)}
-        notes = [f"{self._path}: the column '{label}' is left out: {what}"
+        notes = [f"{self._path}: the column '{label}' is skipped: {what}"
                  for label, what in self._dropped.items()]
         notes += [f"{self._path}: {note}" for note in (self._footer, self._grouped) if note]
         for label in self._times_of_day:
@@ -234,7 +234,7 @@ class _Reading:
         footer = footer_lines(self._path, self._encoding, self._dialect)
         if footer:
             self._footer = (f"the file ends with {len(footer)} lines that are no rows; they are "
-                            f"left out, from '{footer[0][:40]}' on")
+                            f"skipped, from '{footer[0][:40]}' on")
         with self._lines() as (stream, share):
             for _ in range(self._dialect.first_line):
                 next(stream)

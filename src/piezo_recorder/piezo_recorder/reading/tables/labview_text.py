@@ -41,21 +41,21 @@ def labview_preamble(lines: Sequence[str]) -> LabviewPreamble | None:
         return None
     rest = lines[0][len(FIRST_LINE):]
     delimiter = "," if rest.startswith(",") else "\t"
-    said: dict[str, list[str]] = {}
+    fields: dict[str, list[str]] = {}
     for line in lines[1:]:
         name, *values = [cell.strip() for cell in line.split(delimiter)]
         if name == TIME:
             break
-        said[name] = values
-    delimiter = _SEPARATORS.get(_first(said, "Separator"), delimiter)
-    period = _first(said, "Delta_X").replace(",", ".")
+        fields[name] = values
+    delimiter = _SEPARATORS.get(_first(fields, "Separator"), delimiter)
+    period = _first(fields, "Delta_X").replace(",", ".")
     try:
         period_s = float(period or 0.0)
     except ValueError:
         period_s = 0.0
-    return LabviewPreamble(delimiter, tuple(said.get("Y_Unit_Label", ())), period_s,
-                           _first(said, "X_Columns") != "No")
+    return LabviewPreamble(delimiter, tuple(fields.get("Y_Unit_Label", ())), period_s,
+                           _first(fields, "X_Columns") != "No")
 
 
-def _first(said: dict[str, list[str]], name: str) -> str:
-    return next(iter(said.get(name, ())), "")
+def _first(fields: dict[str, list[str]], name: str) -> str:
+    return next(iter(fields.get(name, ())), "")

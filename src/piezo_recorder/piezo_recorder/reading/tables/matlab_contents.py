@@ -70,14 +70,14 @@ def is_capture(structure: Any) -> bool:
 def _of_capture(name: str, capture: Any) -> Iterator[tuple[str, np.ndarray]]:
     yield f"{name}.time [s]", np.asarray(capture.X.Data)
     signals = np.atleast_1d(capture.Y)
-    for signal, label in zip(signals, told_apart([str(each.Name) for each in signals]),
+    for signal, label in zip(signals, distinct_labels([str(each.Name) for each in signals]),
                              strict=True):
         unit = getattr(signal, "Unit", "")
         unit = f" [{unit}]" if isinstance(unit, str) and unit.strip() else ""
         yield f"{name}.{label}{unit}", np.asarray(signal.Data)
 
 
-def told_apart(paths: list[str]) -> list[str]:
+def distinct_labels(paths: list[str]) -> list[str]:
     """Return the distinguishing words of block paths, without their common beginning and end.
 
     Parameters

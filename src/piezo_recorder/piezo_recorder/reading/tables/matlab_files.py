@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from piezo_recorder.reading.recording import RecordingError
-from piezo_recorder.reading.tables.array_files import Group, damage_told, tables_of
+from piezo_recorder.reading.tables.array_files import Group, damage_reported, tables_of
 from piezo_recorder.reading.tables.table import Progress, Table
 
 READER = Path(__file__).with_name("matlab_contents.py")
@@ -57,7 +57,7 @@ def read_matlab(path: Path, progress: Progress) -> list[Table]:
     RecordingError
         If the file is damaged, or holds no numeric arrays.
     """
-    with damage_told(path, "MATLAB file"), TemporaryDirectory() as folder:
+    with damage_reported(path, "MATLAB file"), TemporaryDirectory() as folder:
         arrays_file = Path(folder) / "arrays.npz"
         variables, names = _read_apart(path, arrays_file)
         groups = {"": Group("")}

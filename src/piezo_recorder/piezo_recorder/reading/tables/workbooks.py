@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_recorder.reading.tables.array_files import Group, damage_told, read_npz, tables_of
+from piezo_recorder.reading.tables.array_files import Group, damage_reported, read_npz, tables_of
 from piezo_recorder.reading.tables.cells import across_midnight, clock_seconds
 from piezo_recorder.reading.tables.libraries import library
 from piezo_recorder.reading.tables.table import Progress, Table
@@ -24,7 +24,7 @@ Clock = datetime | time | timedelta
 
 def read_zip(path: Path, progress: Progress) -> list[Table]:
     """Read a workbook, or else the arrays of an .npz."""
-    with damage_told(path, "archive"), zipfile.ZipFile(path) as archive:
+    with damage_reported(path, "archive"), zipfile.ZipFile(path) as archive:
         is_workbook = WORKBOOK in archive.namelist()
     return (read_workbook if is_workbook else read_npz)(path, progress)
 
@@ -33,7 +33,7 @@ def read_workbook(path: Path, progress: Progress) -> list[Table]:
     """Read the sheets of a workbook; each is a table below its last row of text."""
     openpyxl = library("openpyxl", path)
     groups = []
-    with damage_told(path, "workbook"):
+    with damage_reported(path, "workbook"):
         book = openpyxl.load_workbook(path, read_only=True, data_only=True)
         try:
             for number, sheet in enumerate(book.worksheets, start=1):

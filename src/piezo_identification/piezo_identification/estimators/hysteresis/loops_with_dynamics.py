@@ -52,7 +52,7 @@ STEP = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
-class BesideDynamics:
+class LoopsWithDynamics:
     """A hysteresis and the dynamics that follow it."""
 
     hysteresis: PreisachModel
@@ -73,7 +73,7 @@ class BesideDynamics:
         return hysteresis.simulate(recording.voltage_v, memory)
 
 
-def hysteresis_beside_dynamics(recordings: Sequence[FastLoops]) -> BesideDynamics:
+def hysteresis_with_dynamics(recordings: Sequence[FastLoops]) -> LoopsWithDynamics:
     """Fit a hysteresis of few cells, the dynamics that follow it and a delay together.
 
     Parameters
@@ -84,13 +84,14 @@ def hysteresis_beside_dynamics(recordings: Sequence[FastLoops]) -> BesideDynamic
     period_s = recordings[0].sample_period_s
     regressions = [LoopRegression(recordings, past) for past in PASTS]
     start = _Point(np.array([np.log(period_s), 0.0]), 0, period_s)
-    begun = BesideDynamics(regressions[0].hysteresis(start.response), start.dynamics, 0.0, PASTS[0])
+    begun = LoopsWithDynamics(
+        regressions[0].hysteresis(start.response), start.dynamics, 0.0, PASTS[0])
     if all(np.ptp(begun.entering_um(each)) == 0.0 for each in recordings):
         return begun  # no displacement rises with the voltage: there is nothing to follow
     lag = _polished(regressions[0], start)
     regression = min(regressions, key=lambda each: each.fit(lag.response).cost)
     found = _grown(regression, lag)
-    return BesideDynamics(
+    return LoopsWithDynamics(
         regression.hysteresis(found.response), found.dynamics, found.delay * period_s,
         regression.past)
 

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Images of a grating from the simulated XY stage, and how far they are distorted."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from piezo_client.scans import stored_scan
+from piezo_common.gsf import Field
+from piezo_common.picture_style import label, new_figure
+from piezo_controller.axes.path_plan import PathPlan
+from piezo_controller.axes.scan import scan
+from piezo_models.axes.coupled import CoupledModel
+from piezo_models.axes.identified_axes import IdentifiedAxes
+from piezo_recorder.images.geometric_error import error_by_sensors, error_by_specimen
+from piezo_recorder.images.scan_image import ScanImage, image_of
+from piezo_sim.specimen.grating import grating
+from piezo_studies.coupled_scans.trials import VOLTAGE_RANGE_V
+from piezo_studies.coupled_scans.xy_stage import imaged
+
+SIZE_UM, LINES, RATE_HZ = 20.0, 256, 20.0
+PITCH_UM, SEED = 2.5, 1
+BEYOND_UM = 10.0
+"""By how much the grating reaches beyond the image: farther than any distortion."""
+
+
+def images_of_grating(model: CoupledModel | IdentifiedAxes, lines: int = LINES,
+                      rate_hz: float = RATE_HZ) -> tuple[dict[str, ScanImage], Field]:
+    """Scan a grating without an inverse and with that of a model.
+
+    Returns
+    -------
+    images : dict of str to ScanImage
+        By commanded and by measured positions.
+    specimen : Field
+    """
+    plan = scan(model, "raster", size_um=(SIZE_UM, SIZE_UM), lines=lines, rate_hz=rate_hz,
+                voltage_range_v=VOLTAGE_RANGE_V)
+    frame = plan.frame
+    assert frame is not None  # a raster has pixels
+    specimen = grating((frame.centre_um[0], frame.centre_um[1]), SIZE_UM + 2.0 * BEYOND_UM,
+                       PITCH_UM, SEED)
+    images: dict[str, ScanImage] = {}
+    for name, each in (("no inverse", plan.without_inverse()), ("inverse", plan)):
+        images |= _both(name, each, specimen)
+    return images, specimen
+
+
+def _both(name: str, plan: PathPlan, specimen: Field) -> dict[str, ScanImage]:
+    recording = imaged(stored_scan(plan), specimen)
+    return {f"{name}, as commanded": image_of(recording, frame=plan.frame,
+                                              position_um=plan.path.position_um),
+            f"{name}, as measured": image_of(recording, frame=plan.frame)}
+
+
+def image_table(images: Mapping[str, ScanImage], specimen: Field) -> str:
+    """Return the geometric errors of images as Markdown."""
+    rows = []
+    for name, image in images.items():
+        known = error_by_specimen(image, specimen)
+        numbers = (error_by_sensors(image).rms, known.rms, known.rms_calibrated)
+        rows.append(f"| {name} | " + " | ".join(f"{number:.2g}" for number in numbers) + " |")
+    return "\n".join([
+        "| RMS in pixels | by the sensors | by the specimen | without scale, rotation, "
+        "squareness |", "|---|---|---|---|", *rows]) + "\n"
+
+
+def images_figure(images: Mapping[str, ScanImage]) -> Figure:
+    """Draw the first image and the last one side by side, with the same colours."""
+    (before, first), *_, (after, last) = images.items()
+    figure = new_figure(4.1, 8.0)
+    low, high = np.nanpercentile(last.values, (1.0, 99.0))
+    for axes, name, image in zip(figure.subplots(1, 2), (before, after), (first, last),
+                                 strict=True):
+        frame = image.frame
+        (left, bottom), (width, height) = frame.corner_um, frame.size_um
+        axes.imshow(image.values, "afmhot", origin="lower", vmin=low, vmax=high,
+                    extent=(left, left + width, bottom, bottom + height))
+        label(axes, f"{frame.axes[0]} (um)", f"{frame.axes[1]} (um)", name)
+        axes.grid(False)
+    return figure
