@@ -8,13 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piezo_client.scan_learning import SAME_PERIOD, smooth_rise
-from piezo_client.scans import StoredScan
+from piezo_client.scans import MAX_FEEDBACK_V, StoredScan
 from piezo_common.arrays import FloatArray
 from piezo_models.feedback_law.axes_law import AxesLaw
 from piezo_models.feedback_law.feedback_law import FeedbackLaw
-
-MAX_FEEDBACK_V = 20.0
-"""Largest voltage of the feedback by default, as that of the controller node."""
 
 REST_S = 0.1
 """Time at the first voltage before a path begins: many decays of the modes."""

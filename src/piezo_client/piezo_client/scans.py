@@ -26,6 +26,10 @@ PERIOD_FILE, BEGIN_FILE = "path.csv", "begin.csv"
 """Files of `scan`: one period to repeat, and the way from the operating point into it."""
 
 
+MAX_FEEDBACK_V = 20.0
+"""Largest voltage of a feedback by default, as that of the controller node."""
+
+
 @dataclass(frozen=True, eq=False)
 class StoredScan:
     """The voltages of a planned path, and its positions."""

@@ -27,16 +27,21 @@ from piezo_client.results import (
     Played,
     Tracking,
 )
-from piezo_client.scan_feedback import MAX_FEEDBACK_V, followed_scan
-from piezo_client.scan_follower import ScanFollower
-from piezo_client.scans import Scanned, StoredScan, read_scan, scanned, write_scan
-from piezo_models.feedback_law.axes_law import load_axes_law
+from piezo_client.scans import (
+    MAX_FEEDBACK_V,
+    Scanned,
+    StoredScan,
+    read_scan,
+    scanned,
+    write_scan,
+)
 from piezo_recorder.images.scan_frame import SCAN_FILE
 from piezo_ros.messages import Message, MessageType
 from piezo_ros.stage_runs.described_stage import DescribedStage
 from piezo_ros.stage_runs.recording_calls import RecorderNews, free_name
 
 if TYPE_CHECKING:
+    from piezo_client.scan_follower import ScanFollower
     from piezo_models.axes.coupled import CoupledModel
 
 _numbers = itertools.count(1)
@@ -196,6 +201,11 @@ class Stage:
 
     def _scan_with_feedback(self, planned: StoredScan, feedback: AnyPath, periods: int,
                             directory: AnyPath, name: str, max_feedback_v: float) -> Scanned:
+        # Imported here, since it takes a second that playing alone does not need.
+        from piezo_client.scan_feedback import followed_scan
+        from piezo_client.scan_follower import ScanFollower
+        from piezo_models.feedback_law.axes_law import load_axes_law
+
         axes = self.description.axes
         if tuple(axis.name for axis in axes) != planned.axes:
             raise ValueError(f"the scan has the axes {', '.join(planned.axes)}, and the stage "
