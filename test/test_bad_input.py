@@ -68,7 +68,8 @@ def write_mcap(path):
             block = types[TYPE_NAME](
                 header=header, first_sample=40 * tick, sample_period_s=25e-6, tick=tick + 1,
                 voltage_v=np.full(40, float(tick)), displacement_um=np.arange(40.0), flags=16,
-                missed_feedback=0, axes=[])
+                missed_feedback=0, axes=[], marks=np.empty(0, np.uint8),
+                signals=[], signal=np.empty(0))
             writer.write(channel, bytes(typestore.serialize_cdr(block, TYPE_NAME)), tick)
     folder = path.with_suffix("")
     path.write_bytes((folder / f"{folder.name}_0.mcap").read_bytes())

@@ -119,7 +119,7 @@ def test_every_message_is_recorded_and_numbers_are_told(recorder, tmp_path):
     assert counts == {
         **{f"{NAMESPACE}/{topic}": 500 for topic in ("samples", "ground_truth", "feedback")},
         f"{NAMESPACE}/applied_feedback": 0, f"{NAMESPACE}/reference": 0,
-        f"{NAMESPACE}/controller/reference": 0,
+        f"{NAMESPACE}/controller/reference": 0, f"{NAMESPACE}/marks": 0,
         f"{NAMESPACE}/stage/description": 1}
 
     refused = recorder.start(tmp_path, "run")

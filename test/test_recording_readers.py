@@ -93,7 +93,8 @@ def test_a_recording_is_read_without_any_package_of_ours(tmp_path, clean_python)
         messages.append(bytes(typestore.serialize_cdr(types[TYPE_NAME](
             header=header, first_sample=first, sample_period_s=2.5e-5, tick=first // 40 + 1,
             voltage_v=voltage_v[part], displacement_um=displacement_um[part], flags=16,
-            missed_feedback=0, axes=[]), TYPE_NAME)))
+            missed_feedback=0, axes=[], marks=np.empty(0, np.uint8), signals=[],
+            signal=np.empty(0)), TYPE_NAME)))
     with RecordingWriter(tmp_path / "run") as writer:
         writer.attach("model.json", b'{"format": "piezo_stage_model"}')
         channel = writer.add_topic("/stage/samples", definition)

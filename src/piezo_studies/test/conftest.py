@@ -73,7 +73,8 @@ class TrackingRecordings:
             header=header, first_sample=first_sample, sample_period_s=1 / SAMPLE_RATE_HZ,
             tick=first_sample // TICK + 1, voltage_v=np.asarray(voltage_v, float),
             displacement_um=np.asarray(displacement_um, float), flags=int(flags),
-            missed_feedback=missed, axes=[]), TYPE_NAME))
+            missed_feedback=missed, axes=[], marks=np.empty(0, np.uint8),
+            signals=[], signal=np.empty(0)), TYPE_NAME))
 
 
 def _parameters(mode, frequency_hz, amplitude_um, duration_s):

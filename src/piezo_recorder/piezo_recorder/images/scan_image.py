@@ -17,6 +17,10 @@ from piezo_recorder.sample_block import Mark
 NEAR_PIXELS = 0.25
 """Distance up to which a pixel outside all measured positions takes the value of the nearest."""
 
+FAR_PIXELS = 1.5
+"""Distance from all measured positions beyond which nothing is interpolated: lines at a distance of
+twice that were left out, as where the path turned outside of the image."""
+
 
 @dataclass(frozen=True, eq=False)
 class ScanImage:
@@ -160,7 +164,8 @@ def _gridded(visited_um: FloatArray, values: FloatArray, frame: ScanFrame) -> Fl
     found: FloatArray = LinearNDInterpolator(triangles, values)(places)
     # Half a line away from the lines, a straight line would cut off what is curved.
     found[..., 0] = CloughTocher2DInterpolator(triangles, values[:, 0])(places)
-    missed = np.isnan(found[..., -1])
-    distance, nearest = cKDTree(visited).query(places[missed])
-    found[missed] = np.where((distance <= NEAR_PIXELS)[:, None], values[nearest], np.nan)
+    distance, nearest = cKDTree(visited).query(places)
+    beside = np.isnan(found[..., -1]) & (distance <= NEAR_PIXELS)
+    found[beside] = values[nearest[beside]]
+    found[distance > FAR_PIXELS] = np.nan
     return found

@@ -82,6 +82,15 @@ def test_pixels_that_were_not_reached_are_not_filled():
     assert lacking[:, :9].all() and not lacking[:, 11:].any()
 
 
+def test_gap_between_the_positions_is_left_empty():
+    commanded_um, marks = raster()
+    x = commanded_um[:, 0] - CENTRE_UM[0]
+    split_um = np.column_stack([commanded_um[:, 0] + np.where(x > 0.0, 4 * PIXEL_UM[0], 0.0),
+                                commanded_um[:, 1]])
+    lacking = np.isnan(image_of(recorded(commanded_um, marks, split_um)).values[1:-1, 20:32])
+    assert np.all(lacking.any(axis=1)) and np.all(lacking.sum(axis=1) <= 3)
+
+
 def test_last_frame_counts():
     commanded_um, marks = raster()
     twice = recorded(np.tile(commanded_um, (2, 1)), np.tile(marks, 2),
