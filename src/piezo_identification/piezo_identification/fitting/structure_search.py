@@ -39,8 +39,8 @@ class SearchSettings:
     promise: float = 100.0
     """Largest deficit of log-evidence with which a structure is followed or tried again."""
     promise_of_start: float = 1000.0
-    """The same for a start with another kind of amplifier, whose loops were not yet estimated,
-    before and after the search from the best start."""
+    """The same for a start with another kind of amplifier or with a line, whose loops were not yet
+    estimated, before and after the search from the best start."""
     chance: float = 3.0
     """Largest loss of log-likelihood on held-out rows that is attributed to chance."""
     modes_less: int = 2

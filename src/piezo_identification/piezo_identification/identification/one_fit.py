@@ -74,8 +74,11 @@ class _Search:
     report: Callable[[str, float], object]
     tried: list[tuple[str, WholeFit]] = field(default_factory=list)
 
-    def best(self, delay_s: float | None) -> _State:
-        """Return the best model that the search finds from the promising starts."""
+    def best(self, delay_s: float | None, rival: WholeFit | None = None) -> _State:
+        """Return the best model that the search finds from the promising starts.
+
+        If all starts are far behind a rival, it is the best of them.
+        """
         renewed = list[DensityEstimate]()
 
         def with_new_loops(start: Structure) -> WholeModel:
@@ -89,13 +92,15 @@ class _Search:
         length = (1.0 - BEGUN) / len(promising)
         states = [_State(self.given if problem is self.problem else replace(
             self.given, visited=renewed[0].visited), fit, problem) for problem, fit in promising]
+        if rival is not None and not _is_promising(states[0].best, rival):
+            return states[0]
         state = self._from(states[0], BEGUN, length)
         with while_time_lasts("the search from another start"):
             for number, start in enumerate(states[1:], 1):
                 check_cancelled()
                 # It has to make up for what the search before has gained, too.
-                is_promising = start.best.evidence_over(state.best) > -SETTINGS.promise_of_start
-                if is_promising and not is_at_noise(state.problem, state.best):
+                if _is_promising(start.best, state.best) and not is_at_noise(
+                        state.problem, state.best):
                     other = self._from(start, BEGUN + number * length, length)
                     state = other if is_better(other.best, state.best) else state
         return self._or_of_a_line(state, delay_s)
@@ -112,7 +117,7 @@ class _Search:
             problem = self.problem.with_line()
             line = replace(self, problem=problem, tried=[], given=replace(
                 self.given, model=problem.given, visited=np.ones((1, 1), dtype=bool)))
-            other = line.best(delay_s)
+            other = line.best(delay_s, state.best)
             self.tried.extend((f"a line: {change}", fit) for change, fit in line.tried)
             if is_better(other.best, state.best):
                 return other
@@ -158,6 +163,10 @@ class _Search:
 
     def _part(self, begin: float, length: float) -> Callable[[str, float], object]:
         return lambda what, fraction: self.report(what, begin + length * fraction)
+
+
+def _is_promising(start: WholeFit, best: WholeFit) -> bool:
+    return start.evidence_over(best) > -SETTINGS.promise_of_start
 
 
 def fitted_together(

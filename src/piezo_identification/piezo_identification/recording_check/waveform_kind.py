@@ -192,12 +192,14 @@ def _levels(voltage_v: FloatArray, swing_v: float, period_s: float) -> Waveform 
     rows = np.diff(np.concatenate([[0], jumps, [voltage_v.size]]))
     # A few rows between two levels are a transition, not a hold.
     branch_s = float(np.median(rows[rows > 4])) * period_s
-    if groups == 2 and widest <= 1.01 * SETTINGS.widest_level:
+    are_apart = widest <= 1.01 * SETTINGS.widest_level
+    if groups == 2 and are_apart:
         count = "one step" if jumps.size == 1 else f"{jumps.size} steps"
         return Waveform(Kind.SQUARE, f"{count} between {voltage_v.min():.5g} and "
                         f"{voltage_v.max():.5g} V, held for {branch_s:.4g} s", jumps, branch_s)
-    return Waveform(Kind.STEPS, f"{jumps.size} steps over {groups} levels, held for "
-                    f"{branch_s:.4g} s", jumps, branch_s)
+    over = f" over {groups} levels" if are_apart else ""
+    return Waveform(Kind.STEPS, f"{jumps.size} steps{over}, held for {branch_s:.4g} s", jumps,
+                    branch_s)
 
 
 def _repeat(voltage_v: FloatArray) -> int:

@@ -97,6 +97,13 @@ def test_steps_of_a_dither_are_no_jumps_but_one_that_stands_out_is():
         assert found.kind == "sine" and found.jumps.tolist() == [1000]
 
 
+def test_levels_are_counted_where_they_are_apart():
+    random = np.random.default_rng(2)
+    for levels, words in ((MAKERS["steps"](random), " over 8 levels"),
+                          (np.repeat(random.uniform(size=40), 500), " steps, held for 0.5 s")):
+        assert words in waveform_of(levels, PERIOD_S).text
+
+
 def test_a_sine_with_short_steps_is_no_square_wave():
     """Its steps are held for five rows, in which the sine hardly moves; outliers leave a gap."""
     random = np.random.default_rng(7)
