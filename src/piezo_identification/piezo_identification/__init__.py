@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 from piezo_common.lazy_exports import lazy_exports
 
 if TYPE_CHECKING:
+    from piezo_identification.axes.axes_response import AxesResponse, read_axes_response
     from piezo_identification.axes.identify_axes import identify_several_axes
     from piezo_identification.axes.predict_axes import AxesPrediction, predict_several_axes
     from piezo_identification.diagnosis.diagnose import diagnose
@@ -42,10 +43,11 @@ if TYPE_CHECKING:
 __getattr__, __dir__ = lazy_exports(__name__, __file__)
 
 __all__ = [
-    "AxesPrediction", "DensityEstimate", "Estimate", "Experiment", "FrequencyResponse",
-    "IdentificationCancelled", "ModelMonitor", "Prediction", "ResponseOrder", "StageLimits",
-    "alternatives_of_files", "decide", "diagnose", "estimate_creep", "estimate_density",
-    "estimate_dynamics", "estimate_dynamics_multisine", "estimate_from_response", "identify",
-    "identify_several_axes", "named_experiment", "predict", "predict_several_axes", "propose",
-    "read_frequency_response", "unseen_errors",
+    "AxesPrediction", "AxesResponse", "DensityEstimate", "Estimate", "Experiment",
+    "FrequencyResponse", "IdentificationCancelled", "ModelMonitor", "Prediction", "ResponseOrder",
+    "StageLimits", "alternatives_of_files", "decide", "diagnose", "estimate_creep",
+    "estimate_density", "estimate_dynamics", "estimate_dynamics_multisine",
+    "estimate_from_response", "identify", "identify_several_axes", "named_experiment", "predict",
+    "predict_several_axes", "propose", "read_axes_response", "read_frequency_response",
+    "unseen_errors",
 ]

@@ -8,8 +8,14 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
+import control
 from numpy.typing import ArrayLike
 
+from piezo_identification.axes.axes_response import (
+    AxesResponse,
+    is_axes_response,
+    read_axes_response,
+)
 from piezo_identification.estimators.frequency_response.response_file import (
     FrequencyResponse,
     is_frequency_response,
@@ -136,6 +142,10 @@ def axes_recordings_of(given: Any, name: str) -> list[AxesRecording]:
     piezo_recorder.RecordingError
         If a file or arrays of several axes are invalid.
     """
+    response = axes_response_in(given)
+    if response is not None:
+        raise RecordingError(f"{response.name} is a frequency response of several axes: give it "
+                             "alone, as the dynamics of identify")
     if isinstance(given, list | tuple):
         return [recording for each in given for recording in axes_recordings_of(each, name)]
     if isinstance(given, AxesRecording):
@@ -145,6 +155,15 @@ def axes_recordings_of(given: Any, name: str) -> list[AxesRecording]:
     if isinstance(given, Mapping) and len(axes_of_labels(list(given))) > 1:
         return axes_recordings_in(given, name)
     return []
+
+
+def axes_response_in(given: Any) -> AxesResponse | None:
+    """Return the given frequency response of several axes, or None if the data are not one."""
+    if isinstance(given, control.FrequencyResponseData):
+        return AxesResponse.from_control(given)
+    if isinstance(given, str | PathLike) and is_axes_response(given):
+        return read_axes_response(given)
+    return given if isinstance(given, AxesResponse) else None
 
 
 def recordings_of(given: Any, columns: Sequence[str], name: str) -> list[Recording]:

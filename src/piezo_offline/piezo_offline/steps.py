@@ -47,6 +47,7 @@ from piezo_offline.files import load_model as load_any_model
 from piezo_offline.given_data import (
     DataWarning,
     axes_recordings_of,
+    axes_response_in,
     in_list,
     read,
     recordings_of,
@@ -71,8 +72,9 @@ def identify(
     """Identify a model of the stage from recordings; at least one of the first three.
 
     Recordings of several axes (`piezo_recorder.AxesRecording`, or tables and arrays with columns
-    such as ``x_voltage_v``) give one model of all axes. It uses only the options `modes`,
-    `progress`, `note` and `budget_s`.
+    such as ``x_voltage_v``) give one model of all axes. So does their frequency response as
+    `dynamics`: `piezo_identification.AxesResponse`, ``control.FrequencyResponseData`` in um/V, or a
+    table. The only options are then `modes`, `progress`, `note` and `budget_s`.
 
     Parameters
     ----------
@@ -118,12 +120,12 @@ def identify(
     >>> print(np.round(model.model.dynamics.mode_frequencies_rad_per_s, 3))
     [1257.]
     """
-    of_axes = {name: axes_recordings_of(data, name) for name, data in (
-        ("creep", creep), ("dynamics", dynamics), ("hysteresis", hysteresis),
-        ("validation", validation))}
-    if of_axes["creep"] or of_axes["dynamics"] or of_axes["hysteresis"]:
+    fast = axes_response_in(dynamics) or axes_recordings_of(dynamics, "dynamics")
+    others = {name: axes_recordings_of(data, name) for name, data in (
+        ("creep", creep), ("hysteresis", hysteresis), ("validation", validation))}
+    if fast or others["creep"] or others["hysteresis"]:
         return identify_several_axes(
-            **of_axes, pairs=modes, note=note or (lambda text: None),
+            fast, **others, pairs=modes, note=note or (lambda text: None),
             progress=progress or (lambda what, part: None), budget=Budget(budget_s))
     given: dict[str, Any] = {}
     for name, data in (("creep", creep), ("dynamics", dynamics), ("hysteresis", hysteresis),

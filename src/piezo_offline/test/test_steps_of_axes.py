@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The same steps in Python with arrays of two axes."""
 
+import control
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -68,3 +69,25 @@ def test_a_file_of_two_axes_is_not_read_alone(tmp_path):
                comments="")
     with pytest.raises(RecordingError, match="hand the file itself to check"):
         piezo_offline.read(path)
+
+
+def response(seed=1):
+    """Return the measured response of the same stage, between held samples."""
+    stage = control.ss(0.6 * np.eye(2), np.eye(2), 0.4 * GAIN, np.zeros((2, 2)), 1e-3)
+    exact = control.frequency_response(stage, np.linspace(20.0, 3000.0, 200))
+    noise = np.random.default_rng(seed).normal(size=(2, *exact.frdata.shape))
+    return control.frd(exact.frdata + 1e-4 * (noise[0] + 1j * noise[1]), exact.omega, dt=1e-3)
+
+
+def test_a_response_of_python_control_gives_a_model_of_both():
+    identified = piezo_offline.identify(dynamics=response(), validation=columns(2), modes=1)
+    np.testing.assert_allclose(identified.model.response(0.0)[0].real, GAIN, atol=2e-3)
+    assert all(error["e_y_percent"] < 3.0 for error in identified.errors.values())
+
+
+def test_a_response_beside_recordings_or_as_one_is_refused(identified):
+    for refuse in (lambda: piezo_offline.identify(dynamics=[response(), columns(1)]),
+                   lambda: piezo_offline.identify(dynamics=columns(1), creep=response()),
+                   lambda: piezo_offline.simulate(identified, response())):
+        with pytest.raises(RecordingError, match="give it alone, as the dynamics of identify"):
+            refuse()

@@ -22,7 +22,7 @@ from piezo_identification.axes.predict_axes import (
     predict_several_axes,
     simulated_um,
 )
-from piezo_identification.axes.spectra import Spectrum, played_lines
+from piezo_identification.axes.spectra import Spectrum, played_lines, spectra_of_levels
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
 from piezo_models.axes.actuator import Actuator
 from piezo_models.axes.coupled import CoupledModel
@@ -84,13 +84,22 @@ def coupled_model(numbers: CoupledNumbers, late: np.ndarray, driven: Sequence[Ax
         Fast ones, with the drive in place of their voltage.
     """
     first, samples = driven[0], [len(each.voltage_v) for each in driven]
-    poles = (np.log(numbers.steps) / first.sample_period_s).astype(complex)
+    voltage_v, displacement_um = (
+        np.average([np.mean(signal, axis=0) for signal in signals], axis=0, weights=samples)
+        for signals in zip(*((each.voltage_v, each.displacement_um) for each in driven),
+                           strict=True))
+    return replace(modal_model(numbers, late, first.axes, first.sample_period_s),
+                   operating_voltage_v=voltage_v, operating_displacement_um=displacement_um,
+                   actuators=actuators)
+
+
+def modal_model(numbers: CoupledNumbers, late: np.ndarray, axes: tuple[str, ...],
+                sample_period_s: float) -> CoupledModel:
+    """Return the model of some numbers about zero, without softening."""
+    poles = (np.log(numbers.steps) / sample_period_s).astype(complex)
     return CoupledModel(
-        first.axes, first.sample_period_s, poles, residues_of(numbers, numbers.gains),
-        numbers.direct, late,
-        np.average([each.voltage_v.mean(axis=0) for each in driven], axis=0, weights=samples),
-        np.average([each.displacement_um.mean(axis=0) for each in driven], axis=0,
-                   weights=samples), actuators=actuators)
+        axes, sample_period_s, poles, residues_of(numbers, numbers.gains), numbers.direct, late,
+        np.zeros(len(axes)), np.zeros(len(axes)))
 
 
 def residues_of(numbers: CoupledNumbers, gains: FloatArray) -> ComplexArray:
@@ -166,7 +175,8 @@ def _behind(model: CoupledModel, fast: Sequence[AxesRecording], slow: Sequence[A
             pairs: int | None) -> FittedStage:
     """Fit the modes behind hysteresis and creep; the large motion determines each axis' gain."""
     actuators, driven = model.actuators, [with_drive(model, each) for each in fast]
-    fit, spectra, late = fitted_modes(driven, pairs, _silent, _silent, behind_actuators=True)
+    fit, spectra, late = fitted_modes(
+        spectra_of_levels(driven), pairs, _silent, _silent, behind_actuators=True)
     scales = _scales(coupled_model(fit.numbers, late, driven, actuators), slow)
     numbers = replace(fit.numbers, gains=fit.numbers.gains * scales,
                       direct=fit.numbers.direct * scales)

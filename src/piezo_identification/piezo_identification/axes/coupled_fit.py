@@ -25,6 +25,9 @@ FIRST_DAMPING, LARGEST_DAMPING = 1e-4, 1e4
 LESS = 0.8
 """Factor by which a start's softening is reduced until all levels are stable."""
 
+LINES_AT_ONCE = 256
+"""Lines whose slopes are held in memory at once, 20 MB for three axes with twenty modes."""
+
 LEAST_INFORMATION = 1e-30
 """Curvature of the misfit over a number, relative to the largest, that is none but rounding."""
 
@@ -172,8 +175,49 @@ def covariances(fit: CoupledFit, spectra: Sequence[Spectrum]) -> list[FloatArray
 
     It is scaled by the misfit where that is more than the deviations of the spectra make expected.
     """
-    scale = max(1.0, fit.misfit / (0.5 * max(fit.rows - fit.count, 1)))
-    return [scale * each for each in _Normal(fit.numbers, spectra, fit.residual).covariances()]
+    return [_scale(fit) * each for each in _Normal(fit.numbers, spectra, fit.residual).covariances()]
+
+
+def covariances_of_correlated(
+    fit: CoupledFit, responses: Sequence[Spectrum], covariance: ComplexArray,
+) -> list[FloatArray]:
+    """Return the covariances for the responses to each axis alone, whose errors are correlated.
+
+    The fit weights each error by its own deviation. Its scatter follows from the slopes and the
+    covariance of the errors (White, Econometrica 50, 1982).
+
+    Parameters
+    ----------
+    covariance : (K, n, n, n, n) array of complex
+        Of the errors by line, moving and driven axis, and moving and driven axis once more.
+    """
+    numbers, n = fit.numbers, len(responses)
+    own, shared = numbers.own().shape[1], numbers.shared().size
+    curvature, scatter = np.zeros((2, n * own + shared, n * own + shared))
+    for first in range(0, len(covariance), LINES_AT_ONCE):
+        lines = slice(first, first + LINES_AT_ONCE)
+        part = covariance[lines]
+        slopes = np.zeros((len(part), n, n, len(curvature)), dtype=complex)
+        for driven, spectrum in enumerate(responses):
+            at = Linearised(numbers, spectrum, lines)
+            of_own, of_shared = at.own_slopes(), at.shared_slopes()
+            for moved in range(n):
+                slopes[:, moved, driven, moved * own:(moved + 1) * own] = of_own
+                slopes[:, moved, driven, n * own:] = of_shared[moved]
+        square = np.stack([each.weight[lines] ** 2 for each in responses], axis=2)
+        pulled = square[..., None] * slopes
+        curvature += np.einsum("kmdp,kmdq->pq", slopes.conj(), pulled, optimize=True).real
+        scatter += 0.5 * np.einsum("kmdp,kmdij,kijq->pq", pulled.conj(), part, pulled,
+                                   optimize=True).real
+    inverse = _inverse(curvature, 0.0)
+    whole = _scale(fit) * inverse @ scatter @ inverse
+    places = [np.r_[moved * own:(moved + 1) * own, n * own:len(whole)] for moved in range(n)]
+    return [whole[np.ix_(each, each)] for each in places]
+
+
+def _scale(fit: CoupledFit) -> float:
+    """Return by how much the misfit is more than the deviations make expected."""
+    return max(1.0, fit.misfit / (0.5 * max(fit.rows - fit.count, 1)))
 
 
 class _Normal:

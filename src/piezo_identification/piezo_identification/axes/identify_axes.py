@@ -12,14 +12,29 @@ from piezo_identification.axes.actuator_rounds import (
     FittedStage,
     coupled_model,
     in_rounds,
+    modal_model,
     residues_of,
 )
-from piezo_identification.axes.coupled_fit import covariances
+from piezo_identification.axes.axes_response import AxesResponse
+from piezo_identification.axes.coupled_fit import (
+    CoupledFit,
+    covariances,
+    covariances_of_correlated,
+)
 from piezo_identification.axes.coupled_numbers import Linearised
-from piezo_identification.axes.modes_fit import Note, Progress, fitted_modes
+from piezo_identification.axes.modes_fit import JUDGED_STEPS, Note, Progress, fitted_modes
+from piezo_identification.axes.order_search import without_weak_poles
 from piezo_identification.axes.predict_axes import SAME_PERIOD, errors_percent
-from piezo_identification.axes.sensor_delays import sensor_delays
-from piezo_identification.axes.spectra import Spectrum, levels_of
+from piezo_identification.axes.sensor_delays import further_latencies, sensor_delays
+from piezo_identification.axes.spectra import (
+    Spectrum,
+    levels_of,
+    response_to,
+    spectra_of_levels,
+    spectra_of_response,
+    weight_by_residual,
+)
+from piezo_identification.identification.given_hysteresis import ANY_VOLTAGE_V
 from piezo_models.axes.coupled import CoupledModel, Softening
 from piezo_models.axes.identified_axes import Coupling, IdentifiedAxes
 from piezo_recorder.reading.axes import AxesRecording
@@ -28,12 +43,16 @@ from piezo_recorder.reading.recording import RecordingError
 MEMORIES_S = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Time constants of the running RMS that are compared, three to a decade."""
 
+NOISE_ROUNDS = 3
+"""Fits of a response of unknown deviations; each takes those that the one before left."""
+
 COUPLING_FREQUENCIES = 20
 """Frequencies, in addition to those of the modes, at which the model file gives the response."""
 
 
 def identify_several_axes(
-    dynamics: Sequence[AxesRecording], validation: Sequence[AxesRecording] = (), *,
+    dynamics: Sequence[AxesRecording] | AxesResponse,
+    validation: Sequence[AxesRecording] = (), *,
     creep: Sequence[AxesRecording] = (), hysteresis: Sequence[AxesRecording] = (),
     pairs: int | None = None, note: Note = lambda text: None,
     progress: Progress = lambda what, part: None, budget: Budget | None = None,
@@ -44,9 +63,10 @@ def identify_several_axes(
 
     Parameters
     ----------
-    dynamics : sequence of AxesRecording
+    dynamics : sequence of AxesRecording, or AxesResponse
         Fast ones, of the same axes and sample period. Softening is sought where there are several
-        levels of more realisations of periods than axes.
+        levels of more realisations of periods than axes. Or a measured frequency response, which
+        gives modes alone.
     validation : sequence of AxesRecording
         What is not fitted: the errors are measured on it.
     creep, hysteresis : sequence of AxesRecording
@@ -55,7 +75,7 @@ def identify_several_axes(
     pairs : int, optional
         Pairs of poles; by evidence by default.
     note : callable
-        Called with sentences on levels and orders.
+        Called with sentences on the levels and orders of recordings.
     progress : callable
         Called with what is done, and which part of the whole (0 to 1).
     budget : Budget, optional
@@ -68,12 +88,60 @@ def identify_several_axes(
     """
     budget = budget or Budget()
     with spending(budget):
-        identified = _identify({"dynamics": dynamics, "creep": creep, "hysteresis": hysteresis},
-                               validation, pairs, note, progress)
-    return replace(identified, unfinished=budget.sentence())
+        if isinstance(dynamics, AxesResponse):
+            if creep or hysteresis:
+                raise RecordingError(f"{dynamics.name} is a frequency response, beside which creep "
+                                     "and hysteresis are not estimated: leave them out")
+            identified = _of_response(dynamics, validation, pairs, progress)
+        else:
+            identified = _of_recordings(
+                {"dynamics": dynamics, "creep": creep, "hysteresis": hysteresis}, validation,
+                pairs, note, progress)
+    errors = errors_percent(identified.model, validation) if validation else {}
+    return replace(identified, errors=errors, unfinished=budget.sentence())
 
 
-def _identify(
+def _of_response(
+    response: AxesResponse, validation: Sequence[AxesRecording], pairs: int | None,
+    progress: Progress,
+) -> IdentifiedAxes:
+    for each in validation:
+        _check_alike(each, response)
+    n, measured = len(response.axes), spectra_of_response(response)
+    rounds = NOISE_ROUNDS if response.known_deviation() is None else 1
+    for done in range(rounds):
+        def progress_of_round(what: str, part: float, done: int = done) -> None:
+            progress(what, (done + part) / rounds)
+
+        fit, spectra, late = _fitted_response(measured, pairs, progress_of_round)
+        measured = [replace(each, weight=weight_by_residual(fitted, residual))
+                    for each, fitted, residual in zip(measured, spectra, fit.residual, strict=True)]
+    model = modal_model(fit.numbers, late, response.axes, response.sample_period_s)
+    known, covariance = covariances(fit, spectra), response.covariance_um2_per_v2
+    if covariance is not None:
+        turn = response.hold_gain()[:, None] * spectra[0].z[:, None] ** late
+        known = covariances_of_correlated(fit, spectra, np.einsum(
+            "km,kmdij,ki->kmdij", turn, covariance, turn.conj()))
+    return _identified(FittedStage(fit, spectra, model, np.zeros(n)), known,
+                       np.tile([-ANY_VOLTAGE_V, ANY_VOLTAGE_V], (n, 1)), [response])
+
+
+def _fitted_response(measured: Sequence[Spectrum], pairs: int | None, progress: Progress,
+                     ) -> tuple[CoupledFit, list[Spectrum], np.ndarray]:
+    """Return modes and latencies of a response, which are sought again with all modes known."""
+    late = np.zeros(measured[0].motion.shape[1], dtype=int)
+    while True:
+        fit, spectra, own = fitted_modes(
+            [[each.advanced(late) for each in measured]], pairs, lambda text: None, progress)
+        if pairs is None:
+            fit = without_weak_poles(fit, spectra, JUDGED_STEPS)
+        more = further_latencies(spectra, fit)
+        late = late + own + more
+        if not more.any():
+            return fit, spectra, late
+
+
+def _of_recordings(
     by_experiment: Mapping[str, Sequence[AxesRecording]], validation: Sequence[AxesRecording],
     pairs: int | None, note: Note, progress: Progress,
 ) -> IdentifiedAxes:
@@ -82,18 +150,34 @@ def _identify(
     _check(recordings, dynamics, validation)
     shortest_s = min(each.sample_period_s for each in recordings)
     fast = list(dynamics) or [each for each in recordings if _is_of_period(each, shortest_s)]
-    fit, spectra, late = fitted_modes(fast, pairs, note, progress)
+    fit, spectra, late = _fitted_modes(fast, pairs, note, progress)
     whole = None
     if by_experiment["creep"] or by_experiment["hysteresis"]:
         whole = in_rounds(fit, late, by_experiment, fast, pairs, note, progress)
         alike = [each for each in recordings if _is_of_period(each, fast[0].sample_period_s)]
         if whole is None and len(alike) > len(fast):
             fast = alike
-            fit, spectra, late = fitted_modes(fast, pairs, note, progress)
+            fit, spectra, late = _fitted_modes(fast, pairs, note, progress)
     progress("memory", 0.9)
-    whole = whole or FittedStage(fit, spectra, coupled_model(fit.numbers, late, fast),
-                                 np.zeros(len(fast[0].axes)))
-    return _identified(whole, fast, recordings, validation)
+    n = len(fast[0].axes)
+    whole = whole or FittedStage(
+        fit, spectra, coupled_model(fit.numbers, late, fast), np.zeros(n))
+    if len(whole.fit.numbers.back):
+        whole = replace(whole, model=_with_softening(whole, fast))
+    voltage_range_v = np.array([[min(each.voltage_v[:, axis].min() for each in recordings),
+                                 max(each.voltage_v[:, axis].max() for each in recordings)]
+                                for axis in range(n)])
+    return _identified(whole, covariances(whole.fit, whole.spectra), voltage_range_v, recordings)
+
+
+def _fitted_modes(recordings: Sequence[AxesRecording], pairs: int | None, note: Note,
+                  progress: Progress) -> tuple[CoupledFit, list[Spectrum], np.ndarray]:
+    progress("spectra", 0.0)
+    levels = spectra_of_levels(recordings)
+    note(f"{len(recordings)} recordings of {', '.join(recordings[0].axes)} at "
+         f"{len(levels)} levels, RMS " + ", ".join(
+             f"{level[0].amplitude_v:.3g}" for level in levels) + " V")
+    return fitted_modes(levels, pairs, note, progress)
 
 
 def _is_of_period(recording: AxesRecording, sample_period_s: float) -> bool:
@@ -106,54 +190,53 @@ def _check(recordings: Sequence[AxesRecording], dynamics: Sequence[AxesRecording
         raise RecordingError("there is nothing to identify: give recordings of several axes")
     first = dynamics[0] if dynamics else min(recordings, key=lambda each: each.sample_period_s)
     for each in (*recordings, *validation):
-        if each.axes != first.axes:
-            raise RecordingError(f"{each.name} has the axes {', '.join(each.axes)}, and "
-                                 f"{first.name} {', '.join(first.axes)}: give those of one stage")
-        if not _is_of_period(each, first.sample_period_s) and (
-                each in dynamics or each.sample_period_s < first.sample_period_s):
-            raise RecordingError(
-                f"{each.name} has a sample period of {each.sample_period_s:.6g} s, and "
-                f"{first.name} of {first.sample_period_s:.6g} s: give recordings of one rate")
+        _check_alike(each, first, exactly=each in dynamics)
     for number, axis in enumerate(first.axes):
         if all(np.ptp(each.voltage_v[:, number]) == 0.0 for each in recordings):
             raise RecordingError(f"no recording moves the axis {axis}: add one that does")
 
 
-def _identified(
-    found: FittedStage, fast: Sequence[AxesRecording], recordings: Sequence[AxesRecording],
-    validation: Sequence[AxesRecording],
-) -> IdentifiedAxes:
-    fit, spectra, model = found.fit, found.spectra, found.model
-    numbers, period_s, n = fit.numbers, model.sample_period_s, len(model.axes)
-    if len(numbers.back):
-        amplitudes_v = [spectrum.amplitude_v for spectrum in spectra]
-        model = replace(model, softening=Softening(
-            np.array([residues_of(numbers, back) for back in numbers.back]), numbers.back_gain,
-            numbers.reference_v, MEMORIES_S[-1], (min(amplitudes_v), max(amplitudes_v))))
-        model = _with_memory(model, fast)
-    known, columns = covariances(fit, spectra), numbers.gains.shape[0]
-    gain_deviations = np.sqrt(np.array([
-        np.diag(each)[: columns * n].reshape(columns, n) for each in known]).transpose(1, 0, 2))
-    off = np.sqrt(np.diag(known[0])[numbers.own().shape[1]:][:columns])
+def _check_alike(recording: AxesRecording, first: AxesRecording | AxesResponse,
+                 exactly: bool = False) -> None:
+    """Refuse a recording of other axes or of a shorter sample period; of any other, if wanted."""
+    if recording.axes != first.axes:
+        raise RecordingError(f"{recording.name} has the axes {', '.join(recording.axes)}, and "
+                             f"{first.name} {', '.join(first.axes)}: give those of one stage")
+    if not _is_of_period(recording, first.sample_period_s) and (
+            exactly or recording.sample_period_s < first.sample_period_s):
+        raise RecordingError(
+            f"{recording.name} has a sample period of {recording.sample_period_s:.6g} s, and "
+            f"{first.name} of {first.sample_period_s:.6g} s: give recordings of one rate")
+
+
+def _identified(found: FittedStage, known: Sequence[FloatArray], voltage_range_v: FloatArray,
+                sources: Sequence[AxesRecording | AxesResponse]) -> IdentifiedAxes:
+    """Return the model with its deviations, from covariances as `covariances` returns them."""
+    numbers, model = found.fit.numbers, found.model
+    period_s, n, columns = model.sample_period_s, len(model.axes), numbers.gains.shape[0]
+    # Rounding makes the variance of what is not determined negative.
+    deviations = np.sqrt(np.maximum([np.diag(each) for each in known], 0.0))
+    gain_deviations = deviations[:, : columns * n].reshape(n, columns, n).transpose(1, 0, 2)
+    off = deviations[0, numbers.own().shape[1]:][:columns]
     pairs = int(np.count_nonzero(numbers.steps.imag > 0.0))
     pole_deviations = (np.concatenate([
         off[0:2 * pairs:2] + 1j * off[1:2 * pairs:2], off[2 * pairs:]]) / period_s).astype(complex)
     residue_deviations = residues_of(numbers, gain_deviations)
     delays_s, delay_deviations_s = sensor_delays(model, residue_deviations)
     return IdentifiedAxes(
-        model, np.array([[min(each.voltage_v[:, axis].min() for each in recordings),
-                          max(each.voltage_v[:, axis].max() for each in recordings)]
-                         for axis in range(n)]),
-        _coupling(found, known), pole_deviations, residue_deviations, delays_s,
-        delay_deviations_s, errors_percent(model, validation) if validation else {},
-        [{"path": each.name, "sha256": each.sha256} for each in recordings])
+        model, voltage_range_v, _coupling(found, known), pole_deviations, residue_deviations,
+        delays_s, delay_deviations_s,
+        recordings=[{"path": each.name, "sha256": each.sha256} for each in sources])
 
 
-def _with_memory(model: CoupledModel, recordings: Sequence[AxesRecording]) -> CoupledModel:
+def _with_softening(found: FittedStage, recordings: Sequence[AxesRecording]) -> CoupledModel:
     """Return the model with the memory that explains one recording of each level best."""
-    assert model.softening is not None
+    numbers, amplitudes_v = found.fit.numbers, [each.amplitude_v for each in found.spectra]
+    softening = Softening(
+        np.array([residues_of(numbers, back) for back in numbers.back]), numbers.back_gain,
+        numbers.reference_v, MEMORIES_S[-1], (min(amplitudes_v), max(amplitudes_v)))
     judged = [level[0] for level in levels_of(recordings)]
-    candidates = [replace(model, softening=replace(model.softening, memory_s=memory_s))
+    candidates = [replace(found.model, softening=replace(softening, memory_s=memory_s))
                   for memory_s in MEMORIES_S]
     return min(candidates, key=lambda candidate: sum(
         error["e_y_percent"] for each in judged
@@ -172,10 +255,8 @@ def _coupling(found: FittedStage, known: Sequence[FloatArray]) -> Coupling:
     z = np.exp(2j * np.pi * frequency_hz * model.sample_period_s)
     deviation = np.zeros((z.size, n, n), dtype=complex)
     for axis in range(n):
-        alone = Spectrum(z, np.tile(np.eye(n)[axis], (z.size, 1)).astype(complex),
-                         np.zeros((z.size, n), complex), np.ones((z.size, n)),
-                         numbers.reference_v, transient=False)
-        at = Linearised(numbers, alone)
+        at = Linearised(numbers, response_to(axis, z, np.zeros((z.size, n), complex),
+                                             np.ones((z.size, n)), numbers.reference_v))
         own, shared = at.own_slopes(), at.shared_slopes()
         for output, covariance in enumerate(known):
             late = z[:, None] ** -int(model.latency_samples[output])

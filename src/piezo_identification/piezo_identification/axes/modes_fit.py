@@ -15,12 +15,9 @@ from piezo_identification.axes.order_search import evidence_of, growing, without
 from piezo_identification.axes.sensor_delays import latencies
 from piezo_identification.axes.spectra import (
     Spectrum,
-    levels_of,
     reweighted,
-    spectra_of_level,
 )
 from piezo_models.axes.identified_axes import LIGHT
-from piezo_recorder.reading.axes import AxesRecording
 
 MOST_PAIRS = 40
 """Pairs of poles at which the search for the order ends in any case."""
@@ -61,26 +58,23 @@ Progress = Callable[[str, float], object]
 
 
 def fitted_modes(
-    recordings: Sequence[AxesRecording], pairs: int | None, note: Note, progress: Progress,
+    levels: Sequence[Sequence[Spectrum]], pairs: int | None, note: Note, progress: Progress,
     behind_actuators: bool = False,
 ) -> tuple[CoupledFit, list[Spectrum], np.ndarray]:
-    """Return modes and softening of fast recordings, and the latencies of the sensors.
+    """Return modes and softening of spectra, and the latencies of the sensors.
 
     Parameters
     ----------
+    levels : sequence of sequence of Spectrum
+        By amplitude, rising.
     pairs : int, optional
         Pairs of poles; by evidence by default.
     note, progress
         See `identify_several_axes`.
     behind_actuators : bool
-        The voltages of the recordings are the drive of the modes, behind hysteresis and creep.
+        The drive is that of the modes, behind hysteresis and creep.
     """
-    progress("spectra", 0.0)
-    levels = [spectra_of_level(level) for level in levels_of(recordings)]
     reference = _reference(levels)
-    note(f"{len(recordings)} recordings of {', '.join(recordings[0].axes)} at "
-         f"{len(levels)} levels, RMS " + ", ".join(
-             f"{level[0].amplitude_v:.3g}" for level in levels) + " V")
     start = _ordered(reference, pairs, progress)
     late = latencies(reference, start)
     if late.any():
@@ -140,7 +134,7 @@ def lowest_resonance(steps: ComplexArray) -> float:
     return float(np.abs(rates[light] if light.any() else rates).min())
 
 
-def _reference(levels: list[list[Spectrum]]) -> list[Spectrum]:
+def _reference(levels: Sequence[Sequence[Spectrum]]) -> Sequence[Spectrum]:
     """Return the spectra of the middle level that has responses, or of all where none has."""
     responses = [level for level in levels if _is_response(level)]
     if responses:

@@ -18,6 +18,10 @@ ALIKE = 1.05
 """Ratio of the residuals up to which two latencies explain a motion alike: modes that are not yet
 among the poles may gain so much by one that is not there."""
 
+SAME_EVIDENCE = 3.84
+"""Twice the logarithm of the likelihood ratio up to which two latencies explain a motion alike once
+all modes are known: 95 % of the chi-square distribution of one number."""
+
 MOST_DAMPED = 0.1
 """Damping ratio beyond which a mode's phase shows no delay, as its shape is seldom real."""
 
@@ -39,14 +43,26 @@ def latencies(spectra: Sequence[Spectrum], fit: CoupledFit) -> np.ndarray:
     light = steps[(steps.imag > 0.0) & (-rates.real < MOST_DAMPED * np.abs(rates))]
     if not light.size:
         light = steps
-    return np.array([_fewest(*equations_of_gains(spectra, light, TAPS, output, tried))
+    return np.array([_fewest(*equations_of_gains(spectra, light, TAPS, output, tried), ALIKE)
                      for output in range(n)])
 
 
-def _fewest(rows: FloatArray, targets: FloatArray) -> int:
+def further_latencies(spectra: Sequence[Spectrum], fit: CoupledFit) -> np.ndarray:
+    """Return the whole samples by which each sensor is later than a fit of all modes assumes.
+
+    They are the fewest that explain the motion as well as any within its errors.
+    """
+    tried, found = np.arange(MOST_LATE), []
+    for output in range(spectra[0].motion.shape[1]):
+        rows, targets = equations_of_gains(spectra, fit.numbers.steps, TAPS, output, tried)
+        found.append(_fewest(rows, targets, np.exp(SAME_EVIDENCE / len(rows))))
+    return np.array(found)
+
+
+def _fewest(rows: FloatArray, targets: FloatArray, alike: float) -> int:
     orthogonal = np.linalg.qr(rows)[0]
     residual = np.sum(targets**2, axis=0) - np.sum((orthogonal.T @ targets) ** 2, axis=0)
-    return int(np.argmax(residual <= ALIKE * residual.min()))
+    return int(np.argmax(residual <= alike * residual.min()))
 
 
 def sensor_delays(model: CoupledModel, deviations: ComplexArray) -> tuple[FloatArray, FloatArray]:

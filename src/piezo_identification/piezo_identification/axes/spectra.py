@@ -8,6 +8,8 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
+from piezo_identification.axes.axes_response import AxesResponse
+from piezo_identification.estimators.frequency_response.response_search import weight_of_noise
 from piezo_recorder.reading.axes import AxesRecording
 
 SMOOTHED_LINES = 31
@@ -72,6 +74,11 @@ def levels_of(recordings: Sequence[AxesRecording]) -> list[list[AxesRecording]]:
     return levels
 
 
+def spectra_of_levels(recordings: Sequence[AxesRecording]) -> list[list[Spectrum]]:
+    """Return the spectra of recordings by level of amplitude, rising."""
+    return [spectra_of_level(level) for level in levels_of(recordings)]
+
+
 def spectra_of_level(recordings: Sequence[AxesRecording]) -> list[Spectrum]:
     """Return the spectra of recordings of one level.
 
@@ -86,6 +93,46 @@ def spectra_of_level(recordings: Sequence[AxesRecording]) -> list[Spectrum]:
     if alike and len(recordings) > n:
         return _linear_approximation(recordings)
     return [_spectrum_of(each) for each in recordings]
+
+
+def spectra_of_response(response: AxesResponse) -> list[Spectrum]:
+    """Return the spectrum of a measured response to each axis, as of held voltage samples.
+
+    Deviations that are not known are alike at all lines, as large as most lines' rough part.
+
+    Raises
+    ------
+    ValueError
+        If the sample rate is too low for the frequencies.
+    """
+    held = response.hold_gain()[:, None, None]
+    z = np.exp(2j * np.pi * response.frequency_hz * response.sample_period_s)
+    deviation = response.known_deviation()
+    known = np.ones_like(response.gain_um_per_v) if deviation is None else deviation
+    weight = 1.0 / np.abs(held * known)
+    spectra = [response_to(axis, z, (held * response.gain_um_per_v)[:, :, axis],
+                           weight[:, :, axis], amplitude_v=1.0)
+               for axis in range(len(response.axes))]
+    if deviation is None:
+        rough = [np.median(np.abs(_rough_part(each)), axis=0) for each in spectra]
+        return [replace(each, weight=np.ones(each.weight.shape) / typical)
+                for each, typical in zip(spectra, rough, strict=True)]
+    return spectra
+
+
+def weight_by_residual(response: Spectrum, left: ComplexArray) -> FloatArray:
+    """Return the weights of a response by what a fit leaves: a constant and a relative part."""
+    weight = np.column_stack([weight_of_noise(*each) for each in zip(
+        left.T, (response.motion - left).T, strict=True)])
+    scaled: FloatArray = weight / np.sqrt(np.mean(np.abs(weight * left) ** 2, axis=0))
+    return scaled
+
+
+def response_to(axis: int, z: ComplexArray, motion: ComplexArray, weight: FloatArray,
+                 amplitude_v: float) -> Spectrum:
+    """Return the response to one axis as the motion under a drive of 1."""
+    drive = np.tile(np.eye(motion.shape[1])[axis], (z.size, 1)).astype(complex)
+    return Spectrum(z, drive, motion, weight, amplitude_v, transient=False)
 
 
 def smoothed(power: FloatArray) -> FloatArray:
@@ -184,8 +231,7 @@ def _linear_approximation(recordings: Sequence[AxesRecording]) -> list[Spectrum]
     gain, inverse = _weighted_gain(drive, motion, weight)
     amplitude_v = float(np.mean([each.amplitude_v for each in recordings]))
     deviation = np.sqrt(np.einsum("kijj->kij", inverse).real)
-    return [Spectrum(z, np.tile(np.eye(n)[axis], (z.size, 1)).astype(complex), gain[:, :, axis],
-                     1.0 / deviation[:, :, axis], amplitude_v, transient=False)
+    return [response_to(axis, z, gain[:, :, axis], 1.0 / deviation[:, :, axis], amplitude_v)
             for axis in range(n)]
 
 

@@ -12,10 +12,20 @@ from piezo_common.command_line import INTERRUPTED, budget_of, print_next
 from piezo_common.picture_style import to_png
 from piezo_common.progress_lines import progress_printed
 from piezo_common.summary_table import SummaryTable
+from piezo_identification.axes.axes_response import (
+    AxesResponse,
+    is_axes_response,
+    read_axes_response,
+)
 from piezo_identification.axes.diagnose_axes import diagnose_axes
 from piezo_identification.axes.identify_axes import identify_several_axes
 from piezo_identification.axes.predict_axes import predict_several_axes
 from piezo_identification.axes.spectra import levels_of
+from piezo_identification.commands.response_options import (
+    HELD,
+    rate_hz_of,
+    useless_response_options,
+)
 from piezo_models.axes_model_file import load_axes_model, save_axes_model
 from piezo_recorder.reading.axes import AxesRecording, is_of_axes, read_axes
 
@@ -24,7 +34,7 @@ OF_ONE_AXIS = ("creep_pairs", "antiresonances", "band", "grid", "smoothing", "tr
 
 
 def are_of_axes(paths: Iterable[Path]) -> bool:
-    """Return whether files are recordings of several axes.
+    """Return whether files are recordings or responses of several axes.
 
     Raises
     ------
@@ -32,7 +42,7 @@ def are_of_axes(paths: Iterable[Path]) -> bool:
         If some files are of one axis and others of several.
     """
     listed = list(paths)
-    of_axes = [is_of_axes(path) for path in listed]
+    of_axes = [is_of_axes(path) or is_axes_response(path) for path in listed]
     if any(of_axes) and not all(of_axes):
         raise ValueError(f"{listed[of_axes.index(False)]} is of one axis and "
                          f"{listed[of_axes.index(True)]} of several: give files of one stage")
@@ -56,12 +66,12 @@ def identify_axes_files(options: argparse.Namespace,
     for name in OF_ONE_AXIS:
         if getattr(options, name) is not None:
             raise ValueError(f"--{name.replace('_', '-')} is for one axis: leave it out")
-    by_experiment = {name: _read(paths.get(name, ()))
-                     for name in ("dynamics", "validation", "creep", "hysteresis")}
+    dynamics = _dynamics(options, paths.get("dynamics", ()))
+    others = {name: _read(paths.get(name, ())) for name in ("validation", "creep", "hysteresis")}
     budget = budget_of(options)
     with progress_printed(budget) as progress:
         identified = identify_several_axes(
-            **by_experiment, pairs=options.modes, note=print, progress=progress, budget=budget)
+            dynamics, **others, pairs=options.modes, note=print, progress=progress, budget=budget)
     save_axes_model(options.output, identified)
     print(identified.summary())
     print("e_y: norm of the difference over that of the measured displacement without its mean "
@@ -72,6 +82,21 @@ def identify_axes_files(options: argparse.Namespace,
     print_next(options, "piezo_identification", "simulate", "--model", options.output, "--data",
                "<a recording that was not fitted>", "--output", options.output.with_suffix(""))
     return None
+
+
+def _dynamics(options: argparse.Namespace,
+              paths: Sequence[Path]) -> list[AxesRecording] | AxesResponse:
+    """Read the recordings of the dynamics, or the frequency response."""
+    response = next(filter(is_axes_response, paths), None)
+    if response is None:
+        for option, is_given in useless_response_options(options).items():
+            if is_given:
+                raise ValueError(f"{option} is for a frequency response: leave it out")
+        return _read(paths)
+    if len(paths) > 1:
+        raise ValueError(f"{response} is a frequency response: give no other file to --dynamics")
+    print(f"reading {response}", flush=True)
+    return read_axes_response(response, rate_hz_of(options), options.response == HELD)
 
 
 def simulate_axes_file(options: argparse.Namespace) -> None:
@@ -115,9 +140,28 @@ def diagnose_axes_file(options: argparse.Namespace) -> None:
 
 
 def check_axes_file(path: Path) -> None:
-    """Print a table of the recordings in a file of several axes."""
-    recordings = _read([path])
-    print(axes_table(str(path), recordings))
+    """Print a table of the recordings or the response in a file of several axes."""
+    if is_axes_response(path):
+        print(response_table(read_axes_response(path)))
+    else:
+        print(axes_table(str(path), _read([path])))
+
+
+def response_table(response: AxesResponse) -> SummaryTable:
+    """Return a table of the gain and its deviation in each entry of a response."""
+    size, deviation = np.abs(response.gain_um_per_v), response.deviation_um_per_v
+    highest = np.argmax(size, axis=0)
+    rows: list[tuple[str | float | None, ...]] = [
+        (f"{moved} from {driven}", float(size[0, i, j]), float(size[highest[i, j], i, j]),
+         float(response.frequency_hz[highest[i, j]]),
+         None if deviation is None else float(np.median(deviation[:, i, j])))
+        for i, moved in enumerate(response.axes) for j, driven in enumerate(response.axes)]
+    notes = (f"a frequency response of {response.frequency_hz.size} points, "
+             f"{response.frequency_hz[0]:.5g} to {response.frequency_hz[-1]:.5g} Hz; it can stand "
+             "for the dynamics",)
+    return SummaryTable(response.name, (
+        "entry", "first gain (um/V)", "largest gain (um/V)", "at (Hz)", "std. dev. (um/V)"),
+        rows, notes)
 
 
 def axes_table(name: str, recordings: Sequence[AxesRecording]) -> SummaryTable:

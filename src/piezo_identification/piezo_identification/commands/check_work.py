@@ -14,6 +14,7 @@ from piezo_identification.analysis.distortion_over_frequency import (
     distortion_rows,
 )
 from piezo_identification.analysis.nonlinear_distortion import distortion_of
+from piezo_identification.axes.axes_response import is_axes_response
 from piezo_identification.commands.axes_work import check_axes_file
 from piezo_identification.estimators.frequency_response.response_file import (
     is_frequency_response,
@@ -44,9 +45,9 @@ def check_files(options: argparse.Namespace) -> None:
         if checked and budget.is_spent():
             budget.not_tried.append(f"{path}")
             continue
-        if is_of_axes(path):
+        if is_of_axes(path) or is_axes_response(path):
             check_axes_file(path)
-            of_axes.append(str(path))
+            (responses if is_axes_response(path) else of_axes).append(str(path))
             continue
         if is_frequency_response(path):
             _print_response(path)

@@ -17,7 +17,8 @@ def add_response_options(parser: argparse.ArgumentParser) -> None:
         "samples")
     parser.add_argument(
         "--response-rate-hz", metavar="NUMBER", type=float,
-        help=f"rate of such samples (default: {USUAL_RATE_HZ:g}, the stage's sample clock)")
+        help=f"rate of such samples, and of the model of several axes (default: "
+        f"{USUAL_RATE_HZ:g}, the stage's sample clock)")
 
 
 def hold_s_of(options: argparse.Namespace) -> float:
@@ -33,17 +34,29 @@ def hold_s_of(options: argparse.Namespace) -> float:
     ValueError
         If the rate does not apply to the response, or is not positive.
     """
-    rate_hz = options.response_rate_hz
     if options.response != HELD:
-        if rate_hz is not None:
+        if options.response_rate_hz is not None:
             raise ValueError(f"--response-rate-hz has nothing to act on: give --response {HELD} "
                              "as well, or leave it out")
         return 0.0
-    rate_hz = USUAL_RATE_HZ if rate_hz is None else rate_hz
+    hold_s = 1.0 / rate_hz_of(options)
+    print(f"the frequency response is taken for one from samples held for {1e6 * hold_s:.6g} us")
+    return hold_s
+
+
+def rate_hz_of(options: argparse.Namespace) -> float:
+    """Return the rate of the samples, the default one if none is given.
+
+    Raises
+    ------
+    ValueError
+        If it is not positive.
+    """
+    rate_hz = options.response_rate_hz
+    rate_hz = USUAL_RATE_HZ if rate_hz is None else float(rate_hz)
     if not 0.0 < rate_hz < math.inf:
         raise ValueError(f"--response-rate-hz is {rate_hz:g}: give a positive rate")
-    print(f"the frequency response is taken for one from samples held for {1e6 / rate_hz:.6g} us")
-    return 1.0 / rate_hz
+    return rate_hz
 
 
 def useless_response_options(options: argparse.Namespace) -> dict[str, bool]:

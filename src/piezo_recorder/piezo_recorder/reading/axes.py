@@ -140,16 +140,21 @@ def is_of_axes(path: str | PathLike[str]) -> bool:
             return bool(axes_of_messages(path))
     except RecordingError:  # reported when the file is read
         return False
+    text = head_of(path)
+    if path.suffix.lower() in (".yaml", ".yml"):
+        return f"format: {FORMAT}" in text
+    labels = re.findall(r"[a-z][a-z0-9]*_(?:voltage_v|displacement_um)\b", text)
+    return len(axes_of_labels(labels)) > 1
+
+
+def head_of(path: Path) -> str:
+    """Return the beginning of a file, which contains the labels of a table."""
     with open(path, "rb") as file:
         head = file.read(HEAD_BYTES)
     if head.startswith(ZIP_MAGIC):
         with damage_reported(path, "NumPy file"), zipfile.ZipFile(path) as archive:
             head = " ".join(archive.namelist()).encode()
-    text = head.decode(errors="replace")
-    if path.suffix.lower() in (".yaml", ".yml"):
-        return f"format: {FORMAT}" in text
-    labels = re.findall(r"[a-z][a-z0-9]*_(?:voltage_v|displacement_um)\b", text)
-    return len(axes_of_labels(labels)) > 1
+    return head.decode(errors="replace")
 
 
 def read_axes(path: str | PathLike[str]) -> list[AxesRecording]:
