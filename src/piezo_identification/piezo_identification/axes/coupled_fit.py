@@ -175,7 +175,8 @@ def covariances(fit: CoupledFit, spectra: Sequence[Spectrum]) -> list[FloatArray
 
     It is scaled by the misfit where that is more than the deviations of the spectra make expected.
     """
-    return [_scale(fit) * each for each in _Normal(fit.numbers, spectra, fit.residual).covariances()]
+    normal = _Normal(fit.numbers, spectra, fit.residual)
+    return [_scale(fit) * each for each in normal.covariances()]
 
 
 def covariances_of_correlated(
