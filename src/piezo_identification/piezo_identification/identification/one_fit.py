@@ -284,9 +284,11 @@ def with_fit(fitted: FittedModel, fit: WholeFit) -> FittedModel:
 
 def reliable(uncertainties: Mapping[str, Any], adequacy: Mapping[str, Mapping[str, Any]],
              is_response: bool) -> dict[str, Any]:
-    """Omit the standard deviations of parts that an inadequate component affects.
+    """Return the standard deviations, including the errors that repeat.
 
-    Its residual is not noise, so these standard deviations would be too small.
+    Systematic errors of an adequate component are small, but do not average out over periods as
+    noise does. The deviations of the parts that it affects are multiplied by its residual over the
+    noise in the same samples. Those of parts that an inadequate component affects are omitted.
 
     Parameters
     ----------
@@ -295,10 +297,23 @@ def reliable(uncertainties: Mapping[str, Any], adequacy: Mapping[str, Mapping[st
     is_response : bool
         The dynamics come from a frequency response, which loops do not affect.
     """
-    unknown = {part for name, each in adequacy.items() if each["verdict"] == "inadequate"
-               for part in COMPONENTS_OF.get(experiment_of(name), ())
-               if not (is_response and experiment_of(name) == "hysteresis")}
-    return {part: each for part, each in uncertainties.items() if part not in unknown}
+    factors = dict.fromkeys(("creep", "dynamics", "effects"), 1.0)
+    for name, each in adequacy.items():
+        if not (is_response and experiment_of(name) == "hysteresis"):
+            factor = np.inf if each["verdict"] == "inadequate" else each["ratio"]
+            for part in COMPONENTS_OF.get(experiment_of(name), ()):
+                factors[part] = max(factors[part], factor)
+    return {part: _scaled(each, factors[part]) for part, each in uncertainties.items()
+            if np.isfinite(factors[part])}
+
+
+def _scaled(deviations: Any, factor: float) -> Any:
+    """Return numbers in mappings and sequences multiplied by a factor."""
+    if isinstance(deviations, Mapping):
+        return {name: _scaled(each, factor) for name, each in deviations.items()}
+    if isinstance(deviations, list | tuple):
+        return type(deviations)(_scaled(each, factor) for each in deviations)
+    return factor * deviations
 
 
 def table_of(tried: list[tuple[str, WholeFit]], best: WholeFit) -> str:

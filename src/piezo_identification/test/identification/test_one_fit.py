@@ -8,7 +8,19 @@ from piezo_identification.conditioning.outlier_samples import with_outliers_mark
 from piezo_identification.estimators.frequency_response.response_model import ANY_ORDER
 from piezo_identification.experiments import catalogue as experiments
 from piezo_identification.identification.fitted_model import FittedModel
-from piezo_identification.identification.one_fit import _long_ones, fitted_together
+from piezo_identification.identification.one_fit import _long_ones, fitted_together, reliable
+
+
+def test_errors_that_repeat_widen_the_standard_deviations_of_what_they_affect():
+    deviations = {"creep": {"poles_rad_per_s": (0.1, 0.2)}, "dynamics": {"time_constant_s": 0.5},
+                  "effects": [{"delay_s": 0.25}]}
+    adequacy = {name: {"verdict": "adequate", "ratio": ratio}
+                for name, ratio in (("creep", 0.9), ("dynamics", 5.0), ("hysteresis", 1.5))}
+    assert reliable(deviations, adequacy, False) == {
+        "creep": {"poles_rad_per_s": pytest.approx((0.15, 0.3))},
+        "dynamics": {"time_constant_s": 2.5}, "effects": [{"delay_s": 1.25}]}
+    adequacy["dynamics 2"] = {"verdict": "inadequate", "ratio": 2.0}
+    assert list(reliable(deviations, adequacy, False)) == ["creep"]
 
 
 @pytest.mark.long
