@@ -22,7 +22,7 @@ from piezo_recorder.sample_block import DEFAULT_SAMPLE_RATE_HZ
 FREQUENCY = "frequency_hz"
 LEAST_OVERSAMPLING = 10.0
 """Least sample rate over the highest frequency of a continuous response. The aliases of modes are
-neglected, and are then less than 6e-4 of the response: 6 over the fourth power."""
+neglected, and are then less than 1e-3 of the response: they fall with the fourth power."""
 
 _ENTRY = re.compile(r"\b([a-z][a-z0-9]*)_from_([a-z][a-z0-9]*)_gain(?:_re)?\b")
 """Label of the gain of an entry, with the axis that moves and the axis that is driven."""
