@@ -97,7 +97,8 @@ def errors_of_poles(identified, modes):
 
 
 @pytest.mark.parametrize(("n", "is_held", "is_known"), [
-    (2, False, True), (2, True, False), (3, False, False), (3, True, True)])
+    pytest.param(2, False, True, marks=pytest.mark.long), (2, True, False),
+    pytest.param(3, False, False, marks=pytest.mark.long), (3, True, True)])
 def test_intervals_hold_in_nine_of_ten_draws(n, is_held, is_known):
     within, off = [], []
     for seed in range(6 if is_known else 4):
