@@ -30,7 +30,7 @@ class SplitSettings:
     this shows slow and fast errors alike, and a mode that a chirp crosses within a few
     stretches."""
     held_out: int = 3
-    """One stretch of this many neighbours is held out."""
+    """One stretch out of this many is held out."""
     steps: int = 12
     """Largest number of steps from rest whose first rows are used: the first seconds of creep show
     after steps only, which may be rare."""
@@ -166,7 +166,7 @@ def _split(simulated: Sequence[SimulatedRecording], undivided: int,
         budget = max(SPLIT.most_rows // (1 if index < undivided else len(simulated)),
                      SPLIT.stretches)
         settled = np.arange(part.begin, part.time_s.size)
-        is_fitted = _fitted_stretches()
+        is_fitted = np.arange(SPLIT.stretches) % SPLIT.held_out != SPLIT.held_out // 2
         if settled.size > budget:
             # Random shifts keep the chunks from staying in phase with a periodic waveform.
             chunk, room = budget // SPLIT.stretches, settled.size // SPLIT.stretches
@@ -190,19 +190,6 @@ def _split(simulated: Sequence[SimulatedRecording], undivided: int,
         numbers.append(index * SPLIT.stretches + of_rows)
         fitted.append(is_fitted[of_rows])
     return tuple(rows), np.concatenate(numbers), np.concatenate(fitted)
-
-
-def _fitted_stretches() -> BoolArray:
-    """Return which stretches are fitted: all but a random one in each group of neighbours.
-
-    Regular ones would always hold out the same part of equally long loops. The first is fitted.
-    """
-    groups = SPLIT.stretches // SPLIT.held_out
-    held_out = np.random.default_rng(0).integers(0, SPLIT.held_out, groups)
-    held_out[0] = SPLIT.held_out // 2
-    is_fitted = np.ones(SPLIT.stretches, dtype=bool)
-    is_fitted[SPLIT.held_out * np.arange(groups) + held_out] = False
-    return is_fitted
 
 
 def _steps_from_rest(part: SimulatedRecording, rest: int) -> NDArray[np.intp]:

@@ -21,19 +21,6 @@ def test_the_beginning_of_a_long_recording_is_fitted(plant, recorded):
         assert dataset.for_estimation[mask][beginning].all()
 
 
-def test_every_part_of_equal_loops_is_fitted(plant, recorded):
-    """The held-out stretches do not stay in phase with loops of six stretches."""
-    count = 3 * SPLIT.most_rows
-    loop = 6 * count // SPLIT.stretches
-    voltage_v = 50.0 - 40.0 * np.cos(2.0 * np.pi * np.arange(count) / loop)
-    recording = recorded("loops", voltage_v, plant.hysteresis.simulate(voltage_v), 1e-3)
-    dataset = simulate_recordings(plant, [recording])
-    part_of_loop = dataset.rows[0] % loop * 6 // loop
-    fitted, every = (np.bincount(rows, minlength=6) for rows in (
-        part_of_loop[dataset.for_estimation], part_of_loop))
-    assert np.all(fitted > 0.3 * every)
-
-
 @pytest.mark.parametrize("second", [0.5, 0.501, 0.508])
 def test_rows_after_rare_steps_are_fitted(plant, recorded, second):
     """They alone show the first seconds of the creep."""
