@@ -59,7 +59,7 @@ def test_every_parameter_has_a_description_a_range_and_a_unit(serving, node):
      "parameter feedback_place is 'inside': give before_inverse or behind_inverse"),
     ("stage", {"autostart": True, "plant": "/no/plant.yaml"},
      "/no/plant.yaml: the plant file cannot be read"),
-    ("recorder", {"topics": "[samples]"}, "names 1 topics, types 6"),
+    ("recorder", {"topics": "[samples]"}, "names 1 topics, types 7"),
 ])
 def test_bad_parameter_ends_the_node_at_start_with_one_clear_line(
         node, parameters, line, tmp_path):
