@@ -12,11 +12,13 @@ from piezo_common.schema.fields import (
     Part,
     Positive,
     entry,
+    require_matrices,
     violation,
 )
 from piezo_common.schema.reading import checked, load_document, parsed
 
 __all__ = [
     "Document", "NotNegative", "Number", "NumberOrNumbers", "NumberTree", "Numbers", "Part",
-    "Positive", "SchemaError", "check", "checked", "entry", "load_document", "parsed", "violation",
+    "Positive", "SchemaError", "check", "checked", "entry", "load_document", "parsed",
+    "require_matrices", "violation",
 ]

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Types of the fields of a file: finite numbers with unit and range, parts, documents."""
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
@@ -53,6 +54,22 @@ def violation(problem: str, cure: str, field: str = "") -> PydanticCustomError:
     """
     return PydanticCustomError(VIOLATION, "{problem}", {
         "problem": problem, "cure": cure, "field": field})
+
+
+def require_matrices(part: BaseModel, shapes: Mapping[str, tuple[int, int]], cure: str) -> None:
+    """Raise a violation unless fields hold matrices of these numbers of rows and columns.
+
+    Parameters
+    ----------
+    shapes : dict of str to (int, int)
+        Rows and columns by the name of the field.
+    cure : str
+        See `violation`.
+    """
+    for name, (rows, columns) in shapes.items():
+        matrix = getattr(part, name)
+        if len(matrix) != rows or any(len(row) != columns for row in matrix):
+            raise violation(f"is not a {rows} x {columns} matrix", cure, name)
 
 
 class Part(BaseModel):

@@ -17,6 +17,7 @@ from piezo_common.schema import (
     SchemaError,
     entry,
     load_document,
+    require_matrices,
     violation,
 )
 from piezo_common.text_file import is_something_else, replace_text
@@ -58,11 +59,8 @@ class ControllerDocument(Document):
     @model_validator(mode="after")
     def _check_shapes(self) -> "ControllerDocument":
         order = len(self.A)
-        for name, (rows, columns) in {
-                "A": (order, order), "B": (order, 1), "C": (1, order), "D": (1, 1)}.items():
-            matrix = getattr(self, name)
-            if len(matrix) != rows or any(len(row) != columns for row in matrix):
-                raise violation(f"is not a {rows} x {columns} matrix", self.RENEW, name)
+        require_matrices(self, {
+            "A": (order, order), "B": (order, 1), "C": (1, order), "D": (1, 1)}, self.RENEW)
         return self
 
     @model_validator(mode="after")

@@ -19,6 +19,7 @@ from piezo_common.schema import (
     SchemaError,
     entry,
     load_document,
+    require_matrices,
     violation,
 )
 from piezo_common.text_file import is_something_else, replace_text
@@ -111,14 +112,11 @@ class LawDocument(Document):
     @model_validator(mode="after")
     def _check_shapes(self) -> "LawDocument":
         n, order, model_order = len(self.axes), len(self.A), len(self.model_a)
-        for name, (rows, columns) in {
-                "A": (order, order), "B": (order, n), "C": (n, order), "D": (n, n),
-                "observer": (order, n), "model_a": (model_order, model_order),
-                "model_b": (model_order, n), "model_c": (n, model_order),
-                "model_gains_um_per_v": (len(self.model_gains_um_per_v), n)}.items():
-            matrix = getattr(self, name)
-            if len(matrix) != rows or any(len(row) != columns for row in matrix):
-                raise violation(f"is not a {rows} x {columns} matrix", self.RENEW, name)
+        require_matrices(self, {
+            "A": (order, order), "B": (order, n), "C": (n, order), "D": (n, n),
+            "observer": (order, n), "model_a": (model_order, model_order),
+            "model_b": (model_order, n), "model_c": (n, model_order),
+            "model_gains_um_per_v": (len(self.model_gains_um_per_v), n)}, self.RENEW)
         if len(self.operating_displacement_um) != n:
             raise violation(f"has not {n} numbers", self.RENEW, "operating_displacement_um")
         return self
