@@ -95,6 +95,14 @@ def read_frequency_response(path: str | Path) -> FrequencyResponse:
     ValueError
         If the file cannot be read, lacks a column, or a row has no finite gain at a frequency
         above that of the row before; the message names the row.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> np.savetxt("response.csv", [[10.0, 2.0, -0.1], [20.0, 1.9, -0.2]], delimiter=",",
+    ...            comments="", header="frequency_hz,gain_re,gain_im")
+    >>> print(read_frequency_response("response.csv").frequency_hz)
+    [10. 20.]
     """
     if not _is_ours(path) and is_frequency_response(path):
         return FrequencyResponse(str(path), *read_response_table(Path(path)))
