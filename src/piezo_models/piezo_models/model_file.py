@@ -56,17 +56,28 @@ def write_document(path: Path, document: dict[str, Any]) -> None:
     ModelFileError
         If the file cannot be written, or a file that is not a model file is in its place.
     """
-    if is_something_else(path, FORMAT, LARGEST_FILE_BYTES):
-        raise ModelFileError(
-            f"{path}: is there already and is no model file, so it is not overwritten; "
-            "choose another name"
-        )
+    check_model_may_replace(path)
     try:
         replace_text(path, rendered(document) + "\n")
     except OSError as error:
         raise ModelFileError(
             f"{path}: cannot be written ({error.strerror}); choose a writable directory"
         ) from error
+
+
+def check_model_may_replace(path: str | PathLike[str]) -> None:
+    """Check, also before the work for a model, that its file replaces no other kind of file.
+
+    Raises
+    ------
+    ModelFileError
+        If a file that is not a model file is in its place.
+    """
+    if is_something_else(path, FORMAT, LARGEST_FILE_BYTES):
+        raise ModelFileError(
+            f"{path}: is there already and is no model file, so it is not overwritten; "
+            "choose another name"
+        )
 
 
 def announced_model(path: str | PathLike[str]) -> IdentifiedModel:

@@ -61,3 +61,11 @@ def test_a_following_command_describes_the_columns_alike(tmp_path, capsys, monke
     assert f"next: piezo {shlex.join(simulate)} --output line\n" in capsys.readouterr().out
     assert main(simulate) == 0
     assert f" --data mine.csv {shlex.join(columns)} " in capsys.readouterr().out.splitlines()[-1]
+
+
+def test_a_file_that_is_no_model_is_kept_before_anything_is_estimated(tmp_path, capsys):
+    table = tmp_path / "mine.csv"
+    table.write_text("time_s,voltage_v,displacement_um\n0,0,0\n")
+    assert main(["identify", "--hysteresis", str(table), "--output", str(table)]) == 2
+    told = capsys.readouterr()
+    assert "is no model file, so it is not overwritten" in told.err and told.out == ""

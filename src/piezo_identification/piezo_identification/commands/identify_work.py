@@ -30,7 +30,7 @@ from piezo_identification.identification.given_hysteresis import DensityOptions
 from piezo_identification.identification.identify import identify
 from piezo_identification.recording_check.suitability import misfits
 from piezo_models.identified_model import IdentifiedModel
-from piezo_models.model_file import save_model
+from piezo_models.model_file import check_model_may_replace, save_model
 from piezo_recorder.reading.data_options import columns_given, read_given
 
 PAGE_S = 5.0
@@ -45,6 +45,7 @@ def identify_files(options: argparse.Namespace) -> int | None:
     int or None
         Exit status if the work was interrupted.
     """
+    check_model_may_replace(options.output)
     paths = {name: getattr(options, name) for name in EXPERIMENTS}
     by_name = {name: [given] if isinstance(given, Path) else given
                for name, given in paths.items() if given is not None}
