@@ -8,7 +8,7 @@ from typing import Any
 
 from piezo_common.regular_file import UnreadableFile
 from piezo_common.schema import SchemaError, load_document
-from piezo_common.text_file import is_something_else, read_bounded_text, replace_text
+from piezo_common.text_file import read_bounded_text, replace_document
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_document import (
     FORMAT,
@@ -56,17 +56,7 @@ def write_document(path: Path, document: dict[str, Any]) -> None:
     ModelFileError
         If the file cannot be written, or a file that is not a model file is in its place.
     """
-    if is_something_else(path, FORMAT, LARGEST_FILE_BYTES):
-        raise ModelFileError(
-            f"{path}: is there already and is no model file, so it is not overwritten; "
-            "choose another name"
-        )
-    try:
-        replace_text(path, rendered(document) + "\n")
-    except OSError as error:
-        raise ModelFileError(
-            f"{path}: cannot be written ({error.strerror}); choose a writable directory"
-        ) from error
+    replace_document(path, document, "model file", ModelFileError, rendered, LARGEST_FILE_BYTES)
 
 
 def announced_model(path: str | PathLike[str]) -> IdentifiedModel:
