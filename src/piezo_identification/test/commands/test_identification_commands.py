@@ -19,7 +19,7 @@ from piezo_recorder.reading.reader import read_recording, sha256_of
 HEADER = "time_s,voltage_v,displacement_um"
 NAMES = ("creep", "dynamics", "hysteresis", "validation")
 GRID = ("--grid", 40, "--smoothing", 1e-10, "--translation-weight", 1e-10)
-FINE_GRID = ("--grid", 80, "--smoothing", 1e-13, "--translation-weight", 1e-12)
+FINE_GRID = ("--grid", 120, "--smoothing", 1e-13, "--translation-weight", 1e-12)
 
 
 @pytest.fixture(scope="module")
