@@ -46,6 +46,7 @@ def record(monkeypatch):
     return recorded
 
 
+@pytest.mark.long
 def test_turned_sensor_and_delay_are_named(record):
     known, unseen = record(plant(), 1), record(plant(), 9)
     identified = identify_several_axes(known, unseen[-1:])
