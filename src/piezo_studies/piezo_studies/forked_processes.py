@@ -14,13 +14,14 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from piezo_bringup.processes import EXECUTABLES, NodeProcess, Processes
+from piezo_studies.undrawn import work_undrawn
 
 
 class ForkedProcesses(Processes):
     """Like `Processes`, but without the seconds in which every node imports its libraries.
 
-    A node runs the code of its executable in a separate process. A fork ends without the usual
-    shutdown of the interpreter.
+    A node runs the code of its executable in a separate process, but draws nothing and runs its
+    fits one after the other. A fork ends without the usual shutdown of the interpreter.
     """
 
     def _launch(self, name: str, command: list[str]) -> NodeProcess:
@@ -85,7 +86,8 @@ class ForkedNode:
 def _server() -> ForkServerContext:
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([
-        *(_entry(name).__module__ for name in EXECUTABLES), f"{__package__}.loaded_kernels"])
+        *(_entry(name).__module__ for name in EXECUTABLES), f"{__package__}.loaded_kernels",
+        work_undrawn.__module__])
     return context
 
 
@@ -107,4 +109,5 @@ def _run(name: str, command: list[str], log: Path, environment: Mapping[str, str
     os.environ.clear()
     os.environ.update(environment)
     sys.argv = command
+    work_undrawn()
     _entry(name)()
