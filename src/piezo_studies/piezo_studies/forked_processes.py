@@ -6,8 +6,8 @@ import multiprocessing
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
-from functools import cache
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache, partial
 from importlib.metadata import distribution
 from multiprocessing.context import ForkServerContext
 from multiprocessing.process import BaseProcess
@@ -24,9 +24,23 @@ class ForkedProcesses(Processes):
     fits one after the other. A fork ends without the usual shutdown of the interpreter.
     """
 
+    def start_main(self, name: str, main: Callable[[], object], arguments: Iterable[str]) -> None:
+        """Start a node that is none of `EXECUTABLES`.
+
+        Parameters
+        ----------
+        main : callable
+            Function of a module that processes of this one's ``sys.path`` can import; called with
+            the arguments in ``sys.argv``.
+        """
+        self._running[name] = self._fork(name, main, [name, *arguments])
+
     def _launch(self, name: str, command: list[str]) -> NodeProcess:
+        return self._fork(name, partial(_run_executable, name), command)
+
+    def _fork(self, name: str, main: Callable[[], object], command: list[str]) -> NodeProcess:
         process = _server().Process(
-            target=_run, args=(name, command, self.log(name), self._environment), name=name)
+            target=_run, args=(main, command, self.log(name), self._environment), name=name)
         process.start()
         return ForkedNode(process)
 
@@ -100,7 +114,12 @@ def _entry(name: str) -> Callable[[], None]:
     return main
 
 
-def _run(name: str, command: list[str], log: Path, environment: Mapping[str, str]) -> None:
+def _run_executable(name: str) -> None:
+    _entry(name)()
+
+
+def _run(main: Callable[[], object], command: list[str], log: Path,
+         environment: Mapping[str, str]) -> None:
     gc.freeze()  # garbage collection would copy the memory of all libraries
     os.setsid()
     file = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
@@ -110,4 +129,4 @@ def _run(name: str, command: list[str], log: Path, environment: Mapping[str, str
     os.environ.update(environment)
     sys.argv = command
     work_undrawn()
-    _entry(name)()
+    main()
