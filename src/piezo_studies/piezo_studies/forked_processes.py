@@ -101,7 +101,8 @@ def _server() -> ForkServerContext:
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([
         *(_entry(name).__module__ for name in EXECUTABLES), f"{__package__}.loaded_kernels",
-        work_undrawn.__module__])
+        work_undrawn.__module__,
+        "rosidl_generator_py"])  # by which a node imports its messages
     return context
 
 
