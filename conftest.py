@@ -26,7 +26,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
-from matplotlib.image import imread
+from PIL import Image
 
 from piezo_common import report_page, side_by_side
 from piezo_common.interactive_picture import interactive_item
@@ -333,7 +333,7 @@ def without_ceiling(monkeypatch):
 def static_pages():
     """Leave what Bokeh draws out of pages: it takes as long as the pictures."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(report_page, "interactive_item", lambda figure: None)
+        patch.setattr(report_page, "interactive_item", lambda *_: None)
         yield
 
 
@@ -376,15 +376,15 @@ class PageParts:
             for table in re.findall(r"<table>(.*?)</table>", self.text, re.S)]
         self.title = html.unescape(re.search(r"<h1>(.*?)</h1>", self.text)[1])
         self.pictures = {html.unescape(name): base64.b64decode(data) for name, data in re.findall(
-            r'<img alt="(.*?)" src="data:image/png;base64,(.*?)"', self.text)}
+            r'<img alt="(.*?)" src="data:image/webp;base64,(.*?)"', self.text)}
         self.external = [link for link in re.findall(r"(?:href|src)=\"(.*?)\"|url\((.*?)\)|@import",
                                                      self.text)
                          if not str(link[0]).startswith(("data:", "#"))]
 
     def is_picture(self, name):
         """Whether the page shows a picture of this name that is not of one colour."""
-        pixels = imread(io.BytesIO(self.pictures[name]), format="png")
-        return np.ptp(pixels[..., :3]) > 0.5
+        with Image.open(io.BytesIO(self.pictures[name])) as picture:
+            return np.ptp(picture.convert("RGB")) > 127
 
     def numbers(self, name):
         """Return the numbers of a picture by the heads of their columns."""

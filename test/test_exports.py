@@ -54,7 +54,8 @@ WITHOUT_EXAMPLE = {
 
 
 @pytest.mark.filterwarnings("ignore:implausible")
-@pytest.mark.parametrize("name", ["piezo_models", "piezo_offline", "piezo_recorder"])
+@pytest.mark.parametrize("name", ["piezo_identification", "piezo_models", "piezo_offline",
+                                  "piezo_recorder"])
 def test_every_exported_function_has_an_example_that_runs(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     package, names = importlib.import_module(name), {}

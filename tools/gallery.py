@@ -37,7 +37,7 @@ def main(arguments):
     piezo(["design", "--model", str(demo / "model.json"),
            "--output", str(demo / "controller.json")])
     for name, (page, picture) in OF_PAGES.items():
-        found = re.search(rf'alt="{picture}" src="data:image/png;base64,([^"]+)"',
+        found = re.search(rf'alt="{picture}" src="data:image/webp;base64,([^"]+)"',
                           (demo / page).read_text(encoding="utf-8"))
         write(name, base64.b64decode(found[1]))
     scan, = (cell for cell in cells_of(ROOT / "docs" / "several_axes.md") if "piezo.scan" in cell)
@@ -45,9 +45,9 @@ def main(arguments):
     write("path", path)
 
 
-def write(name, png):
+def write(name, image):
     """Write a picture that is small enough to be kept with the pages."""
-    with Image.open(io.BytesIO(png)) as picture:
+    with Image.open(io.BytesIO(image)) as picture:
         small = picture.convert("RGB")
     small.thumbnail((WIDTH, 2 * WIDTH))
     small.quantize(COLOURS).save(PICTURES / f"{name}.png", optimize=True)

@@ -4,12 +4,15 @@
 Bokeh draws them. Its script is part of its wheel, so that a page needs no network. Compressed it is
 a third of 1.2 MB, and the browser unpacks it at the first use. Plotly's is 4.6 MB, as no wheel
 contains its smaller bundles. Without Bokeh the pages contain only static pictures.
+
+A page contains the numbers of a curve once: the item refers to the columns of the picture's table.
 """
 
 import base64
 import gzip
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import partial
 from importlib.util import find_spec
 from typing import Any
 
@@ -20,6 +23,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from piezo_common.arrays import FloatArray
 from piezo_common.picture_data import axis_label, curve_of, legend_name, panels
 
 PIXELS_PER_INCH = 96
@@ -29,8 +33,8 @@ SHOWN_COLORS = 256
 SCRIPT = """
 <script type="application/gzip" id="bokeh">{bokeh}</script>
 <script>
-async function unpacked(element) {{
-  const packed = Uint8Array.from(atob(element.textContent), letter => letter.charCodeAt(0));
+async function unpacked(text) {{
+  const packed = Uint8Array.from(atob(text), letter => letter.charCodeAt(0));
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
   return new Response(stream).text();
 }}
@@ -39,9 +43,14 @@ for (const closer of document.querySelectorAll("details.closer"))
     const [place, item] = [closer.querySelector("div"), closer.querySelector("script")];
     if (!closer.open || !item) return;
     item.remove();
-    window.Bokeh || (0, eval)(await unpacked(document.querySelector("#bokeh")));
+    window.Bokeh || (0, eval)(await unpacked(document.querySelector("#bokeh").textContent));
     place.id = "closer-" + Math.random().toString(36).slice(2);
-    Bokeh.embed.embed_item(JSON.parse(await unpacked(item)), place.id);
+    const table = closer.parentElement.querySelector("a[download]");
+    const lines = table ? (await unpacked(table.href.split(",")[1])).trim().split("\\n") : [];
+    const rows = lines.slice(1).map(line => line.split(","));
+    const column = index => rows.map(row => row[index]).filter(text => text).map(Number);
+    Bokeh.embed.embed_item(JSON.parse(await unpacked(item.textContent), (_, value) =>
+      value?.type === "column" ? column(value.index) : value), place.id);
   }});
 </script>
 """
@@ -66,10 +75,16 @@ def packed(text: str) -> str:
     return base64.b64encode(gzip.compress(text.encode(), mtime=0)).decode()
 
 
-def interactive_item(figure: Figure) -> dict[str, Any] | None:
+def interactive_item(figure: Figure, columns: Sequence[FloatArray]) -> dict[str, Any] | None:
     """Return the lines, areas and maps of a figure as an item that Bokeh embeds.
 
     Panels are placed as in the figure; those that share an axis zoom together.
+
+    Parameters
+    ----------
+    columns : sequence of ndarray
+        Columns of the picture's table. Where the item has the same numbers, it has
+        ``{"type": "column", "index": ...}``, which the page's script replaces.
 
     Returns
     -------
@@ -96,7 +111,16 @@ def interactive_item(figure: Figure) -> dict[str, Any] | None:
     whole = column([row(each, sizing_mode="stretch_width") for each in rows.values()],
                    sizing_mode="stretch_width")
     # Only plain numbers and texts; checked here, not in the reader's browser.
-    return json.loads(json.dumps(json_item(whole)))
+    return json.loads(json.dumps(json_item(whole)), object_hook=partial(
+        _column_or_same, {column.tobytes(): index for index, column in enumerate(columns)}))
+
+
+def _column_or_same(index_of: Mapping[bytes, int], part: dict[str, Any]) -> dict[str, Any]:
+    """Return the reference to a column in place of an array of the same numbers."""
+    if part.get("type") != "ndarray":
+        return part
+    numbers = gzip.decompress(base64.b64decode(part["array"]["data"]))
+    return {"type": "column", "index": index_of[numbers]} if numbers in index_of else part
 
 
 def _plot(figure: Figure, axes: Axes, earlier: Mapping[Axes, Any]) -> Any:

@@ -33,19 +33,32 @@ class Numbers:
     """Values by the labels of the axes, with their units."""
 
 
-def picture_csv(figure: Figure) -> str:
-    """Return the numbers that a figure shows, as a table with a column for each curve.
+@dataclass(frozen=True, eq=False)
+class PictureTable:
+    """The numbers that a figure shows, a column for each curve.
 
-    A column of positions applies to the curves after it, up to the next such column.
-
-    Lines across the whole picture, such as limits, are omitted, as legend or text gives their
-    values.
-
-    Returns
-    -------
-    str
-        CSV; shorter columns end in empty fields. Empty if there are no numbers.
+    A column of positions applies to the curves after it, up to the next such column. Lines across
+    the whole picture, such as limits, are omitted, as legend or text gives their values.
     """
+
+    heads: list[str]
+    columns: list[FloatArray]
+
+    def csv(self) -> str:
+        """Return the table as CSV; shorter columns end in empty fields, no column gives no text."""
+        if not self.columns:
+            return ""
+        stream = io.StringIO()
+        writer = csv.writer(stream, lineterminator="\n")
+        # The script of a page takes each line after the first as numbers.
+        writer.writerow([" ".join(head.split()) for head in self.heads])
+        writer.writerows(zip_longest(*([DIGITS.format(value) for value in column]
+                                       for column in self.columns), fillvalue=""))
+        return stream.getvalue()
+
+
+def picture_table(figure: Figure) -> PictureTable:
+    """Return the numbers that a figure shows."""
     heads: list[str] = []
     columns: list[FloatArray] = []
     for axes in panels(figure):
@@ -59,14 +72,7 @@ def picture_csv(figure: Figure) -> str:
                 heads.append(label if label == x_label or not shown.name
                              else f"{shown.name}: {label}")
                 columns.append(values)
-    if not columns:
-        return ""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(heads)
-    writer.writerows(zip_longest(*([DIGITS.format(value) for value in column]
-                                   for column in columns), fillvalue=""))
-    return stream.getvalue()
+    return PictureTable(heads, columns)
 
 
 def panels(figure: Figure) -> list[Axes]:

@@ -89,9 +89,7 @@ def replace_document(path: str | PathLike[str], document: Mapping[str, Any], kin
         If a file of another format is in its place, a value is not finite, or the file cannot be
         written.
     """
-    if is_something_else(path, document["format"], largest_bytes):
-        raise error(f"{path}: is there already and is no {kind}, so it is not overwritten; "
-                    "choose another name")
+    check_may_replace(path, document["format"], kind, error, largest_bytes)
     try:
         replace_text(path, rendered(document) + "\n")
     except OSError as failure:
@@ -100,6 +98,20 @@ def replace_document(path: str | PathLike[str], document: Mapping[str, Any], kin
     except ValueError:
         raise error(f"{path}: the {kind} would hold a value that is not finite; "
                     "make it again") from None
+
+
+def check_may_replace(path: str | PathLike[str], file_format: str, kind: str,
+                      error: type[ValueError], largest_bytes: int = LARGEST_BYTES) -> None:
+    """Raise an error if a file of another format is in a place, also before the work for it.
+
+    Parameters
+    ----------
+    file_format, kind, error
+        As in `replace_document`, with the format of its document.
+    """
+    if is_something_else(path, file_format, largest_bytes):
+        raise error(f"{path}: is there already and is no {kind}, so it is not overwritten; "
+                    "choose another name")
 
 
 def is_something_else(path: str | PathLike[str], file_format: str,

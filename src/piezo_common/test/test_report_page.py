@@ -11,7 +11,7 @@ import pytest
 
 from piezo_common import interactive_picture
 from piezo_common.interactive_picture import interactive_item
-from piezo_common.picture_data import picture_csv
+from piezo_common.picture_data import picture_table
 from piezo_common.picture_style import MEASURED, MODELLED, label, new_figure, outline
 from piezo_common.report_page import Section, pictured, render_page
 
@@ -64,9 +64,12 @@ def test_a_page_without_bokeh_has_its_static_pictures_alone(figure, monkeypatch)
 @pytest.mark.usefixtures("interactive_pages")
 def test_the_closer_look_holds_the_same_curves_and_loads_nothing(figure, page_parts):
     pytest.importorskip("bokeh")
-    item = interactive_item(figure)
-    kinds = set(re.findall(r'"name": ?"(Line|Patch|Span|LogScale)"', json.dumps(item)))
+    item = json.dumps(interactive_item(figure, picture_table(figure).columns))
+    kinds = set(re.findall(r'"name": ?"(Line|Patch|Span|LogScale)"', item))
     assert kinds == {"Line", "Patch", "Span", "LogScale"}
+    # The curves are the columns of the picture's table, which the page has in any case.
+    assert "ndarray" not in item
+    assert set(re.findall(r'"type": ?"column", ?"index": ?(\d)', item)) == set("0123456")
     text = render_page("T", [], [Section("S", pictures=[
         pictured("P", figure, "Caption.", closer=True)])])
     assert page_parts(text).external == []
@@ -80,7 +83,7 @@ def test_numbers_of_a_large_map_are_those_of_every_so_manieth_cell():
     figure = new_figure()
     values = np.arange(400.0 * 300.0).reshape(400, 300)
     figure.subplots().pcolormesh(values)
-    rows = picture_csv(figure).splitlines()
+    rows = picture_table(figure).csv().splitlines()
     assert 10_000 < len(rows) <= 20_001
     assert rows[1] == "0.5,0.5,0"
 
@@ -101,10 +104,21 @@ def test_no_word_of_a_narrow_table_is_broken_on_a_phone(page_faults):
 
 
 @pytest.mark.usefixtures("interactive_pages")
+def test_a_browser_draws_the_closer_look(figure, page_faults):
+    pytest.importorskip("bokeh")
+    text = render_page("T", [], [Section("S", pictures=[
+        pictured("P", figure, "Caption.", closer=True)])])
+    opened = text.replace("</body>", """<script>
+        document.querySelector("details").open = true</script></body>""")
+    word, = page_faults(opened, "desk")
+    assert re.search(r"bokeh .* document idle", word)
+
+
+@pytest.mark.usefixtures("interactive_pages")
 def test_a_map_to_look_closer_at_takes_one_byte_for_each_cell():
     pytest.importorskip("bokeh")
     figure = new_figure()
     values = np.ma.masked_less(np.arange(400.0 * 300.0).reshape(400, 300), 500.0)
     figure.subplots().pcolormesh(values)
-    text = json.dumps(interactive_item(figure))
+    text = json.dumps(interactive_item(figure, []))
     assert '"dtype": "uint8"' in text and len(text) < 1.5 * values.size

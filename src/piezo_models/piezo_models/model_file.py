@@ -8,7 +8,7 @@ from typing import Any
 
 from piezo_common.regular_file import UnreadableFile
 from piezo_common.schema import SchemaError, load_document
-from piezo_common.text_file import read_bounded_text, replace_document
+from piezo_common.text_file import check_may_replace, read_bounded_text, replace_document
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_document import (
     FORMAT,
@@ -18,6 +18,9 @@ from piezo_models.model_document import (
     rendered,
 )
 from piezo_models.model_reader import built_model, identified_model_of
+
+KIND = "model file"
+"""Name of such files in messages."""
 
 LARGEST_FILE_BYTES = 32 * 2**20
 """Size limit of a model file in bytes; a density of 1000 x 1000 cells fits."""
@@ -56,7 +59,18 @@ def write_document(path: Path, document: dict[str, Any]) -> None:
     ModelFileError
         If the file cannot be written, or a file that is not a model file is in its place.
     """
-    replace_document(path, document, "model file", ModelFileError, rendered, LARGEST_FILE_BYTES)
+    replace_document(path, document, KIND, ModelFileError, rendered, LARGEST_FILE_BYTES)
+
+
+def check_model_may_replace(path: str | PathLike[str]) -> None:
+    """Check, also before the work for a model, that its file replaces no other kind of file.
+
+    Raises
+    ------
+    ModelFileError
+        If a file that is not a model file is in its place.
+    """
+    check_may_replace(path, FORMAT, KIND, ModelFileError, LARGEST_FILE_BYTES)
 
 
 def announced_model(path: str | PathLike[str]) -> IdentifiedModel:

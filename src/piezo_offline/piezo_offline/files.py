@@ -47,6 +47,9 @@ def save_model(path: str | PathLike[str], identified: IdentifiedModel | Identifi
     >>> load_model("line.json").voltage_range_v
     (0.0, 10.0)
     """
+    if not isinstance(path, str | PathLike):
+        raise TypeError(f"the path is a {type(path).__name__}: give the path first, as in "
+                        'save_model("model.json", model)')
     if isinstance(identified, IdentifiedAxes):
         save_axes_model(path, identified)
     else:

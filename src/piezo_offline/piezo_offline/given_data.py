@@ -72,7 +72,7 @@ def read(data: Any, columns: Any = (), name: Any = "") -> Recording:
         by label, for example ``{"time_s": t, "voltage_v": u, "displacement_um": y}``; or a frame
         with such columns, whose index may be the time; or a dataset with such variables over
         time, with units in their attribute ``units``. A recording is returned unchanged.
-    columns : sequence of str
+    columns : str or sequence of str
         Assignments that labels and units do not contain, for example ``["time=t[ms]",
         "voltage=ch1[20V]"]``, or ``["rate=10[kHz]"]`` for data without time.
     name : str
@@ -98,11 +98,15 @@ def read(data: Any, columns: Any = (), name: Any = "") -> Recording:
         return data
     if not isinstance(name, str):
         data, columns, name = dict(zip(SIGNALS, (data, columns, name), strict=True)), (), ""
-    if isinstance(data, str | PathLike) and not columns and is_of_axes(data):
+    words = [columns] if isinstance(columns, str) else list(columns)
+    if not all(isinstance(word, str) for word in words):
+        raise RecordingError("columns holds no words: give three arrays, as in read(time_s, "
+                             "voltage_v, displacement_um), or words such as voltage=ch1[20V]")
+    if isinstance(data, str | PathLike) and not words and is_of_axes(data):
         raise RecordingError(f"{data} is of several axes, which are not read alone: hand the file "
                              "itself to check, identify or simulate")
     try:
-        described = parse_columns(list(columns))
+        described = parse_columns(words)
         if isinstance(data, str | PathLike):
             recording = read_recording(data, columns=described)
         else:

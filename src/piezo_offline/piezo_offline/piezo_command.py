@@ -3,8 +3,9 @@
 
 import argparse
 import sys
+from importlib import metadata
 
-from piezo_common.command_line import UMBRELLA
+from piezo_common.command_line import BAD_INPUT, UMBRELLA
 from piezo_controller.commands.design_command import COMMAND as DESIGN
 from piezo_controller.commands.scan_command import COMMAND as SCAN
 from piezo_identification.commands.check_command import COMMAND as CHECK
@@ -25,6 +26,15 @@ COMMANDS = {command.name: command for command in (
 """Subcommands in the order of their use."""
 
 
+class _Version(argparse.Action):
+    """Print the version of the installed distribution, which is searched only then."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        distributions = metadata.packages_distributions()["piezo_offline"]
+        print(f"{UMBRELLA} {metadata.version(distributions[0])}")
+        parser.exit()
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the subcommand in the arguments.
 
@@ -33,7 +43,11 @@ def main(arguments: list[str] | None = None) -> int:
     int
         Exit status: that of the subcommand, 2 for invalid input, 130 after Ctrl-C.
     """
-    options = parser().parse_args(arguments)
+    given = sys.argv[1:] if arguments is None else arguments
+    if not given:
+        parser().print_help(sys.stderr)
+        return BAD_INPUT
+    options = parser().parse_args(given)
     return COMMANDS[options.command].carry_out(options)
 
 
@@ -41,6 +55,7 @@ def parser() -> argparse.ArgumentParser:
     """Return the parser with all subcommands."""
     made = argparse.ArgumentParser(
         prog=UMBRELLA, description="Work on recordings, models and controllers of a piezo stage.")
+    made.add_argument("--version", action=_Version, nargs=0, help="print the version, and end")
     commands = made.add_subparsers(title="commands", required=True, metavar="COMMAND",
                                    dest="command")
     for name, command in COMMANDS.items():

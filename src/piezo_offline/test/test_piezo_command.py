@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """`piezo` runs the offline commands of all packages, with the same options."""
 
+import re
+import shlex
+
+import numpy as np
 import pytest
 
 from piezo_offline.piezo_command import COMMANDS, main
@@ -33,3 +37,35 @@ def test_report_of_a_table_names_the_command_to_type_next(tmp_path, capsys):
     told = capsys.readouterr().out.splitlines()
     assert "50 samples" in told[0]
     assert told[-1] == f"next: piezo check --data {table}"
+
+
+def test_the_command_alone_explains_itself_and_says_its_version(capsys):
+    assert main([]) == 2
+    assert "check" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as ended:
+        main(["--version"])
+    assert ended.value.code == 0
+    assert re.fullmatch(r"piezo \d+\.\d+\.\d+\n", capsys.readouterr().out)
+
+
+def test_a_following_command_describes_the_columns_alike(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    time_s = 0.01 * np.arange(300)
+    monitor_v = 2.5 - 2.5 * np.cos(3.0 * time_s)
+    np.savetxt("mine.csv", np.column_stack([time_s, monitor_v, 8.0 * monitor_v]), delimiter=",",
+               comments="", header="t [s],monitor [V],y [um]")
+    columns = ["--columns", "voltage=monitor[20V]"]
+    given = ["--hysteresis", "mine.csv", "--validation", "mine.csv", "--grid", "5", *columns]
+    assert main(["identify", *given, "--output", "line.json", "--no-report"]) == 0
+    simulate = ["simulate", "--model", "line.json", "--data", "mine.csv", *columns]
+    assert f"next: piezo {shlex.join(simulate)} --output line\n" in capsys.readouterr().out
+    assert main(simulate) == 0
+    assert f" --data mine.csv {shlex.join(columns)} " in capsys.readouterr().out.splitlines()[-1]
+
+
+def test_a_file_that_is_no_model_is_kept_before_anything_is_estimated(tmp_path, capsys):
+    table = tmp_path / "mine.csv"
+    table.write_text("time_s,voltage_v,displacement_um\n0,0,0\n")
+    assert main(["identify", "--hysteresis", str(table), "--output", str(table)]) == 2
+    told = capsys.readouterr()
+    assert "is no model file, so it is not overwritten" in told.err and told.out == ""

@@ -16,6 +16,7 @@ from piezo_offline import (
     diagnose,
     identify,
     read,
+    save_model,
     simulate,
     steps,
 )
@@ -54,6 +55,19 @@ def test_three_arrays_are_time_voltage_and_displacement(measured_um):
     np.testing.assert_array_equal(recording.displacement_um, measured_um)
     with pytest.raises(ValueError, match="columns have different numbers of values"):
         read(TIME_S, VOLTAGE_V, measured_um[:-1])
+
+
+def test_what_a_first_call_gets_wrong_is_answered_by_how_to_call(measured_um, tmp_path):
+    with pytest.raises(ValueError, match=r"read\(time_s, voltage_v, displacement_um\)"):
+        read(TIME_S, VOLTAGE_V)
+    with pytest.raises(TypeError, match=r'save_model\("model.json", model\)'):
+        save_model(IdentifiedModel(MODEL, voltage_range_v=(0.0, 100.0)), tmp_path / "model.json")
+    with pytest.raises(ValueError, match="unknown method 'lqr'"):
+        design(MODEL, method="lqr")
+    with pytest.raises(ValueError, match="the model has no dynamics"):
+        design(MODEL)
+    monitor = {"t [s]": TIME_S, "monitor [V]": 0.05 * VOLTAGE_V, "y [um]": measured_um}
+    np.testing.assert_allclose(read(monitor, "voltage=monitor[20V]").voltage_v, VOLTAGE_V)
 
 
 def test_columns_are_asked_for_as_an_argument(measured_um):

@@ -16,7 +16,7 @@ from piezo_controller.feedback.controller_view import (
 )
 from piezo_controller.feedback.loop_measures import measure_loop
 from piezo_controller.feedback.synthesis.controller_reduction import reduce_order
-from piezo_controller.feedback.synthesis.design_choices import METHODS, SCALINGS
+from piezo_controller.feedback.synthesis.design_choices import check_choices
 from piezo_controller.feedback.synthesis.dk_iteration import iterate, scale, tick_frequencies
 from piezo_controller.feedback.synthesis.generalised_plant import (
     UNCERTAINTIES,
@@ -154,11 +154,7 @@ def design_feedback(model: StageModel, weights: DesignWeights, clock_period_s: f
     ValueError
         If `method` or `scaling` is unknown.
     """
-    if method not in METHODS:
-        raise ValueError(f'unknown method {method!r} of the feedback: use one of '
-                         f'{", ".join(METHODS)}')
-    if scaling not in SCALINGS:
-        raise ValueError(f'unknown scaling {scaling!r}: use one of {", ".join(SCALINGS)}')
+    check_choices(method, scaling)
     tick_s = weights.sample_period_s
     if method == "pid" and delay_ticks != 1:
         raise ValueError("PID is found by a relay that answers by messages: give delay_ticks 1")

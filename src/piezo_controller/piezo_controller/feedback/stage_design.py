@@ -13,6 +13,7 @@ from piezo_controller.feedback.synthesis.design_choices import (
     METHODS,
     SAMPLE_RATE_HZ,
     SCALINGS,
+    check_choices,
 )
 from piezo_controller.feedback.synthesis.weights import DesignWeights, load_weights
 from piezo_controller.feedback.synthesis.ziegler_nichols import ultimate_point_by_relay
@@ -58,8 +59,12 @@ def design_for_stage(
     Raises
     ------
     ValueError
-        See `design_feedback`; also if the weights cannot be read.
+        See `design_feedback`; also if the model has no dynamics, or the weights cannot be read.
     """
+    check_choices(method, scaling)
+    if model.linear().nstates <= len(model.creep.poles_rad_per_s):
+        raise ValueError("the model has no dynamics, by which a feedback is designed: identify it "
+                         "with a recording of the dynamics as well")
     clock_s = 1.0 / sample_rate_hz
     chosen = load_weights(weights)
     rules = choose_rates(

@@ -187,6 +187,15 @@ def read_axes_response(path: str | PathLike[str], sample_rate_hz: float = DEFAUL
     ------
     ValueError
         If the file, a column or a row is invalid; the message is one line.
+
+    Examples
+    --------
+    >>> entries = [f"{moved}_from_{driven}_gain_{part}"
+    ...            for moved in "xy" for driven in "xy" for part in ("re", "im")]
+    >>> np.savetxt("response.csv", [[10.0, *range(8)], [20.0, *range(8)]], delimiter=",",
+    ...            comments="", header=",".join(["frequency_hz", *entries]))
+    >>> read_axes_response("response.csv")
+    <AxesResponse response.csv: x, y at 2 frequencies from 10 to 20 Hz>
     """
     tables = read_tables(Path(path), _needed, no_progress)
     table = next((each for each in tables if FREQUENCY in each.columns), tables[0])

@@ -85,6 +85,18 @@ def identify_several_axes(
     ------
     RecordingError
         If the recordings do not belong together or leave an axis at rest.
+
+    Examples
+    --------
+    >>> import control
+    >>> import numpy as np
+    >>> from piezo_identification import AxesResponse
+    >>> mode = [1e-6, 1e-4, 1.0]
+    >>> stage = control.tf([[[1.0], [0.1]], [[0.1], [2.0]]], [[mode, mode], [mode, mode]])
+    >>> identified = identify_several_axes(AxesResponse.from_control(
+    ...     control.frequency_response(stage, np.geomspace(10.0, 3000.0, 30))), pairs=1)
+    >>> print(np.round(np.abs(identified.model.poles_rad_per_s)))
+    [1000.]
     """
     budget = budget or Budget()
     with spending(budget):

@@ -85,6 +85,26 @@ def predict_several_axes(model: CoupledModel, recording: AxesRecording) -> AxesP
     ------
     RecordingError
         If the recording is of other axes or of a shorter sample period.
+
+    Examples
+    --------
+    >>> import control
+    >>> import numpy as np
+    >>> from piezo_identification import AxesResponse, identify_several_axes
+    >>> from piezo_recorder import axes_recordings_in
+    >>> mode = [1e-6, 1e-4, 1.0]
+    >>> stage = control.tf([[[1.0], [0.1]], [[0.1], [2.0]]], [[mode, mode], [mode, mode]])
+    >>> identified = identify_several_axes(AxesResponse.from_control(
+    ...     control.frequency_response(stage, np.geomspace(10.0, 3000.0, 30))), pairs=1)
+    >>> time_s = 1e-4 * np.arange(2000)
+    >>> voltage_v = np.column_stack([np.sin(100.0 * time_s), np.sin(200.0 * time_s)])
+    >>> moved = control.forced_response(stage, time_s, voltage_v.T).outputs
+    >>> recording, = axes_recordings_in({
+    ...     "time_s": time_s, "x_voltage_v": voltage_v[:, 0], "y_voltage_v": voltage_v[:, 1],
+    ...     "x_displacement_um": moved[0], "y_displacement_um": moved[1]})
+    >>> prediction = predict_several_axes(identified.model, recording)
+    >>> prediction.axes, max(prediction.e_y_percent().values()) < 2.0
+    (('x', 'y'), True)
     """
     if recording.axes != model.axes:
         raise RecordingError(f"{recording.name} has the axes {', '.join(recording.axes)}, and the "

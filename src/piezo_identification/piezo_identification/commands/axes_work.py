@@ -79,7 +79,8 @@ def identify_axes_files(options: argparse.Namespace,
     if budget.is_interrupted:
         return INTERRUPTED
     print_next(options, "piezo_identification", "simulate", "--model", options.output, "--data",
-               "<a recording that was not fitted>", "--output", options.output.with_suffix(""))
+               options.validation or "<a recording that was not fitted>", "--output",
+               options.output.with_suffix(""))
     return None
 
 

@@ -26,7 +26,7 @@ from piezo_identification.recording_check.suitability import Suitability, given_
 from piezo_identification.report.check_page import check_page
 from piezo_identification.report.check_picture import draw_check
 from piezo_recorder.reading.axes import is_of_axes
-from piezo_recorder.reading.data_options import read_all_given
+from piezo_recorder.reading.data_options import columns_given, read_all_given
 from piezo_recorder.reading.recording import Recording
 
 DRAWN_UNTIL = 0.5
@@ -73,11 +73,9 @@ def check_files(options: argparse.Namespace) -> None:
     # A frequency response cannot be combined with other files for the dynamics.
     given |= {"dynamics": responses[:1] or of_axes} if responses or of_axes else {}
     named = [word for experiment, paths in given.items() for word in (f"--{experiment}", *paths)]
-    if options.columns:
-        named += ["--columns", *options.columns]
     print_next(options, "piezo_identification", "identify",
                *(named or ("<--creep, --dynamics or --hysteresis>", options.data[0])),
-               "--output", "model.json")
+               *columns_given(options), "--output", "model.json")
 
 
 def _check_one(recording: Recording, picture: Path, budget: Budget,

@@ -30,8 +30,8 @@ from piezo_identification.identification.given_hysteresis import DensityOptions
 from piezo_identification.identification.identify import identify
 from piezo_identification.recording_check.suitability import misfits
 from piezo_models.identified_model import IdentifiedModel
-from piezo_models.model_file import save_model
-from piezo_recorder.reading.data_options import read_given
+from piezo_models.model_file import check_model_may_replace, save_model
+from piezo_recorder.reading.data_options import columns_given, read_given
 
 PAGE_S = 5.0
 """Time (s) reserved to draw the page of a model."""
@@ -45,6 +45,7 @@ def identify_files(options: argparse.Namespace) -> int | None:
     int or None
         Exit status if the work was interrupted.
     """
+    check_model_may_replace(options.output)
     paths = {name: getattr(options, name) for name in EXPERIMENTS}
     by_name = {name: [given] if isinstance(given, Path) else given
                for name, given in paths.items() if given is not None}
@@ -80,7 +81,8 @@ def identify_files(options: argparse.Namespace) -> int | None:
     if options.report:
         _write_report(identified, data, options)
     print_next(options, "piezo_identification", "simulate", "--model", options.output, "--data",
-               "<a recording that was not fitted>", "--output", options.output.with_suffix(""))
+               options.validation or "<a recording that was not fitted>", *columns_given(options),
+               "--output", options.output.with_suffix(""))
     print_next(options, "piezo_controller", "design", "--model", options.output, "--output",
                options.output.with_name("controller.json"))
     return None
@@ -138,8 +140,6 @@ def _check_options(
 
 def _print_summary(identified: IdentifiedModel) -> None:
     print(identified.summary())
-    for name, row in identified.rows.items():
-        print(f"rows of the {name}: read {row['read_at_samples']:.4g} sample periods late")
     print(adequacy_table(identified.adequacy))
     print("e_y: norm of the difference over that of the measured displacement without its mean "
           "(4.20), percent")

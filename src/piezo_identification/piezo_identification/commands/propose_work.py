@@ -19,7 +19,7 @@ from piezo_identification.diagnosis.report.results import stated_error_um
 from piezo_identification.experiments.stage_limits import StageLimits
 from piezo_identification.prediction.row_reading import all_as_identified
 from piezo_models.model_file import announced_model
-from piezo_recorder.reading.data_options import read_all_given
+from piezo_recorder.reading.data_options import columns_given, read_all_given
 from piezo_recorder.reading.reader import read_recordings
 
 
@@ -49,7 +49,8 @@ def propose_given(options: argparse.Namespace) -> None:
     print(f"written {waveform} and {outcome}")
     print_next(options, "piezo_client", "stage", "play", waveform, "--output", options.output)
     print_next(options, "piezo_identification", "diagnose", "--model", options.model, "--data",
-               *options.data, "<the recording of it>", "--output", options.output / "diagnosis")
+               *options.data, "<the recording of it>", *columns_given(options), "--output",
+               options.output / "diagnosis")
 
 
 def _read_verdict(path: Path) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from piezo_identification.report.simulation_report import (
 )
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import announced_model, is_of_several_axes
-from piezo_recorder.reading.data_options import read_given
+from piezo_recorder.reading.data_options import columns_given, read_given
 from piezo_recorder.reading.waveform_file import read_waveform
 
 DOTS_PER_INCH = 120
@@ -60,7 +60,7 @@ def simulate_file(options: argparse.Namespace) -> None:
     print("e_y: norm of the difference over that of the measured displacement without its mean "
           "(4.20), percent")
     print_next(options, "piezo_identification", "diagnose", "--model", model_path, "--data",
-               data_path, "--output", (directory or Path()) / "diagnosis")
+               data_path, *columns_given(options), "--output", (directory or Path()) / "diagnosis")
 
 
 def _predict(identified: IdentifiedModel, path: Path, directory: Path) -> None:

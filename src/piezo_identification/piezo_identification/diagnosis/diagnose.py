@@ -178,6 +178,24 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
     ------
     ValueError
         If there is no recording, or one cannot be used, or the held-out one is among the others.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from piezo_models import (
+    ...     CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel)
+    >>> from piezo_recorder import recording_of
+    >>> line = PreisachModel.line(0.0, 10.0, 2.0)
+    >>> time_s = 0.01 * np.arange(500)
+    >>> voltage_v = 5.0 - 5.0 * np.cos(3.0 * time_s)
+    >>> stage, model = (StageModel(line, CreepDynamics(), ElectricVibrationDynamics(lag_s))
+    ...                 for lag_s in (0.02, 0.0))
+    >>> noise_um = np.random.default_rng(0).normal(0.0, 0.01, 500)
+    >>> recording = recording_of({
+    ...     "time_s": time_s, "voltage_v": voltage_v,
+    ...     "displacement_um": stage.simulate(voltage_v, 0.01) + noise_um})
+    >>> diagnose(model, [recording])
+    <Diagnosis: explained by ..._lag, ... nm RMS before, ... nm after, ... nm noise>
     """
     refuse_known_holdout(holdout, recordings, identified_from)
     budget = budget or Budget()

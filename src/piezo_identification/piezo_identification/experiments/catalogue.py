@@ -297,6 +297,13 @@ def named_experiment(
     ValueError
         If there is no experiment of this name, it exceeds the limits, or that of another package
         cannot be imported or does not return an experiment.
+
+    Examples
+    --------
+    >>> from piezo_identification import StageLimits
+    >>> experiment = named_experiment("creep", StageLimits(voltage_min_v=0.0, voltage_max_v=100.0))
+    >>> print(experiment.sample_period_s, experiment.voltage_v.min(), experiment.voltage_v.max())
+    0.01 35.0 65.0
     """
     known = registered(GROUP, EXPERIMENTS | FURTHER_EXPERIMENTS)
     if name not in known:

@@ -137,6 +137,17 @@ def identify(
         If a recording does not fit its purpose, or none is given.
     IdentificationCancelled
         If `cancelled` returns True.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from piezo_recorder import recording_of
+    >>> time_s = 0.01 * np.arange(500)
+    >>> voltage_v = 5.0 - 5.0 * np.cos(6.3 * time_s)
+    >>> identified = identify(hysteresis=recording_of({
+    ...     "time_s": time_s, "voltage_v": voltage_v, "displacement_um": 2.0 * voltage_v}))
+    >>> print(np.round(identified.model.simulate([0.0, 5.0, 10.0], 0.01), 3))
+    [ 0. 10. 20.]
     """
     given = given_data(creep, dynamics, hysteresis, validation)
     stages, note = Stages(progress, cancelled), note or (lambda text: None)

@@ -98,6 +98,23 @@ def predict(model: StageModel, recording: Recording) -> Prediction:
     ------
     ValueError
         If the recording has gaps, or is too short to settle.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from piezo_models import (
+    ...     CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel)
+    >>> from piezo_recorder import recording_of
+    >>> line = PreisachModel.line(0.0, 10.0, 2.0)
+    >>> time_s = 0.01 * np.arange(500)
+    >>> voltage_v = 5.0 - 5.0 * np.cos(3.0 * time_s)
+    >>> stage, model = (StageModel(line, CreepDynamics(), ElectricVibrationDynamics(lag_s))
+    ...                 for lag_s in (0.02, 0.0))
+    >>> prediction = predict(model, recording_of({
+    ...     "time_s": time_s, "voltage_v": voltage_v,
+    ...     "displacement_um": stage.simulate(voltage_v, 0.01)}))
+    >>> print(f"{prediction.e_y_percent():.1f} %")
+    7.8 %
     """
     recording, is_reversed = conditioned(model, recording)
     run = ModelRun(model, recording)

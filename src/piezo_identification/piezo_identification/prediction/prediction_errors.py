@@ -30,6 +30,23 @@ def unseen_errors(model: StageModel, recordings: Recordings) -> dict[str, float]
     dict of str to float
         `e_y_percent` for all samples, `hysteresis_e_y_percent` for slow branches and
         `dynamics_e_y_percent` for fast ones, if the stage moves in them.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from piezo_models import (
+    ...     CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel)
+    >>> from piezo_recorder import recording_of
+    >>> line = PreisachModel.line(0.0, 10.0, 2.0)
+    >>> time_s = 0.01 * np.arange(500)
+    >>> voltage_v = 5.0 - 5.0 * np.cos(3.0 * time_s)
+    >>> stage, model = (StageModel(line, CreepDynamics(), ElectricVibrationDynamics(lag_s))
+    ...                 for lag_s in (0.02, 0.0))
+    >>> errors = unseen_errors(model, recording_of({
+    ...     "time_s": time_s, "voltage_v": voltage_v,
+    ...     "displacement_um": stage.simulate(voltage_v, 0.01)}))
+    >>> print(f"{errors['e_y_percent']:.1f} %")
+    7.8 %
     """
     return errors_of([predict(model, recording) for recording in listed(recordings)])
 

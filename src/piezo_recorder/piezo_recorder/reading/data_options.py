@@ -41,6 +41,11 @@ def read_all_given(path: str | PathLike[str], options: argparse.Namespace,
     return found
 
 
+def columns_given(options: argparse.Namespace) -> list[str]:
+    """Return the option ``--columns`` as it was given, for a further command on the same data."""
+    return ["--columns", *options.columns] if options.columns else []
+
+
 def _size(path: Path) -> int:
     return path.stat().st_size if path.is_file() else 0
 

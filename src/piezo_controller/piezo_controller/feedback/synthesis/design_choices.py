@@ -22,3 +22,18 @@ DISTURBANCE_HZ = 20.0
 
 SAMPLE_RATE_HZ = 40_000.0
 """Rate of the stage's sample clock (Hz), as in the thesis."""
+
+
+def check_choices(method: str, scaling: str) -> None:
+    """Check the names of a method and of a scaling.
+
+    Raises
+    ------
+    ValueError
+        If one of them is unknown.
+    """
+    if method not in METHODS:
+        raise ValueError(f'unknown method {method!r} of the feedback: use one of '
+                         f'{", ".join(METHODS)}')
+    if scaling not in SCALINGS:
+        raise ValueError(f'unknown scaling {scaling!r}: use one of {", ".join(SCALINGS)}')

@@ -167,7 +167,8 @@ def _coarse_shift(measured_um: FloatArray, simulated_um: FloatArray) -> int:
     overlap = measured_um.size - np.abs(shifts)
     of_both = [energy[begin + overlap] - energy[begin]
                for energy, begin in zip(energies, (late, early), strict=True)]
-    unlike = 1.0 - np.abs(products[shifts]) / np.sqrt(np.maximum(of_both[0] * of_both[1], 1e-300))
+    alike = np.abs(products[shifts]) / np.sqrt(np.maximum(of_both[0] * of_both[1], 1e-300))
+    unlike = np.maximum(1.0 - alike, 0.0)  # rounding would make equal signals more than alike
     # A periodic waveform correlates equally well one period later.
     close = np.flatnonzero(unlike <= SETTINGS.as_much_alike * unlike.min())
     best = close[np.argmin(np.abs(shifts[close]))]

@@ -104,6 +104,27 @@ def alternatives_of_files(model: StageModel, recordings: Sequence[Recording],
         Available recordings from which the model was identified; by default none.
     stated_um : float
         RMS of the known error of the model.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from piezo_models import (
+    ...     CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel)
+    >>> from piezo_identification import diagnose
+    >>> from piezo_recorder import recording_of
+    >>> line = PreisachModel.line(0.0, 10.0, 2.0)
+    >>> time_s = 0.01 * np.arange(500)
+    >>> voltage_v = 5.0 - 5.0 * np.cos(3.0 * time_s)
+    >>> stage, model = (StageModel(line, CreepDynamics(), ElectricVibrationDynamics(lag_s))
+    ...                 for lag_s in (0.02, 0.0))
+    >>> noise_um = np.random.default_rng(0).normal(0.0, 0.01, 500)
+    >>> recording = recording_of({
+    ...     "time_s": time_s, "voltage_v": voltage_v,
+    ...     "displacement_um": stage.simulate(voltage_v, 0.01) + noise_um})
+    >>> verdict = diagnose(model, [recording]).document()
+    >>> alternatives = alternatives_of_files(model, [recording], verdict)
+    >>> sorted(each.name for each in alternatives.alternatives)
+    ['amplifier_lag', 'sensor_lag']
     """
     given = condition(model, recordings, None)
     first = first_regression(simulate_recordings(model, given.recordings))
@@ -136,6 +157,14 @@ def propose(alternatives: Alternatives, limits: StageLimits, longest_s: float = 
     ------
     ValueError
         If the limits and the model's voltage range do not overlap.
+
+    Examples
+    --------
+    >>> from piezo_identification import StageLimits
+    >>> limits = StageLimits(0.0, 10.0, sample_rate_hz=1000.0)
+    >>> proposal = propose(alternatives, limits, 5.0)     # those of `alternatives_of_files`
+    >>> print("waveform:", proposal.sentence())
+    waveform: ... distinguishes amplifier_lag from sensor_lag with probability ...
     """
     if len(alternatives.alternatives) < 2:
         return None

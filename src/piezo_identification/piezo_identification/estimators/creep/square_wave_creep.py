@@ -99,6 +99,23 @@ def estimate_creep(
     ------
     ValueError
         If the recording has gaps or is no square wave, or does not show the requested pairs.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from piezo_models import (
+    ...     CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel)
+    >>> from piezo_recorder import recording_of
+    >>> line = PreisachModel.line(0.0, 10.0, 2.0)
+    >>> creep = CreepDynamics(poles_rad_per_s=(0.5,), zeros_rad_per_s=(0.55,))
+    >>> stage = StageModel(line, creep, ElectricVibrationDynamics())
+    >>> time_s = 0.01 * np.arange(2000)
+    >>> voltage_v = np.where(time_s % 10.0 < 5.0, 0.0, 10.0)
+    >>> estimate = estimate_creep(recording_of({
+    ...     "time_s": time_s, "voltage_v": voltage_v,
+    ...     "displacement_um": stage.simulate(voltage_v, 0.01)}))
+    >>> print(np.round(estimate.model.poles_rad_per_s, 3))
+    [0.5]
     """
     part = square_part(played(recording))
     record = _CreepRecord(part, dynamics, delay_s)

@@ -51,6 +51,24 @@ def estimate_dynamics_multisine(
     ------
     ValueError
         If the recording has gaps, is averaged, leaves the hysteresis' range, or is too short.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from piezo_models import (
+    ...     CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel)
+    >>> from piezo_recorder import recording_of
+    >>> line = PreisachModel.line(0.0, 10.0, 2.0)
+    >>> mode = ElectricVibrationDynamics(0.0, (1000.0,), (0.02,))
+    >>> stage = StageModel(line, CreepDynamics(), mode)
+    >>> time_s = 1e-4 * np.arange(6000)
+    >>> voltage_v = 5.0 - 5.0 * np.cos(314.0 * time_s ** 2)
+    >>> estimate = estimate_dynamics_multisine(recording_of({
+    ...     "time_s": time_s, "voltage_v": voltage_v,
+    ...     "displacement_um": stage.simulate(voltage_v, 1e-4)}),
+    ...     line, CreepDynamics(), mode_count=1)
+    >>> print(np.round(estimate.model.mode_frequencies_rad_per_s))
+    [1000.]
     """
     return fit_signals(
         hysteresis_and_displacement(recording, hysteresis, creep), mode_count, delay)

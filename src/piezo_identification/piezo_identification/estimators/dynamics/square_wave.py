@@ -56,6 +56,23 @@ def estimate_dynamics(
     ------
     ValueError
         If the recording has gaps, is no square wave, is averaged, or is too short.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from piezo_models import (
+    ...     CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel)
+    >>> from piezo_recorder import recording_of
+    >>> line = PreisachModel.line(0.0, 10.0, 2.0)
+    >>> mode = ElectricVibrationDynamics(0.0, (1000.0,), (0.02,))
+    >>> stage = StageModel(line, CreepDynamics(), mode)
+    >>> sample = np.arange(6000)
+    >>> voltage_v = np.where(sample % 1000 < 500, 0.0, 10.0)
+    >>> estimate = estimate_dynamics(recording_of({
+    ...     "time_s": 1e-4 * sample, "voltage_v": voltage_v,
+    ...     "displacement_um": stage.simulate(voltage_v, 1e-4)}), CreepDynamics(), mode_count=1)
+    >>> print(np.round(estimate.model.mode_frequencies_rad_per_s))
+    [1000.]
     """
     return fit_with_fast_creep(
         lambda known: mean_period(recording, known), creep, mode_count, delay, among)

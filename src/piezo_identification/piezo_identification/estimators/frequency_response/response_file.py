@@ -75,6 +75,14 @@ def read_frequency_response(path: str | Path) -> FrequencyResponse:
     ------
     ValueError
         If the file cannot be read, lacks a column or its unit, or a row has no number.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> np.savetxt("response.csv", [[10.0, 2.0, -0.1], [20.0, 1.9, -0.2]], delimiter=",",
+    ...            comments="", header="frequency_hz,gain_re,gain_im")
+    >>> print(read_frequency_response("response.csv").frequency_hz)
+    [10. 20.]
     """
     if not Path(path).is_file():
         raise ValueError(f"{path} cannot be read: give an existing text file of a response")

@@ -87,6 +87,19 @@ def estimate_from_response(
     ------
     ValueError
         If there are too few frequencies for the order.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from piezo_identification import read_frequency_response
+    >>> frequency_hz = np.geomspace(10.0, 1000.0, 60)
+    >>> s = 2j * np.pi * frequency_hz
+    >>> gain = 2.0 / (1.0 + 0.04 * s / 1257.0 + (s / 1257.0) ** 2)
+    >>> np.savetxt("response.csv", np.column_stack([frequency_hz, gain.real, gain.imag]),
+    ...            delimiter=",", comments="", header="frequency_hz,gain_re,gain_im")
+    >>> estimate = estimate_from_response(read_frequency_response("response.csv"))
+    >>> print(np.round(estimate.model.dynamics.mode_frequencies_rad_per_s))
+    [1257.]
     """
     frequencies = measured.frequency_hz.size
     if frequencies < LEAST_FREQUENCIES:

@@ -78,6 +78,21 @@ def estimate_density(
     ValueError
         If the voltage does not change or never returns, or the displacement falls where the
         voltage rises.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from piezo_models import CreepDynamics, ElectricVibrationDynamics, PreisachModel
+    >>> from piezo_recorder import recording_of
+    >>> stage = PreisachModel(0.0, 10.0, np.tril(np.full((5, 5), 0.04)))
+    >>> time_s = 0.01 * np.arange(500)
+    >>> voltage_v = (5.0 - 5.0 * np.cos(6.3 * time_s)) * np.linspace(1.0, 0.2, 500)
+    >>> estimate = estimate_density(recording_of({
+    ...     "time_s": time_s, "voltage_v": voltage_v,
+    ...     "displacement_um": stage.simulate(voltage_v)}),
+    ...     CreepDynamics(), ElectricVibrationDynamics(), level_count=5)
+    >>> estimate.is_line, estimate.model().density_um_per_v2.shape
+    (False, (10, 10))
     """
     parts = played_segments(recording)
     segments = [segment_of(part, creep, dynamics, delay_s) for part in parts]

@@ -101,6 +101,15 @@ def test_what_is_no_fault_of_the_rows_is_not_named(model, kind, change, delay_s)
     assert "misaligned_rows" not in {fault.name for fault in faults}
 
 
+@pytest.mark.parametrize("samples", [20, 200, 400])
+def test_a_recording_that_the_model_answers_exactly_has_no_fault(samples):
+    line = StageModel(
+        PreisachModel.line(0.0, 100.0, 0.4), CreepDynamics(), ElectricVibrationDynamics())
+    voltage_v = 50.0 - 50.0 * np.cos(0.006 * np.arange(samples))
+    exact = replace(recorded(voltage_v, 0.0), displacement_um=line.simulate(voltage_v, PERIOD_S))
+    assert without_faults(line, exact)[1] == []
+
+
 def test_a_delay_of_whole_rows_of_a_fast_recording_is_the_stages(model):
     period_s = 1e-4
     voltage_v = voltages("levels")

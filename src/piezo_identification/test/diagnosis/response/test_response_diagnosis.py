@@ -138,7 +138,7 @@ def test_the_command_writes_verdict_model_and_report(tmp_path, capsys, picture_f
     extended = load_model(tmp_path / "out" / "extended_model.json").model
     assert extended.effects[0].name == "delay"
     page = (tmp_path / "out" / "report.html").read_text()
-    assert "data:image/png;base64," in page and "delay" in page
+    assert "data:image/webp;base64," in page and "delay" in page
 
 
 def test_a_response_with_few_frequencies_or_beside_another_file_is_refused(tmp_path, capsys):
