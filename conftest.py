@@ -31,6 +31,7 @@ from PIL import Image
 from piezo_common import report_page, side_by_side
 from piezo_common.interactive_picture import interactive_item
 from piezo_ros.discovery import prepare_discovery
+from piezo_studies.undrawn import save_point
 
 LONG = bool(os.environ.get("LONG_TESTS"))
 DOCS = Path(__file__).parent / "docs"
@@ -319,8 +320,7 @@ def picture_faults():
 @pytest.fixture
 def without_pictures(monkeypatch):
     """Make every picture a single point: to draw takes longer than what many tests look at."""
-    monkeypatch.setattr(Figure, "savefig", lambda figure, target, **options: Image.new(
-        "RGB", (1, 1)).save(target, "png"))
+    monkeypatch.setattr(Figure, "savefig", save_point)
 
 
 @pytest.fixture

@@ -31,7 +31,7 @@ from piezo_recorder.reading.recording import RecordingError
 from piezo_ros.quality import FEEDBACK, SAMPLES
 from piezo_studies.forked_processes import ForkedProcesses
 
-sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[1] / "benchmarks")]
 from probes import write_endless_probe, write_short_probe
 
 TIMEOUT_S = 300.0

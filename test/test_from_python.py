@@ -58,6 +58,7 @@ def content(part):
     return part.displacement_um.tobytes() if isinstance(part, Recording) else part
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_examples_of_the_page_run_and_find_the_stage_that_was_made(tmp_path, monkeypatch, capsys):
     pytest.importorskip("xarray")
     monkeypatch.chdir(tmp_path)
@@ -74,6 +75,7 @@ def test_examples_of_the_page_run_and_find_the_stage_that_was_made(tmp_path, mon
     assert "std. dev. (Hz)" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_notebook_of_data_runs_and_shows_tables_and_pictures(tmp_path, monkeypatch):
     pytest.importorskip("pandas")
     monkeypatch.chdir(tmp_path)

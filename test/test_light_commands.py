@@ -56,6 +56,11 @@ def test_mistyped_option_or_path_is_refused_without_a_heavy_module():
     assert len(refusals) == len(MODULES)
 
 
+def test_what_drives_a_stage_loads_no_library_of_models_or_pictures():
+    loaded, _ = loaded_by(first="import piezo_client.stage_work")
+    assert not {"control", "matplotlib", "numba", "pandas", "scipy"} & set(loaded)
+
+
 def test_a_heavy_module_that_is_loaded_is_seen():
     assert {"numpy", "scipy"} <= set(loaded_by(first="import scipy.signal")[0])
 

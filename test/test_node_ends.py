@@ -11,11 +11,12 @@ from piezo_interfaces.srv import StartRecording, StopRecording
 from piezo_recorder.reading.reader import read_recording
 
 
-@pytest.mark.parametrize(("number", "timing"), [
-    (signal.SIGINT, "lockstep"), (signal.SIGTERM, "paced")])
-def test_stage_that_is_ended_in_a_waveform_ends_in_order(executables, tmp_path, number, timing):
+@pytest.mark.parametrize(("number", "timing", "kind"), [
+    (signal.SIGINT, "lockstep", "executables"), (signal.SIGTERM, "paced", "nodes")])
+def test_stage_that_is_ended_in_a_waveform_ends_in_order(
+        request, tmp_path, number, timing, kind):
     # In ticks of 10 ms, of which a paced stage keeps 20 s for a recorder on a busy computer.
-    stage = executables.start(
+    stage = request.getfixturevalue(kind).start(
         "recorder", namespace=f"/{number.name}_{timing}".lower(), timing=timing,
         samples_per_tick=400)
     started = stage.call(StartRecording, "recorder/start_recording",

@@ -20,6 +20,7 @@ from piezo_bringup.processes import EXECUTABLES
 from piezo_controller.tracking.feedbacks import FeedbackSettings
 from piezo_identification.experiments.catalogue import EXPERIMENTS, named_experiment
 from piezo_identification.experiments.stage_limits import StageLimits
+from piezo_stage_driver.node import stage_node
 from piezo_stage_driver.node.stage_settings import StageSettings
 from piezo_studies.forked_processes import ForkedProcesses
 
@@ -69,25 +70,29 @@ def test_bad_parameter_ends_the_node_at_start_with_one_clear_line(
     assert_said_once(line, processes.log(node).read_text())
 
 
-@pytest.mark.parametrize(("package", "executable", "arguments", "line"), [
-    ("piezo_stage_driver", "stage",
-     ["-p", "autostart:=true", "-p", f"backend_file:={CALIBRATION}"],
+@pytest.mark.parametrize(("arguments", "line"), [
+    (["-p", "autostart:=true", "-p", f"backend_file:={CALIBRATION}"],
      "the backend nidaqmx needs the Python package nidaqmx"),
-    ("piezo_stage_driver", "stage", ["-p", "autostart:=true"], "set the parameter backend_file"),
-    ("piezo_stage_driver", "stage", ["-p", "backend:=mine"],
-     "there is no backend 'mine': set the parameter backend"),
-    ("piezo_recorder", "recorder", ["--params-file", "/no/parameters.yaml"],
-     "Couldn't parse params file: '--params-file /no/parameters.yaml'"),
+    (["-p", "autostart:=true"], "set the parameter backend_file"),
+    (["-p", "backend:=mine"], "there is no backend 'mine': set the parameter backend"),
 ])
-def test_executable_that_cannot_start_ends_with_one_clear_line(
-        package, executable, arguments, line):
+def test_stage_without_its_backend_ends_with_one_clear_line(arguments, line, tmp_path):
+    with ForkedProcesses(tmp_path) as processes:
+        processes.start_main("stage", stage_node.main, ["--ros-args", *arguments])
+        assert processes.process("stage").wait(300.0) == 2
+    assert_said_once(line, processes.log("stage").read_text())
+
+
+def test_executable_that_cannot_start_ends_with_one_clear_line():
     environment = {**os.environ}
     environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)  # of this process alone
+    recorder = Path(get_package_prefix("piezo_recorder"), "lib", "piezo_recorder", "recorder")
     ended = subprocess.run(
-        [Path(get_package_prefix(package), "lib", package, executable), "--ros-args", *arguments],
+        [recorder, "--ros-args", "--params-file", "/no/parameters.yaml"],
         env=environment, capture_output=True, text=True, timeout=300)
     assert ended.returncode == 2
-    assert_said_once(line, ended.stderr)
+    assert_said_once(
+        "Couldn't parse params file: '--params-file /no/parameters.yaml'", ended.stderr)
 
 
 def assert_said_once(line, printed):

@@ -124,7 +124,7 @@ def linear_model():
 
 
 def test_pattern_is_planned_played_and_made_into_images_by_one_command(
-        nodes, tmp_path, capfd, monkeypatch):
+        nodes, tmp_path, capfd, monkeypatch, without_pictures):
     field = Field(0.01 * np.random.default_rng(1).normal(size=(60, 60)), (-10.0, -10.0),
                   (40.0, 40.0), "um")
     write_gsf(tmp_path / "specimen.gsf", field)

@@ -2,9 +2,11 @@
 """What reaches the amplifier stays bounded, whoever answers, and whatever hangs."""
 
 import os
+import signal
 import subprocess
 import sys
 
+import hanging_stage
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
@@ -14,41 +16,13 @@ from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
 from piezo_interfaces.srv import LoadFeedforward, StartTracking
 from std_srvs.srv import Trigger
 
-from piezo_bringup.processes import Processes
 from piezo_ros.quality import FEEDBACK
+from piezo_studies.forked_processes import ForkedProcesses
 
 MAX_STEP_V, MAX_FEEDBACK_V = 2.0, 20.0
 HANGS_S = 3.0
 """So long each test waits, and no longer may a busy computer keep a backend from returning."""
-# A stage that hangs at 50 V until a file is there.
-HANGING_STAGE = """
-import sys, time
-from pathlib import Path
-import numpy as np
-from piezo_ros.spinning import run_node
-from piezo_stage_driver.node.stage_node import StageNode
-
-class Hanging:
-    sample_rate_hz = 40000.0
-    def open(self):
-        self.due_s = time.monotonic()
-    def exchange(self, voltage_v):
-        while voltage_v[-1] >= 50.0 and not Path(sys.argv[1]).exists():
-            Path(sys.argv[1] + ".awaited").touch()
-            time.sleep(0.005)
-        self.due_s = max(self.due_s, time.monotonic() - 0.1) + len(voltage_v) / 40000.0
-        time.sleep(max(0.0, self.due_s - time.monotonic()))
-        return voltage_v + 1e-3 * np.sin(np.arange(len(voltage_v)))
-    def close(self):
-        pass
-
-class WithOwnRest(Hanging):
-    def emergency_rest(self):
-        pass
-
-backend = WithOwnRest if sys.argv[2] == "own" else Hanging
-run_node(lambda: StageNode(lambda node: backend()), sys.argv)
-"""
+ENDS_S = 300.0
 
 
 @pytest.fixture(scope="module")
@@ -146,22 +120,28 @@ def test_request_that_comes_twice_acts_once(stage):
 
 
 class HangingStage:
-    """A stage whose backend hangs at 50 V until `release`."""
+    """A stage whose backend hangs at 50 V until `release`; a fork, unless its end counts."""
 
-    def __init__(self, make_client, directory, namespace, own_rest, **parameters):
+    def __init__(self, make_client, processes, directory, namespace, own_rest=False,
+                 end_counts=False, **parameters):
         self._file = directory / "released"
         parameters = {"timing": "paced", "autostart": True, "max_sensor_noise_um": 10.0,
                       **parameters}
-        arguments = [part for name, value in parameters.items()
-                     for part in ("-p", f"{name}:={str(value).lower()}")]
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-        environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)
-        with open(directory / "stage.log", "w") as log:
-            self.process = subprocess.Popen(
-                [sys.executable, "-c", HANGING_STAGE, str(self._file),
-                 "own" if own_rest else "none", "--ros-args", "-r", f"__ns:={namespace}",
-                 *arguments], env=environment, stdout=log, stderr=log)
-        self.client = make_client(namespace, Processes(directory))
+        arguments = [str(self._file), "--ros-args", "-r", f"__ns:={namespace}",
+                     *(part for name, value in parameters.items()
+                       for part in ("-p", f"{name}:={str(value).lower()}"))]
+        if end_counts:
+            environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+            environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)
+            with processes.log("stage").open("w") as log:
+                self.process = subprocess.Popen(
+                    [sys.executable, hanging_stage.__file__, *arguments], env=environment,
+                    stdout=log, stderr=log)
+        else:
+            main = hanging_stage.own_rest if own_rest else hanging_stage.main
+            processes.start_main("stage", main, arguments)
+            self.process = processes.process("stage")
+        self.client = make_client(namespace, processes)
         self.statuses = []
         self.client.node.create_subscription(
             DiagnosticArray, "/diagnostics", lambda array: self.statuses.extend(array.status), 10)
@@ -187,21 +167,22 @@ class HangingStage:
     def end(self):
         self.release()
         self.client.close()
-        self.process.terminate()
-        assert self.process.wait() == 0
+        self.process.send_signal(signal.SIGTERM)
+        assert self.process.wait(ENDS_S) == 0
 
 
 @pytest.fixture
 def hanging(stage_client, tmp_path):
     started = []
 
-    def start(namespace, own_rest=False, **parameters):
-        started.append(HangingStage(stage_client, tmp_path, namespace, own_rest, **parameters))
+    def start(namespace, **parameters):
+        started.append(HangingStage(stage_client, processes, tmp_path, namespace, **parameters))
         return started[-1]
 
-    yield start
-    for stage in started:
-        stage.end()
+    with ForkedProcesses(tmp_path) as processes:
+        yield start
+        for stage in started:
+            stage.end()
     assert "Traceback" not in (tmp_path / "stage.log").read_text()
 
 
@@ -275,10 +256,10 @@ def test_command_that_was_refused_never_acts_later(hanging):
 
 
 def test_node_whose_backend_hangs_can_be_ended(hanging):
-    stage = hanging("/ends", exchange_timeout_s=HANGS_S)
+    stage = hanging("/ends", end_counts=True, exchange_timeout_s=HANGS_S)
     goal = stage.play_until_it_hangs()
-    stage.process.terminate()
+    stage.process.send_signal(signal.SIGTERM)
     status, result = stage.client.result(goal)
     assert status == GoalStatus.STATUS_ABORTED
     assert result.message
-    assert stage.process.wait() == 0
+    assert stage.process.wait(ENDS_S) == 0

@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """All nodes over a controller that plays stored waveforms; the controller is a stand-in."""
 
-import os
-import subprocess
-import sys
+import signal
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+import stored_waveforms
 from action_msgs.msg import GoalStatus
 
 from piezo_client.client import GoalFailed
@@ -20,24 +19,7 @@ from piezo_studies.forked_processes import ForkedProcesses
 ROOT = Path(__file__).parents[1]
 RATE_HZ = 10_000.0
 LONGEST_SAMPLES = 20_000
-NODE = """
-import sys
-sys.path.insert(0, sys.argv[1])
-import gcs_stand_in
-from piezo_common.schema import load_document
-from piezo_ros.spinning import run_node
-from piezo_stage_driver.backends.pi_gcs_stage import PiController, PiSettings
-from piezo_stage_driver.backends.stored_waveforms import StoredWaveformStage
-from piezo_stage_driver.node.stage_node import StageNode
-
-def make(node):
-    told = load_document(PiSettings, sys.argv[2])
-    controller = PiController(told, gcs_stand_in.library(gcs_stand_in.Controller()))
-    settings, longest_samples = node.settings.for_backend(sys.argv[2]), int(sys.argv[3])
-    return StoredWaveformStage(controller, settings, longest_samples, 30.0)
-
-run_node(lambda: StageNode(make), sys.argv)
-"""
+ENDS_S = 300.0
 
 
 def end(block):
@@ -48,17 +30,13 @@ def end(block):
 @pytest.fixture(scope="module")
 def stage(stage_client, tmp_path_factory):
     directory = tmp_path_factory.mktemp("stored")
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)
-    with (directory / "stage.log").open("w") as log:
-        process = subprocess.Popen(
-            [sys.executable, "-c", NODE, str(ROOT / "src/piezo_stage_driver/test"),
-             str(ROOT / "src/piezo_stage_driver/config/pi_gcs_settings.yaml"),
-             str(LONGEST_SAMPLES), "--ros-args", "-r", "__ns:=/stored", "-p", "autostart:=true",
-             "-p", "timing:=paced", "-p", f"sample_rate_hz:={RATE_HZ}",
-             "-p", "exchange_timeout_s:=60.0"],
-            env=environment, stdout=log, stderr=log)
     with ForkedProcesses(directory, data_root="/") as processes:
+        processes.start_main("stage", stored_waveforms.main, [
+            str(ROOT / "src/piezo_stage_driver/test"),
+            str(ROOT / "src/piezo_stage_driver/config/pi_gcs_settings.yaml"),
+            str(LONGEST_SAMPLES), "--ros-args", "-r", "__ns:=/stored", "-p", "autostart:=true",
+            "-p", "timing:=paced", "-p", f"sample_rate_hz:={RATE_HZ}",
+            "-p", "exchange_timeout_s:=60.0"])
         for name in ("recorder", "identification"):
             processes.start(name, {"autostart": True}, "/stored")
         client = stage_client("/stored", processes)
@@ -67,8 +45,9 @@ def stage(stage_client, tmp_path_factory):
         client.connect_recorder(directory, 1.0 / RATE_HZ, ["samples"])
         yield client
         client.close()
-    process.terminate()
-    assert process.wait() == 0
+        stage = processes.process("stage")
+        stage.send_signal(signal.SIGTERM)
+        assert stage.wait(ENDS_S) == 0
 
 
 def test_experiment_that_fits_the_memory_is_recorded_as_designed(stage, tmp_path):

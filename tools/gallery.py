@@ -24,6 +24,7 @@ OF_PAGES = {
     "tracking_500_hz": ("report.html", "Tracking at 500 Hz"),
     "spectra_500_hz": ("report.html", "Spectra at 500 Hz"),
     "residuals": ("decision/diagnosis/report.html", "Residuals"),
+    "scan": ("report.html", "Scan before and after"),
     "steps": ("controller_report.html", "Step responses"),
     "nyquist": ("controller_report.html", "Nyquist diagram"),
 }

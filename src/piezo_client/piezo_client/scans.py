@@ -14,13 +14,13 @@ from piezo_common.arrays import FloatArray
 from piezo_common.schema import load_document
 from piezo_common.summary_table import SummaryTable
 from piezo_recorder.images.scan_frame import SCAN_FILE, ScanFrame
-from piezo_recorder.images.scan_image import ScanImage, image_of
 from piezo_recorder.reading.axes import read_axes
 from piezo_recorder.reading.detected import mark_columns
 from piezo_recorder.reading.waveform_file import read_waveform
 
 if TYPE_CHECKING:
     from piezo_controller.axes.path_plan import PathPlan
+    from piezo_recorder.images.scan_image import ScanImage
 
 PERIOD_FILE, BEGIN_FILE = "path.csv", "begin.csv"
 """Files of `scan`: one period to repeat, and the way from the operating point into it."""
@@ -84,7 +84,7 @@ def read_scan(directory: AnyPath) -> StoredScan:
                       period.displacement_um, period.marks, frame)
 
 
-def images_of(run: "Scanned", periods: int, name: str, signal: str = "") -> dict[str, ScanImage]:
+def images_of(run: "Scanned", periods: int, name: str, signal: str = "") -> "dict[str, ScanImage]":
     """Return the images of a run, by the commanded positions and by the measured ones.
 
     Parameters
@@ -97,6 +97,9 @@ def images_of(run: "Scanned", periods: int, name: str, signal: str = "") -> dict
     ValueError
         If the recording has no signal, or the scan no pixels.
     """
+    # Imported here, since SciPy takes as long as all that drives a stage.
+    from piezo_recorder.images.scan_image import image_of
+
     recording, = read_axes(run.path)
     scan = run.scan
     commanded_um = np.concatenate([

@@ -16,7 +16,6 @@ from piezo_client.stage import Stage
 from piezo_common.command_line import BAD_INPUT, INTERRUPTED, next_line
 from piezo_common.progress_line import ProgressLine
 from piezo_common.text_file import read_bounded_text
-from piezo_models.model_file import LARGEST_FILE_BYTES
 from piezo_models.model_summary import shortfall
 from piezo_recorder.reading.waveform_file import read_waveform
 
@@ -112,6 +111,9 @@ def _shortfall(model: Path | None) -> str:
     """Return what is unfinished or inadequate in a model; empty for a file that is not one."""
     if model is None:
         return ""
+    # Imported here, since it takes seconds, which commands without a model can save.
+    from piezo_models.model_file import LARGEST_FILE_BYTES
+
     try:
         document = json.loads(read_bounded_text(model, LARGEST_FILE_BYTES))
         return shortfall(document.get("adequacy", {}), document.get("errors", {}),

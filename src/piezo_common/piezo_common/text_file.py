@@ -4,14 +4,21 @@
 import io
 import json
 import os
+from collections.abc import Callable, Mapping
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 from piezo_common.cancellation import check_cancelled
 from piezo_common.regular_file import UnreadableFile, open_regular
 
 LARGEST_BYTES = 10_000_000
 PART_BYTES = 1 << 18
+
+
+def json_text(document: Mapping[str, Any]) -> str:
+    """Return a document as indented JSON; raise ValueError if a value is not finite."""
+    return json.dumps(document, indent=1, allow_nan=False)
 
 
 def read_bounded_text(path: str | PathLike[str], largest_bytes: int = LARGEST_BYTES) -> str:
@@ -57,6 +64,54 @@ def replace_text(path: str | PathLike[str], text: str) -> None:
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def replace_document(path: str | PathLike[str], document: Mapping[str, Any], kind: str,
+                     error: type[ValueError],
+                     rendered: Callable[[Mapping[str, Any]], str] = json_text,
+                     largest_bytes: int = LARGEST_BYTES) -> None:
+    """Write a JSON file, and replace one of the same format in one step or not at all.
+
+    Parameters
+    ----------
+    document : mapping
+        Its entry ``format`` distinguishes the file from others.
+    kind : str
+        Name of such files in messages.
+    error : type
+        Raised instead of the errors below, with the path, the cause, and what to do.
+    rendered : callable
+        Returns the text of the document.
+
+    Raises
+    ------
+    ValueError
+        If a file of another format is in its place, a value is not finite, or the file cannot be
+        written.
+    """
+    check_may_replace(path, document["format"], kind, error, largest_bytes)
+    try:
+        replace_text(path, rendered(document) + "\n")
+    except OSError as failure:
+        raise error(f"{path}: cannot be written ({failure.strerror}); choose a directory that "
+                    "exists and is writable") from None
+    except ValueError:
+        raise error(f"{path}: the {kind} would hold a value that is not finite; "
+                    "make it again") from None
+
+
+def check_may_replace(path: str | PathLike[str], file_format: str, kind: str,
+                      error: type[ValueError], largest_bytes: int = LARGEST_BYTES) -> None:
+    """Raise an error if a file of another format is in a place, also before the work for it.
+
+    Parameters
+    ----------
+    file_format, kind, error
+        As in `replace_document`, with the format of its document.
+    """
+    if is_something_else(path, file_format, largest_bytes):
+        raise error(f"{path}: is there already and is no {kind}, so it is not overwritten; "
+                    "choose another name")
 
 
 def is_something_else(path: str | PathLike[str], file_format: str,

@@ -13,7 +13,8 @@ from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 
 NOISE_UM = 0.009
-RAMP_S = 0.1
+RAMP_S, RAMP_ROWS = 0.02, 10
+"""Shortest way from rest to the experiment and back."""
 
 
 def true_density(cells=250):
@@ -58,7 +59,7 @@ def play(plant):
         experiment, seed=0, clock_hz=40_000.0, memory=None, noise_um=NOISE_UM, stage=plant
     ):
         held = round(experiment.sample_period_s * clock_hz)
-        samples = -(-round(RAMP_S * clock_hz) // held) * held
+        samples = held * max(RAMP_ROWS, -(-round(RAMP_S * clock_hz) // held))
         ramp = np.arange(1, samples + 1) / samples
         waveform_v = np.repeat(np.tile(experiment.voltage_v, experiment.repeats), held)
         voltage_v = np.concatenate(

@@ -8,7 +8,7 @@ from typing import Any
 
 from piezo_common.regular_file import UnreadableFile
 from piezo_common.schema import SchemaError, load_document
-from piezo_common.text_file import is_something_else, read_bounded_text, replace_text
+from piezo_common.text_file import check_may_replace, read_bounded_text, replace_document
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_document import (
     FORMAT,
@@ -18,6 +18,9 @@ from piezo_models.model_document import (
     rendered,
 )
 from piezo_models.model_reader import built_model, identified_model_of
+
+KIND = "model file"
+"""Name of such files in messages."""
 
 LARGEST_FILE_BYTES = 32 * 2**20
 """Size limit of a model file in bytes; a density of 1000 x 1000 cells fits."""
@@ -56,13 +59,7 @@ def write_document(path: Path, document: dict[str, Any]) -> None:
     ModelFileError
         If the file cannot be written, or a file that is not a model file is in its place.
     """
-    check_model_may_replace(path)
-    try:
-        replace_text(path, rendered(document) + "\n")
-    except OSError as error:
-        raise ModelFileError(
-            f"{path}: cannot be written ({error.strerror}); choose a writable directory"
-        ) from error
+    replace_document(path, document, KIND, ModelFileError, rendered, LARGEST_FILE_BYTES)
 
 
 def check_model_may_replace(path: str | PathLike[str]) -> None:
@@ -73,11 +70,7 @@ def check_model_may_replace(path: str | PathLike[str]) -> None:
     ModelFileError
         If a file that is not a model file is in its place.
     """
-    if is_something_else(path, FORMAT, LARGEST_FILE_BYTES):
-        raise ModelFileError(
-            f"{path}: is there already and is no model file, so it is not overwritten; "
-            "choose another name"
-        )
+    check_may_replace(path, FORMAT, KIND, ModelFileError, LARGEST_FILE_BYTES)
 
 
 def announced_model(path: str | PathLike[str]) -> IdentifiedModel:

@@ -6,26 +6,41 @@ import multiprocessing
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
-from functools import cache
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache, partial
 from importlib.metadata import distribution
 from multiprocessing.context import ForkServerContext
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from piezo_bringup.processes import EXECUTABLES, NodeProcess, Processes
+from piezo_studies.undrawn import work_undrawn
 
 
 class ForkedProcesses(Processes):
     """Like `Processes`, but without the seconds in which every node imports its libraries.
 
-    A node runs the code of its executable in a separate process. A fork ends without the usual
-    shutdown of the interpreter.
+    A node runs the code of its executable in a separate process, but draws nothing and runs its
+    fits one after the other. A fork ends without the usual shutdown of the interpreter.
     """
 
+    def start_main(self, name: str, main: Callable[[], object], arguments: Iterable[str]) -> None:
+        """Start a node that is none of `EXECUTABLES`.
+
+        Parameters
+        ----------
+        main : callable
+            Function of a module that processes of this one's ``sys.path`` can import; called with
+            the arguments in ``sys.argv``.
+        """
+        self._running[name] = self._fork(name, main, [name, *arguments])
+
     def _launch(self, name: str, command: list[str]) -> NodeProcess:
+        return self._fork(name, partial(_run_executable, name), command)
+
+    def _fork(self, name: str, main: Callable[[], object], command: list[str]) -> NodeProcess:
         process = _server().Process(
-            target=_run, args=(name, command, self.log(name), self._environment), name=name)
+            target=_run, args=(main, command, self.log(name), self._environment), name=name)
         process.start()
         return ForkedNode(process)
 
@@ -85,7 +100,9 @@ class ForkedNode:
 def _server() -> ForkServerContext:
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([
-        *(_entry(name).__module__ for name in EXECUTABLES), f"{__package__}.loaded_kernels"])
+        *(_entry(name).__module__ for name in EXECUTABLES), f"{__package__}.loaded_kernels",
+        work_undrawn.__module__,
+        "rosidl_generator_py"])  # by which a node imports its messages
     return context
 
 
@@ -98,7 +115,12 @@ def _entry(name: str) -> Callable[[], None]:
     return main
 
 
-def _run(name: str, command: list[str], log: Path, environment: Mapping[str, str]) -> None:
+def _run_executable(name: str) -> None:
+    _entry(name)()
+
+
+def _run(main: Callable[[], object], command: list[str], log: Path,
+         environment: Mapping[str, str]) -> None:
     gc.freeze()  # garbage collection would copy the memory of all libraries
     os.setsid()
     file = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
@@ -107,4 +129,5 @@ def _run(name: str, command: list[str], log: Path, environment: Mapping[str, str
     os.environ.clear()
     os.environ.update(environment)
     sys.argv = command
-    _entry(name)()
+    work_undrawn()
+    main()

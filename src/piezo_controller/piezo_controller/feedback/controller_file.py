@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The controller file: one versioned JSON document, written atomically and read strictly."""
 
-import json
 import math
 from os import PathLike
 from pathlib import Path
@@ -20,7 +19,7 @@ from piezo_common.schema import (
     require_matrices,
     violation,
 )
-from piezo_common.text_file import is_something_else, replace_text
+from piezo_common.text_file import replace_document
 from piezo_controller.feedback.feedback_design import (
     FeedbackController,
     UnstableLoop,
@@ -97,22 +96,11 @@ def save_controller(path: str | Path, controller: FeedbackController) -> None:
     >>> load_controller("integrator.json").sample_period_s
     0.001
     """
-    path = Path(path)
     matrices = {name: np.asarray(getattr(controller, name)).tolist() for name in "ABCD"}
     document = {"format": FORMAT, "version": VERSION, "model_sha256": controller.model_sha256,
                 "sample_period_s": controller.sample_period_s, "report": controller.report,
                 "weights": controller.weights, **matrices}
-    if is_something_else(path, FORMAT):
-        raise ControllerFileError(f"{path}: is there already and is no controller file, so it is "
-                                  "not overwritten; choose another name")
-    try:
-        replace_text(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
-    except ValueError:
-        raise ControllerFileError(
-            f"{path}: the controller holds a value that is not finite; design it again") from None
-    except OSError as error:
-        raise ControllerFileError(f"{path}: cannot be written ({error.strerror}); "
-                                  "choose a directory that exists and is writable") from None
+    replace_document(path, document, "controller file", ControllerFileError)
 
 
 def load_controller(path: str | PathLike[str]) -> FeedbackController:

@@ -5,6 +5,7 @@ import dataclasses
 import hashlib
 import json
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -14,7 +15,7 @@ from pydantic import ConfigDict
 
 from piezo_common.arrays import FloatArray
 from piezo_common.schema import Document, Number, Numbers, SchemaError, entry, load_document
-from piezo_common.text_file import replace_text
+from piezo_common.text_file import replace_document
 from piezo_controller.references.kind import Reference
 
 FORMAT = "piezo_learned_feedforward"
@@ -80,12 +81,9 @@ def save_learned(path: str | Path, learned: Learned) -> None:
         "model_sha256": learned.model_sha256, "sample_rate_hz": learned.sample_rate_hz,
         "iterations": learned.iterations, "error_rms_um": learned.error_rms_um,
         "correction_um": learned.correction_um.tolist()}
-    try:
+    with suppress(OSError):  # reported when the file is written
         path.parent.mkdir(parents=True, exist_ok=True)
-        replace_text(path, json.dumps(document, indent=1) + "\n")
-    except OSError as error:
-        raise LearnedFileError(f"cannot write {str(path)!r}: {error.strerror}; "
-                               "give another directory") from None
+    replace_document(path, document, "file of a learned correction", LearnedFileError)
 
 
 def load_correction(path: str | Path, reference: Reference, model_sha256: str,

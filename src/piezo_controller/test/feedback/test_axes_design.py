@@ -5,6 +5,7 @@ import control
 import numpy as np
 import pytest
 
+from piezo_controller.commands import axes_design_work
 from piezo_controller.commands.design_command import main
 from piezo_controller.feedback.axes_design import (
     check_axes_robustness,
@@ -174,10 +175,19 @@ def model_file(tmp_path, model):
     return tmp_path / "model.json"
 
 
-def test_command_writes_the_law_its_picture_and_its_page(model_file, tmp_path, capsys):
+def test_command_writes_the_law_its_picture_and_its_page(
+        model_file, law, tmp_path, capsys, monkeypatch):
+    asked = []
+
+    def designed(model, weights, *_):
+        asked.append(weights)
+        return law
+
+    monkeypatch.setattr(axes_design_work, "design_axes_feedback", designed)
     assert main(["--model", str(model_file), "--disturbance-hz", "10",
                  "--output", str(tmp_path / "law.json")]) == 0
     printed = capsys.readouterr().out
+    assert asked == [load_weights().for_disturbances(10.0).at_tick(TICK_S)]
     assert "bandwidth of y" in printed and "200 of 200 drawn" in printed
     assert load_axes_law(tmp_path / "law.json").axes == ("x", "y")
     page = (tmp_path / "law_report.html").read_text()

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Find what a model of several axes lacks to explain a recording."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,6 +34,7 @@ from piezo_identification.fitting.evidence import independent_errors, log_eviden
 from piezo_identification.fitting.regression import SETTINGS
 from piezo_models.axes.coupled import CoupledModel
 from piezo_models.axes.identified_axes import IdentifiedAxes
+from piezo_models.axes_model_file import save_axes_model
 from piezo_recorder.reading.axes import AxesRecording
 from piezo_recorder.reading.recording import RecordingError
 
@@ -91,6 +94,13 @@ class AxesDiagnosis:
                 "not_decidable": list(because), "not_decidable_because": because,
                 "not_told_from": self.confounded_with, "left": self.left,
                 "probabilities": self.probabilities}
+
+    def write(self, directory: Path) -> None:
+        """Write `verdict.json` and `extended_model.json` into a folder, which is made."""
+        directory.mkdir(parents=True, exist_ok=True)
+        (directory / "verdict.json").write_text(
+            json.dumps(self.document(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        save_axes_model(directory / "extended_model.json", self.extended)
 
     def summary(self) -> SummaryTable:
         """Return effects with deviations, and the errors of each axis, as a table."""

@@ -2,7 +2,6 @@
 """The work of `identify`, `simulate`, `diagnose` and `check` for files of several axes."""
 
 import argparse
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -132,10 +131,7 @@ def diagnose_axes_file(options: argparse.Namespace) -> None:
         raise ValueError(f"--data holds {len(recordings)} recordings: give one recording for a "
                          "model of several axes")
     diagnosis = diagnose_axes(identified, recordings[0])
-    options.output.mkdir(parents=True, exist_ok=True)
-    (options.output / "verdict.json").write_text(
-        json.dumps(diagnosis.document(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    save_axes_model(options.output / "extended_model.json", diagnosis.extended)
+    diagnosis.write(options.output)
     print(diagnosis)
     print(f"written to {options.output}")
 

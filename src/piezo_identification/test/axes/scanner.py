@@ -98,6 +98,6 @@ def experiments(rng, samples=4096, loop_samples=20_000, step_samples=120_000):
     return {
         "creep": [table(along(axis, steps_v(step_samples, step_samples // 4)), rng, 100)
                   for axis in range(2)],
-        "hysteresis": [table(along(axis, loops_v(loop_samples)), rng, 4) for axis in range(2)],
+        "hysteresis": [table(along(axis, loops_v(loop_samples)), rng, 8) for axis in range(2)],
         "dynamics": [table(50.0 + each, rng) for each in (
             along(0, fast[:, 0]), along(1, fast[:, 1]), fast[:, 2:])]}

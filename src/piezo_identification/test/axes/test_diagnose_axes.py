@@ -59,6 +59,7 @@ CASES = {
                             {"driven": ((1, 0), (-CROSSTALK, 1))}),
     "delay[x]": (3.3e-4, {"LATE": (3.6, 1.6)}, {}),
     "delay[y]": (5e-5, {"LATE": (0.3, 2.1)}, {})}
+OF_THE_OTHER_AXIS = ("gain[y]", "cross_coupling[y,x]", "delay[x]")
 
 
 def label(entry):
@@ -67,7 +68,9 @@ def label(entry):
     return f"{entry['name']}[{','.join(where)}]"
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", [
+    pytest.param(name, marks=[pytest.mark.long] if name in OF_THE_OTHER_AXIS else [])
+    for name in CASES])
 def test_effect_is_named_with_its_axis_and_the_extended_model_predicts(
         identified, monkeypatch, name):
     value, stage, recording = CASES[name]
@@ -98,7 +101,8 @@ def test_two_effects_are_named_together(identified, monkeypatch):
     assert "delay[x]" in repr(diagnosis)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [
+    0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2))])
 @pytest.mark.parametrize("kind", ["fast", "slow"])
 def test_nothing_is_named_on_an_unchanged_stage(identified, seed, kind):
     rng = np.random.default_rng(seed)

@@ -234,8 +234,8 @@ def test_identify_refuses_options_without_use(more, said, files, tmp_path, capsy
 
 
 @pytest.mark.parametrize(("text", "more", "said"), [
-    ("frequency_hz,gain_re,gain_im\n1,1,x\n", [], "line 2: a number is missing"),
-    ("frequency_hz,gain_re\n1,1\n", [], "no column gain_im"),
+    ("frequency_hz,gain_re,gain_im\n1,1,x\n", [], "row 2: gain_im is 'x'"),
+    ("frequency_hz,gain_re\n1,1\n", [], "no column is plainly the imaginary"),
     ("frequency_hz,gain_re,gain_im\n1,1,0\n", [], "1 frequencies, too few"),
     ("frequency_hz,gain_re,gain_im\n1,1,0\n", ["--band", 5, 9], "no frequency from 5 to 9 Hz"),
 ])

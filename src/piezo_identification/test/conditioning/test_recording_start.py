@@ -22,8 +22,11 @@ def square(first, runs, samples):
     return np.repeat([LEVELS_V[(first + run) % 2] for run in range(runs)], samples)
 
 
-@pytest.mark.parametrize("past_v", [(), (0.0, 60.0, 0.0)], ids=["virgin", "cycled"])
-@pytest.mark.parametrize("first", [0, 1], ids=["lower", "upper"])
+@pytest.mark.parametrize(("first", "past_v"), [
+    pytest.param(0, (), id="lower-virgin"),
+    pytest.param(1, (0.0, 60.0, 0.0), id="upper-cycled"),
+    pytest.param(0, (0.0, 60.0, 0.0), id="lower-cycled", marks=pytest.mark.long),
+    pytest.param(1, (), id="upper-virgin", marks=pytest.mark.long)])
 def test_creep_may_begin_at_either_level(independent_stage, recorded, first, past_v):
     voltage_v = square(first, 5, 3000)
     displacement_um = independent_stage().displacement_um(voltage_v, 0.01, past_v)

@@ -92,6 +92,7 @@ def test_nothing_that_was_tried_has_more_evidence_and_held_out_rows_that_agree(c
     assert not any(is_better(fit, best) for _, fit in tried if fit is not best)
 
 
+@pytest.mark.long
 def test_a_model_that_is_right_is_not_replaced_by_a_worse_one(plant, recordings):
     problem = WholeModel(plant, recordings, [0.0] * 3)
     best, tried = sought(problem, plant)

@@ -17,7 +17,7 @@ def ways(corners):
 
 
 WAVEFORMS = {
-    "steps": np.repeat([0.0, 60.0, 20.0, 80.0, 40.0, 70.0, 10.0], 800),
+    "steps": np.repeat([0.0, 60.0, 20.0, 80.0, 10.0], 800),
     "staircase": np.repeat([*range(0, 90, 10), *range(70, -1, -10)], 500).astype(float),
     "trapezoid": np.tile(ways([(0, 0), (4, 80), (60, 80), (64, 0), (120, 0)]), 3),
     "triangles": ways([(0, 0), (40, 80), (60, 20), (90, 70), (130, 5), (170, 60), (210, 0),

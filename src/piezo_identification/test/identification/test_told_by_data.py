@@ -17,7 +17,7 @@ def creep(tmp_path):
     """Four steps at fifty rows a second, of a sensor that counts down."""
     path = tmp_path / "creep.csv"
     path.write_text("creep")
-    voltage_v = np.repeat([0.0, 60.0, 20.0, 100.0, 0.0], [60, 300, 300, 300, 300])
+    voltage_v = np.repeat([0.0, 60.0, 20.0, 100.0, 0.0], [40, 100, 100, 100, 100])
     noise_um = 0.003 * np.random.default_rng(1).normal(size=voltage_v.size)
     return Recording(
         str(path), 1.0 / PERIOD_S, np.arange(voltage_v.size),

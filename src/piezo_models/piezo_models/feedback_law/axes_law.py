@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A feedback of several axes as its design leaves it, and the law file that holds it."""
 
-import json
 from dataclasses import dataclass
 from os import PathLike
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -22,7 +20,7 @@ from piezo_common.schema import (
     require_matrices,
     violation,
 )
-from piezo_common.text_file import is_something_else, replace_text
+from piezo_common.text_file import replace_document
 from piezo_models.feedback_law.feedback_law import DeclaredPlant, FeedbackLaw, LinearBlock
 
 FORMAT, VERSION = "piezo_stage_law", 1
@@ -131,7 +129,7 @@ def save_axes_law(path: str | PathLike[str], law: AxesLaw) -> None:
         If the file cannot be written, exists and is not a law file, or the law holds a value that
         is not finite.
     """
-    path, linear = Path(path), law.plant.linear
+    linear = law.plant.linear
     matrices = {"A": law.tick.a, "B": law.tick.b, "C": law.tick.c, "D": law.tick.d,
                 "observer": law.observer, "model_a": linear.a, "model_b": linear.b,
                 "model_c": linear.c, "model_gains_um_per_v": law.plant.gains_um_per_v,
@@ -140,17 +138,7 @@ def save_axes_law(path: str | PathLike[str], law: AxesLaw) -> None:
                 "sample_period_s": law.sample_period_s, "samples_per_tick": law.samples_per_tick,
                 "model_sha256": law.model_sha256, "report": law.report, "weights": law.weights,
                 **{name: np.asarray(values).tolist() for name, values in matrices.items()}}
-    if is_something_else(path, FORMAT):
-        raise LawFileError(f"{path}: is there already and is no law file, so it is not "
-                           "overwritten; choose another name")
-    try:
-        replace_text(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
-    except ValueError:
-        raise LawFileError(f"{path}: the law holds a value that is not finite; "
-                           "design it again") from None
-    except OSError as error:
-        raise LawFileError(f"{path}: cannot be written ({error.strerror}); choose a directory "
-                           "that exists and is writable") from None
+    replace_document(path, document, "law file", LawFileError)
 
 
 def load_axes_law(path: str | PathLike[str]) -> AxesLaw:

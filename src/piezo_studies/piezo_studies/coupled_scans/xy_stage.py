@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The simulated XY stage: recordings of its experiments, and paths that it plays."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -33,23 +34,28 @@ APPROACH_S, SETTLING_S = 0.1, 0.2
 SAMPLES_AT_ONCE = 400_000
 """Clock samples that are simulated together."""
 
+LINEAR = ("electric_lag",)
+"""Effects of an actuator without hysteresis and creep, as if it was driven by charge."""
 
-def recorded(name: str, seed: int) -> list[AxesRecording]:
+
+def recorded(name: str, seed: int, plant: AxesPlantConfig | None = None) -> list[AxesRecording]:
     """Record the experiments of one name, each with the stage fresh from rest.
 
     Parameters
     ----------
     seed : int
         Seed of the sensors' noise in the first recording; each further one has the next seed.
+    plant : AxesPlantConfig, optional
+        By default that of the study.
     """
-    return [_recorded(experiment, seed + number)
+    return [_recorded(experiment, seed + number, plant or plant_of_study())
             for number, experiment in enumerate(axes_experiments(name, LIMITS))]
 
 
-def _recorded(experiment: Experiment, seed: int) -> AxesRecording:
+def _recorded(experiment: Experiment, seed: int, plant: AxesPlantConfig) -> AxesRecording:
     """Record an experiment; the displacement is the mean over the time of each voltage."""
     held = round(experiment.sample_period_s * CLOCK_HZ)
-    stage = SimulatedStage(plant_of_study(), seed)
+    stage = SimulatedStage(plant, seed)
     stage.open()
     stage.exchange(ramp_of_study(experiment.voltage_v[0]))
     played_v = np.tile(experiment.voltage_v, (experiment.repeats, 1))
@@ -69,6 +75,13 @@ def plant_of_study() -> AxesPlantConfig:
     config = read_any_plant(PLANT)
     assert isinstance(config, AxesPlantConfig)
     return config
+
+
+def linear_plant() -> AxesPlantConfig:
+    """Return the plant of the study without hysteresis and creep; its actuators move 1 um/V."""
+    plant = plant_of_study()
+    return replace(plant, axes={axis: replace(own, stage=tuple(
+        each for each in own.stage if each.name in LINEAR)) for axis, own in plant.axes.items()})
 
 
 def ramp_of_study(voltage_v: FloatArray) -> FloatArray:
@@ -93,14 +106,15 @@ def followed(scan: StoredScan, periods: int, mean_of: int = 1, seed: int = 21) -
     mean_of : int
         Periods whose mean counts, which has less noise.
     """
-    stage = _moving(scan, periods, seed)
+    stage = _moving(scan, periods, SimulatedStage(plant_of_study(), seed))
     displacement_um = np.mean([stage.exchange(scan.voltage_v) for _ in range(mean_of)], axis=0)
     return Scanned(Path(PLANT), scan, displacement_um)
 
 
-def imaged(scan: StoredScan, specimen: Field, seed: int = 21) -> AxesRecording:
+def imaged(scan: StoredScan, specimen: Field, plant: AxesPlantConfig | None = None,
+           seed: int = 21) -> AxesRecording:
     """Play two periods of a scan over a specimen; return the recording of the second."""
-    stage = _moving(scan, 1, seed, specimen)
+    stage = _moving(scan, 1, SimulatedStage(plant or plant_of_study(), seed, specimen=specimen))
     displacement_um = stage.exchange(scan.voltage_v)
     signals = dict(zip(stage.signals, stage.read_signals().T, strict=True))
     return AxesRecording(
@@ -109,10 +123,8 @@ def imaged(scan: StoredScan, specimen: Field, seed: int = 21) -> AxesRecording:
             **mark_columns(scan.marks)})
 
 
-def _moving(scan: StoredScan, periods: int, seed: int,
-            specimen: Field | None = None) -> SimulatedStage:
+def _moving(scan: StoredScan, periods: int, stage: SimulatedStage) -> SimulatedStage:
     """Return the stage after some periods of a scan."""
-    stage = SimulatedStage(plant_of_study(), seed, specimen=specimen)
     stage.open()
     stage.exchange(ramp_of_study(scan.begin_voltage_v[0]))
     stage.exchange(np.tile(scan.begin_voltage_v[0], (round(SETTLING_S * CLOCK_HZ), 1)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""`demo`: identify a simulated stage, track, diagnose, track again, watch, decide, and report."""
+"""`demo`: identify a simulated stage, track, diagnose, track again, watch, decide, scan, report."""
 
 import argparse
 import sys
@@ -20,14 +20,14 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
                         help="gets all results (default: runs/demo, and runs/demo-PLANT for any "
                              "other stage than the usual one); an earlier run there is moved aside")
     parser.add_argument("--first-part", action="store_true",
-                        help="without the stage that changes while it tracks, and the recording "
-                             "that decides")
+                        help="without the stage that changes while it tracks, the recording that "
+                             "decides, and the scan of two axes")
 
 
 COMMAND = Command(
     "demo", "Identify a simulated stage, track with the model, find what the model lacks, track "
-    "again with the extended model, watch a change, decide a cause, and report.", _add_options,
-    "piezo_studies.demo.demo_node:run_given")
+    "again with the extended model, watch a change, decide a cause, scan with two axes, and "
+    "report.", _add_options, "piezo_studies.demo.demo_node:run_given")
 main = COMMAND.main
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The demo: identify a simulated stage, track, find what the model lacks, track again, report.
 
-A second part monitors a change and decides on a cause; see `piezo_studies.demo.operation`.
+A second part monitors a change and decides on a cause; see `piezo_studies.demo.operation`. It ends
+with a scan, which is computed meanwhile; see `piezo_studies.demo.diagnosed_scan`.
 """
 
 import json
@@ -32,6 +33,7 @@ from piezo_studies.demo.demo_report import (
     render_report,
     report_sections,
 )
+from piezo_studies.demo.diagnosed_scan import diagnosed_scan, format_scan, scan_section
 from piezo_studies.demo.extended_model_section import ExtendedModel, draw_models
 from piezo_studies.demo.operation import second_part, start_changing_stage
 from piezo_studies.demo.operation_section import format_operation, operation_sections
@@ -128,7 +130,7 @@ def run_demo(plant, directory, command, progress, show_summary, has_second_part=
     show_summary : callable
         Called with the summary of the first part after its report was written.
     has_second_part : bool
-        Whether to run the second part; see `operation`.
+        Whether to run the second part; see `operation` and `diagnosed_scan`.
 
     Returns
     -------
@@ -142,7 +144,8 @@ def run_demo(plant, directory, command, progress, show_summary, has_second_part=
     """
     begin_s = time.monotonic()
     os.environ["ROS_DOMAIN_ID"] = str(random.SystemRandom().choice(DOMAIN_IDS))
-    with Processes(directory / "logs", data_root=directory) as processes:
+    with (ThreadPoolExecutor(1) as background,
+          Processes(directory / "logs", data_root=directory) as processes):
         progress.show("start the nodes", 0.0)
         for name in NODES_OF_EXPERIMENTS:
             parameters = {"plant": plant.plant} if name == "stage" else {}
@@ -150,15 +153,16 @@ def run_demo(plant, directory, command, progress, show_summary, has_second_part=
         with WatchfulClient(processes) as client:
             client.wait_for_nodes(NODES_OF_EXPERIMENTS)
             processes.start("controller", NODES["controller"])  # it imports during the experiments
+            if has_second_part:
+                scanned = background.submit(diagnosed_scan, directory / "scan")
             identified = _identify(client, processes, plant, directory, progress)
             client.wait_for_nodes(NODES)
             recording = _record_diagnostic(client, processes, directory, progress)
             identified_s = time.monotonic()
             # The diagnosis runs while the stage tracks and while the runs are drawn. Its report is
             # written during the second tracking, which needs only the model.
-            with (ThreadPoolExecutor(1) as background,
-                  _diagnosing(client, processes, identified, recording, directory,
-                              progress) as diagnosing):
+            with _diagnosing(client, processes, identified, recording, directory,
+                             progress) as diagnosing:
                 tracks = [*_track_all(client, processes, identified.model, directory, progress)]
                 tracked_s = time.monotonic()
                 drawn = background.submit(_draw_runs, identified, tracks, directory)
@@ -196,10 +200,12 @@ def run_demo(plant, directory, command, progress, show_summary, has_second_part=
                 with _blaming(processes, "identification"):
                     summary["operation"] = second_part(
                         session, plant.plant, change_s, diagnosis.extended_model, directory)
+                summary["scan"] = scanned.result().summary
                 summary["wall_s"]["second_part"] = time.monotonic() - begin_s
                 _write_summary(summary, directory)
                 _write_page(directory, plant, command,
-                            [*sections, *operation_sections(summary["operation"])])
+                            [*sections, *operation_sections(summary["operation"]),
+                             scan_section(scanned.result())])
         progress.show("end the nodes", 1.0)
     return summary
 
@@ -346,7 +352,7 @@ def run_given(options):
         _fail(FAILED, f"{error or type(error).__name__}; see {log}")
     progress.clear()
     if "operation" in summary:
-        print(f"\n{format_operation(summary['operation'])}")
+        print(f"\n{format_operation(summary['operation'])}\n{format_scan(summary['scan'])}")
         print(f"the second part took {summary['wall_s']['second_part']:.0f} s")
     print(f"report: {directory / 'report.html'}")
 

@@ -72,6 +72,7 @@ def test_the_appendix_has_rank_10_against_7():
     assert excitation_rank(quickening, levels_v) == 7
 
 
+@pytest.mark.long
 def test_the_condition_number_at_60_levels_is_that_of_the_thesis():
     voltage_v, levels_v = designed(60, 60.0)
     assert voltage_v.size == 3661

@@ -11,15 +11,6 @@ from piezo_identification.axes.predict_axes import predict_several_axes
 from piezo_identification.experiments.several_axes import orthogonal_multisines
 from piezo_studies.coupled_scans import xy_stage
 
-LINEAR = ("electric_lag",)
-"""Effects of the actuators that remain: hysteresis and creep need slow recordings."""
-
-
-def plant(changed=lambda config: config):
-    config = xy_stage.read_any_plant(xy_stage.PLANT)
-    return changed(replace(config, axes={axis: replace(own, stage=tuple(
-        each for each in own.stage if each.name in LINEAR)) for axis, own in config.axes.items()}))
-
 
 def turned(config):
     x_rad, y_rad = config.mechanics.sensors_askew_rad
@@ -39,21 +30,21 @@ def record(monkeypatch):
     monkeypatch.setattr(xy_stage, "axes_experiments", lambda *_: orthogonal_multisines(
         xy_stage.LIMITS, period_s=0.2, highest_hz=1500.0))
 
-    def recorded(config, seed):
-        monkeypatch.setattr(xy_stage, "plant_of_study", lambda: config)
-        return xy_stage.recorded("multisine", seed)
+    def recorded(seed, change=lambda plant: plant):
+        return xy_stage.recorded("multisine", seed, change(xy_stage.linear_plant()))
 
     return recorded
 
 
+@pytest.mark.long
 def test_turned_sensor_and_delay_are_named(record):
-    known, unseen = record(plant(), 1), record(plant(), 9)
+    known, unseen = record(1), record(9)
     identified = identify_several_axes(known, unseen[-1:])
-    assert diagnose_axes(identified, record(plant(), 50)[-1]).verdict == "none"
+    assert diagnose_axes(identified, record(50)[-1]).verdict == "none"
     for change, name, place, parameter, value in (
             (turned, "squareness", {"axis": "y", "from_axis": "x"}, "angle_rad", 0.005),
             (late, "delay", {"axis": "y"}, "delay_s", 2e-5)):
-        *_, other, last = record(plant(change), 50)
+        *_, other, last = record(50, change)
         diagnosis = diagnose_axes(identified, last)
         assert diagnosis.verdict == "explained"
         effect, = diagnosis.effects

@@ -211,9 +211,8 @@ def test_the_uncertain_mode_of_the_problem_is_the_mode_with_another_frequency(mo
             plant, expected / (1 + 0.2 * delta), rtol=0.08 if delta else 2e-3)
 
 
-@pytest.mark.parametrize("method", [
-    pytest.param(method, marks=[] if method == "fixed_order_resonant" else pytest.mark.long)
-    for method in METHODS])
+@pytest.mark.long
+@pytest.mark.parametrize("method", METHODS)
 def test_each_method_gives_a_controller_that_a_file_keeps(method, model, tmp_path):
     demands = Demands(errors=ModelErrors(0.02, 0.02), attenuation_db=(10.0, 5.0))
     controller = design_by(method, model, demands, CLOCK_PERIOD_S, effort=0.05)

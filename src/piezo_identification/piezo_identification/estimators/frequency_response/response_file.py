@@ -1,19 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Measured frequency responses and the CSV file that contains one."""
 
-import csv
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-
-import numpy as np
 
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.estimators.frequency_response.response_table import (
     is_response_table,
     read_response_table,
 )
-
-COLUMNS = ("frequency_hz", "gain_re", "gain_im")
 
 
 @dataclass(frozen=True)
@@ -69,32 +64,17 @@ class FrequencyResponse:
 
 
 def is_frequency_response(path: str | Path) -> bool:
-    """Return whether a file contains a frequency response, in this or another program's format."""
-    return Path(path).is_file() and (_is_ours(path) or is_response_table(Path(path)))
-
-
-def _is_ours(path: str | Path) -> bool:
-    """Whether a file's first line names the columns of a frequency response."""
-    try:
-        with Path(path).open(encoding="utf-8-sig") as file:
-            return COLUMNS[0] in file.readline()
-    except (OSError, UnicodeDecodeError):
-        return False
+    """Return whether a text file contains a frequency response."""
+    return Path(path).is_file() and is_response_table(Path(path))
 
 
 def read_frequency_response(path: str | Path) -> FrequencyResponse:
-    """Read a CSV file with the columns frequency_hz, gain_re and gain_im.
-
-    Parameters
-    ----------
-    path : path-like
-        CSV file, or text file of another program; see `read_response_table`.
+    """Read a table with frequencies and gains; see `read_response_table` for its columns.
 
     Raises
     ------
     ValueError
-        If the file cannot be read, lacks a column, or a row has no finite gain at a frequency
-        above that of the row before; the message names the row.
+        If the file cannot be read, lacks a column or its unit, or a row has no number.
 
     Examples
     --------
@@ -104,45 +84,6 @@ def read_frequency_response(path: str | Path) -> FrequencyResponse:
     >>> print(read_frequency_response("response.csv").frequency_hz)
     [10. 20.]
     """
-    if not _is_ours(path) and is_frequency_response(path):
-        return FrequencyResponse(str(path), *read_response_table(Path(path)))
-    try:
-        with Path(path).open(encoding="utf-8-sig", newline="") as file:
-            rows = list(csv.reader(file))
-    except OSError as error:
-        raise ValueError(
-            f"{path} cannot be read ({error.strerror}): give an existing CSV file"
-        ) from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ValueError(f"{path} is no text with commas: give a CSV file") from error
-    header = [name.strip() for name in rows[0]] if rows else []
-    for name in COLUMNS:
-        if name not in header:
-            raise ValueError(
-                f"{path} has no column {name}: its first line must name {', '.join(COLUMNS)}"
-            )
-    places = [header.index(name) for name in COLUMNS]
-    values, before = [], 0.0
-    for number, row in enumerate(rows[1:], start=2):
-        if not row:
-            continue
-        try:
-            entry = [float(row[place]) for place in places]
-        except (ValueError, IndexError):
-            raise ValueError(
-                f"{path}, line {number}: a number is missing or cannot be read: correct or remove "
-                "the line"
-            ) from None
-        if not np.isfinite(entry).all():
-            raise ValueError(f"{path}, line {number}: not a finite number: remove the line")
-        if entry[0] <= before:
-            raise ValueError(
-                f"{path}, line {number}: frequency {entry[0]:g} Hz does not exceed {before:g} Hz: "
-                "sort the lines by frequency, each positive and only once"
-            )
-        before = entry[0]
-        values.append(entry)
-    if not values:
-        raise ValueError(f"{path} has no line of data: measure again")
-    frequency_hz, real, imaginary = np.array(values).T
-    return FrequencyResponse(str(path), frequency_hz, real + 1j * imaginary)
+    if not Path(path).is_file():
+        raise ValueError(f"{path} cannot be read: give an existing text file of a response")
+    return FrequencyResponse(str(path), *read_response_table(Path(path)))

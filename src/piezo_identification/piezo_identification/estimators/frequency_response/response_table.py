@@ -26,6 +26,7 @@ TO_HZ = {"hz": 1.0, "khz": 1e3, "rad/s": 0.5 / np.pi}
 TO_RAD = {"rad": 1.0, "deg": np.pi / 180.0, "degree": np.pi / 180.0, "degrees": np.pi / 180.0,
           "°": np.pi / 180.0}
 
+_PER = re.compile(r"(.*)_(\w+)_per_(v|s)", re.I)
 _TOUCHSTONE = re.compile(r"#\s*(k?hz)\s+\w\s+(ma|db|ri)\b.*", re.I)
 _TOUCHSTONE_PARTS = {"MA": ("magnitude", "phase"), "DB": ("magnitude", "phase"),
                      "RI": ("real", "imaginary")}
@@ -123,7 +124,8 @@ def _columns(path: Path, table: Table) -> dict[str, ResponseColumn]:
             ("frequency", *_TOUCHSTONE_PARTS[form]), labels, units, strict=False)}
     found: dict[str, ResponseColumn] = {}
     for label in labels:
-        name, unit = name_and_unit(label)
+        ratio = _PER.fullmatch(label)
+        name, unit = (ratio[1], f"{ratio[2]}/{ratio[3]}") if ratio else name_and_unit(label)
         unit = plain(table.units.get(label) or unit)
         words = set(re.findall(r"[^\W\d_]+", name.lower()))
         if words & {"t", "time", "zeit"} or signal_of_unit(unit) == "time":

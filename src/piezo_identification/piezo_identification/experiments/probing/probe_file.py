@@ -2,8 +2,6 @@
 """The file of a probe: its results, and the experiments that suit the stage."""
 
 import dataclasses
-import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -18,7 +16,7 @@ from piezo_common.schema import (
     entry,
     load_document,
 )
-from piezo_common.text_file import replace_text
+from piezo_common.text_file import replace_document
 from piezo_identification.experiments.probing.expectation import (
     ExpectedErrors,
     expected_errors,
@@ -214,12 +212,7 @@ def save_probe(path: str | Path, document: ProbeDocument) -> None:
     ProbeFileError
         If it cannot be written.
     """
-    content: Mapping[str, Any] = document.model_dump()
-    try:
-        replace_text(path, json.dumps(content, indent=1) + "\n")
-    except OSError as error:
-        raise ProbeFileError(f"cannot write {str(path)!r}: {error.strerror}; "
-                             "give another directory") from None
+    replace_document(path, document.model_dump(), "file of a probe", ProbeFileError)
 
 
 def load_probe(path: str | Path) -> ProbeDocument:

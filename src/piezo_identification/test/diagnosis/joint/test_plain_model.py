@@ -2,6 +2,7 @@
 """A mass on a stiffening spring, integrated by SciPy, which a model has made up for by loops."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ FADED_IN_S = 0.3
 LINES_HZ = np.arange(2.0, 120.0, 1.0)
 
 
+@cache
 def recording(seed, amplitude_v=20.0, cubic_per_um2=CUBIC_PER_UM2):
     """Return a multisine, smooth between its rows, and where the mass is at each of them."""
     generator = np.random.default_rng(seed)

@@ -23,7 +23,7 @@ from piezo_recorder.sample_block import Flag
 
 pytestmark = pytest.mark.usefixtures("without_ceiling")
 
-PERIOD_S, SAMPLES, NOISE_UM = 1e-3, 3000, 2e-3
+PERIOD_S, SAMPLES, NOISE_UM = 1e-3, 2400, 2e-3
 MODE = (400.0, 0.1)
 MODEL = StageModel(
     PreisachModel(-100.0, 100.0, np.zeros((1, 1)), -10.0, np.array([0.1])), CreepDynamics(),
@@ -74,9 +74,9 @@ def gone_astray(self, effects, later=(), begun=None, held=()):
 
 @pytest.mark.parametrize(("change", "joint_fit", "verdict", "likeliest"), [
     (unchanged, gone_astray, "none", "none"),
-    (with_second_mode, JointProblem.fit, "explained", "vibration_mode"),
-    pytest.param(with_second_mode, gone_astray, "explained", "vibration_mode",
+    pytest.param(with_second_mode, JointProblem.fit, "explained", "vibration_mode",
                  marks=pytest.mark.long),
+    (with_second_mode, gone_astray, "explained", "vibration_mode"),
     (with_steps_of_its_own, gone_astray, "unexplained", "something_else"),
 ])
 def test_the_verdict_follows_from_the_probabilities(

@@ -122,6 +122,7 @@ def test_what_no_candidate_explains_is_described_and_not_named():
     assert "times the tolerance" in diagnosis.left
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_the_command_writes_verdict_model_and_report(tmp_path, capsys, picture_faults):
     save_model(tmp_path / "model.json", IdentifiedModel(MODEL, (-10.0, 10.0)))
     response = measured(np.exp(-2j * np.pi * FREQUENCY_HZ * 4e-4))

@@ -39,7 +39,7 @@ def test_creep_left_from_before_does_not_disturb(plant, play):
 
 @pytest.mark.parametrize("truth", [
     ElectricVibrationDynamics(0.001),
-    ElectricVibrationDynamics(0.001, (3000.0,), (0.1,)),
+    pytest.param(ElectricVibrationDynamics(0.001, (3000.0,), (0.1,)), marks=pytest.mark.long),
     pytest.param(ElectricVibrationDynamics(0.0002, (2000.0, 5000.0, 9000.0), (0.02, 0.05, 0.05)),
                  marks=pytest.mark.long),
 ])
@@ -69,7 +69,8 @@ def test_modes_that_move_side_by_side_are_found_with_their_antiresonances(plant,
 
 
 @pytest.mark.parametrize("ringing", [
-    VibrationMode(7234.0, 0.005, -0.03), VibrationMode(9000.0, 0.005, 0.1)])
+    VibrationMode(7234.0, 0.005, -0.03),
+    pytest.param(VibrationMode(9000.0, 0.005, 0.1), marks=pytest.mark.long)])
 def test_with_fewer_modes_than_the_stage_has_those_that_move_it_most_are_found(
         plant, play, ringing):
     recording = play(

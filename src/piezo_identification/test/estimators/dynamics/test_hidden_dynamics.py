@@ -231,7 +231,7 @@ def test_a_known_delay_is_not_fitted():
 
 
 def test_only_orders_that_are_asked_for_are_tried_as_far_as_there_is_evidence_for_them():
-    stage = IndependentStage(4.9e-4, MODES)
+    stage = IndependentStage(4.9e-4, ((2846.0, 0.2, 1.0),))
     period = mean_period(record(stage), CreepDynamics())
     every = fit_output_error(period)
     among = fit_output_error(period, among=[every.order])

@@ -14,8 +14,9 @@ def recording(play):
     return play(experiments.multisine(tones_s=0.4), 1)
 
 
-def test_six_tones_and_the_hysteresis_give_lag_and_both_modes(plant, recording):
-    estimate = estimate_dynamics_multisine(recording, plant.hysteresis, plant.creep)
+@pytest.mark.parametrize("mode_count", [2, pytest.param(None, marks=pytest.mark.long)])
+def test_six_tones_and_the_hysteresis_give_lag_and_both_modes(plant, recording, mode_count):
+    estimate = estimate_dynamics_multisine(recording, plant.hysteresis, plant.creep, mode_count)
     assert str(estimate.order) == "2"
     assert estimate.model.time_constant_s == pytest.approx(0.00049, rel=1e-3)
     assert estimate.model.mode_frequencies_rad_per_s == pytest.approx((2846.0, 4909.0), rel=1e-3)

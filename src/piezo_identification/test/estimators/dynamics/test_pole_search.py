@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Poles are found without a start, in all rows of a record or in few of them."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete, dlsim
@@ -12,12 +14,17 @@ from piezo_identification.estimators.poles.pole_responses import HeldInput
 PERIOD_S, COUNT, MODE_RAD_PER_S = 1e-4, 12_000, 4660.0
 
 
-def record():
-    """A mode that answers noise, in every row."""
+@cache
+def signals():
+    """Noise, and the mode that answers it."""
     inputs = np.random.default_rng(2).normal(size=COUNT // 4).repeat(4)
     w, damping = MODE_RAD_PER_S, 0.01
     system = cont2discrete(([w * w], [1.0, 2.0 * damping * w, w * w]), PERIOD_S)
-    output = dlsim((*system[:2], PERIOD_S), inputs)[1][:, 0]
+    return inputs, dlsim((*system[:2], PERIOD_S), inputs)[1][:, 0]
+
+
+def record():
+    inputs, output = signals()
     rows = np.arange(COUNT - 2)
     return FastRecord(HeldInput(inputs, PERIOD_S, False), rows, output[rows],
                       np.ones((rows.size, 1)))

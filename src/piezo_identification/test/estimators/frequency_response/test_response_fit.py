@@ -230,23 +230,6 @@ def test_a_csv_file_is_read(tmp_path):
         response.between(5.0, 6.0)
 
 
-@pytest.mark.parametrize(("text", "message"), [
-    ("", "has no column frequency_hz"),
-    ("frequency_hz,gain_re\n1,2\n", "has no column gain_im"),
-    ("frequency_hz,gain_re,gain_im\n", "has no line of data"),
-    ("frequency_hz,gain_re,gain_im\n1,2,3\n2,x,3\n", "line 3: a number is missing"),
-    ("frequency_hz,gain_re,gain_im\n1,2\n", "line 2: a number is missing"),
-    ("frequency_hz,gain_re,gain_im\n1,nan,3\n", "line 2: not a finite number"),
-    ("frequency_hz,gain_re,gain_im\n2,1,1\n2,1,1\n", "line 3: frequency 2 Hz does not exceed"),
-    ("frequency_hz,gain_re,gain_im\n0,1,1\n", "line 2: frequency 0 Hz does not exceed"),
-])
-def test_faulty_files_are_refused_with_line_and_cure(tmp_path, text, message):
-    path = tmp_path / "response.csv"
-    path.write_text(text)
-    with pytest.raises(ValueError, match=message):
-        read_frequency_response(path)
-
-
 def test_a_missing_file_is_refused(tmp_path):
     with pytest.raises(ValueError, match="cannot be read"):
         read_frequency_response(tmp_path / "none.csv")

@@ -24,6 +24,8 @@ EXPORTS = {
     "decibels": "Frequency (Hz),Magnitude (dB),Phase (deg)\n" + rows(FREQUENCY_HZ, DB, DEG),
     "unwrapped, behind metadata": "Analyser,X\nAverages,10\n\nfreq_hz;mag_db;phase_deg\n"
         + rows(FREQUENCY_HZ, DB, DEG - 360.0, delimiter=";"),
+    "units in the names": "frequency_rad_per_s,magnitude_nm_per_V,phase_deg\n" + rows(
+        2.0 * np.pi * FREQUENCY_HZ, 1e3 * np.abs(GAIN_UM_PER_V), DEG),
     "complex in kHz": "Freq [kHz]\tReal\tImag\tCoherence\n" + rows(
         1e-3 * FREQUENCY_HZ, RE, IM, np.ones(80), delimiter="\t"),
     "nm/V and rad": "Frequency;Gain;Phase\nrad/s;nm/V;rad\n" + rows(
@@ -52,6 +54,9 @@ def test_export_is_read_to_its_gain(tmp_path, export):
     ("Frequency (Hz),Magnitude (dB)\n" + rows(FREQUENCY_HZ, DB), "no column is plainly the phase"),
     ("Frequency,Magnitude,Phase (deg)\n" + rows(FREQUENCY_HZ, DB, DEG), r"frequency \[Hz\]"),
     ("Frequency (Hz),Magnitude,Phase\n" + rows(FREQUENCY_HZ, DB, DEG), r"phase \[rad\]"),
+    ("frequency_hz,gain_re\n1,2\n", "no column is plainly the imaginary"),
+    ("frequency_hz,gain_re,gain_im\n0,1,1\n", "no row with a positive frequency"),
+    ("frequency_hz,gain_re,gain_im\n1,nan,3\n", "row 2: no finite gain"),
     ("Frequency (Hz),Re,Im\n" + rows(FREQUENCY_HZ, RE, IM) + "1,2,3\n", "row 82: 1 Hz is there"),
     ("Frequency (Hz),Re,Im\n" + rows(FREQUENCY_HZ, RE, IM) + "2000,,3\n", "row 82: no finite gain"),
     ("Frequency (Hz),Re,Im\n" + rows(FREQUENCY_HZ, RE, IM) + "2000,x,3\n", "row 82: Re is 'x'"),

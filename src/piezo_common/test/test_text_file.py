@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A JSON file replaces only one of its own format, and only with values that can be read again."""
+
+import json
+
+import pytest
+
+from piezo_common.text_file import replace_document
+
+
+class ThisFileError(ValueError):
+    """Error of the file under test."""
+
+
+def replace(path, value):
+    replace_document(path, {"format": "this", "value": value}, "file of this", ThisFileError)
+
+
+def test_a_file_of_the_same_format_is_replaced(tmp_path):
+    path = tmp_path / "file.json"
+    replace(path, 1.0)
+    replace(path, 2.0)
+    assert json.loads(path.read_text())["value"] == 2.0
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("content", ['{"format": "that"}', "time_s,voltage_v\n0,1\n", "[1]"])
+def test_any_other_file_is_kept(tmp_path, content):
+    path = tmp_path / "file.json"
+    path.write_text(content)
+    with pytest.raises(ThisFileError, match="is no file of this, so it is not overwritten"):
+        replace(path, 1.0)
+    assert path.read_text() == content
+
+
+def test_a_failure_keeps_the_file_and_names_the_cause(tmp_path):
+    path = tmp_path / "file.json"
+    replace(path, 1.0)
+    with pytest.raises(ThisFileError, match="not finite"):
+        replace(path, float("nan"))
+    assert json.loads(path.read_text())["value"] == 1.0
+    with pytest.raises(ThisFileError, match="cannot be written .*exists and is writable"):
+        replace(tmp_path / "absent" / "file.json", 1.0)
