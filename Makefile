@@ -73,7 +73,7 @@ high-bandwidth: setup ## design feedbacks beyond the first mode; writes docs/hig
 recipe: setup ## record the simulated stage in shorter ways; writes the tables of docs/recipe.md
 	@$(in_environment) .venv/bin/python -m piezo_studies.recording_recipe
 
-coupled-scans: setup ## follow paths on the simulated XY stage; writes the tables of docs/several_axes.md
+coupled-scans: setup ## follow paths on the simulated XY stage; writes the tables of docs/studies/several_axes.md
 	@$(in_environment) .venv/bin/python -m piezo_studies.coupled_scans
 
 recording-kinds: setup ## identify from every kind of recording of two foreign stages, for CPU_MINUTES; prints a table

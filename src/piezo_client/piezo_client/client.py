@@ -241,14 +241,14 @@ class Client:
 
         def ask() -> Future:
             # The same number for every attempt: if only the response was lost, the goal acts once.
-            return client.send_goal_async(goal, tell, number)
+            return client.send_goal_async(goal, pass_on, number)
 
-        def tell(message: Message) -> None:
+        def pass_on(message: Message) -> None:
             nonlocal on_feedback
-            told, on_feedback = on_feedback, None
-            if told is not None:
-                told(message.feedback)
-                on_feedback = told  # not called again after it raised
+            callback, on_feedback = on_feedback, None
+            if callback is not None:
+                callback(message.feedback)
+                on_feedback = callback  # not called again after it raised
 
         sent: list[Future] = []
         with self._signals.hold():

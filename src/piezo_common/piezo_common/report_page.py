@@ -50,8 +50,8 @@ figure { margin: 0; }
 figure img { width: 100%; max-width: 38rem; height: auto; }
 .wide img { max-width: 54rem; }
 figcaption { font-size: .9em; max-width: 38rem; }
-.beside { font-size: .85em; margin: .2rem 0; }
-.beside a, .closer summary { color: #0072b2; cursor: pointer; }
+.numbers { font-size: .85em; margin: .2rem 0; }
+.numbers a, .closer summary { color: #0072b2; cursor: pointer; }
 .closer { font-size: .85em; }
 @media (max-width: 40rem) {
   body { padding: .6rem; }
@@ -75,7 +75,7 @@ figcaption { font-size: .9em; max-width: 38rem; }
   p { margin: .4rem 0; }
   table { font-size: 8.5pt; } th, td { padding: .1rem .5rem; }
   .table { overflow: visible; }
-  .beside, .closer { display: none; }
+  .numbers, .closer { display: none; }
   figure, tr { break-inside: avoid; } figcaption { break-before: avoid; }
   h2 { margin-top: .6rem; padding-top: .4rem; } h2, figcaption { margin-bottom: 0; }
   figcaption { font-size: 8pt; line-height: 1.25; }
@@ -217,7 +217,7 @@ def _data_link(picture: Picture) -> str:
     if not picture.data:
         return ""
     file = re.sub(r"\W+", "_", picture.name.lower()).strip("_")
-    return (f'<p class="beside"><a download="{file}.csv.gz" '
+    return (f'<p class="numbers"><a download="{file}.csv.gz" '
             f'href="data:application/gzip;base64,{packed(picture.data)}">'
             "numbers of this picture (CSV, gzip)</a></p>")
 

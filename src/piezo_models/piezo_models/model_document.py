@@ -255,7 +255,7 @@ def document_of(identified: "IdentifiedModel") -> dict[str, Any]:
         for effect in model.effects
     ]
     uncertainties = (
-        {"uncertainties": _untold_as_null(_plain(identified.uncertainties))}
+        {"uncertainties": _unknown_as_null(_plain(identified.uncertainties))}
         if identified.uncertainties else {}
     )
     visited = {} if identified.visited is None else {"visited": [
@@ -294,7 +294,7 @@ def document_of(identified: "IdentifiedModel") -> dict[str, Any]:
         },
         **({"effects": effects} if effects else {}),
         **uncertainties,
-        **({"rows": _untold_as_null(_plain(identified.rows))} if identified.rows else {}),
+        **({"rows": _unknown_as_null(_plain(identified.rows))} if identified.rows else {}),
         **hysteretic_creep,
         **first_rise,
         **({"adequacy": _plain(identified.adequacy)} if identified.adequacy else {}),
@@ -331,12 +331,12 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _untold_as_null(value: Any) -> Any:
+def _unknown_as_null(value: Any) -> Any:
     """Return standard deviations with None for infinite ones, as JSON has no infinity."""
     if isinstance(value, dict):
-        return {key: _untold_as_null(entry) for key, entry in value.items()}
+        return {key: _unknown_as_null(entry) for key, entry in value.items()}
     if isinstance(value, list):
-        return [_untold_as_null(entry) for entry in value]
+        return [_unknown_as_null(entry) for entry in value]
     return None if value == math.inf else value
 
 

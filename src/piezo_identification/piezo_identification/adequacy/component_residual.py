@@ -143,14 +143,14 @@ def _of_square_wave(
         # A free-running generator steps between two rows.
         good[wave.steps[wave.steps > first] - first - 1] = False
     measured_um = part.displacement_um[first:]
-    beside = np.column_stack([
+    offset_and_creep = np.column_stack([
         np.ones_like(time_s), *(np.exp(-rate * time_s) for rate in model.creep.poles_rad_per_s)])
 
     def left_um(level: FloatArray) -> FloatArray:
         driving = _behind_amplifier(model, part, level) if component == "dynamics" else level
         response = respond(system, driving, part.sample_period_s, samples, behind_s + delay_s,
                            parts=driving.size // level.size)
-        columns = np.column_stack([response, beside])[first:]
+        columns = np.column_stack([response, offset_and_creep])[first:]
         fitted = np.linalg.lstsq(columns[good], measured_um[good], rcond=1e-12)[0]
         return np.asarray(measured_um - columns @ fitted)
 
@@ -160,7 +160,7 @@ def _of_square_wave(
     if edges is not None and component == "dynamics" and has_exact_answer:
         own_um = generator_residual_um(
             system, HeldInput(wave.level, part.sample_period_s, False), behind_s + delay_s,
-            edges, measured_um, beside, good)
+            edges, measured_um, offset_and_creep, good)
     elif (own := free_running_level(wave)) is not None:
         own_um = left_um(own)
     if own_um is not None:

@@ -27,19 +27,19 @@ def implausible_data(recordings: Mapping[str, Any]) -> list[str]:
     list of str
         Sentences, except those already in the notes of the recordings.
     """
-    told = []
+    sentences = []
     for name, data in recordings.items():
         if isinstance(data, FrequencyResponse):
             continue
         found = [f"{data.path}: {text}" for text in implausible(data)]
-        told += [text for text in found if text not in data.notes]
+        sentences += [text for text in found if text not in data.notes]
         period_s = float(np.median(data.sample_periods_s[data.playing]))
         if experiment_of(name) == "dynamics" and period_s > SLOWEST_FAST_ROWS_S:
-            told.append(
+            sentences.append(
                 f"{data.path}: a sample every {period_s:.3g} s is too slow to hold dynamics, which "
                 f"settle within {WAVEFORM.slow_branch_s:g} s: give a recording with a sample every "
                 f"{SLOWEST_FAST_ROWS_S:g} s or faster, or leave --dynamics out")
-    return told
+    return sentences
 
 
 def implausible_model(model: StageModel, recordings: Mapping[str, Any]) -> list[str]:
@@ -50,7 +50,7 @@ def implausible_model(model: StageModel, recordings: Mapping[str, Any]) -> list[
     recordings : dict of str to Recording or FrequencyResponse
         Data of the identification by name of the experiment.
     """
-    told, dynamics = [], model.dynamics
+    sentences, dynamics = [], model.dynamics
     slow_s = WAVEFORM.slow_branch_s
     what = ""
     if dynamics.time_constant_s > slow_s:
@@ -58,7 +58,7 @@ def implausible_model(model: StageModel, recordings: Mapping[str, Any]) -> list[
     elif min(dynamics.mode_frequencies_rad_per_s, default=np.inf) * slow_s < 1.0:
         what = f"a mode at {min(dynamics.mode_frequencies_rad_per_s) / (2.0 * np.pi):.3g} Hz"
     if what and "dynamics" in recordings:
-        told.append(
+        sentences.append(
             f"{what} is too slow for the dynamics of a piezo stage, which settle within "
             f"{slow_s:g} s: is {recordings['dynamics'].path} a recording of the dynamics, with its "
             "time in seconds?")
@@ -71,9 +71,9 @@ def implausible_model(model: StageModel, recordings: Mapping[str, Any]) -> list[
             else f"a gain of {gain:.3g} um/V")
     if (range_um < USUAL.least_range_um and gain < USUAL.least_gain_um_per_v) or (
             has_range and range_um > USUAL.largest_range_um) or gain > USUAL.largest_gain_um_per_v:
-        told.append(f"{what} is implausible for a piezo stage: is the displacement in um, and the "
-                    "voltage in V?")
+        sentences.append(f"{what} is implausible for a piezo stage: is the displacement in um, and "
+                         "the voltage in V?")
     if max(abs(low_v), abs(high_v)) > USUAL.largest_voltage_v:
-        told.append(f"voltages from {low_v:.4g} to {high_v:.4g} V are implausible for a piezo "
-                    "stage: is the voltage in V?")
-    return told
+        sentences.append(f"voltages from {low_v:.4g} to {high_v:.4g} V are implausible for a piezo "
+                         "stage: is the voltage in V?")
+    return sentences

@@ -81,7 +81,7 @@ class AxesDiagnosis:
     probabilities: dict[str, float]
     """Probability of each set of effects, of `none` and of `something_else`, in descending
     order."""
-    not_told_from: dict[str, str]
+    confounded_with: dict[str, str]
     """Effects that the data cannot distinguish from a named one, and that effect."""
     left: str
     """Sentence on the residual if it is more than noise."""
@@ -89,11 +89,11 @@ class AxesDiagnosis:
     def document(self) -> dict[str, Any]:
         """Return the content of `verdict.json`."""
         because = {name: f"explains the recording like {other}" for name, other
-                   in self.not_told_from.items()}
+                   in self.confounded_with.items()}
         return {"verdict": self.verdict, "effects": self.effects, "before": self.before,
                 "after": self.after, "noise_floor_um": self.noise_floor_um,
                 "not_decidable": list(because), "not_decidable_because": because,
-                "not_told_from": self.not_told_from, "left": self.left,
+                "not_told_from": self.confounded_with, "left": self.left,
                 "probabilities": self.probabilities}
 
     def write(self, directory: Path) -> None:
@@ -117,7 +117,7 @@ class AxesDiagnosis:
         likely = ", ".join(f"{name} {share:.3f}" for name, share in self.probabilities.items())
         notes = [f"probability: {likely}"]
         notes += [f"not decidable: {name} explains the recording like {other}"
-                  for name, other in self.not_told_from.items()]
+                  for name, other in self.confounded_with.items()]
         return SummaryTable(f"verdict: {self.verdict}", ("", "value", "std. dev."), rows,
                             (*notes, *filter(None, [self.left])))
 

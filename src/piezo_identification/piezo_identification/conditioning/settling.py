@@ -34,21 +34,21 @@ decays."""
 class SlowDynamics(ElectricVibrationDynamics):
     """Electric and vibration dynamics with further parallel modes that have to settle."""
 
-    beside: tuple[VibrationMode, ...] = ()
+    parallel_modes: tuple[VibrationMode, ...] = ()
     """Parallel modes; the participation of each is taken from the modes in series."""
 
     @property
     def is_static(self) -> bool:
         """Whether there is neither a lag nor a mode."""
-        return super().is_static and not self.beside
+        return super().is_static and not self.parallel_modes
 
-    def state_space(self, beside: Sequence[Any] = ()) -> control.StateSpace:
-        """Return the continuous state space, including the modes in `beside`."""
-        return super().state_space((*self.beside, *beside))
+    def state_space(self, parallel_modes: Sequence[Any] = ()) -> control.StateSpace:
+        """Return the continuous state space, including the modes in `parallel_modes`."""
+        return super().state_space((*self.parallel_modes, *parallel_modes))
 
-    def response(self, frequency_hz: ArrayLike, beside: Sequence[Any] = ()) -> ComplexArray:
+    def response(self, frequency_hz: ArrayLike, parallel_modes: Sequence[Any] = ()) -> ComplexArray:
         """Return the complex response at frequencies, in their shape; see `state_space`."""
-        return super().response(frequency_hz, (*self.beside, *beside))
+        return super().response(frequency_hz, (*self.parallel_modes, *parallel_modes))
 
 
 def low_frequency_delay_s(dynamics: ElectricVibrationDynamics) -> float:
@@ -65,9 +65,9 @@ def low_frequency_delay_s(dynamics: ElectricVibrationDynamics) -> float:
         - sum_of_modes(dynamics.antiresonance_frequencies_rad_per_s,
                        dynamics.antiresonance_damping_ratios)
     )
-    beside = dynamics.beside if isinstance(dynamics, SlowDynamics) else ()
+    parallel_modes = dynamics.parallel_modes if isinstance(dynamics, SlowDynamics) else ()
     return dynamics.time_constant_s + in_series_s + sum(
-        _delay_of_mode_s(mode, in_series_s) for mode in beside)
+        _delay_of_mode_s(mode, in_series_s) for mode in parallel_modes)
 
 
 def _delay_of_mode_s(mode: VibrationMode, in_series_s: float) -> float:
@@ -100,7 +100,7 @@ def slow_dynamics(
     """
     own = {each.name: getattr(dynamics, each.name) for each in fields(ElectricVibrationDynamics)}
     return SlowDynamics(
-        **own, beside=tuple(effect for effect in effects if _has_to_settle(effect)))
+        **own, parallel_modes=tuple(effect for effect in effects if _has_to_settle(effect)))
 
 
 def slow_delay_s(dynamics: ElectricVibrationDynamics, effects: Sequence[Effect]) -> float:
@@ -130,7 +130,7 @@ def _has_to_settle(effect: Effect) -> TypeGuard[VibrationMode]:
 def settling_time_s(dynamics: ElectricVibrationDynamics) -> float:
     """Return the time after which the response to a step has settled.
 
-    Poles with a small share of that response, as of a mode beside an antiresonance, do not count.
+    Poles with a small share of that response, as of a mode near an antiresonance, do not count.
     """
     if dynamics.is_static:
         return 0.0

@@ -457,7 +457,7 @@ def conclude(model: StageModel, given: Conditioned, selection: Selection, valida
         noise_floor_um=float(np.median(regression.noise.noise_um)), holdout=errors.where,
         not_decidable={name: why.sentence for name, why in undecided.items()},
         reasons={name: why.reason for name, why in undecided.items()},
-        not_told_from=_not_told_from(selection, effects),
+        confounded_with=_confounded_with(selection, effects),
         left=_description(regression, decision, predictable),
         reversed=given.reversed, left_out=[*left_out(regression), *validation.left_out()],
         ceiling=None if predictable is None else asdict(predictable), selection=selection,
@@ -475,7 +475,7 @@ def _description(regression: Regression, decision: Decision, predictable: "Ceili
     return " ".join(sentences)
 
 
-def _not_told_from(selection: Selection, effects: Sequence[dict[str, Any]]) -> dict[str, str]:
+def _confounded_with(selection: Selection, effects: Sequence[dict[str, Any]]) -> dict[str, str]:
     """Return the effects that the data cannot distinguish from a named effect, and that effect."""
     named = {entry["name"] for entry in effects}
     return {name: found for name, found in selection.indistinguishable.items()
@@ -488,7 +488,7 @@ def _undecided(selection: Selection, decision: Decision,
     named = {entry["name"] for entry in effects}
     reasons = {name: why for name, why in (selection.not_shown | decision.refused).items()
                if name not in named}
-    for name, found in _not_told_from(selection, effects).items():
+    for name, found in _confounded_with(selection, effects).items():
         reasons[name] = Undecided(
             Reason.LIKE_ANOTHER, f"the data does not distinguish it from {found}")
     kinds = known_effects()

@@ -56,7 +56,7 @@ class Verdict:
     residual is compatible with known noise, or if not computed. See `evidence.ceiling.Ceiling`."""
     reasons: dict[str, Reason] = field(default_factory=dict, kw_only=True)
     """Kind of reason for each of them."""
-    not_told_from: dict[str, str] = field(default_factory=dict, kw_only=True)
+    confounded_with: dict[str, str] = field(default_factory=dict, kw_only=True)
     """Those that the data cannot distinguish from a named effect, and that effect."""
     probabilities: dict[str, float] = field(default_factory=dict, kw_only=True)
     """Probability of each relevant set of effects (names joined by +), of `none` and of
@@ -93,7 +93,7 @@ class Verdict:
         return replace(
             self, not_decidable={name: self.not_decidable[name] for name in left},
             reasons={name: why for name, why in self.reasons.items() if name in left},
-            not_told_from={name: other for name, other in self.not_told_from.items()
+            confounded_with={name: other for name, other in self.confounded_with.items()
                            if name in left})
 
     def document(self) -> dict[str, Any]:
@@ -108,7 +108,7 @@ class Verdict:
             "not_decidable": list(self.not_decidable),
             "not_decidable_because": self.not_decidable,
             "not_decidable_reasons": self.reasons,
-            "not_told_from": self.not_told_from,
+            "not_told_from": self.confounded_with,
             "left": self.left,
             "reversed": self.reversed,
             "outliers_left_out": self.left_out,

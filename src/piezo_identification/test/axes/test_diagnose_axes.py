@@ -174,7 +174,7 @@ def test_slow_motion_does_not_distinguish_crosstalk_from_a_turned_sensor(identif
         0.3 * slow_v(), rng, driven=((1, CROSSTALK), (0, 1))))
     alike = {"cross_coupling[x,y]", "squareness[x,y]"}
     named, = diagnosis.effects
-    assert diagnosis.not_told_from == {(alike - {label(named)}).pop(): label(named)}
+    assert diagnosis.confounded_with == {(alike - {label(named)}).pop(): label(named)}
     assert sum(diagnosis.probabilities[each] for each in alike) > 0.95
 
 

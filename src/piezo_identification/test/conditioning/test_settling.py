@@ -33,7 +33,7 @@ def test_effects_delay_slow_signals_by_the_slope_of_their_phase(plant):
         1.0 + 2j * np.pi * 0.1 * 1e-4)
     slow = slow_dynamics(plant.dynamics, effects)
     # The last one is too small to wait for.
-    assert slow.beside == modes[:2]
+    assert slow.parallel_modes == modes[:2]
     assert low_frequency_delay_s(slow) + slow_delay_s(plant.dynamics, effects) == pytest.approx(
         -np.angle(response) / (0.2 * np.pi), rel=1e-5)
 

@@ -120,4 +120,4 @@ def test_effects_stand_in_the_order_of_the_signal_with_their_deviations():
     whole_s = 3e-4 + 1e-4 + sum(2.0 * damping * part / w for w, damping, part in stage.modes)
     assert low_frequency_delay_s(found.slow_dynamics) + found.slow_delay_s == pytest.approx(
         whole_s, rel=2e-3)
-    assert len(found.slow_dynamics.damping_ratios) + len(found.slow_dynamics.beside) == 3
+    assert len(found.slow_dynamics.damping_ratios) + len(found.slow_dynamics.parallel_modes) == 3

@@ -35,7 +35,7 @@ class AmplifierLag(Lag):
     name: ClassVar[str] = "amplifier_lag"
     place: ClassVar[str] = "voltage"
     experiment: ClassVar[str] = "dynamics and hysteresis: a fast square wave, and slow loops"
-    indistinguishable_from: ClassVar[tuple[str, ...]] = ("delay", "sensor_lag")
+    confounded_with: ClassVar[tuple[str, ...]] = ("delay", "sensor_lag")
 
     def lag(self) -> control.StateSpace | None:
         """Return the lag as a continuous system, as `Effect.lag` describes."""

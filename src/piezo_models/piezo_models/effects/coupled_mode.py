@@ -26,7 +26,7 @@ class CoupledMode(VibrationMode):
 
     name: ClassVar[str] = "coupled_mode"
     experiment: ClassVar[str] = VibrationMode.experiment
-    indistinguishable_from: ClassVar[tuple[str, ...]] = ("vibration_mode",)
+    confounded_with: ClassVar[tuple[str, ...]] = ("vibration_mode",)
 
     damping_ratio: float = parameter("1", "logarithm", 1e-5, 100.0)
     participation: float = parameter("1", "linear", -1e3, 1e3)

@@ -29,7 +29,7 @@ class Creep(Effect):
     place: ClassVar[str] = "linear"
     experiment: ClassVar[str] = "creep: long square wave, steps held for minutes"
     distortion: ClassVar[frozenset[str] | None] = frozenset()
-    indistinguishable_from: ClassVar[tuple[str, ...]] = ("thermal_drift",)
+    confounded_with: ClassVar[tuple[str, ...]] = ("thermal_drift",)
 
     gains: tuple[float, ...] = parameter("1", "linear", 0.0, 1.0)
     time_constants_s: tuple[float, ...] = parameter("s", "fixed", LEAST, MOST)

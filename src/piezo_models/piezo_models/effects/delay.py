@@ -29,7 +29,7 @@ class Delay(Effect):
     place: ClassVar[str] = "displacement"
     experiment: ClassVar[str] = "dynamics: steps, or tones up to the highest frequency of interest"
     distortion: ClassVar[frozenset[str] | None] = frozenset()
-    indistinguishable_from: ClassVar[tuple[str, ...]] = ("sensor_lag",)
+    confounded_with: ClassVar[tuple[str, ...]] = ("sensor_lag",)
 
     delay_s: float = parameter("s", "linear", 0.0, MOST)
 

@@ -157,7 +157,7 @@ class Effect(ABC):
     distortion: ClassVar[frozenset[str] | None] = None
     """Distortion of a multisine with odd lines: "odd" if the effect always has odd distortion, both
     if it has "even" or "odd" one, empty if it is linear. None if it is not known."""
-    indistinguishable_from: ClassVar[tuple[str, ...]] = ()
+    confounded_with: ClassVar[tuple[str, ...]] = ()
     """Names of effects that act alike on most recordings. If the diagnosis finds one of two, it
     also tries the other in its place. It is enough if one names the other."""
     same_without_dynamics: ClassVar[tuple[str, ...]] = ()
@@ -286,7 +286,7 @@ class Effect(ABC):
         return self.state_space()(s) if self.place == "linear" else np.ones_like(s)
 
     @classmethod
-    def is_indistinguishable_from(cls, other: type["Effect"]) -> bool:
+    def is_confounded_with(cls, other: type["Effect"]) -> bool:
         """Return whether this effect names the other as indistinguishable, or the other this one.
 
         Parameters
@@ -294,7 +294,7 @@ class Effect(ABC):
         other : type
             Another effect.
         """
-        return other.name in cls.indistinguishable_from or cls.name in other.indistinguishable_from
+        return other.name in cls.confounded_with or cls.name in other.confounded_with
 
     @classmethod
     @abstractmethod

@@ -20,7 +20,7 @@ class SecondOrderAmplifier(AmplifierLag):
     """
 
     name: ClassVar[str] = "second_order_amplifier"
-    indistinguishable_from: ClassVar[tuple[str, ...]] = ("amplifier_lag", "delay", "sensor_lag")
+    confounded_with: ClassVar[tuple[str, ...]] = ("amplifier_lag", "delay", "sensor_lag")
 
     quality_factor: float = parameter("1", "logarithm", 0.05, 20.0, default=0.5)
 

@@ -29,7 +29,7 @@ class SensorLag(Lag):
     name: ClassVar[str] = "sensor_lag"
     place: ClassVar[str] = "sensor"
     experiment: ClassVar[str] = Delay.experiment
-    indistinguishable_from: ClassVar[tuple[str, ...]] = ("delay",)
+    confounded_with: ClassVar[tuple[str, ...]] = ("delay",)
 
     roundness: float = parameter("1", "linear", 0.0, 0.5, default=0.0)
 

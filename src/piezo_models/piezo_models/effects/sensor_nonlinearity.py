@@ -19,7 +19,7 @@ class SensorNonlinearity(Effect):
     remembers: ClassVar[bool] = False
     experiment: ClassVar[str] = "hysteresis: harmonics over the whole range, and fast tones"
     distortion: ClassVar[frozenset[str] | None] = frozenset({"even", "odd"})
-    indistinguishable_from: ClassVar[tuple[str, ...]] = ("stiffening",)
+    confounded_with: ClassVar[tuple[str, ...]] = ("stiffening",)
     same_without_dynamics: ClassVar[tuple[str, ...]] = ("stiffening",)
 
     first_um: float = parameter("um")

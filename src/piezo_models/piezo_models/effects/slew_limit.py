@@ -44,7 +44,7 @@ class SlewLimit(Effect):
     place: ClassVar[str] = "voltage"
     experiment: ClassVar[str] = "dynamics: steps of several sizes"
     distortion: ClassVar[frozenset[str] | None] = frozenset({"odd"})
-    indistinguishable_from: ClassVar[tuple[str, ...]] = ("vibration_mode",)
+    confounded_with: ClassVar[tuple[str, ...]] = ("vibration_mode",)
 
     slew_limit_v_per_s: float = parameter("V/s", "logarithm", LEAST, MOST)
     fall_ratio: float = parameter("1", "logarithm", 0.2, 5.0, default=1.0)

@@ -41,7 +41,7 @@ class Stiffening(Effect):
     place: ClassVar[str] = "displacement"
     experiment: ClassVar[str] = "hysteresis: harmonics over the whole range, and large fast tones"
     distortion: ClassVar[frozenset[str] | None] = frozenset({"even", "odd"})
-    indistinguishable_from: ClassVar[tuple[str, ...]] = ("sensor_nonlinearity",)
+    confounded_with: ClassVar[tuple[str, ...]] = ("sensor_nonlinearity",)
 
     linear_um: float = parameter("um")
     square_um: float = parameter("um")

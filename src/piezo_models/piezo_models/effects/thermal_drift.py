@@ -34,7 +34,7 @@ class ThermalDrift(EffectOfTime):
     recurs: ClassVar[bool] = True
     experiment: ClassVar[str] = "rest for minutes, and the same waveform repeated at later times"
     distortion: ClassVar[frozenset[str] | None] = frozenset()
-    indistinguishable_from: ClassVar[tuple[str, ...]] = ("creep",)
+    confounded_with: ClassVar[tuple[str, ...]] = ("creep",)
 
     rate_um_per_s: float = parameter("um/s")
     approach_um: float = parameter("um")

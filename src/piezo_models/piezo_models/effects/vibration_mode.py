@@ -29,7 +29,7 @@ class VibrationMode(Effect):
     several: ClassVar[bool] = True
     experiment: ClassVar[str] = "dynamics: steps, or tones up to the highest frequency of interest"
     distortion: ClassVar[frozenset[str] | None] = frozenset()
-    indistinguishable_from: ClassVar[tuple[str, ...]] = ("slew_limit",)
+    confounded_with: ClassVar[tuple[str, ...]] = ("slew_limit",)
 
     frequency_rad_per_s: float = parameter("rad/s", "logarithm", LEAST, MOST)
     damping_ratio: float = parameter("1", "logarithm", 1e-3, 0.4)

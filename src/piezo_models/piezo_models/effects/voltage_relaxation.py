@@ -31,7 +31,7 @@ class VoltageRelaxation(Lag):
     name: ClassVar[str] = "voltage_relaxation"
     place: ClassVar[str] = "voltage"
     experiment: ClassVar[str] = "steps, and loops whose period is near the time constant"
-    indistinguishable_from: ClassVar[tuple[str, ...]] = ("amplifier_lag", "creep")
+    confounded_with: ClassVar[tuple[str, ...]] = ("amplifier_lag", "creep")
 
     share: float = parameter("1", "linear", 0.0, MOST, default=0.5)
 

@@ -138,12 +138,12 @@ class ElectricVibrationDynamics:
             self.mode_frequencies_rad_per_s, self.damping_ratios, antiresonances, strict=True
         )
 
-    def state_space(self, beside: Sequence[Any] = ()) -> control.StateSpace:
+    def state_space(self, parallel_modes: Sequence[Any] = ()) -> control.StateSpace:
         """Return the continuous state space of the lag and the modes.
 
         Parameters
         ----------
-        beside : sequence of `piezo_models.effects.vibration_mode.VibrationMode`
+        parallel_modes : sequence of `piezo_models.effects.vibration_mode.VibrationMode`
             Additional parallel modes; the others keep the rest of the displacement.
         """
         lag: list[Section] = []
@@ -151,9 +151,9 @@ class ElectricVibrationDynamics:
             rate = 1.0 / self.time_constant_s
             lag = [([[-rate]], [[rate]], [[1.0]], [[0.0]])]
         modes = self._series_of_modes()
-        if beside:
-            share = 1.0 - sum(mode.participation for mode in beside)
-            modes = in_parallel([scaled(share, modes), *map(_branch, beside)])
+        if parallel_modes:
+            share = 1.0 - sum(mode.participation for mode in parallel_modes)
+            modes = in_parallel([scaled(share, modes), *map(_branch, parallel_modes)])
         return control.ss(*in_series([_cascade(lag), modes]))
 
     def _series_of_modes(self) -> Matrices:
@@ -175,7 +175,7 @@ class ElectricVibrationDynamics:
             )
         return _cascade(sections)
 
-    def response(self, frequency_hz: ArrayLike, beside: Sequence[Any] = ()) -> ComplexArray:
+    def response(self, frequency_hz: ArrayLike, parallel_modes: Sequence[Any] = ()) -> ComplexArray:
         """Return the complex response at frequencies in Hz, in their shape; see `state_space`."""
         s = 2j * np.pi * np.asarray(frequency_hz, dtype=float)
         response = np.ones_like(s)
@@ -183,8 +183,8 @@ class ElectricVibrationDynamics:
             response = response / _quadratic(s, w, zeta)
             if antiresonance is not None:
                 response = response * _quadratic(s, *antiresonance)
-        response = (1.0 - sum(mode.participation for mode in beside)) * response
-        for mode in beside:
+        response = (1.0 - sum(mode.participation for mode in parallel_modes)) * response
+        for mode in parallel_modes:
             response = response + mode.branch_response(s)
         return response / (self.time_constant_s * s + 1.0)
 

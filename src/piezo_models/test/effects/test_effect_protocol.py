@@ -28,7 +28,7 @@ class FollowUp(Effect):
     name: ClassVar[str] = "follow_up"
     place: ClassVar[str] = "linear"
     experiment: ClassVar[str] = "steps"
-    indistinguishable_from: ClassVar[tuple[str, ...]] = ("delay",)
+    confounded_with: ClassVar[tuple[str, ...]] = ("delay",)
 
     time_constant_s: float = parameter("s", "logarithm", 1e-9, 1.0)
 
@@ -79,11 +79,11 @@ def test_an_effect_that_acts_on_a_signal_has_no_linear_system_and_says_so():
 
 
 def test_it_is_enough_that_one_of_two_effects_names_the_other():
-    assert FollowUp.is_indistinguishable_from(Delay)
-    assert Delay.is_indistinguishable_from(FollowUp)
-    assert not FollowUp.is_indistinguishable_from(Creep)
+    assert FollowUp.is_confounded_with(Delay)
+    assert Delay.is_confounded_with(FollowUp)
+    assert not FollowUp.is_confounded_with(Creep)
 
 
 @pytest.mark.parametrize("kind", known_effects().values(), ids=lambda kind: kind.name)
 def test_effects_name_only_effects_that_there_are_and_not_themselves(kind):
-    assert set(kind.indistinguishable_from) <= set(known_effects()) - {kind.name}
+    assert set(kind.confounded_with) <= set(known_effects()) - {kind.name}

@@ -165,7 +165,7 @@ def _gridded(visited_um: FloatArray, values: FloatArray, frame: ScanFrame) -> Fl
     # Half a line away from the lines, a straight line would cut off what is curved.
     found[..., 0] = CloughTocher2DInterpolator(triangles, values[:, 0])(places)
     distance, nearest = cKDTree(visited).query(places)
-    beside = np.isnan(found[..., -1]) & (distance <= NEAR_PIXELS)
-    found[beside] = values[nearest[beside]]
+    at_the_rim = np.isnan(found[..., -1]) & (distance <= NEAR_PIXELS)
+    found[at_the_rim] = values[nearest[at_the_rim]]
     found[distance > FAR_PIXELS] = np.nan
     return found

@@ -183,7 +183,7 @@ class ActionCaller:
         set_deadline(goal, CALL_TIMEOUT_S)
         failures: list[Exception] = []
 
-        def tell(message: Message) -> None:
+        def pass_on(message: Message) -> None:
             if on_feedback is None or failures:
                 return
             try:
@@ -191,7 +191,7 @@ class ActionCaller:
             except Exception as error:  # in the executor it would end the node
                 failures.append(error)
 
-        handle = self._await(lambda: self._client.send_goal_async(goal, tell),
+        handle = self._await(lambda: self._client.send_goal_async(goal, pass_on),
                              CALL_TIMEOUT_S, self._settle_late())
         if not handle.accepted:
             raise CallFailed(f"{self._name} rejected the goal: its node is busy or not active, "

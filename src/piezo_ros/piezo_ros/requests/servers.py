@@ -22,14 +22,14 @@ class Waiting:
 
     def __init__(self, node: Node, service: str) -> None:
         self._node, self._service = node, service
-        self._told = 0
+        self._reported = 0
 
     def look(self, waited_s: float) -> None:
         """Log the wait if another `WORD_AFTER_S` has passed."""
         due = int(waited_s / WORD_AFTER_S)
-        if due <= self._told:
+        if due <= self._reported:
             return
-        self._told = due
+        self._reported = due
         self._node.get_logger().warning(
             f"{described_server(self._node, self._service)} has not answered {self._service} for "
             f"{waited_s:.0f} s: waiting" if _is_served(self._node, self._service)

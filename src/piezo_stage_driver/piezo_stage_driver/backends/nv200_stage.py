@@ -205,6 +205,6 @@ def create(settings: BackendSettings) -> StoredWaveformStage:
     ValueError
         If the file is missing or invalid, or the library is missing.
     """
-    told = settings_of("nv200", Nv200Settings, Nv200Settings, settings)
+    own = settings_of("nv200", Nv200Settings, Nv200Settings, settings)
     return StoredWaveformStage(
-        Nv200(told), settings, told.longest_program_samples, told.transfer_s)
+        Nv200(own), settings, own.longest_program_samples, own.transfer_s)

@@ -260,6 +260,6 @@ def create(settings: BackendSettings) -> StoredWaveformStage:
     ValueError
         If the file is missing or invalid, or the library is missing.
     """
-    told = settings_of("pi_gcs", PiSettings, PiAxesSettings, settings)
+    own = settings_of("pi_gcs", PiSettings, PiAxesSettings, settings)
     return StoredWaveformStage(
-        PiController(told), settings, told.longest_program_samples, told.transfer_s)
+        PiController(own), settings, own.longest_program_samples, own.transfer_s)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Follow paths on the simulated XY stage, and write their errors into docs/several_axes.md."""
+"""Follow paths on the simulated XY stage, and write the errors into their study in docs."""
 
 import argparse
 import sys
@@ -30,7 +30,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="coupled_scans", description=__doc__)
     parser.add_argument("--picture", type=Path, default=Path("docs/pictures/scan.png"),
                         help="picture of images to draw anew")
-    parser.add_argument("--page", type=Path, default=Path("docs/several_axes.md"),
+    parser.add_argument("--page", type=Path, default=Path("docs/studies/several_axes.md"),
                         help="page whose tables are written again; its text stays")
     options = parser.parse_args(arguments)
     model = identified()

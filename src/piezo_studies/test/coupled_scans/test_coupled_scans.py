@@ -19,7 +19,7 @@ from piezo_studies.coupled_scans.images import image_table, images_figure, image
 from piezo_studies.coupled_scans.trials import TABLES, Row
 from piezo_studies.marked_sections import with_sections
 
-PAGE = Path(__file__).parents[4] / "docs" / "several_axes.md"
+PAGE = Path(__file__).parents[4] / "docs" / "studies" / "several_axes.md"
 ROW = Row("spiral", 49.0, 0.0721, 0.0282, 0.0281, 0.1, 5)
 
 

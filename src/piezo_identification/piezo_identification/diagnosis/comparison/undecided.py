@@ -65,7 +65,7 @@ def in_place_of_the_found(regression: Regression, kinds: Sequence[type[Effect]],
     """
     tried = [
         (number, kind) for number, effect in enumerate(best.effects) for kind in kinds
-        if kind.is_indistinguishable_from(type(effect))
+        if kind.is_confounded_with(type(effect))
         and kind.name not in {other.name for other in best.without(number)}]
 
     def in_place(entry: tuple[int, type[Effect]]) -> Fit | None:

@@ -253,11 +253,11 @@ def _undecided(regression: Regression, found: Effects,
                verdict: Mapping[str, Any]) -> list[Effects]:
     """Guess undecidable effects, as a replacement of one that was found, or in addition."""
     kinds, sets = known_effects(), []
-    reasons, not_told_from = (
+    reasons, confounded_with = (
         verdict.get(key, {}) for key in ("not_decidable_reasons", "not_told_from"))
     for name in verdict.get("not_decidable", []):
         places = [number for number, effect in enumerate(found)
-                  if effect.name == not_told_from.get(name)]
+                  if effect.name == confounded_with.get(name)]
         # Other effects are excluded, or the recordings do not show them.
         if name not in kinds or not (
                 places or reasons.get(name) == Reason.SAME_AS_OTHER_PARAMETERS):

@@ -58,7 +58,7 @@ def decided_verdict(model: StageModel, recordings: Sequence[Recording], holdout:
     alike = competition.indistinguishable()
     found = sorted(entry["name"] for entry in diagnosis.effects if entry["name"] != Outliers.name)
     if list(names) == found:
-        decided = diagnosis.not_told_from.keys() - alike.keys()
+        decided = diagnosis.confounded_with.keys() - alike.keys()
         return replace(diagnosis.without_undecided(decided), probabilities=chances)
     given = condition(model, recordings, holdout)
     first = first_regression(simulate_recordings(model, given.recordings))

@@ -66,7 +66,7 @@ class ResponseSelection:
     """Entries of the verdict."""
     tried: list[list[tuple[str, float]]]
     """As in `ResponseDiagnosis`."""
-    not_told_from: dict[str, str]
+    confounded_with: dict[str, str]
     """Effects that the response does not distinguish from one found, and that one."""
     refused: dict[str, Undecided]
     """Effects that are refused, and why."""
@@ -134,7 +134,7 @@ def select_linear_effects(
     found = [start]
     effects: list[dict[str, Any]] = []
     tried: list[list[tuple[str, float]]] = []
-    not_told_from: dict[str, str] = {}
+    confounded_with: dict[str, str] = {}
     with while_time_lasts("further linear effects"):
         while len(effects) < CRITERIA.most_effects and not is_explained(problem, current):
             # The number of further effects is unknown.
@@ -147,7 +147,7 @@ def select_linear_effects(
             best = fits[0]
             for other in fits[1:]:
                 if reduction_percent(problem, best, other) > -CRITERIA.distinguished_percent:
-                    not_told_from[other.effects[-1].name] = best.effects[-1].name
+                    confounded_with[other.effects[-1].name] = best.effects[-1].name
             effects.append({
                 "name": best.effects[-1].name,
                 "error_reduction_percent": reduction_percent(problem, current, best)})
@@ -157,8 +157,8 @@ def select_linear_effects(
     current, effects = found[kept], effects[:kept]
     for entry, effect in zip(effects, current.effects, strict=True):
         entry["parameters"] = effect.parameters()
-        not_told_from.pop(entry["name"], None)
-    return ResponseSelection(current, effects, tried, not_told_from, refused,
+        confounded_with.pop(entry["name"], None)
+    return ResponseSelection(current, effects, tried, confounded_with, refused,
                              is_explained(problem, current))
 
 
@@ -189,7 +189,7 @@ def _diagnosis(problem: ResponseProblem, selection: ResponseSelection,
     faults = [wrong_sign(problem.measured.path)] if is_reversed else []
     undecided = {name: Undecided(Reason.LIKE_ANOTHER,
                                  f"the response does not distinguish it from {found}")
-                 for name, found in selection.not_told_from.items()} | selection.refused
+                 for name, found in selection.confounded_with.items()} | selection.refused
     verdict, left = "explained" if effects else "none", ""
     if not selection.is_explained:
         verdict, left = "unexplained", describe_residual(problem, selection.fit)
@@ -202,7 +202,7 @@ def _diagnosis(problem: ResponseProblem, selection: ResponseSelection,
                  "samples": int(np.sum(~problem.estimation))},
         not_decidable={name: why.sentence for name, why in undecided.items()},
         reasons={name: why.reason for name, why in undecided.items()},
-        not_told_from=selection.not_told_from, left=left,
+        confounded_with=selection.confounded_with, left=left,
         reversed=[fault.recording for fault in faults], left_out=[],
         recording_faults=[fault.document() for fault in faults],
         ceiling=None,

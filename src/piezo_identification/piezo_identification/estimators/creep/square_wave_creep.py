@@ -291,8 +291,8 @@ class _CreepRecord:
             # A rate slower than the record may appear in the initial state only, without a gain.
             free = np.delete(basis, gains, axis=1)
             span = np.linalg.qr(free)[0]
-            beside = basis[:, gains] - span @ (span.T @ basis[:, gains])
-            positive = nnls(beside, self.displacement - span @ (span.T @ self.displacement))[0]
+            projected = basis[:, gains] - span @ (span.T @ basis[:, gains])
+            positive = nnls(projected, self.displacement - span @ (span.T @ self.displacement))[0]
             others = np.linalg.lstsq(
                 free, self.displacement - basis[:, gains] @ positive, rcond=1e-12)[0]
             coefficients = np.concatenate([others[:2], positive, others[2:]])

@@ -18,14 +18,14 @@ class Echo(SensorLag):
     """An effect of another package that does much the same as a delay, and says so."""
 
     name = "echo"
-    indistinguishable_from = ("delay",)
+    confounded_with = ("delay",)
 
 
 class Silent(SensorLag):
     """The same effect, but it names none."""
 
     name = "silent"
-    indistinguishable_from = ()
+    confounded_with = ()
 
 
 @pytest.fixture(scope="module")
