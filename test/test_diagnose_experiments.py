@@ -62,8 +62,7 @@ def test_what_decides_is_played_recorded_and_diagnosed(suite, files, tmp_path):
 
 def test_a_cancelled_decision_leaves_the_stage_at_rest_and_what_was_recorded(
         suite, files, tmp_path):
-    goal = suite.begin("diagnose", directory=str(tmp_path), experiments=1, longest_s=LONGEST_S,
-                       **files)
+    goal = suite.begin("diagnose", directory=str(tmp_path), experiments=1, longest_s=0.3, **files)
     suite.until_flagged(SampleBlock.FLAG_PLAYING)
     status, result = suite.cancel(goal)
     assert status == GoalStatus.STATUS_CANCELED

@@ -2,7 +2,7 @@
 """Find what a model of several axes lacks to explain a recording."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from itertools import combinations
@@ -10,11 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import softmax
 
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_common.summary_table import SummaryTable
-from piezo_identification.axes.axis_effects import PARAMETERS, AxisEffect, all_effects
+from piezo_identification.axes.axis_effects import AxisEffect, ModeOfAxis, all_effects
+from piezo_identification.axes.mode_search import guessed
 from piezo_identification.axes.predict_axes import (
     circumstances_of,
     decays,
@@ -55,11 +57,10 @@ LIKE = 0.01
 """Smallest probability of an explanation that cannot be excluded; as for one axis."""
 
 MOST_STEPS = 8
-"""Largest number of Gauss-Newton steps of a fit; only delays are not linear."""
+"""Largest number of Gauss-Newton steps of a fit; only delays and modes are not linear."""
 
-SMALL_STEP = 1e-3
-"""Step of the derivatives (for a delay in sample periods) and, in tolerances, the last step of a
-fit. All other effects are linear in their parameter."""
+LAST_STEP = 1e-3
+"""Change of the displacement, in tolerances, by the last step of a fit."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -145,10 +146,11 @@ def diagnose_axes(identified: IdentifiedAxes, recording: AxesRecording) -> AxesD
                              f"{SPLIT.held_out * SPLIT.stretches} or more")
     before = _errors(identified.model, recording)
     errors = _Errors(identified, recording)
-    seen = [each for each in all_effects(recording.axes)
-            if errors.linearised((each,), np.zeros(1))[1].any()]
+    seen = [each for each in [*all_effects(recording.axes), *errors.modes(identified)]
+            if errors.linearised((each,), np.array(each.start))[1].any()]
     fits = {found: _fitted(errors, found) for found in [(), *((each,) for each in seen)]}
-    best_first = sorted(seen, key=lambda each: fits[each,].mean_square)
+    best_first = sorted((each for each in seen if fits[each,].stands or not isinstance(
+        each, ModeOfAxis)), key=lambda each: fits[each,].mean_square)
     fits |= {found: _fitted(errors, found) for found in combinations(best_first, 2)
              if best_first.index(found[0]) < CRITERIA.alternatives}
     least = min(fits, key=lambda found: fits[found].mean_square)
@@ -158,14 +160,15 @@ def diagnose_axes(identified: IdentifiedAxes, recording: AxesRecording) -> AxesD
     def evidence(squares: FloatArray, numbers: int = 0) -> float:
         return log_evidence(squares + errors.known_squares, numbers, counts)
 
-    valid = {found: fit for found, fit in fits.items() if fit.differs_from_zero and all(
+    valid = {found: fit for found, fit in fits.items() if fit.stands and all(
         evidence(fit.held_squares) > evidence(fits[fewer].held_squares)
         for fewer in _without_one(found))}
-    evidences = {found: evidence(fit.squares, len(found)) for found, fit in valid.items()}
+    evidences = {found: evidence(fit.squares, len(fit.values)) for found, fit in valid.items()}
     best = max(evidences, key=lambda found: evidences[found])
     accepted = np.minimum(ACCEPTED**2, valid[best].squares)
     shares = _shares({_joined(found): value for found, value in evidences.items()}
-                     | {"something_else": evidence(accepted, len(best) + 2)})
+                     | {"something_else": evidence(
+                         accepted, len(valid[best].values) + 2)})
     return _diagnosis(identified, recording, errors, before, best, valid, shares)
 
 
@@ -216,10 +219,28 @@ class _Errors:
         projected: FloatArray = residual_um - self._nuisance @ (self._nuisance.T @ residual_um)
         return projected
 
+    def modes(self, identified: IdentifiedAxes) -> list[ModeOfAxis]:
+        """Return the mode of each moving axis that explains most of the errors."""
+        model, driven = self._model, self.recording
+        latency_s = model.latency_samples * model.sample_period_s
+        delays_s = np.where(np.isfinite(identified.delay_deviations_s), identified.delays_s,
+                            latency_s)
+        return [guessed(ModeOfAxis("vibration_mode", axis, "", model.axes,
+                                   tuple((delays_s - latency_s).tolist())),
+                        driven, self._residual_um(model), self.tolerance_um, delays_s)
+                for axis, column in zip(model.axes, driven.voltage_v.T, strict=True)
+                if np.ptp(column)]
+
+    def stands(self, effect: AxisEffect, values: FloatArray, off: FloatArray) -> bool:
+        """Return whether an effect clearly differs from zero and from errors of the model."""
+        away = DEVIATIONS * off
+        differs = np.abs(values[effect.linear]) >= away[effect.linear]
+        return bool(differs.any()) and not effect.overlaps(self._model, values, away)
+
     def extended(self, effects: Sequence[AxisEffect], values: FloatArray) -> CoupledModel:
         """Return the model with effects."""
-        return reduce(lambda model, each: each[0].applied(model, float(each[1])),
-                      zip(effects, values, strict=True), self._model)
+        return reduce(lambda model, each: each[0].applied(model, each[1]),
+                      zip(effects, _by_effect(effects, values), strict=True), self._model)
 
     def residual(self, effects: Sequence[AxisEffect], values: FloatArray) -> FloatArray:
         """Return the errors with effects, (N, n)."""
@@ -230,9 +251,10 @@ class _Errors:
                    values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the errors, (N, n), and the derivatives of the displacement, (N, n, p)."""
         unmoved, columns = self.residual(effects, values), []
-        for number, effect in enumerate(effects):
+        for number, step in enumerate(_joined_values(
+                effect.steps(self._model, own) for effect, own in zip(
+                    effects, _by_effect(effects, values), strict=True))):
             moved = values.copy()
-            step = SMALL_STEP * (self._model.sample_period_s if effect.name == "delay" else 1.0)
             moved[number] += step
             columns.append((unmoved - self.residual(effects, moved)) / step)
         return unmoved, (np.stack(columns, axis=-1) if columns
@@ -241,13 +263,14 @@ class _Errors:
     def values(self, effects: Sequence[AxisEffect], values: FloatArray,
                rows: BoolArray) -> FloatArray:
         """Return the parameters that fit some rows best, (p,), from initial values."""
-        least = [effect.least(self._model) for effect in effects]
         for _ in range(MOST_STEPS if effects else 0):
             residual, columns = self.linearised(effects, values)
-            columns = columns[rows].reshape(-1, len(effects))
+            columns = columns[rows].reshape(-1, len(values))
             step = np.linalg.lstsq(columns, residual[rows].ravel(), rcond=1e-12)[0]
-            values = np.maximum(values + step, least)
-            if np.sqrt(np.mean((columns @ step) ** 2)) < SMALL_STEP:
+            values = _joined_values(
+                effect.within_bounds(self._model, own) for effect, own in zip(
+                    effects, _by_effect(effects, values + step), strict=True))
+            if np.sqrt(np.mean((columns @ step) ** 2)) < LAST_STEP:
                 break
         return values
 
@@ -264,32 +287,44 @@ class _Fit:
     held-out rows of the fit to the others, (n,)."""
     contributions: FloatArray
     """RMS contribution of each effect in tolerances."""
+    stands: bool
+    """Whether each effect clearly differs from zero and from errors of the model."""
 
     @property
     def mean_square(self) -> float:
         """Return the mean square error over all axes."""
         return float(np.mean(self.squares))
 
-    @property
-    def differs_from_zero(self) -> bool:
-        """Return whether each parameter clearly differs from zero."""
-        return bool(np.all(np.abs(self.values) >= DEVIATIONS * self.deviations))
-
 
 def _fitted(errors: _Errors, effects: Sequence[AxisEffect]) -> _Fit:
-    values = errors.values(effects, np.zeros(len(effects)), np.ones_like(errors.fitted))
+    values = errors.values(effects, _joined_values(np.array(each.start) for each in effects),
+                           np.ones_like(errors.fitted))
     residual, columns = errors.linearised(effects, values)
     held = errors.residual(effects, errors.values(effects, values, errors.fitted))[~errors.fitted]
-    deviations, sizes = np.zeros(len(effects)), np.sqrt(np.mean(columns**2, axis=(0, 1)))
+    deviations = np.zeros(len(values))
     if effects:
         covariance = clustered_covariance(
-            columns.reshape(-1, len(effects)), residual.ravel(),
+            columns.reshape(-1, len(values)), residual.ravel(),
             np.repeat(errors.stretch, residual.shape[1]))
         # The known error of the model may have the course of the effect.
         known = np.mean(columns**2, axis=0) / errors.known_squares[:, None]
         deviations = np.sqrt(np.diag(covariance) + 1.0 / np.sum(known, axis=0))
+    contributions, stands = [], True
+    for effect, numbers in zip(effects, _by_effect(effects, np.arange(len(values))), strict=True):
+        linear = numbers[effect.linear]
+        contributions.append(np.sqrt(np.mean((columns[..., linear] @ values[linear]) ** 2)))
+        stands &= errors.stands(effect, values[numbers], deviations[numbers])
     return _Fit(values, deviations, np.mean(residual**2, axis=0), np.mean(held**2, axis=0),
-                np.abs(values) * sizes)
+                np.array(contributions), stands)
+
+
+def _by_effect(effects: Sequence[AxisEffect], values: NDArray[Any]) -> list[NDArray[Any]]:
+    """Return the part of the values that belongs to each effect."""
+    return np.split(values, np.cumsum([len(effect.parameters) for effect in effects]))[:-1]
+
+
+def _joined_values(parts: Iterable[FloatArray]) -> FloatArray:
+    return np.concatenate([np.zeros(0), *parts])
 
 
 def _without_one(found: tuple[AxisEffect, ...]) -> list[tuple[AxisEffect, ...]]:
@@ -349,11 +384,19 @@ def _extended(identified: IdentifiedAxes, model: CoupledModel, recording: AxesRe
     if not effects:
         return identified
     late_s = identified.delays_s.copy()
-    for effect, value in zip(effects, fit.values, strict=True):
-        late_s[recording.axes.index(effect.axis)] += value * (effect.name == "delay")
+    poles, residues = identified.pole_deviations_rad_per_s, identified.residue_deviations_um_per_v
+    for effect, values, off in zip(effects, _by_effect(effects, fit.values),
+                                   _by_effect(effects, fit.deviations), strict=True):
+        if effect.name == "delay":
+            late_s[recording.axes.index(effect.axis)] += values[0]
+        if isinstance(effect, ModeOfAxis):
+            pole_off, residue_off = effect.deviations(model, values, off)
+            poles = np.concatenate([[pole_off], poles])
+            residues = np.concatenate([residue_off, residues])
     coupling = identified.coupling
     return replace(
-        identified, model=model, delays_s=late_s,
+        identified, model=model, delays_s=late_s, pole_deviations_rad_per_s=poles,
+        residue_deviations_um_per_v=residues,
         coupling=replace(coupling, gain_um_per_v=model.response(coupling.frequency_hz)),
         recordings=[*identified.recordings, {"path": recording.name, "sha256": recording.sha256}])
 
@@ -361,14 +404,17 @@ def _extended(identified: IdentifiedAxes, model: CoupledModel, recording: AxesRe
 def _entries(effects: Sequence[AxisEffect], fit: _Fit) -> list[dict[str, Any]]:
     """Return the entries of effects in `verdict.json`, the strongest first."""
     residual, entries = np.sqrt(fit.mean_square), []
+    values, deviations = (_by_effect(effects, each) for each in (fit.values, fit.deviations))
     for number in np.argsort(-fit.contributions):
-        effect, name = effects[number], PARAMETERS[effects[number].name]
+        effect = effects[number]
         other = {"from_axis": effect.from_axis} if effect.from_axis else {}
         without = np.hypot(residual, fit.contributions[number])
         entries.append({
             "name": effect.name,
-            "parameters": {"axis": effect.axis, **other, name: float(fit.values[number])},
-            "standard_deviations": {name: float(fit.deviations[number])},
+            "parameters": {"axis": effect.axis, **other, **dict(zip(
+                effect.parameters, values[number].tolist(), strict=True))},
+            "standard_deviations": dict(zip(
+                effect.parameters, deviations[number].tolist(), strict=True)),
             "error_reduction_percent": float(100.0 * (1.0 - residual / without))})
     return entries
 

@@ -101,7 +101,7 @@ def errors_of_poles(identified, modes):
     pytest.param(3, False, False, marks=pytest.mark.long), (3, True, True)])
 def test_intervals_hold_in_nine_of_ten_draws(n, is_held, is_known):
     within, off = [], []
-    for seed in range(6 if is_known else 4):
+    for seed in range(4 if is_known else 3):
         response = response_of(n, seed, is_held, is_known)
         identified = identify_several_axes(response)
         within.append(within_interval(

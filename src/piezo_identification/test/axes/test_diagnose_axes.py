@@ -8,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import cont2discrete, lfilter
 
 from piezo_identification.axes.axis_effects import AxisEffect
 from piezo_identification.axes.diagnose_axes import diagnose_axes
 from piezo_identification.axes.identify_axes import identify_several_axes
 from piezo_identification.axes.predict_axes import predict_several_axes
 from piezo_identification.commands.diagnose_command import main
+from piezo_models.axes.coupled import NEAR
 from piezo_models.axes_model_file import load_axes_model, save_axes_model
 from piezo_recorder.reading.recording import RecordingError
 
@@ -47,6 +49,18 @@ def recorded(voltage_v, rng, driven=((1, 0), (0, 1)), seen=((1, 0), (0, 1)), add
     measured += flexure.NOISE_UM * rng.normal(size=measured.shape)
     return flexure.recording({**columns, "x_displacement_um": measured[:, 0] + 10.0,
                               "y_displacement_um": measured[:, 1] + 7.0}, "changed")
+
+
+def mode_um(voltage_v, frequency_rad_per_s, damping_ratio, *gains_um_per_v):
+    """Return what the late sensors see of a mode, (N, 2), simulated at finer steps."""
+    finer = 10
+    mode = cont2discrete(([frequency_rad_per_s**2], [
+        1.0, 2.0 * damping_ratio * frequency_rad_per_s, frequency_rad_per_s**2]),
+        flexure.PERIOD_S / finer)
+    moved = lfilter(mode[0][0], mode[1], np.repeat(voltage_v, finer))
+    late = [round(finer * each) for each in flexure.LATE]
+    return np.column_stack([gain * np.pad(moved, (samples, 0))[:moved.size:finer]
+                            for gain, samples in zip(gains_um_per_v, late, strict=True)])
 
 
 CASES = {
@@ -92,6 +106,47 @@ def test_effect_is_named_with_its_axis_and_the_extended_model_predicts(
     assert np.all(np.std(second.measured_um - second.simulated_um, axis=0) < 2 * flexure.NOISE_UM)
 
 
+@pytest.mark.parametrize(("axis", "frequency_hz"), [("x", 520.0), ("y", 1400.0)])
+def test_mode_that_one_axis_drives_is_named_with_it(identified, tmp_path, axis, frequency_hz):
+    rng = np.random.default_rng(9)
+    values = (2.0 * np.pi * frequency_hz, 0.01, 0.004, -0.002)
+    number = identified.model.axes.index(axis)
+    diagnosed, second = (recorded(voltage_v, rng, added_um=mode_um(voltage_v[:, number], *values))
+                         for voltage_v in (fast_v(rng), fast_v(rng)))
+    diagnosis = diagnose_axes(identified, diagnosed)
+    assert diagnosis.verdict == "explained"
+    effect, = diagnosis.effects
+    assert label(effect) == f"vibration_mode[{axis}]"
+    for value, (name, off) in zip(values, effect["standard_deviations"].items(), strict=True):
+        assert abs(effect["parameters"][name] - value) < 3.0 * off < abs(value)
+    diagnosis.write(tmp_path)
+    extended = load_axes_model(tmp_path / "extended_model.json")
+    prediction = predict_several_axes(extended.model, second)
+    assert np.all(np.std(prediction.measured_um - prediction.simulated_um, axis=0)
+                  < 2 * flexure.NOISE_UM)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(20))
+def test_drawn_mode_is_named_or_nothing_is_where_it_overlaps_with_a_known_one(identified, seed):
+    rng = np.random.default_rng(seed)
+    axis, frequency, damping = int(rng.integers(2)), *np.exp(rng.uniform(
+        np.log([2.0 * np.pi * 60.0, 0.005]), np.log([2.0 * np.pi * 2500.0, 0.05])))
+    gains = rng.uniform(0.001, 0.01, 2) * rng.choice([-1.0, 1.0], 2)
+    voltage_v = fast_v(rng)
+    diagnosis = diagnose_axes(identified, recorded(voltage_v, rng, added_um=mode_um(
+        voltage_v[:, axis], frequency, damping, *gains)))
+    known = flexure.FREQUENCY_RAD_PER_S
+    overlap = damping * frequency + (flexure.DAMPING + NEAR) * known
+    if np.any(np.abs(frequency - known) < overlap):
+        assert diagnosis.verdict == "unexplained"
+    else:
+        effect, = diagnosis.effects
+        assert label(effect) == f"vibration_mode[{'xy'[axis]}]"
+        off = effect["standard_deviations"]["frequency_rad_per_s"]
+        assert abs(effect["parameters"]["frequency_rad_per_s"] - frequency) < 4.0 * off
+
+
 def test_two_effects_are_named_together(identified, monkeypatch):
     monkeypatch.setattr(flexure, "LATE", (0.5, 1.6))
     rng = np.random.default_rng(4)
@@ -134,7 +189,7 @@ def test_motion_of_another_cause_is_unexplained(identified):
 def test_delays_of_parts_of_a_sample_add_up(identified):
     model, late, period_s = identified.model, AxisEffect("delay", "y"), flexure.PERIOD_S
     twice = late.applied(late.applied(replace(model, direct_um_per_v=0.0 * model.direct_um_per_v),
-                                      0.3 * period_s), 1.7 * period_s)
+                                      np.array([0.3 * period_s])), np.array([1.7 * period_s]))
     frequency_hz = np.array([1.0, 50.0, 310.0, 1000.0])
     shift = np.exp(-2j * np.pi * frequency_hz * 2.0 * period_s)
     once = replace(model, direct_um_per_v=0.0 * model.direct_um_per_v).response(frequency_hz)

@@ -32,7 +32,7 @@ def test_creep_left_from_before_does_not_disturb(plant, play):
     memory = plant.memory()
     plant.simulate(np.full(40_000, 120.0), 1e-3, memory)
     recording = play(experiments.dynamics(), memory=memory, noise_um=0.0)
-    estimate = estimate_dynamics(recording, plant.creep).model
+    estimate = estimate_dynamics(recording, plant.creep, 2).model
     assert estimate.time_constant_s == pytest.approx(0.00049, rel=1e-5)
     assert estimate.mode_frequencies_rad_per_s == pytest.approx((2846.0, 4909.0), rel=1e-5)
 
