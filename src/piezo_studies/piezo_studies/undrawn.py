@@ -12,7 +12,7 @@ from piezo_common import report_page, side_by_side
 def work_undrawn() -> None:
     """Let this process draw nothing, and use one core."""
     for owner, name, instead in (
-            (Figure, "savefig", save_point), (report_page, "interactive_item", lambda figure: None),
+            (Figure, "savefig", save_point), (report_page, "interactive_item", lambda *_: None),
             (side_by_side, "cores", lambda: 1)):
         setattr(owner, name, instead)
 
