@@ -114,7 +114,8 @@ def spectra_of_response(response: AxesResponse) -> list[Spectrum]:
                            weight[:, :, axis], amplitude_v=1.0)
                for axis in range(len(response.axes))]
     if deviation is None:
-        rough = [np.median(np.abs(_rough_part(each)), axis=0) for each in spectra]
+        rough = [np.maximum(np.median(np.abs(_rough_part(each)), axis=0), _rounding(each))
+                 for each in spectra]
         return [replace(each, weight=np.ones(each.weight.shape) / typical)
                 for each, typical in zip(spectra, rough, strict=True)]
     return spectra
@@ -126,6 +127,11 @@ def weight_by_residual(response: Spectrum, left: ComplexArray) -> FloatArray:
         left.T, (response.motion - left).T, strict=True)])
     scaled: FloatArray = weight / np.sqrt(np.mean(np.abs(weight * left) ** 2, axis=0))
     return scaled
+
+
+def _rounding(response: Spectrum) -> float:
+    """Return a deviation for what is zero at all lines, as the motion of an axis not coupled."""
+    return float(np.sqrt(np.finfo(float).eps) * np.abs(response.motion).max())
 
 
 def response_to(axis: int, z: ComplexArray, motion: ComplexArray, weight: FloatArray,

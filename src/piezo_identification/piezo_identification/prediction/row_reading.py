@@ -3,6 +3,8 @@
 
 from collections.abc import Iterable, Sequence
 
+import numpy as np
+
 from piezo_identification.conditioning.outlier_samples import outlier_text
 from piezo_identification.conditioning.row_alignment import (
     read_as,
@@ -16,6 +18,10 @@ from piezo_identification.simulation.model_run import ModelRun, conditioned
 from piezo_models.cascade import StageModel
 from piezo_models.identified_model import IdentifiedModel
 from piezo_recorder.reading.recording import Recording
+
+MOST_GAIN_CHANGE = 3.0
+"""Largest factor between the travels of a recording and of its model that is no error of the units:
+loads and ageing change the gain of a stage by less, another unit or a monitor output by ten."""
 
 
 def read_as_identified(identified: IdentifiedModel,
@@ -94,7 +100,7 @@ def predict_as_identified(
     -------
     prediction : Prediction
     sentences : list of str
-        Messages on gaps and on the assumed reading time, sign, outliers and past.
+        Messages on gaps, on the assumed reading time, sign, outliers and past, and on units.
 
     Raises
     ------
@@ -112,7 +118,18 @@ def predict_as_identified(
     if prediction.past_v:
         sentences.append("{}: it does not begin saturated: taken to have come from {:.4g} V by way "
                          "of {:.4g} V".format(recording.path, *prediction.past_v))
-    return prediction, sentences
+    return prediction, [*sentences, *_gain_sentences(prediction, recording.path)]
+
+
+def _gain_sentences(prediction: Prediction, path: str) -> list[str]:
+    """Return the question whether units are wrong, if the travel is that of another stage."""
+    measured_um, simulated_um = (float(np.ptp(signal[prediction.good])) for signal in (
+        prediction.measured_um, prediction.simulated_um))
+    if simulated_um / MOST_GAIN_CHANGE <= measured_um <= simulated_um * MOST_GAIN_CHANGE:
+        return []
+    return [f"{path}: the displacement travels {measured_um:.4g} um, that of the model "
+            f"{simulated_um:.4g} um: are voltage and displacement in the units of the "
+            "identification?"]
 
 
 def read_as_explained(

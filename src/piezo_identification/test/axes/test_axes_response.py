@@ -176,6 +176,14 @@ def test_unseen_motion_is_predicted_and_python_control_takes_the_model():
     assert np.std(again - moved_um) < 1e-3 * np.std(moved_um)
 
 
+def test_axes_that_are_not_coupled_at_all_are_identified():
+    modes = [control.tf(gain, [1.0 / rate**2, 0.1 / rate, 1.0])
+             for gain, rate in ((1.0, 1000.0), (2.0, 1400.0))]
+    ideal = control.frequency_response(control.append(*modes), np.geomspace(100.0, 1e4, 60))
+    found = identify_several_axes(AxesResponse.from_control(ideal), pairs=2).model
+    assert np.sort(np.abs(found.poles_rad_per_s)) == pytest.approx([1000.0, 1400.0], rel=1e-6)
+
+
 def test_creep_beside_a_response_is_refused():
     recording, = axes_recordings_of_arrays(np.eye(50)[:, :2], np.eye(50)[:, :2], 1e4, ("x", "y"))
     with pytest.raises(RecordingError, match="creep and hysteresis are not estimated"):

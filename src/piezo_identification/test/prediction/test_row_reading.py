@@ -87,6 +87,14 @@ def test_a_sign_that_a_simulation_changed_is_said():
     assert len(sentences) == 1 and "its sign is changed" in sentences[0]
 
 
+@pytest.mark.parametrize("factor", [0.05, 20.0])
+def test_a_travel_of_other_units_is_asked_about(factor):
+    monitored = recorded(0.0)
+    _, sentences = predict_as_identified(
+        identified(0.0), replace(monitored, displacement_um=factor * monitored.displacement_um))
+    assert len(sentences) == 1 and "in the units of the identification?" in sentences[0]
+
+
 def test_what_was_aligned_is_said():
     assert "read 0.5 sample periods after" in rows_sentence("b.csv", 0.5)
     assert rows_sentence("b.csv", 0.0) == ""

@@ -21,6 +21,8 @@ SLOW_SAMPLES = 30_000
 ROUNDED = 41
 """Number of samples over which an edge of a slow waveform is smoothed."""
 FAST_S = 2.0
+FEWEST_SAMPLES = 1000
+"""Of a fast waveform with a slow clock: twice what a comparison needs, so that half may settle."""
 FASTEST_OF_CLOCK = 0.1
 """Highest frequency relative to the sample rate: above it, a held voltage is too coarse."""
 MOST_OF_RANGE = 0.95
@@ -143,7 +145,8 @@ def waveform(limits: StageLimits, longest_s: float, point: Point) -> Experiment:
     period_s = clock_s
     if not family.fast:
         period_s = clock_s * max(1, round(longest_s / SLOW_SAMPLES / clock_s))
-    duration_s = min(longest_s, FAST_S) if family.fast else longest_s
+    fast_s = max(FAST_S, FEWEST_SAMPLES * clock_s)
+    duration_s = min(longest_s, fast_s) if family.fast else longest_s
     time_s = period_s * np.arange(round(duration_s / period_s), dtype=np.float64)
     rate_hz = min(point.rate_hz, FASTEST_OF_CLOCK / period_s)
     wave = family.shape(time_s, rate_hz)

@@ -161,8 +161,8 @@ def propose(alternatives: Alternatives, limits: StageLimits, longest_s: float = 
     Examples
     --------
     >>> from piezo_identification import StageLimits
-    >>> limits = StageLimits(0.0, 10.0, sample_rate_hz=1000.0)
-    >>> proposal = propose(alternatives, limits, 5.0)     # those of `alternatives_of_files`
+    >>> limits = StageLimits(0.0, 10.0, sample_rate_hz=100.0)
+    >>> proposal = propose(alternatives, limits)     # those of `alternatives_of_files`
     >>> print("waveform:", proposal.sentence())
     waveform: ... distinguishes amplifier_lag from sensor_lag with probability ...
     """

@@ -142,6 +142,11 @@ def test_waveforms_stay_within_the_limits(point, limits):
     assert held == pytest.approx(round(held))
 
 
+def test_waveforms_of_a_slow_clock_have_the_samples_that_a_comparison_needs():
+    limits = StageLimits(0.0, 10.0, 2e3, 100.0)
+    assert min(waveform(limits, 30.0, point).voltage_v.size for point in grid()) == 1000
+
+
 def test_the_best_waveform_is_found_and_written_for_stage_play(alternatives, monkeypatch, tmp_path):
     design = "piezo_identification.diagnosis.experiment_design.propose."
     few = [point for point in grid() if point.family.name in ("sweep", "slow_sweep")]
