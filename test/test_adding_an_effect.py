@@ -32,9 +32,9 @@ def test_an_effect_from_outside_is_found_and_kept_in_the_model_file(
         installed.chdir(tmp_path)
         status = main(["--model", "model.json", "--data", "data.csv", "--output", "diagnosis"])
         sys.modules.pop("cyclic_error", None)
-    told = capsys.readouterr()
-    assert status == 0, told.err
-    assert "verdict: explained. The model lacks cyclic_error" in told.out
+    printed = capsys.readouterr()
+    assert status == 0, printed.err
+    assert "verdict: explained. The model lacks cyclic_error" in printed.out
     found, = json.loads((tmp_path / "diagnosis" / "verdict.json").read_text())["effects"]
     # The phase goes with the offset, which no recording tells.
     assert np.hypot(*found["parameters"].values()) == pytest.approx(

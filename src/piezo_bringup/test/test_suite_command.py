@@ -22,9 +22,9 @@ SLEEPER = "import signal; signal.pause()"
 def test_what_is_not_there_is_refused_in_one_line(tmp_path, monkeypatch, capsys, arguments, said):
     monkeypatch.chdir(tmp_path)
     assert main(arguments) == BAD_INPUT
-    told = capsys.readouterr().err
-    assert said in told
-    assert told.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert said in printed
+    assert printed.count("\n") == 1
     assert not [*tmp_path.iterdir()]
 
 

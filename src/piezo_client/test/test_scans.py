@@ -88,9 +88,9 @@ def test_command_prints_the_error_of_each_axis_and_what_may_follow(folder, monke
     monkeypatch.setattr(stage_work.signal, "signal", lambda *_: None)
     monkeypatch.setattr(stage_work, "Stage", lambda *_: nullcontext(stage))
     assert stage_command.main(["scan", str(folder), "--output", "runs"]) == 0
-    told = capsys.readouterr().out
-    assert str(run.summary()) in told and "recorded run" in told
-    assert "next: ./run piezo_identification simulate --model <MODEL> --data run" in told
+    printed = capsys.readouterr().out
+    assert str(run.summary()) in printed and "recorded run" in printed
+    assert "next: ./run piezo_identification simulate --model <MODEL> --data run" in printed
 
 
 def test_command_that_learns_prints_every_run_and_wants_a_model(folder, monkeypatch, capsys):
@@ -105,9 +105,9 @@ def test_command_that_learns_prints_every_run_and_wants_a_model(folder, monkeypa
     assert stage_command.main(command) == 2
     assert "stage: learning divides the error by the response" in capsys.readouterr().err
     assert stage_command.main([*command, "--model", str(folder / PERIOD_FILE)]) == 0
-    told = capsys.readouterr().out
-    assert "run_0: error of x 7.071 %, y 7.071 %\nrun_1: error of x 0 %, y 0 %\n" in told
-    assert "recorded run_1" in told and "Last period of run_1" in told
+    printed = capsys.readouterr().out
+    assert "run_0: error of x 7.071 %, y 7.071 %\nrun_1: error of x 0 %, y 0 %\n" in printed
+    assert "recorded run_1" in printed and "Last period of run_1" in printed
 
 
 def test_command_wants_one_path_and_a_model_to_plan_it(folder, monkeypatch, capsys):

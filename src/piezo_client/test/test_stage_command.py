@@ -66,5 +66,6 @@ def test_refusal_is_said_in_one_line(monkeypatch, capsys):
 def test_who_tracks_without_a_model_is_told_how_to_make_one(capsys):
     with pytest.raises(SystemExit):
         stage_command.main(["track", "--output", "runs"])
-    told = capsys.readouterr().err
-    assert "required: --model; identify makes a model: `./run piezo_client stage identify" in told
+    printed = capsys.readouterr().err
+    makes_one = "required: --model; identify makes a model: `./run piezo_client stage identify"
+    assert makes_one in printed

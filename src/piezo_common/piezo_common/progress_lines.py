@@ -65,7 +65,9 @@ class ProgressLines:
         if self._whole_s is None:
             return ""
         left_s = min(self._whole_s - taken_s, self._budget.left_s)
-        return f", about {left_s:.0f} s left" if left_s > 0.5 else ", longer than expected"
+        if left_s < 0.0:
+            return ", longer than expected"
+        return f", about {left_s:.0f} s left" if left_s > 0.5 else ""
 
 
 @contextmanager

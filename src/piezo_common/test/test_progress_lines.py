@@ -48,6 +48,13 @@ def test_a_step_that_takes_longer_than_all_that_was_left_says_so(clock, capsys):
         " 90 %  dynamics, 13 s so far, longer than expected")
 
 
+def test_a_last_step_that_begins_early_is_not_said_to_be_late(clock, capsys):
+    lines = ProgressLines(Budget(None, clock), clock)
+    clock.seconds = 3.0
+    lines.report("write the report", 0.9)
+    assert capsys.readouterr().out == " 90 %  write the report, 3 s so far\n"
+
+
 def test_steps_that_take_their_parts_of_the_time_leave_what_is_left(clock, capsys):
     whole_s, parts = 200.0, (0.0, 0.02, 0.1, 0.12, 0.3, 0.85, 0.9, 1.0)
     lines = ProgressLines(Budget(None, clock), clock)

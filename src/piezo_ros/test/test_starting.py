@@ -23,8 +23,8 @@ def test_help_and_typos_import_no_node(arguments, status, capsys):
     with pytest.raises(SystemExit) as ended:
         entry(arguments)
     assert ended.value.code == status
-    told = capsys.readouterr()
-    assert "--ros-args" in told.out + told.err
+    printed = capsys.readouterr()
+    assert "--ros-args" in printed.out + printed.err
     assert "no_such_package" not in sys.modules
 
 

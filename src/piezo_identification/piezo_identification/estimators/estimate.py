@@ -3,7 +3,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,13 @@ from piezo_identification.conditioning.row_alignment import MOST_UNCERTAIN
 from piezo_models.cascade import StageModel
 from piezo_models.effects.effect import Effect
 from piezo_models.linear.dynamics import CreepDynamics
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+DECISIVE = 10.0
+"""Difference of the criterion above which the evidence is very strong (Kass and Raftery 1995);
+a picture is linear below it."""
 
 SHOWN = 12
 """Number of trials shown in a table of orders."""
@@ -139,10 +146,7 @@ class Estimate:
     def order_table(self) -> str:
         """Return the best trials, one per line, with the chosen one marked."""
         lines = ["order  parameters  residual RMS  information"]
-        worst = sorted(trial.information for trial in self.trials)[:SHOWN][-1]
-        for trial in self.trials:
-            if trial.information > worst and trial.order != self.order:
-                continue
+        for trial in self._best_trials():
             mark = ""
             if trial.order == self.order:
                 mark = "  <- given" if self.order_given else "  <- least information"
@@ -151,6 +155,34 @@ class Estimate:
                 f"{trial.information:11.1f}{mark}{'  ' if trial.refusal else ''}{trial.refusal}"
             )
         return "\n".join(lines)
+
+    def plot(self) -> "Figure":
+        """Draw how far the criterion of the best trials lies above the least, and their residual.
+
+        A filled mark is the chosen order, a cross one that is refused whatever the criterion says.
+        """
+        from piezo_common.picture_style import BLUE, label, new_figure
+
+        figure = new_figure(height_in=4.4)
+        above, below = figure.subplots(2, 1, sharex=True)
+        trials = self._best_trials()
+        least = min(trial.information for trial in trials)
+        for place, trial in enumerate(trials):
+            style = {"color": BLUE, "marker": "x" if trial.refusal else "o",
+                     "fillstyle": "full" if trial.order == self.order else "none"}
+            above.plot(place, trial.information - least, **style)
+            below.semilogy(place, trial.residual_rms, **style)
+        above.set_yscale("symlog", linthresh=DECISIVE)
+        below.set_xticks(range(len(trials)), [str(trial.order) for trial in trials], rotation=30)
+        label(above, y="above the least (1)", title="Bayesian information criterion")
+        label(below, "order", "residual RMS")
+        return figure
+
+    def _best_trials(self) -> list[OrderTrial]:
+        """Return the trials of least information, and the chosen one, as they were tried."""
+        worst = sorted(trial.information for trial in self.trials)[:SHOWN][-1]
+        return [trial for trial in self.trials
+                if trial.information <= worst or trial.order == self.order]
 
 
 def order_trial(

@@ -24,7 +24,7 @@ from piezo_identification.simulation.model_run import ModelRun
 from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording
 
-SHORT_S = 1e-2
+SHORT_S = 1e-3
 """Delays below this are reported in microseconds."""
 
 

@@ -65,15 +65,15 @@ def test_what_is_done_is_not_done_again_and_a_bad_recording_is_named(
     arguments = [str(table), "--output", str(tmp_path / "out")]
     assert main(arguments) == 0
     assert sorted(diagnosed) == ["002_b", "broken", "first"]
-    told = capsys.readouterr()
-    assert "first: explained delay\n" in told.out
-    assert "broken was skipped:" in told.err and "bad.csv has gaps: record again" in told.err
+    printed = capsys.readouterr()
+    assert "first: explained delay\n" in printed.out
+    assert "broken was skipped:" in printed.err and "bad.csv has gaps: record again" in printed.err
     page = (tmp_path / "out" / "index.html").read_text()
     assert "2 of 3 diagnosed: 2 explained" in page
     assert "bad.csv has gaps" in page
     assert re.search("002_b.*explained.*delay.*0.970.*80.*11.*10", page, re.DOTALL)
     assert (tmp_path / "out" / "summary.csv").read_text().count("explained") == 2
-    assert told.out.splitlines()[-1].startswith(
+    assert printed.out.splitlines()[-1].startswith(
         f"next: ./run piezo_identification propose --model {tmp_path / 'model.json'} --verdict")
 
     diagnosed.clear()

@@ -70,8 +70,8 @@ def test_recording_of_a_file_is_what_it_was_written_for(tmp_path, name, verdict,
 def test_what_does_not_fit_is_refused_in_one_line_and_leaves_no_file(
         tmp_path, capsys, options, sentence):
     assert written(tmp_path / "files", *options) == 2
-    told = capsys.readouterr().err
-    assert sentence in told and told.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert sentence in printed and printed.count("\n") == 1
     assert not (tmp_path / "files").exists()
 
 

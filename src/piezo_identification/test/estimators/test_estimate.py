@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from piezo_identification.estimators.estimate import (
+    Estimate,
+    OrderTrial,
     creep_of_partial_fractions,
     order_trial,
     parameter_covariance,
@@ -111,3 +113,15 @@ def test_rounding_is_no_reason_for_a_larger_order(noise):
     coarse = 1e-6 * noise[:800]
     assert (order_trial(3, 0.1 * coarse, 15, signal=signal).information
             < order_trial(2, coarse, 11, signal=signal).information)
+
+
+def test_the_picture_of_the_orders_has_the_trials_of_the_table():
+    trials = (OrderTrial(0, 2, 0.4, -700.0), OrderTrial(1, 5, 0.005, -4476.0),
+              OrderTrial(2, 8, 0.0049, -4480.0, "two poles are one"))
+    figure = Estimate(None, {}, order=1, trials=trials).plot()
+    above, below = figure.axes
+    assert [line.get_ydata()[0] for line in above.lines] == [3780.0, 4.0, 0.0]
+    assert [line.get_ydata()[0] for line in below.lines] == [0.4, 0.005, 0.0049]
+    assert [line.get_marker() for line in above.lines] == ["o", "o", "x"]
+    assert [line.get_fillstyle() for line in above.lines] == ["none", "full", "none"]
+    assert [tick.get_text() for tick in below.get_xticklabels()] == ["0", "1", "2"]

@@ -162,8 +162,8 @@ def test_command_makes_images_and_a_page_from_recordings(tmp_path, sample_blocks
     write_gsf(tmp_path / "specimen.gsf", specimen())
     assert main(["--data", str(tmp_path / "run"), "--specimen", str(tmp_path / "specimen.gsf"),
                  "--output", str(tmp_path / "images")]) == 0
-    told = capsys.readouterr().out
-    assert "Geometric error, RMS in pixels" in told and "report: " in told
+    printed = capsys.readouterr().out
+    assert "Geometric error, RMS in pixels" in printed and "report: " in printed
     assert "<h2>Images</h2>" in (tmp_path / "images" / "report.html").read_text()
     assert (tmp_path / "images" / "run.gsf").exists()
     assert main(["--data", str(tmp_path / "run"), "--signal", "sound",

@@ -116,6 +116,7 @@ def estimate_creep(
     ...     "displacement_um": stage.simulate(voltage_v, 0.01)}))
     >>> print(np.round(estimate.model.poles_rad_per_s, 3))
     [0.5]
+    >>> figure = estimate.plot()                   # why this order
     """
     part = square_part(played(recording))
     record = _CreepRecord(part, dynamics, delay_s)

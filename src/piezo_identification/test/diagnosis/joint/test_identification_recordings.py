@@ -92,8 +92,8 @@ def test_another_recording_is_refused(files):
 def test_a_recording_that_was_fitted_is_not_held_out(files, tmp_path, capsys, data, holdout, what):
     assert main(["--model", str(files["model"]), "--data", str(files[data]), "--holdout",
                  str(files[holdout]), "--output", str(tmp_path / "out")]) == 2
-    told = capsys.readouterr().err.splitlines()[-1]
-    assert "cannot be held out" in told and what in told
+    printed = capsys.readouterr().err.splitlines()[-1]
+    assert "cannot be held out" in printed and what in printed
 
 
 def test_rows_are_aligned_as_for_the_identification(files):
