@@ -61,7 +61,8 @@ def ultimate_point_by_relay(model: StageModel, samples_per_tick: int, clock_peri
     memory = model.memory(middle_v)
     past, state = memory.hysteresis, memory.linear_state
     system = zoh(model.linear(), clock_period_s)
-    middle_um = float((system.C @ state)[0])
+    at_rest_um, _ = continue_linear(system, hysteresis.simulate(np.array([middle_v]), past), state)
+    middle_um = float(at_rest_um[0])
     voltages_v, means_um = [middle_v + amplitude_v], [middle_um]
     rises = []
     for tick in range(RELAY_CYCLES * LONGEST_CYCLE_TICKS):

@@ -18,6 +18,9 @@ from piezo_controller.feedback.synthesis.ziegler_nichols import (
     ultimate_point_by_relay,
     ultimate_point_by_response,
 )
+from piezo_models.cascade import StageModel
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
 pytestmark = pytest.mark.kernels
 
@@ -57,6 +60,14 @@ def test_relay_oscillates_at_the_models_ultimate_frequency_behind_the_hysteresis
     assert relay.period_s == pytest.approx(linear.period_s, rel=0.1)
     # The hysteresis' gain for the relay's swing lies in its range, if for a describing function.
     assert 0.5 < linear.gain / relay.gain < 1.1
+
+
+def test_relay_about_a_stage_that_answers_at_once_has_the_period_of_two_delays():
+    stage = StageModel(PreisachModel.line(0.0, 100.0, 0.5), CreepDynamics((0.01,), (0.0102,)),
+                       ElectricVibrationDynamics())
+    relay = ultimate_point_by_relay(stage, 40, CLOCK_PERIOD_S)
+    assert relay.period_s == pytest.approx(4 * TICK_S)
+    assert relay.gain == pytest.approx(4.0 / np.pi / 0.5, rel=1e-2)  # of a square wave's swing
 
 
 def test_relay_that_does_not_carry_the_stage_across_is_refused(stage_model):
