@@ -30,13 +30,16 @@ class SplitSettings:
     this shows slow and fast errors alike, and a mode that a chirp crosses within a few
     stretches."""
     held_out: int = 3
-    """One stretch out of this many is held out."""
+    """One stretch out of this many in succession is held out."""
     steps: int = 12
     """Largest number of steps from rest whose first rows are used: the first seconds of creep show
     after steps only, which may be rare."""
 
 
 SPLIT = SplitSettings()
+
+SEED = 5
+"""Seed of the places of the held-out stretches."""
 
 Sensitivities = Callable[[SimulatedRecording, NDArray[np.intp]], FloatArray]
 
@@ -166,7 +169,7 @@ def _split(simulated: Sequence[SimulatedRecording], undivided: int,
         budget = max(SPLIT.most_rows // (1 if index < undivided else len(simulated)),
                      SPLIT.stretches)
         settled = np.arange(part.begin, part.time_s.size)
-        is_fitted = np.arange(SPLIT.stretches) % SPLIT.held_out != SPLIT.held_out // 2
+        is_fitted = _fitted_stretches()
         if settled.size > budget:
             # Random shifts keep the chunks from staying in phase with a periodic waveform.
             chunk, room = budget // SPLIT.stretches, settled.size // SPLIT.stretches
@@ -190,6 +193,18 @@ def _split(simulated: Sequence[SimulatedRecording], undivided: int,
         numbers.append(index * SPLIT.stretches + of_rows)
         fitted.append(is_fitted[of_rows])
     return tuple(rows), np.concatenate(numbers), np.concatenate(fitted)
+
+
+def _fitted_stretches() -> BoolArray:
+    """Return which stretches are fitted: all but one of each group, which is at any place in it.
+
+    One at a fixed place would stay in phase with loops, whose same part would always be held out.
+    """
+    groups = np.arange(0, SPLIT.stretches, SPLIT.held_out)
+    is_fitted = np.ones(SPLIT.stretches, dtype=bool)
+    is_fitted[groups + np.random.default_rng(SEED).integers(
+        0, SPLIT.held_out, groups.size)] = False
+    return is_fitted
 
 
 def _steps_from_rest(part: SimulatedRecording, rest: int) -> NDArray[np.intp]:

@@ -48,9 +48,6 @@ class SearchSettings:
     above_noise: float = 1.05
     """Smallest residual of a recording, relative to its noise, for which further parts are
     tried."""
-    adequate: float = 0.2
-    """Error of an adequate model, relative to that of a good one: 2e-5 of the travel, as in
-    `adequacy`."""
     wrong: float = 3.0
     """Residual of the fastest recording, relative to its noise, above which every structure gets as
     many steps as the first fit."""
@@ -423,7 +420,7 @@ def _rings(problem: WholeModel, mode: VibrationMode) -> bool:
 
 def is_at_noise(problem: WholeModel, fit: WholeFit) -> bool:
     """Return whether the residual of each recording is explained by noise and model accuracy."""
-    return bool(np.all(problem.over_noise(fit, SETTINGS.adequate) < SETTINGS.above_noise))
+    return bool(np.all(problem.over_noise(fit) < SETTINGS.above_noise))
 
 
 def is_better(fit: WholeFit, other: WholeFit) -> bool:

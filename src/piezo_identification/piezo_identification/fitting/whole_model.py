@@ -41,6 +41,10 @@ EARLIEST = 1.0
 BEFORE_DELAY = ("voltage", "modes")
 """Places of the effects of a model that act before its delay."""
 
+ADEQUATE = 0.2
+"""Error of an adequate model, relative to that of a good one: 2e-5 of the travel, as in
+`adequacy`."""
+
 LEAST_GAIN = 1e-9
 """Smallest gain of a line, in um/V, so that it is not negative."""
 
@@ -269,10 +273,10 @@ class WholeModel:
             descent.vector, self._counts, descent.has_converged,
             errors.count - begun.size if self._hysteresis_width >= 1.0 else 0)
 
-    def over_noise(self, fit: WholeFit, of_accuracy: float = 1.0) -> FloatArray:
-        """Return the residual of each recording over its noise and part of its accuracy, (R,)."""
+    def over_noise(self, fit: WholeFit) -> FloatArray:
+        """Return the residual of each recording over its noise and its accuracy, (R,)."""
         residual_um = [np.sqrt(np.mean(residual**2)) for residual, _ in fit.residual_um]
-        return np.array(residual_um) / np.hypot(self.noise.noise_um, of_accuracy * fit.accuracy_um)
+        return np.array(residual_um) / np.hypot(self.noise.noise_um, fit.accuracy_um)
 
     def fastest_over_noise(self, fit: WholeFit) -> float:
         """Return the residual of the recording with the shortest sample period, over its noise."""
@@ -306,11 +310,13 @@ class WholeModel:
         dataset = replace(dataset, regressors=np.broadcast_to(
             0.0, (rows, dataset.nuisance_count + free_count(bare))))
         smooth = tuple(each for each in effects if isinstance(each, BandLimitedVoltage))
-        return JointErrors(
+        errors = JointErrors(
             dataset, self._fitted, self._good, len(dataset.simulated), effects, frozenset(),
             pieces_um=self._pieces_um,
             hysteresis_width=self._hysteresis_width,
             of_pieces_um=self._of_pieces_um.setdefault(smooth, {}))
+        errors.accuracy_um = ADEQUATE * errors.accuracy_um
+        return errors
 
     @property
     def given(self) -> StageModel:

@@ -199,11 +199,12 @@ def density_of_segments(
     if plays is not None:
         of_plays = _per_volt(
             bounded_operator(parts * size) @ plays.unknowns(parts * size), parts * size, levels_v)
-        of_cells = _per_volt(bounded_operator(size) @ about, size, levels_v)
         cell = np.arange(parts * size) // parts
         square = np.ix_(cell, cell)
-        density = _added(np.tril(density[square]), of_plays[0], of_cells[0][square])
-        reversible = _added(reversible[cell], of_plays[1], of_cells[1][cell])
+        density = _added(np.tril(density[square]), of_plays[0],
+                         _mean_in_cells(of_plays[0], parts)[square])
+        reversible = _added(reversible[cell], of_plays[1],
+                            of_plays[1].reshape(size, parts).mean(axis=1)[cell])
     cell = np.arange(parts * size) * level_count // (parts * size)
     return DensityEstimate(
         "smoothed non-negative least squares",
@@ -221,9 +222,21 @@ def _per_volt(bounded_um: FloatArray, size: int,
     return lower_triangle(density_um, size) / width_v**2, reversible_um / width_v
 
 
-def _added(more: FloatArray, of_plays: FloatArray, of_cells: FloatArray) -> FloatArray:
-    """Add to the narrow densities of plays; negative additions are in proportion within a cell."""
-    part = np.divide(more, of_cells, out=np.zeros_like(more), where=of_cells > 0.0)
+def _mean_in_cells(density: FloatArray, parts: int) -> FloatArray:
+    """Return the mean of a density in cells that are divided; those on the diagonal are halved."""
+    weight = np.tri(len(density)) - 0.5 * np.eye(len(density))
+    size = len(density) // parts
+    divided = (size, parts, size, parts)
+    summed = (weight * density).reshape(divided).sum(axis=(1, 3))
+    return summed / np.maximum(weight.reshape(divided).sum(axis=(1, 3)), 1.0 / parts)
+
+
+def _added(more: FloatArray, of_plays: FloatArray, mean_in_cell: FloatArray) -> FloatArray:
+    """Add to the narrow densities of plays; negative additions are in proportion within a cell.
+
+    Their mean in a divided cell counts: narrow plays belong to the reversible part of whole cells.
+    """
+    part = np.divide(more, mean_in_cell, out=np.zeros_like(more), where=mean_in_cell > 0.0)
     return of_plays * (1.0 + np.clip(part, -1.0, 0.0)) + np.maximum(more, 0.0)
 
 
