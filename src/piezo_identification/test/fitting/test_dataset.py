@@ -37,6 +37,16 @@ def test_held_out_stretches_stay_in_phase_with_no_waveform(plant, recorded, stre
         assert in_phase.size < 10 or not in_phase.all()
 
 
+def test_rows_after_the_only_step_of_a_short_recording_are_fitted(plant, recorded):
+    """They alone show its ringing."""
+    for step in range(300, 1500, 37):
+        voltage_v = np.where(np.arange(2000) < step, 20.0, 80.0)
+        recording = recorded("one", voltage_v, plant.hysteresis.simulate(voltage_v), 1e-3)
+        dataset = simulate_recordings(plant, [recording])
+        fitted = dataset.rows[0][dataset.for_estimation]
+        assert np.isin(np.arange(step, step + 2000 // SPLIT.stretches), fitted).all()
+
+
 @pytest.mark.parametrize("second", [0.5, 0.501, 0.508])
 def test_rows_after_rare_steps_are_fitted(plant, recorded, second):
     """They alone show the first seconds of the creep."""
