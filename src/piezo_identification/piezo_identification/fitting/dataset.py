@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from piezo_common.arrays import BoolArray, FloatArray
@@ -31,16 +30,13 @@ class SplitSettings:
     this shows slow and fast errors alike, and a mode that a chirp crosses within a few
     stretches."""
     held_out: int = 3
-    """One stretch out of this many in succession is held out."""
+    """One stretch out of this many is held out."""
     steps: int = 12
     """Largest number of steps from rest whose first rows are used: the first seconds of creep show
     after steps only, which may be rare."""
 
 
 SPLIT = SplitSettings()
-
-SEED = 5
-"""Seed of the places of the held-out stretches."""
 
 Sensitivities = Callable[[SimulatedRecording, NDArray[np.intp]], FloatArray]
 
@@ -170,44 +166,30 @@ def _split(simulated: Sequence[SimulatedRecording], undivided: int,
         budget = max(SPLIT.most_rows // (1 if index < undivided else len(simulated)),
                      SPLIT.stretches)
         settled = np.arange(part.begin, part.time_s.size)
-        length = min(settled.size, budget) // SPLIT.stretches
-        first = -(-np.arange(SPLIT.stretches) * settled.size // SPLIT.stretches)
-        steps = _steps_from_rest(part, max(length, 1))
-        of_steps = np.searchsorted(first, steps, side="right") - 1
-        is_fitted = _fitted_stretches()
-        for number, at in enumerate(of_steps):
-            is_fitted[at : at + 2] = (number + 1) % SPLIT.held_out != 0
-        chosen = settled
+        is_fitted = np.arange(SPLIT.stretches) % SPLIT.held_out != SPLIT.held_out // 2
         if settled.size > budget:
             # Random shifts keep the chunks from staying in phase with a periodic waveform.
-            shift = np.random.default_rng(0).integers(
-                0, settled.size // SPLIT.stretches - length + 1, SPLIT.stretches)
+            chunk, room = budget // SPLIT.stretches, settled.size // SPLIT.stretches
+            shift = np.random.default_rng(0).integers(0, room - chunk + 1, SPLIT.stretches)
             # Only the beginning shows how far the creep had progressed.
             shift[0] = 0
-            room = np.diff(first, append=settled.size) - length
-            for at, step in zip(of_steps, steps, strict=True):
-                shift[at] = min(step - first[at], room[at]) if at else 0
+            first = -(-np.arange(SPLIT.stretches) * settled.size // SPLIT.stretches)
+            for number, step in enumerate(_steps_from_rest(part, chunk)):
+                at = int(np.searchsorted(first, step, side="right")) - 1
+                length = np.diff(first, append=settled.size)[at]
+                shift[at] = min(step - first[at], length - chunk) if at else 0
                 if shift[at] < step - first[at] and at + 1 < SPLIT.stretches:
                     shift[at + 1] = 0
+                is_fitted[at : at + 2] = (number + 1) % SPLIT.held_out != 0
             starts = part.begin + first + shift
-            chosen = (starts[:, None] + np.arange(length)).ravel()
+            chosen = (starts[:, None] + np.arange(chunk)).ravel()
+        else:
+            chosen = settled
         rows.append(chosen)
         of_rows = (chosen - part.begin) * SPLIT.stretches // settled.size
         numbers.append(index * SPLIT.stretches + of_rows)
         fitted.append(is_fitted[of_rows])
     return tuple(rows), np.concatenate(numbers), np.concatenate(fitted)
-
-
-def _fitted_stretches() -> BoolArray:
-    """Return which stretches are fitted: all but one of each group, which is at any place in it.
-
-    One at a fixed place would stay in phase with loops, whose same part would always be held out.
-    """
-    groups = np.arange(0, SPLIT.stretches, SPLIT.held_out)
-    is_fitted = np.ones(SPLIT.stretches, dtype=bool)
-    is_fitted[groups + np.random.default_rng(SEED).integers(
-        0, SPLIT.held_out, groups.size)] = False
-    return is_fitted
 
 
 def _steps_from_rest(part: SimulatedRecording, rest: int) -> NDArray[np.intp]:
@@ -216,8 +198,4 @@ def _steps_from_rest(part: SimulatedRecording, rest: int) -> NDArray[np.intp]:
     least_v = WAVEFORM.level_tolerance * np.ptp(voltage_v)
     moving = np.flatnonzero(np.abs(np.diff(voltage_v)) > least_v)
     steps = moving[np.diff(moving, prepend=-rest) >= rest]
-    # Where a wave turns it is slow, but does not rest.
-    rests = sliding_window_view(voltage_v, rest)
-    steps = np.array([step for step in steps if np.ptp(
-        rests[max(step - rest + 1, 0)]) <= least_v], dtype=np.intp)
     return steps[:: -(-steps.size // SPLIT.steps) or 1]

@@ -203,6 +203,15 @@ class WholeModel:
             lambda part: part.with_model(bare), self._dataset.simulated)))
         return problem
 
+    def with_held_out_rows(self, fit: WholeFit) -> "WholeModel":
+        """Return the problem about a fit with all rows, once no structure is chosen any more.
+
+        The fits of this problem have no held-out rows.
+        """
+        problem = self.with_hysteresis(fit.model.hysteresis, self._hysteresis_width)
+        problem._fitted, problem._counts = self._good, np.zeros_like(self._counts)
+        return problem
+
     def with_line(self) -> "WholeModel":
         """Return the problem with the best-fitting line in place of its hysteresis."""
         loops = self._given.hysteresis

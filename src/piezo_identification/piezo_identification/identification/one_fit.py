@@ -105,6 +105,20 @@ class _Search:
                     state = other if is_better(other.best, state.best) else state
         return self._or_of_a_line(state, delay_s)
 
+    def with_held_out_rows(self, state: _State) -> _State:
+        """Return a state refitted to all rows: those that were held out have chosen its structure.
+
+        Otherwise what only they show would be left out of the model.
+        """
+        if state.best is self.tried[0][1]:
+            return state
+        self.report("everything together, with the held-out rows", 1.0)
+        problem, best = state.problem.with_held_out_rows(state.best), state.best
+        before, after = (problem.fit(best.model, best.delay_s, steps)
+                         for steps in (0, SETTINGS.steps))
+        self.tried.append(("the same, with the held-out rows", after))
+        return replace(state, best=after) if after.evidence_over(before) > 0.0 else state
+
     def _or_of_a_line(self, state: _State, delay_s: float | None) -> _State:
         """Return a state, or the best one with a line if that is better and no loops were given.
 
@@ -231,7 +245,7 @@ def fitted_together(
         return fitted, dict(read_at)
     search = _Search(
         problem, fitted, read_late_s, new_loops, partial(_has_order, order), report)
-    state = search.best(delay_s or None)
+    state = search.with_held_out_rows(search.best(delay_s or None))
     fitted, best = state.fitted, state.best
     note(f"one fit of the whole model:\n{table_of(search.tried, best)}")
     read_at_samples = {name: late_s / played(samples[name]).sample_period_s

@@ -21,32 +21,6 @@ def test_the_beginning_of_a_long_recording_is_fitted(plant, recorded):
         assert dataset.for_estimation[mask][beginning].all()
 
 
-@pytest.mark.parametrize("stretches_per_period", range(2, 25))
-def test_held_out_stretches_stay_in_phase_with_no_waveform(plant, recorded, stretches_per_period):
-    """Otherwise the same part of each loop would never be fitted."""
-    count = 100 * SPLIT.stretches
-    voltage_v = 50.0 + 40.0 * np.sin(2.0 * np.pi * np.arange(count) / 500.0)
-    recording = recorded("periodic", voltage_v, plant.hysteresis.simulate(voltage_v), 1e-3)
-    dataset = simulate_recordings(plant, [recording])
-    stretches = np.unique(dataset.stretch)
-    fitted = np.isin(stretches, dataset.stretch[dataset.for_estimation])
-    assert np.mean(fitted) == pytest.approx(1.0 - 1.0 / SPLIT.held_out, abs=0.02)
-    for phase in range(stretches_per_period):
-        in_phase = fitted[phase::stretches_per_period]
-        assert in_phase.any()
-        assert in_phase.size < 10 or not in_phase.all()
-
-
-def test_rows_after_the_only_step_of_a_short_recording_are_fitted(plant, recorded):
-    """They alone show its ringing."""
-    for step in range(300, 1500, 37):
-        voltage_v = np.where(np.arange(2000) < step, 20.0, 80.0)
-        recording = recorded("one", voltage_v, plant.hysteresis.simulate(voltage_v), 1e-3)
-        dataset = simulate_recordings(plant, [recording])
-        fitted = dataset.rows[0][dataset.for_estimation]
-        assert np.isin(np.arange(step, step + 2000 // SPLIT.stretches), fitted).all()
-
-
 @pytest.mark.parametrize("second", [0.5, 0.501, 0.508])
 def test_rows_after_rare_steps_are_fitted(plant, recorded, second):
     """They alone show the first seconds of the creep."""

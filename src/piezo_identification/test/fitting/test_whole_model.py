@@ -186,6 +186,18 @@ def test_rows_that_are_read_late_within_their_hold_are_found(plant, play):
     assert best.delay_s == pytest.approx(-2.5e-5, abs=2e-6)
 
 
+def test_a_fit_to_all_rows_holds_nothing_out_and_leaves_less_of_them(wrong, recordings):
+    problem = WholeModel(wrong, recordings, [0.0] * 3)
+    chosen = problem.fit(wrong, None, 3)
+    with_all = problem.with_held_out_rows(chosen)
+    before, after = (with_all.fit(chosen.model, None, steps) for steps in (0, 3))
+    for part, whole in zip(chosen.residual_um, before.residual_um, strict=True):
+        np.testing.assert_allclose(  # the offset is one of all rows already
+            np.sort(whole[0]), np.sort(np.concatenate(part)), atol=1e-9)
+        assert not whole[1].size
+    assert after.is_closer_than(before)
+
+
 def test_three_fits_are_in_one_order_whichever_two_are_compared(wrong, recordings):
     problem = WholeModel(wrong, recordings, [0.0] * 3)
     first = problem.fit(wrong, None, 0)
