@@ -22,7 +22,7 @@ ROUNDED = 41
 """Number of samples over which an edge of a slow waveform is smoothed."""
 FAST_S = 2.0
 FEWEST_SAMPLES = 1000
-"""Of a fast waveform with a slow clock: twice what a comparison needs, so that half may settle."""
+"""Rows of a fast waveform with a slow clock: twice what a comparison needs, as half may settle."""
 FASTEST_OF_CLOCK = 0.1
 """Highest frequency relative to the sample rate: above it, a held voltage is too coarse."""
 MOST_OF_RANGE = 0.95
