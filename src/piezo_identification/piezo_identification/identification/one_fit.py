@@ -113,11 +113,15 @@ class _Search:
         if state.best is self.tried[0][1]:
             return state
         self.report("everything together, with the held-out rows", 1.0)
-        problem, best = state.problem.with_held_out_rows(state.best), state.best
-        before, after = (problem.fit(best.model, best.delay_s, steps)
-                         for steps in (0, SETTINGS.steps))
-        self.tried.append(("the same, with the held-out rows", after))
-        return replace(state, best=after) if after.evidence_over(before) > 0.0 else state
+        with while_time_lasts("the last fit, with the held-out rows"):
+            check_cancelled()
+            problem, best = state.problem.with_held_out_rows(state.best), state.best
+            before, after = (problem.fit(best.model, best.delay_s, steps)
+                             for steps in (0, SETTINGS.steps))
+            self.tried.append(("the same, with the held-out rows", after))
+            if after.evidence_over(before) > 0.0:
+                return replace(state, best=after)
+        return state
 
     def _or_of_a_line(self, state: _State, delay_s: float | None) -> _State:
         """Return a state, or the best one with a line if that is better and no loops were given.
