@@ -32,13 +32,24 @@ def everett_table(density: FloatArray, reversible: FloatArray, cell_width: float
     reversible : (L,) array
         Integrals along the cells of the diagonal.
     """
-    size = density.shape[0]
     diagonal = np.diagonal(density) * cell_width**2 / 2
     reversible = reversible * cell_width
-    integrals = np.tril(density, -1) * cell_width**2 + np.diag(diagonal + reversible)
-    rows = np.zeros((size + 1, size + 1))
-    rows[1:, :-1] = np.cumsum(np.cumsum(integrals[:, ::-1], axis=1)[:, ::-1], axis=0)
+    rows = _everett_at_levels(density, cell_width**2, diagonal + reversible)
     return rows.T.copy(), rows, diagonal, reversible
+
+
+@njit(cache=True)
+def _everett_at_levels(density: FloatArray, cell_area: float, diagonal: FloatArray) -> FloatArray:
+    """Return the Everett function at pairs of levels, given the integrals of the diagonal cells."""
+    size = diagonal.size
+    rows = np.zeros((size + 1, size + 1))
+    for i in range(size):
+        of_row = diagonal[i]
+        rows[i + 1, i] = of_row
+        for j in range(i - 1, -1, -1):
+            of_row += density[i, j] * cell_area
+            rows[i + 1, j] = rows[i, j] + of_row
+    return rows
 
 
 @njit(cache=True)
