@@ -120,7 +120,7 @@ def test_the_covariance_of_correlated_errors_gives_the_deviations_of_the_modes()
     covariance = np.tile(NOISE_UM_PER_V**2 * entries.reshape(2, 2, 2, 2),
                          (FREQUENCY_HZ.size, 1, 1, 1, 1)).astype(complex)
     true = control.frequency_response(stage(2), 2.0 * np.pi * FREQUENCY_HZ)
-    for seed in range(12):
+    for seed in range(6):
         rng = np.random.default_rng(seed)
         noise = rng.normal(size=(2, FREQUENCY_HZ.size, 4)) @ np.linalg.cholesky(entries).T
         error = NOISE_UM_PER_V / np.sqrt(2.0) * (noise[0] + 1j * noise[1])

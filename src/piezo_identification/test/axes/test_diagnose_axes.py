@@ -106,7 +106,8 @@ def test_effect_is_named_with_its_axis_and_the_extended_model_predicts(
     assert np.all(np.std(second.measured_um - second.simulated_um, axis=0) < 2 * flexure.NOISE_UM)
 
 
-@pytest.mark.parametrize(("axis", "frequency_hz"), [("x", 520.0), ("y", 1400.0)])
+@pytest.mark.parametrize(("axis", "frequency_hz"), [
+    ("x", 520.0), pytest.param("y", 1400.0, marks=pytest.mark.long)])
 def test_mode_that_one_axis_drives_is_named_with_it(identified, tmp_path, axis, frequency_hz):
     rng = np.random.default_rng(9)
     values = (2.0 * np.pi * frequency_hz, 0.01, 0.004, -0.002)

@@ -181,9 +181,8 @@ def test_rows_that_are_read_late_within_their_hold_are_found(plant, play):
         sample_rate_hz=20_000.0, sample_index=np.arange(measured_um[1::2].size),
         sample_periods_s=np.full(measured_um[1::2].size, 5e-5), voltage_v=held[::2],
         displacement_um=measured_um[1::2] + NOISE_UM * noise[1::2])
-    problem = WholeModel(plant, [late], [0.0])
-    best, _ = sought(problem, plant)
-    assert best.delay_s == pytest.approx(-2.5e-5, abs=2e-6)
+    fit = WholeModel(plant, [late], [0.0]).fit(plant, 0.0, 6)
+    assert fit.delay_s == pytest.approx(-2.5e-5, abs=2e-6)
 
 
 def test_a_fit_to_all_rows_holds_nothing_out_and_leaves_less_of_them(wrong, recordings):
