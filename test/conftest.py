@@ -23,6 +23,8 @@ from piezo_client import client as client_module
 from piezo_client import overview, rejections
 from piezo_client.client import Client, GoalFailed
 from piezo_client.stage import Stage
+from piezo_controller.feedback.feedback_design import design_feedback
+from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
@@ -393,6 +395,12 @@ def near_model():
         CreepDynamics((0.01419, 0.1684, 0.2402, 1.053, 17.57),
                       (0.01458, 0.1716, 0.241, 1.07, 18.29)),
         ElectricVibrationDynamics(0.00049, (2846.0, 4909.0), (0.68535, 0.081992)))
+
+
+@pytest.fixture(scope="session")
+def near_controller(near_model):
+    """Default feedback for ``near_model``."""
+    return design_feedback(near_model, load_weights())
 
 
 @pytest.fixture(scope="module")

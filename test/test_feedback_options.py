@@ -10,8 +10,6 @@ from piezo_interfaces.msg import Reference
 from piezo_client.client import GoalFailed
 from piezo_client.stage import Stage
 from piezo_controller.feedback.controller_file import save_controller
-from piezo_controller.feedback.feedback_design import design_feedback
-from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import save_model
 from piezo_recorder.reading.reader import read_recording
@@ -20,13 +18,13 @@ REFERENCE = {"kind": "harmonic", "frequency_hz": [40.0], "amplitude_um": [20.0],
 
 
 @pytest.fixture(scope="module")
-def files(near_model, tmp_path_factory):
+def files(near_model, near_controller, tmp_path_factory):
     """Paths of the model and of controllers for it, one of which makes the loop unstable."""
     directory = tmp_path_factory.mktemp("files")
     save_model(directory / "model.json", IdentifiedModel(near_model, (-20.0, 120.0)))
-    stable = design_feedback(near_model, load_weights())
-    save_controller(directory / "stable.json", stable)
-    save_controller(directory / "unstable.json", replace(stable, C=3 * stable.C, D=3 * stable.D))
+    save_controller(directory / "stable.json", near_controller)
+    save_controller(directory / "unstable.json", replace(
+        near_controller, C=3 * near_controller.C, D=3 * near_controller.D))
     return directory
 
 

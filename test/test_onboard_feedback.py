@@ -11,8 +11,6 @@ from piezo_interfaces.srv import LoadFeedback, StartTracking
 from rosbags.highlevel import AnyReader
 
 from piezo_controller.feedback.controller_file import save_controller
-from piezo_controller.feedback.feedback_design import design_feedback
-from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import save_model
 from piezo_recorder.reading.reader import read_recording
@@ -25,11 +23,11 @@ MOST_RUNS = 50
 
 
 @pytest.fixture(scope="module")
-def files(near_model, tmp_path_factory):
+def files(near_model, near_controller, tmp_path_factory):
     """Paths of the model, and of a controller for a tick of computing time."""
     directory = tmp_path_factory.mktemp("files")
     save_model(directory / "model.json", IdentifiedModel(near_model, (-20.0, 120.0)))
-    save_controller(directory / "answers.json", design_feedback(near_model, load_weights()))
+    save_controller(directory / "answers.json", near_controller)
     return directory
 
 
