@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Text files: bounded reading, atomic replacement, and protection of other files."""
+"""Text files: bounded reading, atomic replacement, and protection of earlier and other files."""
 
+import filecmp
 import io
 import json
+import logging
 import os
+import shutil
 from collections.abc import Callable, Mapping
 from os import PathLike
 from pathlib import Path
@@ -14,6 +17,8 @@ from piezo_common.regular_file import UnreadableFile, open_regular
 
 LARGEST_BYTES = 10_000_000
 PART_BYTES = 1 << 18
+
+log = logging.getLogger(__name__)
 
 
 def json_text(document: Mapping[str, Any]) -> str:
@@ -49,28 +54,70 @@ def read_bounded_text(path: str | PathLike[str], largest_bytes: int = LARGEST_BY
 def replace_text(path: str | PathLike[str], text: str) -> None:
     """Write a file; an existing one is replaced in one step or not at all.
 
+    An existing file with another text is kept, see `keep_previous`.
+
     Raises
     ------
     OSError
         If it cannot be written.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary, earlier = (
+        path.with_name(f".{path.name}.{os.getpid()}.{ending}") for ending in ("tmp", "earlier"))
     try:
         with temporary.open("w", encoding="utf-8") as file:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
+        changes = path.exists() and not filecmp.cmp(path, temporary, shallow=False)
+        if changes:
+            shutil.copy2(path, earlier)
         os.replace(temporary, path)
+        if changes:
+            keep_previous(path, earlier)
     finally:
-        temporary.unlink(missing_ok=True)
+        for left in (temporary, earlier):
+            left.unlink(missing_ok=True)
+
+
+def keep_previous(path: Path, earlier: Path | None = None) -> None:
+    """Rename the earlier version of a file, and report it as a warning of `logging`.
+
+    That of ``NAME.json`` becomes ``NAME.previous.json`` and replaces an older one.
+
+    Parameters
+    ----------
+    earlier : Path, optional
+        Where the earlier version is; by default at `path`.
+
+    Raises
+    ------
+    OSError
+        If it cannot be renamed.
+    """
+    previous = path.with_name(f"{path.stem}.previous{path.suffix}")
+    os.replace(earlier or path, previous)
+    log.warning("%s: the earlier file is kept as %s", path, previous.name)
+
+
+def replace_json(path: str | PathLike[str], document: Mapping[str, Any]) -> None:
+    """Write a document as JSON; see `replace_text`.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    ValueError
+        If a value is not finite.
+    """
+    replace_text(path, json_text(document) + "\n")
 
 
 def replace_document(path: str | PathLike[str], document: Mapping[str, Any], kind: str,
                      error: type[ValueError],
                      rendered: Callable[[Mapping[str, Any]], str] = json_text,
                      largest_bytes: int = LARGEST_BYTES) -> None:
-    """Write a JSON file, and replace one of the same format in one step or not at all.
+    """Write a JSON file, and replace one of the same format only; see `replace_text`.
 
     Parameters
     ----------

@@ -16,12 +16,22 @@ def replace(path, value):
     replace_document(path, {"format": "this", "value": value}, "file of this", ThisFileError)
 
 
-def test_a_file_of_the_same_format_is_replaced(tmp_path):
-    path = tmp_path / "file.json"
+def test_a_file_of_the_same_format_is_replaced_and_kept(tmp_path, caplog):
+    path, previous = tmp_path / "file.json", tmp_path / "file.previous.json"
     replace(path, 1.0)
+    assert not caplog.messages
     replace(path, 2.0)
+    assert caplog.messages == [f"{path}: the earlier file is kept as file.previous.json"]
     assert json.loads(path.read_text())["value"] == 2.0
-    assert list(tmp_path.iterdir()) == [path]
+    assert json.loads(previous.read_text())["value"] == 1.0
+    assert set(tmp_path.iterdir()) == {path, previous}
+
+
+def test_a_file_that_does_not_change_is_not_kept_twice(tmp_path, caplog):
+    replace(tmp_path / "file.json", 1.0)
+    replace(tmp_path / "file.json", 1.0)
+    assert not caplog.messages
+    assert list(tmp_path.iterdir()) == [tmp_path / "file.json"]
 
 
 @pytest.mark.parametrize("content", ['{"format": "that"}', "time_s,voltage_v\n0,1\n", "[1]"])

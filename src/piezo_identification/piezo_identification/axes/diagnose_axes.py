@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Find what a model of several axes lacks to explain a recording."""
 
-import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
@@ -15,6 +14,7 @@ from scipy.special import softmax
 
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_common.summary_table import SummaryTable
+from piezo_common.text_file import replace_json
 from piezo_identification.axes.axis_effects import AxisEffect, ModeOfAxis, all_effects
 from piezo_identification.axes.mode_search import guessed
 from piezo_identification.axes.predict_axes import (
@@ -99,8 +99,7 @@ class AxesDiagnosis:
     def write(self, directory: Path) -> None:
         """Write `verdict.json` and `extended_model.json` into a folder, which is made."""
         directory.mkdir(parents=True, exist_ok=True)
-        (directory / "verdict.json").write_text(
-            json.dumps(self.document(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        replace_json(directory / "verdict.json", self.document())
         save_axes_model(directory / "extended_model.json", self.extended)
 
     def summary(self) -> SummaryTable:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The verdict of a diagnosis, and the files that contain it."""
 
-import json
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
@@ -9,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from piezo_common.summary_table import SummaryTable
+from piezo_common.text_file import replace_json
 from piezo_identification.diagnosis.comparison.reasons import Reason
 from piezo_identification.diagnosis.verdict_view import (
     draw_verdict,
@@ -124,8 +124,7 @@ class Verdict:
 
 def write_verdict(path: Path, verdict: Verdict) -> None:
     """Write a verdict to its file, `verdict.json`."""
-    path.write_text(
-        json.dumps(verdict.document(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    replace_json(path, verdict.document())
 
 
 def save_extended_model(path: Path, identified: IdentifiedModel, verdict: Verdict,

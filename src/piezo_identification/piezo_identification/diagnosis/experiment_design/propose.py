@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Design of the recording that distinguishes the alternative explanations of a diagnosis."""
 
-import json
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,6 +11,7 @@ import numpy as np
 
 from piezo_common.progress_part import Progress
 from piezo_common.side_by_side import side_by_side
+from piezo_common.text_file import replace_json, replace_text
 from piezo_identification.diagnosis.diagnose import condition
 from piezo_identification.diagnosis.experiment_design.alternatives import (
     Alternatives,
@@ -206,10 +207,11 @@ def save_proposal(proposal: Proposal, directory: Path) -> tuple[Path, Path]:
     voltage_v = np.tile(experiment.voltage_v, experiment.repeats)
     time_s = experiment.sample_period_s * np.arange(voltage_v.size)
     paths = directory / WAVEFORM, directory / OUTCOME
-    np.savetxt(paths[0], np.column_stack([time_s, voltage_v]), "%.9g", ",",
-               header="time_s,voltage_v", comments="", encoding="utf-8")
-    paths[1].write_text(
-        json.dumps(proposal.document(), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    table = io.StringIO()
+    np.savetxt(table, np.column_stack([time_s, voltage_v]), "%.9g", ",",
+               header="time_s,voltage_v", comments="")
+    replace_text(paths[0], table.getvalue())
+    replace_json(paths[1], proposal.document())
     return paths
 
 

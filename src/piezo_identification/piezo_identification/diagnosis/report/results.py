@@ -10,6 +10,7 @@ from pathlib import Path
 from piezo_common.budget import Budget, spending, while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_common.progress_part import Progress, part_of
+from piezo_common.text_file import keep_previous
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.diagnosis.diagnose import Diagnosis, diagnose
 from piezo_identification.diagnosis.evidence.known_noise import noise_of_model
@@ -189,8 +190,9 @@ def write_results(given: GivenFiles, diagnosis: Diagnosis,
         diagnosis = replace(
             diagnosis, next_experiment=proposal.document() | {"file": WAVEFORM})
     else:
-        for name in (WAVEFORM, OUTCOME):  # of an earlier verdict
-            (directory / name).unlink(missing_ok=True)
+        of_earlier_verdict = directory / WAVEFORM, directory / OUTCOME
+        for path in filter(Path.exists, of_earlier_verdict):
+            keep_previous(path)
     results = DiagnosisResults(
         diagnosis, directory / "verdict.json", directory / "extended_model.json",
         directory / "report.html", (*given.rows, *_outside(identified, given.recordings)),

@@ -74,7 +74,7 @@ def test_the_verdict_names_the_recording_that_tells_a_delay_from_a_lag(
 
 
 @pytest.mark.usefixtures("without_pictures")
-def test_ctrl_c_keeps_the_verdict_and_removes_what_an_earlier_one_proposed(
+def test_ctrl_c_keeps_the_verdict_and_sets_aside_what_an_earlier_one_proposed(
         arguments, tmp_path, monkeypatch, capsys):
     def interrupted(*_):
         raise KeyboardInterrupt
@@ -89,3 +89,5 @@ def test_ctrl_c_keeps_the_verdict_and_removes_what_an_earlier_one_proposed(
     (named,) = (entry["name"] for entry in verdict["effects"])
     assert {"delay", "sensor_lag"} <= {named, *verdict["not_decidable"]}
     assert not (tmp_path / "out" / "next_experiment.csv").exists()
+    assert (tmp_path / "out" / "next_experiment.previous.csv").read_text() == (
+        "of an earlier verdict")
