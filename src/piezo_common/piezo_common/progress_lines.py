@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Progress of a command as lines of text at least every few seconds."""
+"""Progress of a command, at least every few seconds: lines of text, or one line of a terminal."""
 
+import shutil
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -18,6 +20,7 @@ FIRST_ESTIMATE = 0.05
 class ProgressLines:
     """Print the present step of a command, and the time taken so far if it is long.
 
+    A terminal shows one line, which changes; a file or another program gets all lines.
     The remaining time is estimated at the beginning of a step, and counts down until the next one.
 
     Parameters
@@ -56,7 +59,7 @@ class ProgressLines:
         words = [f"{100.0 * self._fraction:3.0f} %  {self._stage}"]
         if self._fraction < 1.0 and taken_s >= 1.0:
             words.append(f"{taken_s:.0f} s so far{self._left(taken_s)}")
-        print(", ".join(words), flush=True)
+        _show(", ".join(words))
 
     def _left(self, taken_s: float) -> str:
         """Return the remaining time as text; empty if it is unknown."""
@@ -68,6 +71,15 @@ class ProgressLines:
         if left_s < 0.0:
             return ", longer than expected"
         return f", about {left_s:.0f} s left" if left_s > 0.5 else ""
+
+
+def _show(text: str) -> None:
+    """Print a line; on a terminal, in the place of the one before."""
+    if sys.stdout.isatty():
+        width = shutil.get_terminal_size().columns - 1
+        print(f"\r{text[:width]:{width}}\r", end="", flush=True)
+    elif text:
+        print(text, flush=True)
 
 
 @contextmanager
@@ -89,3 +101,4 @@ def progress_printed(budget: Budget) -> Iterator[Callable[[str, float], None]]:
     finally:
         is_over.set()
         beats.join()
+        _show("")

@@ -48,6 +48,18 @@ def test_a_step_that_takes_longer_than_all_that_was_left_says_so(clock, capsys):
         " 90 %  dynamics, 13 s so far, longer than expected")
 
 
+def test_a_terminal_shows_one_line_that_is_cleared_at_the_end(capsys, monkeypatch):
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "20")
+    with progress_printed(Budget()) as progress:
+        progress("a step with a long name", 0.0)
+        progress("short", 0.5)
+    shown = capsys.readouterr().out
+    assert "\n" not in shown
+    assert [line.rstrip() for line in shown.split("\r") if line] == [
+        "  0 %  a step with", " 50 %  short", ""]
+
+
 def test_a_last_step_that_begins_early_is_not_said_to_be_late(clock, capsys):
     lines = ProgressLines(Budget(None, clock), clock)
     clock.seconds = 3.0

@@ -27,6 +27,8 @@ PARAMETERS = (
 )
 """Component, name in the model, name and unit in the table, and scale factor to that unit."""
 
+CREEP_ROWS = tuple(text for component, _, text, _, _ in PARAMETERS if component == "creep")
+
 
 def visited_fraction(visited: NDArray[np.bool_]) -> float:
     """Return the fraction of the area of the Preisach plane that recordings have visited.
@@ -89,6 +91,33 @@ def parameter_rows(model: "StageModel", uncertainties: Mapping[str, Any]) -> lis
 def summary_of_model(model: "StageModel") -> SummaryTable:
     """Return the table of a model without standard deviations."""
     return SummaryTable("Model of a stage", HEADS, model_rows(model, {}))
+
+
+def main_results(identified: "IdentifiedModel") -> SummaryTable:
+    """Return a short table of an identified model: the fastest and the slowest creep alone."""
+    model = identified.model
+    low_um, high_um = model.hysteresis.output_range_um
+    visited = "" if identified.visited is None else (
+        f", {100.0 * visited_fraction(identified.visited):.3g} % of the Preisach plane visited")
+    rows = [row for row in parameter_rows(model, identified.uncertainties)
+            if not str(row[0]).startswith(CREEP_ROWS)]
+    return SummaryTable(
+        f"identified: {high_um - low_um:.5g} um from {model.hysteresis.voltage_min_v:g} to "
+        f"{model.hysteresis.voltage_max_v:g} V{visited}",
+        HEADS, [*_creep_times(identified), *rows])
+
+
+def _creep_times(identified: "IdentifiedModel") -> Iterator[tuple[Cell, ...]]:
+    """Yield rows for the number of creep pairs, and their extreme time constants."""
+    poles = np.asarray(identified.model.creep.poles_rad_per_s)
+    if not poles.size:
+        return
+    deviations = _deviations(identified.uncertainties.get("creep"), "poles_rad_per_s", poles.size)
+    yield _row("creep, pairs of a pole and a zero", poles.size, None, "1")
+    for name, index in (("fastest", np.argmax(poles)), ("slowest", np.argmin(poles))):
+        deviation = deviations[index]
+        yield _row(f"creep, {name} time constant", 1.0 / poles[index],
+                   None if deviation is None else deviation / poles[index] ** 2, "s")
 
 
 def summary_of_identified(identified: "IdentifiedModel") -> SummaryTable:

@@ -8,7 +8,7 @@ import pytest
 
 from piezo_models.effects.delay import Delay
 from piezo_models.identified_model import IdentifiedModel
-from piezo_models.model_summary import visited_fraction
+from piezo_models.model_summary import main_results, visited_fraction
 
 DEVIATIONS = {
     "creep": {"poles_rad_per_s": [0.001, 0.002, 0.003, 0.004, 0.005]},
@@ -48,6 +48,21 @@ def test_rows_hold_every_component_effect_and_error(identified):
     assert rows["delay, delay_s"]["std. dev."] == 2e-6
     assert rows["error held_out.before"]["value"] == 2.0
     assert rows["Preisach plane visited"]["value"] == pytest.approx(50.0)
+
+
+def test_main_results_hold_the_extreme_creep_and_all_other_parameters(identified):
+    shown = main_results(identified)
+    rows = {row[0]: row for row in shown.rows}
+    poles = np.array(identified.model.creep.poles_rad_per_s)
+    deviations = np.array(DEVIATIONS["creep"]["poles_rad_per_s"])
+    assert rows["creep, pairs of a pole and a zero"][1] == 5
+    for name, index in (("fastest", poles.argmax()), ("slowest", poles.argmin())):
+        _, value, deviation, unit, *_ = rows[f"creep, {name} time constant"]
+        assert (value, unit) == (pytest.approx(1.0 / poles[index]), "s")
+        assert deviation == pytest.approx(deviations[index] / poles[index] ** 2)
+    assert {"electric time constant", "mode frequency 1", "delay, delay_s"} <= rows.keys()
+    assert not any(name.startswith(("creep pole", "creep zero")) for name in rows)
+    assert shown.title.endswith("from -20 to 120 V, 50 % of the Preisach plane visited")
 
 
 def test_coverage_counts_half_cells_on_the_diagonal():

@@ -34,8 +34,8 @@ from piezo_identification.diagnosis.response.response_diagnosis import diagnose_
 from piezo_identification.diagnosis.verdict import Verdict, extended_model
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
 from piezo_identification.identification.given_hysteresis import DensityOptions
-from piezo_identification.identification.identify import Implausible
 from piezo_identification.identification.identify import identify as identify_recordings
+from piezo_identification.identification.notes import Implausible
 from piezo_identification.prediction.prediction import Prediction
 from piezo_identification.prediction.row_reading import all_as_identified, predict_as_identified
 from piezo_identification.recording_check.suitability import misfits

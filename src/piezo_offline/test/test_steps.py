@@ -6,7 +6,7 @@ import warnings
 import numpy as np
 import pytest
 
-from piezo_identification.identification.identify import Implausible
+from piezo_identification.identification.notes import Implausible
 from piezo_models import CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel
 from piezo_models.identified_model import IdentifiedModel
 from piezo_offline import (

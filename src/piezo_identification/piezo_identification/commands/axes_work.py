@@ -25,6 +25,7 @@ from piezo_identification.commands.response_options import (
     rate_hz_of,
     useless_response_options,
 )
+from piezo_identification.identification.notes import notes_printed
 from piezo_models.axes_model_file import load_axes_model, save_axes_model
 from piezo_recorder.reading.axes import AxesRecording, is_of_axes, read_axes
 
@@ -68,9 +69,10 @@ def identify_axes_files(options: argparse.Namespace,
     dynamics = _dynamics(options, paths.get("dynamics", ()))
     others = {name: _read(paths.get(name, ())) for name in ("validation", "creep", "hysteresis")}
     budget = budget_of(options)
-    with progress_printed(budget) as progress:
+    with notes_printed(options.verbose) as notes, progress_printed(budget) as progress:
         identified = identify_several_axes(
-            dynamics, **others, pairs=options.modes, note=print, progress=progress, budget=budget)
+            dynamics, **others, pairs=options.modes, note=notes.append, progress=progress,
+            budget=budget)
     save_axes_model(options.output, identified)
     print(identified.summary())
     print("e_y: norm of the difference over that of the measured displacement without its mean "

@@ -54,6 +54,8 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
                             help=f"number of {what}; by default chosen from the data")
     parser.add_argument("--band", metavar=("LOW_HZ", "HIGH_HZ"), type=float, nargs=2,
                         help="part of a frequency response to fit; by default all of it")
+    parser.add_argument("--verbose", action="store_true",
+                        help="print all parameters, and what was tried")
     add_report_option(parser, "MODEL_report.html next to the model")
     add_budget_option(parser)
     add_columns_option(parser)

@@ -28,9 +28,12 @@ from piezo_identification.estimators.frequency_response.response_fit import Resp
 from piezo_identification.identification.given_data import given_data
 from piezo_identification.identification.given_hysteresis import DensityOptions
 from piezo_identification.identification.identify import identify
+from piezo_identification.identification.notes import Detail, notes_printed
+from piezo_identification.prediction.prediction_errors import named_errors
 from piezo_identification.recording_check.suitability import misfits
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import check_model_may_replace, save_model
+from piezo_models.model_summary import main_results
 from piezo_recorder.reading.data_options import columns_given, read_given
 
 PAGE_S = 5.0
@@ -65,21 +68,22 @@ def identify_files(options: argparse.Namespace) -> int | None:
     if isinstance(data.get("dynamics"), FrequencyResponse):
         data["dynamics"] = data["dynamics"].held(hold_s_of(options))
     budget = budget_of(options, PAGE_S if options.report else 0.0)
-    with progress_printed(budget) as progress:
+    with notes_printed(options.verbose) as notes, progress_printed(budget) as progress:
         identified = identify(
-            **data, progress=progress, budget=budget, refine=options.refine, note=print,
+            **data, progress=progress, budget=budget, refine=options.refine, note=notes.append,
             method=options.method, read_at_samples=READINGS[options.rows_read],
             order=ResponseOrder(options.creep_pairs, options.modes, options.antiresonances),
             density=DensityOptions(options.grid, options.smoothing, options.translation_weight))
     save_model(options.output, identified)
-    _print_summary(identified)
+    _print_results(identified, options.verbose)
     print(f"model written to {options.output}")
     if identified.unfinished:
         print(f"the model is unfinished: {identified.unfinished}")
     if budget.is_interrupted:
         return INTERRUPTED
     if options.report:
-        _write_report(identified, data, options)
+        _write_report(identified, data, options,
+                      [note for note in notes if isinstance(note, Detail)])
     print_next(options, "piezo_identification", "simulate", "--model", options.output, "--data",
                options.validation or "<a recording that was not fitted>", *columns_given(options),
                "--output", options.output.with_suffix(""))
@@ -89,7 +93,7 @@ def identify_files(options: argparse.Namespace) -> int | None:
 
 
 def _write_report(identified: IdentifiedModel, data: Mapping[str, Any],
-                  options: argparse.Namespace) -> None:
+                  options: argparse.Namespace, details: Sequence[Detail]) -> None:
     # Imported here, as drawing is slow to import and the page is optional.
     from piezo_identification.report.identification_report import identification_page
 
@@ -97,7 +101,7 @@ def _write_report(identified: IdentifiedModel, data: Mapping[str, Any],
                        data.get("validation"))
     write_report(options.output.with_name(f"{options.output.stem}_report.html"),
                  identification_page(identified, given, options.output,
-                                     READINGS[options.rows_read]))
+                                     READINGS[options.rows_read], details))
 
 
 def _read(name: str, paths: Path | Sequence[Path], options: argparse.Namespace) -> Any:
@@ -138,8 +142,12 @@ def _check_options(
         raise ValueError(f"{option} has nothing to act on: leave it out, or give the data it is of")
 
 
-def _print_summary(identified: IdentifiedModel) -> None:
-    print(identified.summary())
+def _print_results(identified: IdentifiedModel, verbose: bool) -> None:
+    print(f"{identified.summary() if verbose else main_results(identified)}\n")
     print(adequacy_table(identified.adequacy))
+    unseen = ", ".join(
+        f"{what} {value:.3g} %" for what, value in named_errors(identified.errors))
+    if unseen:
+        print(f"e_y on data that was not fitted: {unseen}")
     print("e_y: norm of the difference over that of the measured displacement without its mean "
           "(4.20), percent")

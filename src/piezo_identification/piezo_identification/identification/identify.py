@@ -45,6 +45,7 @@ from piezo_identification.identification.linear_dynamics import (
     LinearDynamics,
     estimate_linear_dynamics,
 )
+from piezo_identification.identification.notes import Detail, Implausible
 from piezo_identification.identification.one_fit import fitted_together, reliable
 from piezo_identification.identification.progress import (
     IdentificationCancelled,
@@ -118,8 +119,8 @@ def identify(
     order : ResponseOrder
         Orders of creep and vibration; open ones are chosen from the data.
     note : callable, optional
-        Called with text for the user, such as the reasons for the chosen orders, and the part of
-        the Preisach plane that the data determine.
+        Called with text for the user. Reasons for choices, such as the orders, are of the type
+        `Detail`.
     density : DensityOptions
         Grid and smoothing of the hysteresis; open options are chosen from the data.
     read_at_samples : float
@@ -204,12 +205,13 @@ def report_estimates(linear: LinearDynamics, density: DensityEstimate,
                      note: Callable[[str], object]) -> None:
     """Report why the orders were chosen, and which part of the Preisach plane is determined."""
     for name, estimate in linear.estimates.items():
-        note(f"order of the {name}:\n{estimate.order_table()}")
+        note(Detail(f"order of the {name}:\n{estimate.order_table()}", estimate.plot))
         if estimate.delay is not None:
-            note(f"delay of the {name}: {estimate.delay}")
+            note(Detail(f"delay of the {name}: {estimate.delay}"))
         if isinstance(estimate.model, ResponseModel) and estimate.model.gain < 0.0:
             note(f"the displacement falls as the voltage rises: the sign of the {name} is changed")
-    note(f"hysteresis: {density.report()}")
+    report = f"hysteresis: {density.report()}"
+    note(report if density.is_line else Detail(report))
 
 
 def report_starts(recordings: Mapping[str, Data], cycled: Mapping[str, Data],
@@ -240,11 +242,7 @@ def report_starts(recordings: Mapping[str, Data], cycled: Mapping[str, Data],
             words.append(
                 f"on a stage that was never cycled: its first rise has {first_rise.whole_um:.3g}"
                 " um that never return, which the model describes separately")
-        note(f"start of the {name}: {'; '.join(words)}")
-
-
-class Implausible(str):
-    """A sentence on an implausible result, as a type that programs can recognise."""
+        note(Detail(f"start of the {name}: {'; '.join(words)}"))
 
 
 def report_implausible(found: Sequence[str], note: Callable[[str], object]) -> None:

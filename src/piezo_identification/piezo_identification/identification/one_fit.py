@@ -34,6 +34,8 @@ from piezo_identification.fitting.whole_model import (
 )
 from piezo_identification.identification.fitted_model import FittedModel
 from piezo_identification.identification.given_data import Data
+from piezo_identification.identification.notes import Detail
+from piezo_identification.identification.tried_structures import structure_figure, structure_table
 from piezo_identification.simulation.simulated_recording import is_long_enough
 from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
@@ -251,7 +253,8 @@ def fitted_together(
         problem, fitted, read_late_s, new_loops, partial(_has_order, order), report)
     state = search.with_held_out_rows(search.best(delay_s or None))
     fitted, best = state.fitted, state.best
-    note(f"one fit of the whole model:\n{table_of(search.tried, best)}")
+    note(Detail(f"one fit of the whole model:\n{structure_table(search.tried, best)}",
+                partial(structure_figure, search.tried, best)))
     read_at_samples = {name: late_s / played(samples[name]).sample_period_s
                        for name, late_s in read_later(read_late_s, best).items()}
     if max(read_at_samples.values()) > LATEST_READING:
@@ -332,15 +335,3 @@ def _scaled(deviations: Any, factor: float) -> Any:
     if isinstance(deviations, list | tuple):
         return type(deviations)(_scaled(each, factor) for each in deviations)
     return factor * deviations
-
-
-def table_of(tried: list[tuple[str, WholeFit]], best: WholeFit) -> str:
-    """Return a table of all fits for the user, with the best one marked."""
-    first = tried[0][1]
-    lines = [f"{'structure':45}{'parameters':>12}{'evidence':>12}  residual (um)"]
-    for change, fit in tried:
-        residual_um = ", ".join(
-            f"{np.sqrt(np.mean(residual**2)):.3g}" for residual, _ in fit.residual_um)
-        lines.append(f"{change:45}{fit.numbers:12d}{fit.evidence_over(first):12.1f}  {residual_um}"
-                     f"{'  <- written' if fit is best else ''}")
-    return "\n".join(lines)

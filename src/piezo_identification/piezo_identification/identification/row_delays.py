@@ -19,6 +19,7 @@ from piezo_identification.identification.linear_dynamics import (
     aligned_density,
     loop_readings,
 )
+from piezo_identification.identification.notes import Detail
 from piezo_identification.prediction.row_reading import read_as_explained
 from piezo_identification.simulation.model_run import ModelRun
 from piezo_models.cascade import StageModel
@@ -147,5 +148,6 @@ def report_row_delays(rows: Mapping[str, RowDelay], note: Callable[[str], object
             remaining = f"a delay of {scale * row.delay_s:.3g} +- {deviation} remains"
         elif row.is_identifiable:
             remaining = f"no significant delay remains (+- {deviation})"
-        note(f"rows of the {name}: read {row.read_at_samples:.4g} sample periods after their "
-             f"voltage; {remaining}")
+        text = (f"rows of the {name}: read {row.read_at_samples:.4g} sample periods after their "
+                f"voltage; {remaining}")
+        note(text if row.read_at_samples else Detail(text))

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Relative errors of a prediction: on all samples, on slow branches and on fast branches."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,10 @@ from piezo_models.measures import e_y_percent
 LEAST_MOTION = 0.02
 """Smallest standard deviation of voltage and displacement on slow or fast branches, relative to all
 samples, for which their error is reported. Without motion, relative errors are large."""
+
+NAMES = {"e_y_percent": "whole recording", "hysteresis_e_y_percent": "slow branches (hysteresis)",
+         "dynamics_e_y_percent": "fast branches (dynamics)"}
+"""What the errors of `unseen_errors` are of, for users."""
 
 
 def unseen_errors(model: StageModel, recordings: Recordings) -> dict[str, float]:
@@ -49,6 +54,22 @@ def unseen_errors(model: StageModel, recordings: Recordings) -> dict[str, float]
     7.8 %
     """
     return errors_of([predict(model, recording) for recording in listed(recordings)])
+
+
+def named_errors(errors: Mapping[str, Any], of: str = "") -> Iterator[tuple[str, float]]:
+    """Yield what each relative error of a model is of, and its value in percent.
+
+    Parameters
+    ----------
+    errors : dict
+        Errors of a model, as in its file.
+    """
+    for name, value in errors.items():
+        what = NAMES.get(name, name.replace("_", " "))
+        if isinstance(value, dict):
+            yield from named_errors(value, what)
+        elif name.endswith("_percent") or of:
+            yield f"{of}: {what}" if of else what, value
 
 
 def errors_of(predictions: Sequence[Prediction]) -> dict[str, float]:

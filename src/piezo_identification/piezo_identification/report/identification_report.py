@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The page of an identification: parameters, adequacy, and the fit of each component."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
-from piezo_common.report_page import Section, render_page
+from piezo_common.report_page import Section, pictured, render_page
 from piezo_identification.adequacy.component_adequacy import INADEQUATE
 from piezo_identification.conditioning.row_alignment import rows_read_at_start
 from piezo_identification.identification.given_data import Data
+from piezo_identification.identification.notes import Detail
 from piezo_identification.prediction import predict
+from piezo_identification.prediction.prediction_errors import named_errors
 from piezo_identification.report.component_evidence import ComponentEvidence, component_evidence
 from piezo_identification.report.identification_pictures import (
     bode_picture,
@@ -23,12 +24,10 @@ from piezo_recorder.reading.recording import Recording
 
 E_Y = ("e_y is the norm of the difference over the norm of the measured displacement without its "
        "mean, in percent (4.20): 100 % is a model without any prediction.")
-ERRORS = {"e_y_percent": "whole recording", "hysteresis_e_y_percent": "slow branches (hysteresis)",
-          "dynamics_e_y_percent": "fast branches (dynamics)"}
 
 
 def identification_page(identified: IdentifiedModel, given: Mapping[str, Data], model: Path,
-                        read_at_samples: float = 0.0) -> str:
+                        read_at_samples: float = 0.0, details: Sequence[Detail] = ()) -> str:
     """Return the page of an identification as HTML.
 
     Parameters
@@ -39,6 +38,8 @@ def identification_page(identified: IdentifiedModel, given: Mapping[str, Data], 
         File of the model.
     read_at_samples : float
         Value of this argument in the call of `identify`.
+    details : sequence of Detail
+        Notes of that call on how the model was found.
     """
     evidence = component_evidence(identified, given, read_at_samples)
     validation = [data for name, data in given.items() if name == "validation"]
@@ -49,6 +50,7 @@ def identification_page(identified: IdentifiedModel, given: Mapping[str, Data], 
         *(Section(f"{each.name.capitalize()}: {each.residual.path}",
                   pictures=list(component_pictures(each))) for each in evidence),
         _whole(identified, evidence),
+        *_choices(details),
     ])
 
 
@@ -109,7 +111,7 @@ def _adequacy(identified: IdentifiedModel) -> Iterator[Section]:
 
 
 def _errors(identified: IdentifiedModel, validation: list[Data]) -> Iterator[Section]:
-    rows = list(_error_rows(identified.errors))
+    rows = [(what, f"{value:.3g}") for what, value in named_errors(identified.errors)]
     recording = next((data for data in validation if isinstance(data, Recording)), None)
     if not rows and recording is None:
         return
@@ -125,15 +127,6 @@ def _errors(identified: IdentifiedModel, validation: list[Data]) -> Iterator[Sec
                   [("error on unseen data", "e_y (%)"), *rows] if rows else (), pictures)
 
 
-def _error_rows(errors: Mapping[str, Any], of: str = "") -> Iterator[tuple[str, str]]:
-    for name, value in errors.items():
-        if isinstance(value, dict):
-            yield from _error_rows(value, ERRORS.get(name, name.replace("_", " ")))
-        elif name.endswith("_percent") or of:
-            what = ERRORS.get(name, name.replace("_", " "))
-            yield f"{of}: {what}" if of else what, f"{value:.3g}"
-
-
 def _whole(identified: IdentifiedModel, evidence: list[ComponentEvidence]) -> Section:
     fast = next((each for each in evidence if each.component == "dynamics"), None)
     model = identified.model
@@ -141,3 +134,13 @@ def _whole(identified: IdentifiedModel, evidence: list[ComponentEvidence]) -> Se
     if not model.dynamics.is_static or model.creep.poles_rad_per_s:
         pictures.insert(0, bode_picture(identified, fast))
     return Section("The model", pictures=pictures)
+
+
+def _choices(details: Sequence[Detail]) -> Iterator[Section]:
+    if details:
+        yield Section(
+            "What was tried", [f"{text}." for text in details if text.plot is None],
+            pictures=[pictured(
+                text.partition(":")[0].capitalize(), text.plot(),
+                "What was tried; the filled mark is what was chosen.")
+                for text in details if text.plot is not None])

@@ -127,7 +127,7 @@ def test_identify_takes_orders_and_says_why_and_what_the_data_determine(
     output = tmp_path / "model.json"
     orders = {"creep": ("--creep-pairs", 1), "dynamics": ("--modes", 1)}
     arguments = [*options({name: short_files[name] for name in names}), "--output", output,
-                 *chain.from_iterable(orders[name] for name in names), "--no-report"]
+                 *chain.from_iterable(orders[name] for name in names), "--no-report", "--verbose"]
     assert identify_main([str(argument) for argument in arguments]) == 0
     model = load_model(output).model
     assert len(model.creep.poles_rad_per_s) == 1
@@ -193,7 +193,7 @@ def test_identify_takes_the_orders_of_a_frequency_response_and_its_band(
         files, response_file, tmp_path, capsys):
     identified = identified_with(
         files, tmp_path, response_file, "--modes", 1, "--antiresonances", 0, "--band", 1, 500,
-        beside=())
+        "--verbose", beside=())
     assert len(identified.model.dynamics.mode_frequencies_rad_per_s) == 1
     assert "0+1-0" in capsys.readouterr().out
 

@@ -36,7 +36,7 @@ def identified(save_csv, tmp_path, capsys):
     return identified
 
 
-def test_the_error_on_the_fitted_data_and_the_start_are_always_printed(
+def test_the_error_on_the_fitted_data_is_always_printed_and_what_was_tried_if_asked_for(
         displacement_um, identified):
     out, model = identified(displacement_um, *ASKED)
     part = model.adequacy["hysteresis"]
@@ -44,8 +44,13 @@ def test_the_error_on_the_fitted_data_and_the_start_are_always_printed(
     assert part["residual_rms_um"] == pytest.approx(0.005, rel=0.5)
     (row,) = (line for line in out.splitlines() if line.startswith("hysteresis   "))
     assert row.split()[-1] == part["verdict"]
-    assert "start of the hysteresis: begins at 0 V" in out
+    assert "start of the hysteresis: begins at 0 V" not in out
     assert "implausible" not in out
+    results = out.partition("100 %  done")[2].splitlines()
+    assert len(results) < 20 and results[1].startswith("identified: ")
+    told, _ = identified(displacement_um, *ASKED, "--verbose")
+    assert "start of the hysteresis: begins at 0 V" in told
+    assert "error on" not in told and "Model identified" in told
     assert model.model.first_rise is None
 
 

@@ -78,6 +78,9 @@ def test_a_budget_that_is_over_at_once_leaves_the_separate_steps(step_by_step):
     assert found.unfinished.startswith("the time of 1 s is over; not tried: ")
     table = next(text for text in told if text.startswith("one fit of the whole model"))
     assert table.splitlines()[-1].startswith("step by step") and "<- written" in table
+    axes, = table.plot().axes
+    assert [tick.get_text() for tick in axes.get_yticklabels()] == ["step by step"]
+    assert [line.get_fillstyle() for line in axes.lines] == ["full"]
 
 
 @pytest.mark.long  # a whole identification
