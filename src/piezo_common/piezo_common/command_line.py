@@ -41,6 +41,8 @@ class Command:
 
     inputs: tuple[str, ...] = ()
     """Names of the options that are input files."""
+    folders: tuple[str, ...] = ()
+    """Names of the options that are folders to write to, which need not exist."""
     check: Callable[[argparse.Namespace], None] | None = None
     """Raises ValueError for options that cannot be combined, before the work is imported."""
     interrupted: str = "nothing was written"
@@ -72,9 +74,12 @@ class Command:
         """Do the work for parsed options of `fill`; return the exit status."""
         options.begun_s = time.monotonic()
         try:
-            for path in self._inputs(options):
+            for path in self._paths(options, self.inputs):
                 if not path.exists():
                     raise FileNotFoundError(f"{path} does not exist: check the path")
+            for path in self._paths(options, self.folders):
+                if path.exists() and not path.is_dir():
+                    raise ValueError(f"{path} is a file, not a folder: name a folder to write to")
             if self.check:
                 self.check(options)
             return self._load()(options) or 0
@@ -83,14 +88,16 @@ class Command:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return NO_READER
         except (ValueError, OSError) as error:
-            print(f"{options.prog}: {error}", file=sys.stderr)
+            file = getattr(error, "filename", None)
+            reason = f"{file}: {error.strerror}" if isinstance(error, OSError) and file else error
+            print(f"{options.prog}: {reason}", file=sys.stderr)
             return BAD_INPUT
         except KeyboardInterrupt:
             print(f"{options.prog}: interrupted; {self.interrupted}", file=sys.stderr)
             return INTERRUPTED
 
-    def _inputs(self, options: argparse.Namespace) -> Iterator[Path]:
-        for name in self.inputs:
+    def _paths(self, options: argparse.Namespace, names: Sequence[str]) -> Iterator[Path]:
+        for name in names:
             given = getattr(options, name)
             yield from [] if given is None else given if isinstance(given, list) else [given]
 
@@ -119,7 +126,9 @@ def check_output_file(output: Path) -> None:
     ValueError
         If it is a directory, or its directory does not exist.
     """
-    if output.is_dir() or not output.absolute().parent.is_dir():
+    if output.is_dir():
+        raise ValueError(f"{output} is a folder: name a file as --output")
+    if not output.absolute().parent.is_dir():
         raise ValueError(f"{output} is no file in an existing directory: choose another --output")
 
 

@@ -35,18 +35,20 @@ class ProgressLine:
             return
         if new or time.monotonic() - self._drawn_at >= REDRAW_PERIOD_S:
             self._drawn_at = time.monotonic()
-            self._draw(progress_text(step, fraction, seconds_left))
+            overwrite(self._stream, progress_text(step, fraction, seconds_left))
 
     def clear(self) -> None:
         """Clear the line for the next output."""
         self._step = None
         if self._overwrites:
-            self._draw("")
+            overwrite(self._stream, "")
 
-    def _draw(self, text: str) -> None:
-        width = shutil.get_terminal_size().columns - 1
-        self._stream.write("\r\x1b[K" + text[:width])
-        self._stream.flush()
+
+def overwrite(terminal: TextIO, text: str) -> None:
+    """Write a text in place of the present line of a terminal, without ending the line."""
+    width = shutil.get_terminal_size().columns - 1
+    terminal.write("\r\x1b[K" + text[:width])
+    terminal.flush()
 
 
 def progress_text(step: str, fraction: float, seconds_left: float | None) -> str:

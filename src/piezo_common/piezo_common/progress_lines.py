@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Progress of a command, at least every few seconds: lines of text, or one line of a terminal."""
 
-import shutil
 import sys
 import threading
 import time
@@ -9,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from piezo_common.budget import Budget
+from piezo_common.progress_line import overwrite
 
 SILENT_S = 4.0
 """Time in s without output after which the present step is printed again."""
@@ -76,8 +76,7 @@ class ProgressLines:
 def _show(text: str) -> None:
     """Print a line; on a terminal, in the place of the one before."""
     if sys.stdout.isatty():
-        width = shutil.get_terminal_size().columns - 1
-        print(f"\r{text[:width]:{width}}\r", end="", flush=True)
+        overwrite(sys.stdout, text)
     elif text:
         print(text, flush=True)
 

@@ -114,9 +114,11 @@ def _creep_times(identified: "IdentifiedModel") -> Iterator[tuple[Cell, ...]]:
         return
     deviations = _deviations(identified.uncertainties.get("creep"), "poles_rad_per_s", poles.size)
     yield _row("creep, pairs of a pole and a zero", poles.size, None, "1")
-    for name, index in (("fastest", np.argmax(poles)), ("slowest", np.argmin(poles))):
+    extremes = {"": 0} if poles.size == 1 else {
+        "fastest ": np.argmax(poles), "slowest ": np.argmin(poles)}
+    for name, index in extremes.items():
         deviation = deviations[index]
-        yield _row(f"creep, {name} time constant", 1.0 / poles[index],
+        yield _row(f"creep, {name}time constant", 1.0 / poles[index],
                    None if deviation is None else deviation / poles[index] ** 2, "s")
 
 

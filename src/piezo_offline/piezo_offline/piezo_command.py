@@ -47,7 +47,11 @@ def main(arguments: list[str] | None = None) -> int:
     if not given:
         parser().print_help(sys.stderr)
         return BAD_INPUT
-    options = parser().parse_args(given)
+    options, unknown = parser().parse_known_args(given)
+    if unknown:
+        print(f"{options.prog}: {' '.join(unknown)} is no option of it: `{options.prog} --help` "
+              "lists them", file=sys.stderr)
+        return BAD_INPUT
     return COMMANDS[options.command].carry_out(options)
 
 

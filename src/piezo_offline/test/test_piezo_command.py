@@ -3,10 +3,20 @@
 
 import re
 import shlex
+import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from piezo_models import (
+    CreepDynamics,
+    ElectricVibrationDynamics,
+    IdentifiedModel,
+    PreisachModel,
+    StageModel,
+    save_model,
+)
 from piezo_offline.piezo_command import COMMANDS, main
 
 
@@ -69,3 +79,52 @@ def test_a_file_that_is_no_model_is_kept_before_anything_is_estimated(tmp_path, 
     assert main(["identify", "--hysteresis", str(table), "--output", str(table)]) == 2
     told = capsys.readouterr()
     assert "is no model file, so it is not overwritten" in told.err and told.out == ""
+
+
+@pytest.fixture
+def given(tmp_path, monkeypatch):
+    """Work in a folder with files that are easily mistaken for one another."""
+    monkeypatch.chdir(tmp_path)
+    line = PreisachModel.line(0.0, 10.0, 2.0)
+    stage = StageModel(line, CreepDynamics(), ElectricVibrationDynamics())
+    save_model("model.json", IdentifiedModel(stage, voltage_range_v=(0.0, 10.0)))
+    rows = [f"{number},{number % 3},{number % 5}" for number in range(40)]
+    for name, written in {"mine.csv": rows, "falling.csv": reversed(rows)}.items():
+        Path(name).write_text("\n".join(["time_s,voltage_v,displacement_um", *written]) + "\n")
+    Path("empty").mkdir()
+
+
+@pytest.mark.parametrize(("typed", "said"), [
+    ("check --data model.json", "model.json is a JSON document, such as a model file, and no "
+     "table: give a recording, or a table of time, voltage and displacement"),
+    ("identify --creep model.json --output new.json", "model.json is a JSON document"),
+    ("diagnose --model model.json --data model.json --output out", "model.json is a JSON document"),
+    ("simulate --model mine.csv --data mine.csv", "mine.csv: is not valid JSON"),
+    ("check --data falling.csv",
+     "falling.csv, row 3: the time falls from row to row: sort the rows by their time"),
+    ("check --data empty", "it holds no other file; give a recording or a table"),
+    ("check --data mine.csv --output mine.csv",
+     "mine.csv is a file, not a folder: name a folder to write to"),
+    ("diagnose --model model.json --data mine.csv --output mine.csv", "is a file, not a folder"),
+    ("waveforms --directory mine.csv --range 0 1 --rate 1e4", "is a file, not a folder"),
+    ("identify --creep mine.csv --output empty", "empty is a folder: name a file as --output"),
+    ("identify --creep mine.csv --output no/new.json", "is no file in an existing directory"),
+    ("identify --creep mine.csv --output new.json --grid 5000", "--grid is 5000: give 4 to 300"),
+    ("design --model model.json --output new.json --samples-per-tick 0",
+     "--samples-per-tick is 0: give 1 or more"),
+    ("identify --crep mine.csv --output new.json",
+     "--crep mine.csv is no option of it: `piezo identify --help` lists them"),
+])
+def test_a_wrong_input_is_refused_in_one_sentence(given, typed, said, capsys):
+    assert main(typed.split()) == 2
+    line, = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"piezo {typed.split()[0]}: ") and said in line
+
+
+def test_a_constant_recording_without_noise_is_drawn_without_a_word_on_stderr(given, capsys):
+    Path("rest.csv").write_text("time_s,voltage_v,displacement_um\n" + "".join(
+        f"{number},3,1\n" for number in range(40)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert main(["check", "--data", "rest.csv", "--no-report"]) == 0
+    assert "the displacement is 1 um throughout" in capsys.readouterr().out

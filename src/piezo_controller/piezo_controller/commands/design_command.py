@@ -63,6 +63,8 @@ def _check(options: argparse.Namespace) -> None:
         raise ValueError(f"--disturbance-hz is {options.disturbance_hz:g}: give a positive number")
     if not 0.0 < options.rate < float("inf"):
         raise ValueError(f"--rate is {options.rate:g}: give a positive number")
+    if options.samples_per_tick is not None and options.samples_per_tick < 1:
+        raise ValueError(f"--samples-per-tick is {options.samples_per_tick}: give 1 or more")
     if not options.peak_sensitivity > 1:
         raise ValueError(f"--peak-sensitivity is {options.peak_sensitivity:g}: every loop has a "
                          "larger one; give a number above 1")

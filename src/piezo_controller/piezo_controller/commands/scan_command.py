@@ -78,7 +78,7 @@ def _check(options: argparse.Namespace) -> None:
 COMMAND = Command(
     "scan", "Plan the voltages by which several axes follow a path, and predict how well.",
     _add_options, "piezo_controller.commands.scan_work:plan_scan", inputs=("model", "file"),
-    check=_check)
+    folders=("output",), check=_check)
 main = COMMAND.main
 
 if __name__ == "__main__":

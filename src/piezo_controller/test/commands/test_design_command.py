@@ -163,9 +163,10 @@ def test_bad_input_ends_with_status_2_and_one_line(model_path, tmp_path, capsys)
 def test_output_that_cannot_be_written_is_refused_before_the_work(
         model_path, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(Command, "_load", lambda command: pytest.fail("it worked first"))
-    for output in (tmp_path / "none" / "controller.json", tmp_path):
+    for output, said in ((tmp_path / "none" / "controller.json",
+                          "is no file in an existing directory"), (tmp_path, "is a folder")):
         assert main(["--model", str(model_path), "--output", str(output)]) == 2
-        assert "is no file in an existing directory" in capsys.readouterr().err
+        assert said in capsys.readouterr().err
 
 
 def test_weights_of_the_thesis_are_its_but_for_the_integrators_pole():

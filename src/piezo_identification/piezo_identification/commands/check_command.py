@@ -25,7 +25,8 @@ COMMAND = Command(
     "piezo_identification.commands.check_work:check_files",
     epilog="Prints sample period, jitter, noise, drift, ranges, waveform, state at the start, "
     "the visited part of the Preisach plane, and which experiment each can stand for.",
-    inputs=("data",), interrupted="what it printed holds, and so do the pictures that it named")
+    inputs=("data",), folders=("output",),
+    interrupted="what it printed holds, and so do the pictures that it named")
 main = COMMAND.main
 
 if __name__ == "__main__":

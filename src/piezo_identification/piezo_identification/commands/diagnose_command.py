@@ -33,7 +33,7 @@ COMMAND = Command(
     "piezo_identification.commands.diagnose_work:diagnose_given",
     epilog="Writes verdict.json, extended_model.json and report.html. Effects are fitted on "
     "two thirds of the recordings and compared on the rest, the validation set.",
-    inputs=("model", "data", "holdout", "identified_from"),
+    inputs=("model", "data", "holdout", "identified_from"), folders=("output",),
     interrupted="nothing is known yet; results in --output, if any, are of an earlier run")
 main = COMMAND.main
 

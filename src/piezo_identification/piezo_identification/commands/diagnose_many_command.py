@@ -25,7 +25,7 @@ COMMAND = Command(
     epilog="Writes index.html and summary.csv, and for each row what `diagnose` writes. A row that "
     "is done is not done again unless a file of it has changed; one that cannot be diagnosed is "
     "named and skipped.",
-    inputs=("table",),
+    inputs=("table",), folders=("output",),
     interrupted="the rows that were done are kept; begin again to do the others")
 main = COMMAND.main
 

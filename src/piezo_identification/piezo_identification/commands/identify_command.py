@@ -59,7 +59,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
     add_report_option(parser, "MODEL_report.html next to the model")
     add_budget_option(parser)
     add_columns_option(parser)
-    parser.add_argument("--grid", metavar="CELLS", type=int, choices=range(4, 301),
+    parser.add_argument("--grid", metavar="CELLS", type=int,
                         help="cells of the hysteresis along each threshold, 4 to 300; by default "
                         "two for each of up to 70 levels that the voltage passes by")
     parser.add_argument("--smoothing", metavar="WEIGHT", type=float,
@@ -74,6 +74,8 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 def _check(options: argparse.Namespace) -> None:
     check_output_file(options.output)
+    if options.grid is not None and not 4 <= options.grid <= 300:
+        raise ValueError(f"--grid is {options.grid}: give 4 to 300")
     if all(getattr(options, name) is None for name in ("creep", "dynamics", "hysteresis")):
         raise ValueError(
             "there is nothing to identify: give --creep, --dynamics or --hysteresis")

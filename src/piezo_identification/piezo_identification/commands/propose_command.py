@@ -45,7 +45,7 @@ COMMAND = Command(
     "piezo_identification.commands.propose_work:propose_given",
     epilog="Writes next_experiment.csv, which `stage play` plays, and next_experiment.json with "
     "what each alternative predicts.",
-    inputs=("model", "verdict", "data"), check=_check)
+    inputs=("model", "verdict", "data"), folders=("output",), check=_check)
 main = COMMAND.main
 
 if __name__ == "__main__":

@@ -38,7 +38,7 @@ COMMAND = Command(
     "piezo_identification.commands.simulate_work:simulate_file",
     epilog="e_y (4.20) is the relative error by the sensor; offset, initial creep and the "
     "past of the hysteresis are fitted as far as the recording does not determine them.",
-    check=_check, inputs=("model", "data", "voltage"),
+    check=_check, inputs=("model", "data", "voltage"), folders=("output",),
     interrupted="pictures that it named are whole")
 main = COMMAND.main
 

@@ -62,7 +62,7 @@ COMMAND = Command(
     "piezo_identification.commands.waveforms_work:write_waveforms",
     epilog="Each file has the columns time_s and voltage_v, from rest and back. Play it, and put "
     "the displacement in a further column: `check` and `identify` read the result.",
-    check=_check, interrupted="the files that it named are complete")
+    check=_check, folders=("directory",), interrupted="the files that it named are complete")
 main = COMMAND.main
 
 if __name__ == "__main__":

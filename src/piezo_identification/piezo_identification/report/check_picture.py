@@ -135,7 +135,8 @@ def _draw_plane(axes: Axes, check: RecordingCheck) -> None:
 def _draw_spectrum(axes: Axes, displacement_um: FloatArray, period_s: float) -> None:
     frequency_hz, power = welch(displacement_um, 1.0 / period_s,
                                 nperseg=min(LINES, displacement_um.size))
-    axes.loglog(frequency_hz[1:], np.sqrt(power[1:]), color=BLUE, linewidth=1.0)
+    if power[1:].any():
+        axes.loglog(frequency_hz[1:], np.sqrt(power[1:]), color=BLUE, linewidth=1.0)
     label(axes, "frequency (Hz)", "noise (um/sqrt(Hz))", "spectrum of the displacement")
 
 

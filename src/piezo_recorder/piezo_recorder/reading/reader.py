@@ -34,6 +34,7 @@ MCAP_MAGIC = b"\x89MCAP0\r\n"
 NO_KIND = 0
 """A record type that does not exist in MCAP files."""
 PART_BYTES = 1 << 20
+METADATA = "metadata.yaml"
 MOST_NAMED = 20
 """Largest number of a folder's files that a message names."""
 
@@ -186,17 +187,19 @@ def data_files(path: Path) -> list[Path]:
     if not path.is_dir():
         return [_bounded(path)]
     try:
-        text = read_bounded_text(path / "metadata.yaml")
+        text = read_bounded_text(path / METADATA)
         metadata = yaml.safe_load(text)["rosbag2_bagfile_information"]
         storage = metadata["storage_identifier"]
         compression = metadata["compression_mode"].lower()
         names = [Path(name) for name in metadata["relative_file_paths"]]
     except (UnreadableFile, yaml.YAMLError, KeyError, TypeError, AttributeError):
-        inside = sorted(shlex.quote(str(each)) for each in path.iterdir() if each.is_file())
-        raise RecordingError(
-            f"{path} has no readable metadata.yaml, so it is no recording: give what is inside it, "
-            f"{' '.join(inside[:MOST_NAMED]) or 'where there is no file'}"
-            f"{' ...' if len(inside) > MOST_NAMED else ''}") from None
+        inside = sorted(shlex.quote(str(each)) for each in path.iterdir()
+                        if each.is_file() and each.name != METADATA)
+        remedy = (f"give a file in it, {' '.join(inside[:MOST_NAMED])}"
+                  f"{' ...' if len(inside) > MOST_NAMED else ''}" if inside else
+                  "it holds no other file; give a recording or a table")
+        raise RecordingError(f"{path} is a folder without a readable metadata.yaml, so it is no "
+                             f"recording: {remedy}") from None
     if storage != "mcap" or compression not in ("", "none"):
         raise RecordingError(
             f"{path} is stored as {storage} {compression}: "

@@ -117,6 +117,9 @@ def _parts(table: Table, described: ColumnsDocument) -> list[Table]:
     begins = [row for row in begins if 0 < row < table.rows]
     if not begins:
         return [table]
+    if len(begins) == table.rows - 1 and not titles:
+        raise RecordingError(f"{table.place(1)}: the time falls from row to row: sort the rows by "
+                             "their time")
     if len(begins) >= MOST_RECORDINGS:
         raise RecordingError(f"{table.place(begins[0])}: {len(begins) + 1} recordings begin there "
                              "and below: give fewer than 1000 in one file")

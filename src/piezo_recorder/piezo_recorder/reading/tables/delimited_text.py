@@ -78,6 +78,9 @@ def _first_lines(path: Path) -> tuple[str, list[str]]:
         head = file.read(HEAD_BYTES)
     encoding = _encoding(path, head)
     text = head.decode(encoding, errors="replace").lstrip("\ufeff")
+    if text.lstrip().startswith("{"):
+        raise RecordingError(f"{path} is a JSON document, such as a model file, and no table: give "
+                             "a recording, or a table of time, voltage and displacement")
     return encoding, text.splitlines()[:HEAD_LINES]
 
 
