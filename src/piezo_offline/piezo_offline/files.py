@@ -52,5 +52,8 @@ def save_model(path: str | PathLike[str], identified: IdentifiedModel | Identifi
                         'save_model("model.json", model)')
     if isinstance(identified, IdentifiedAxes):
         save_axes_model(path, identified)
-    else:
+    elif isinstance(identified, IdentifiedModel):
         save_model_of_one_axis(path, identified)
+    else:
+        raise TypeError(f"{type(identified).__name__} is no identified model: give that of "
+                        "identify or extend")

@@ -362,6 +362,8 @@ def design(
     >>> controller.report["method"], controller.report["order"]
     ('pi', 1)
     """
+    if not 0.0 < sample_rate_hz < float("inf"):
+        raise ValueError(f"sample_rate_hz is {sample_rate_hz:g}: give a positive number")
     stage_model, digest = _identified(model)
     if feedback is not None:
         return feedback_at_margin(feedback, stage_model, disturbance_hz, peak_sensitivity,
@@ -374,7 +376,11 @@ def design(
 
 def _opened(model: AnyModel | IdentifiedAxes) -> IdentifiedModel | StageModel | IdentifiedAxes:
     """Return a model, read from its file if necessary."""
-    return load_any_model(model) if isinstance(model, str | PathLike) else model
+    if isinstance(model, IdentifiedModel | StageModel | IdentifiedAxes):
+        return model
+    if isinstance(model, str | PathLike):
+        return load_any_model(model)
+    raise TypeError(f"{type(model).__name__} is no model: give a model, or the path of its file")
 
 
 def _one_of_axes(data: Any) -> AxesRecording:

@@ -109,7 +109,7 @@ def given(tmp_path, monkeypatch):
     ("waveforms --directory mine.csv --range 0 1 --rate 1e4", "is a file, not a folder"),
     ("identify --creep mine.csv --output empty", "empty is a folder: name a file as --output"),
     ("identify --creep mine.csv --output no/new.json", "is no file in an existing directory"),
-    ("identify --creep mine.csv --output new.json --grid 5000", "--grid is 5000: give 4 to 300"),
+    ("identify --creep mine.csv --output new.json --grid 5000", "grid is 5000: give 4 to 300"),
     ("design --model model.json --output new.json --samples-per-tick 0",
      "--samples-per-tick is 0: give 1 or more"),
     ("identify --crep mine.csv --output new.json",

@@ -62,8 +62,14 @@ def test_what_a_first_call_gets_wrong_is_answered_by_how_to_call(measured_um, tm
         read(TIME_S, VOLTAGE_V)
     with pytest.raises(TypeError, match=r'save_model\("model.json", model\)'):
         save_model(IdentifiedModel(MODEL, voltage_range_v=(0.0, 100.0)), tmp_path / "model.json")
+    with pytest.raises(TypeError, match="float is no identified model"):
+        save_model(tmp_path / "model.json", 3.0)
+    with pytest.raises(TypeError, match="float is no model: give a model, or the path"):
+        simulate(3.0, measured_um)
     with pytest.raises(ValueError, match="unknown method 'lqr'"):
         design(MODEL, method="lqr")
+    with pytest.raises(ValueError, match="unknown feedback 'lqr': use one of h-infinity, pi"):
+        design(MODEL, feedback="lqr")
     with pytest.raises(ValueError, match="the model has no dynamics"):
         design(MODEL)
     monitor = {"t [s]": TIME_S, "monitor [V]": 0.05 * VOLTAGE_V, "y [um]": measured_um}
@@ -153,6 +159,10 @@ def test_recording_that_cannot_stand_for_its_experiment_is_named_before_the_fit(
 @pytest.mark.parametrize(("call", "objection"), [
     (lambda data: identify(), "nothing to identify"),
     (lambda data: identify(hysteresis=data, rows_read="middle"), 'give "start" or "end"'),
+    (lambda data: identify(hysteresis=data, grid=-3), "grid is -3: give 4 to 300"),
+    (lambda data: identify(dynamics=data, modes=-2), "modes is -2: give 0 or more"),
+    (lambda data: design(MODEL, sample_rate_hz=-4.0),
+     "sample_rate_hz is -4: give a positive number"),
     (lambda data: simulate(MODEL, 3.0), "a float is no recording"),
     (lambda data: diagnose(MODEL, []), "there is no recording to diagnose"),
     (lambda data: design("no_such_model.json"), "no_such_model.json"),

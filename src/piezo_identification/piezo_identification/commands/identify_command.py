@@ -74,8 +74,6 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 def _check(options: argparse.Namespace) -> None:
     check_output_file(options.output)
-    if options.grid is not None and not 4 <= options.grid <= 300:
-        raise ValueError(f"--grid is {options.grid}: give 4 to 300")
     if all(getattr(options, name) is None for name in ("creep", "dynamics", "hysteresis")):
         raise ValueError(
             "there is nothing to identify: give --creep, --dynamics or --hysteresis")

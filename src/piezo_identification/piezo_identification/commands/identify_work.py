@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from piezo_common.command_line import INTERRUPTED, budget_of, print_next, write_report
 from piezo_common.progress_lines import progress_printed
 from piezo_identification.adequacy.component_adequacy import adequacy_table
@@ -49,6 +47,7 @@ def identify_files(options: argparse.Namespace) -> int | None:
         Exit status if the work was interrupted.
     """
     check_model_may_replace(options.output)
+    density = DensityOptions(options.grid, options.smoothing, options.translation_weight)
     paths = {name: getattr(options, name) for name in EXPERIMENTS}
     by_name = {name: [given] if isinstance(given, Path) else given
                for name, given in paths.items() if given is not None}
@@ -73,7 +72,7 @@ def identify_files(options: argparse.Namespace) -> int | None:
             **data, progress=progress, budget=budget, refine=options.refine, note=notes.append,
             method=options.method, read_at_samples=READINGS[options.rows_read],
             order=ResponseOrder(options.creep_pairs, options.modes, options.antiresonances),
-            density=DensityOptions(options.grid, options.smoothing, options.translation_weight))
+            density=density)
     save_model(options.output, identified)
     _print_results(identified, options.verbose)
     print(f"model written to {options.output}")
@@ -134,10 +133,6 @@ def _check_options(
         and not is_response,
         **({} if is_response else useless_response_options(options)),
     }
-    for option, weight in (("--smoothing", options.smoothing),
-                           ("--translation-weight", options.translation_weight)):
-        if weight is not None and not (np.isfinite(weight) and weight >= 0.0):
-            raise ValueError(f"{option} is {weight:g}: give a number from 0 up")
     for option in (option for option, is_useless in useless.items() if is_useless):
         raise ValueError(f"{option} has nothing to act on: leave it out, or give the data it is of")
 

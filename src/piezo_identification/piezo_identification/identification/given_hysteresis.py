@@ -31,6 +31,14 @@ class DensityOptions:
     translation_weight: float | None = None
     """As in `piezo_identification.estimators.hysteresis.smoothed_density.smoothed_density`."""
 
+    def __post_init__(self) -> None:
+        if self.grid is not None and not 4 <= self.grid <= 300:
+            raise ValueError(f"grid is {self.grid}: give 4 to 300")
+        for name in ("smoothing_weight", "translation_weight"):
+            weight = getattr(self, name)
+            if weight is not None and not 0.0 <= weight < np.inf:
+                raise ValueError(f"{name} is {weight:g}: give a number from 0 up")
+
     def keywords(self) -> dict[str, Any]:
         """Return the options as arguments of `density_fit.estimate_density`."""
         return {"level_count": self.grid, "cells_per_level": 2 if self.grid is None else 1,

@@ -21,7 +21,7 @@ from piezo_controller.feedback.sample_rate.fast_design import check_modes, measu
 from piezo_controller.feedback.sample_rate.perturbed_loops import ModelErrors, PerturbedLoops
 from piezo_controller.feedback.sample_rate.repetitive import MOST_MULTIPLES
 from piezo_controller.feedback.sample_rate.searched_designs import design_by
-from piezo_controller.feedback.synthesis.design_choices import PEAK_SENSITIVITY
+from piezo_controller.feedback.synthesis.design_choices import FEEDBACKS, PEAK_SENSITIVITY
 from piezo_models.cascade import StageModel
 
 ERRORS = ModelErrors(0.05, 0.05)
@@ -76,9 +76,11 @@ def feedback_at_margin(name: str, model: StageModel, frequency_hz: float,
     UnstableLoop
         If no gain gives this margin.
     ValueError
-        If the model has no mode, or has antiresonances; or a repetitive feedback is requested
-        above the first mode.
+        If there is no such feedback; the model has no mode, or has antiresonances; or a
+        repetitive feedback is requested above the first mode.
     """
+    if name not in FEEDBACKS:
+        raise ValueError(f"unknown feedback {name!r}: use one of {', '.join(FEEDBACKS)}")
     check_modes(model)
     demands = Demands(NO_BANDWIDTH, (frequency_hz, 2.0 * frequency_hz), (0.0, 0.0),
                       worst_peak_sensitivity=peak_sensitivity, errors=ERRORS,

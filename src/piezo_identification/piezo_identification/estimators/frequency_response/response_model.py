@@ -67,6 +67,12 @@ class ResponseOrder:
     has_lag: bool = True
     has_delay: bool = True
 
+    def __post_init__(self) -> None:
+        for name in ("creep_pairs", "modes", "antiresonances"):
+            number = getattr(self, name)
+            if number is not None and number < 0:
+                raise ValueError(f"{name} is {number}: give 0 or more")
+
     @property
     def states(self) -> int:
         """Number of states of the rational part."""
