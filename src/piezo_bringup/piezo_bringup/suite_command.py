@@ -12,7 +12,7 @@ from pathlib import Path
 from ament_index_python.packages import get_package_share_directory
 
 from piezo_bringup.processes import EXECUTABLES, USUAL_NODES, Processes
-from piezo_common.command_line import next_line
+from piezo_common.command_line import namespace, next_line
 
 POLL_S = 0.2
 FAILED, BAD_INPUT = 1, 2
@@ -88,7 +88,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--nodes", nargs="+", choices=EXECUTABLES, default=list(USUAL_NODES),
                         metavar="NODE", help=f"some of {', '.join(EXECUTABLES)}; all but the last "
                                              "by default")
-    parser.add_argument("--namespace", default="", metavar="/NAME", help="of all nodes")
+    parser.add_argument("--namespace", default="", type=namespace, metavar="/NAME",
+                        help="of all nodes")
     parser.add_argument("--parameters", type=Path, default=default, metavar="FILE",
                         help="parameter file (YAML); that of the simulated stage by default")
     parser.add_argument("--data-root", type=Path, metavar="DIR",

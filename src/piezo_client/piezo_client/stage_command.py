@@ -8,7 +8,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import NoReturn, TypeAlias
 
-from piezo_common.command_line import BAD_INPUT, INTERRUPTED
+from piezo_common.command_line import BAD_INPUT, INTERRUPTED, namespace
 from piezo_controller.commands.scan_command import add_path_options
 from piezo_ros.starting import without_ros_arguments
 
@@ -62,7 +62,8 @@ class _Parser(argparse.ArgumentParser):
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="stage", description="Drive a stage whose nodes run; a line on stderr shows progress.")
-    parser.add_argument("--namespace", default="", help="of the stage's nodes")
+    parser.add_argument("--namespace", default="", type=namespace,
+                        help="of the stage's nodes")
     parser.add_argument("--wait-s", type=float, default=WAIT_S, metavar="NUMBER",
                         help="how long to look for any of these nodes (default: %(default)g)")
     commands = parser.add_subparsers(title="what to do", required=True, metavar="COMMAND",

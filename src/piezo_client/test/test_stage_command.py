@@ -63,6 +63,13 @@ def test_refusal_is_said_in_one_line(monkeypatch, capsys):
     assert capsys.readouterr() == ("", "stage: run_experiment: unknown experiment 'dance'\n")
 
 
+def test_a_namespace_that_cannot_be_is_refused_before_ros_is_asked(capsys):
+    with pytest.raises(SystemExit) as ended:
+        stage_command.main(["--namespace", "not ok", "status"])
+    assert ended.value.code == 2
+    assert "'not ok' is no namespace: give letters" in capsys.readouterr().err
+
+
 def test_who_tracks_without_a_model_is_told_how_to_make_one(capsys):
     with pytest.raises(SystemExit):
         stage_command.main(["track", "--output", "runs"])

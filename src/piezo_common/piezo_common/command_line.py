@@ -3,6 +3,7 @@
 
 import argparse
 import os
+import re
 import shlex
 import sys
 import time
@@ -116,6 +117,25 @@ def add_report_option(parser: argparse.ArgumentParser, where: str) -> None:
     """
     parser.add_argument("--no-report", dest="report", action="store_false",
                         help=f"do not write the page, {where}")
+
+
+def namespace(text: str) -> str:
+    """Return the namespace of nodes from an argument, such as ``/left``.
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        If it cannot be one.
+
+    Examples
+    --------
+    >>> namespace("/left")
+    '/left'
+    """
+    if not re.fullmatch(r"/?|(/?[a-z_]\w*)(/[a-z_]\w*)*", text, re.ASCII | re.IGNORECASE):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no namespace: give letters, digits and _ after a slash, such as /left")
+    return text
 
 
 def check_output_file(output: Path) -> None:

@@ -165,7 +165,7 @@ class Recorder(LifecycleNode):
                 session = self._session = self._new_session(request, attachments)
                 self._started = request
             except OSError as error:
-                refusal = _sentence(error)
+                refusal = f"{_sentence(error)}; name another directory"
             except DataRootError as error:
                 refusal = str(error)
         if refusal:

@@ -2,6 +2,7 @@
 """Reader of a voltage to play from a table of samples."""
 
 import io
+import warnings
 from pathlib import Path
 from typing import NamedTuple
 
@@ -44,7 +45,8 @@ def read_waveform(path: Path) -> StoredWaveform:
     """
     try:
         with open_regular(path, LARGEST_BYTES) as raw, io.TextIOWrapper(
-                io.BufferedReader(raw), encoding="utf-8") as stream:
+                io.BufferedReader(raw), encoding="utf-8") as stream, warnings.catch_warnings(
+                action="error"):  # NumPy only warns of an empty file
             table = np.genfromtxt(stream, delimiter=",", names=True)
     except UnreadableFile as error:
         raise ValueError(f"{path} {error}: give a CSV file with the columns "
@@ -52,9 +54,9 @@ def read_waveform(path: Path) -> StoredWaveform:
     except OSError as error:
         raise ValueError(f"{path} cannot be read ({error.strerror}): "
                          "give a CSV file with the columns time_s,voltage_v") from None
-    except ValueError as error:
-        raise ValueError(f"{path} is no table of numbers: {str(error).splitlines()[0]}; give a "
-                         "CSV file with the columns time_s,voltage_v") from None
+    except (ValueError, Warning):
+        raise ValueError(f"{path} is no table of numbers between commas: give a CSV file with the "
+                         "columns time_s,voltage_v") from None
     labels = table.dtype.names or ()
     axes = axes_with_voltage(labels)
     voltages = [f"{axis}_voltage_v" for axis in axes] or ["voltage_v"]

@@ -35,6 +35,15 @@ def test_voltages_of_several_axes_are_the_columns_of_an_array(tmp_path):
     assert voltage_v.tolist() == [[0.5 * k, -k] for k in range(7)]
 
 
+@pytest.mark.parametrize("text", ["", '{"format": 1}', "\\x89PNG", "t [ms];U [V]\n0;1\n1;2\n"])
+def test_a_file_that_is_no_table_is_refused_in_one_line(tmp_path, text):
+    path = tmp_path / "mine.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match="mine.csv .*give a CSV file with the columns") as refused:
+        read_waveform(path)
+    assert "\n" not in str(refused.value)
+
+
 @pytest.mark.parametrize(("header", "rows", "said"), [
     (("time_s", "volts"), [(0, 1), (1, 2)], "has no column voltage_v"),
     (("t", "voltage_v"), [(0, 1), (1, 2)], "has no column time_s"),
