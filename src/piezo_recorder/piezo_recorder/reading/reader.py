@@ -198,8 +198,8 @@ def data_files(path: Path) -> list[Path]:
         remedy = (f"give a file in it, {' '.join(inside[:MOST_NAMED])}"
                   f"{' ...' if len(inside) > MOST_NAMED else ''}" if inside else
                   "it holds no other file; give a recording or a table")
-        raise RecordingError(f"{path} is a folder without a readable metadata.yaml, so it is no "
-                             f"recording: {remedy}") from None
+        raise RecordingError(f"{path} has no readable metadata.yaml, so it is no recording: "
+                             f"{remedy}") from None
     if storage != "mcap" or compression not in ("", "none"):
         raise RecordingError(
             f"{path} is stored as {storage} {compression}: "
