@@ -48,7 +48,7 @@ class SummaryTable:
                            for text, width, is_text in zip(row, widths, left, strict=True)).rstrip()
                  for row in cells]
         rule = "  ".join("-" * width for width in widths)
-        return "\n".join([self.title, "", lines[0], rule, *lines[1:],
+        return "\n".join([self.title, *(["", lines[0], rule, *lines[1:]] if self.rows else []),
                           *(("", *self.notes) if self.notes else ())])
 
     def _repr_html_(self) -> str:

@@ -94,13 +94,17 @@ def summary_of_model(model: "StageModel") -> SummaryTable:
 
 
 def main_results(identified: "IdentifiedModel") -> SummaryTable:
-    """Return a short table of an identified model: the fastest and the slowest creep alone."""
+    """Return a short table of an identified model.
+
+    Of the creep it has only the fastest and the slowest pair, and nothing of parts without effect,
+    whose parameter is 0.
+    """
     model = identified.model
     low_um, high_um = model.hysteresis.output_range_um
     visited = "" if identified.visited is None else (
         f", {100.0 * visited_fraction(identified.visited):.3g} % of the Preisach plane visited")
     rows = [row for row in parameter_rows(model, identified.uncertainties)
-            if not str(row[0]).startswith(CREEP_ROWS)]
+            if row[1] and not str(row[0]).startswith(CREEP_ROWS)]
     return SummaryTable(
         f"identified: {high_um - low_um:.5g} um from {model.hysteresis.voltage_min_v:g} to "
         f"{model.hysteresis.voltage_max_v:g} V{visited}",

@@ -6,8 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
+from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.identified_model import IdentifiedModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.model_summary import main_results, visited_fraction
 
 DEVIATIONS = {
@@ -63,6 +66,13 @@ def test_main_results_hold_the_extreme_creep_and_all_other_parameters(identified
     assert {"electric time constant", "mode frequency 1", "delay, delay_s"} <= rows.keys()
     assert not any(name.startswith(("creep pole", "creep zero")) for name in rows)
     assert shown.title.endswith("from -20 to 120 V, 50 % of the Preisach plane visited")
+
+
+def test_main_results_of_a_line_are_its_title_alone():
+    line = PreisachModel.line(0.0, 10.0, 2.0)
+    shown = main_results(IdentifiedModel(
+        StageModel(line, CreepDynamics(), ElectricVibrationDynamics()), (0.0, 10.0)))
+    assert repr(shown) == "identified: 20 um from 0 to 10 V"
 
 
 def test_coverage_counts_half_cells_on_the_diagonal():
