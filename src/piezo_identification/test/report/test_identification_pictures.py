@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The density is hatched where no recording visited it, and nowhere else."""
 
-import io
-
 import numpy as np
 import pytest
-from matplotlib.image import imread
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from piezo_common.picture_style import new_figure, to_png
+from piezo_common.picture_style import new_figure
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.model_pictures import density_on
 from piezo_models.model_summary import visited_fraction
@@ -20,7 +18,9 @@ def pixels(visited):
     figure = new_figure()
     axes = figure.subplots()
     density_on(axes, PreisachModel(0.0, 100.0, density, 0.0), visited)
-    image = imread(io.BytesIO(to_png(figure, 100)), format="png")[..., :3]
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    image = np.asarray(canvas.buffer_rgba())[..., :3] / 255.0
     places = axes.transData.transform([(20.0, 90.0), (40.0, 50.0)]).astype(int)
     return [image[image.shape[0] - y - 8 : image.shape[0] - y + 8, x - 8 : x + 8]
             for x, y in places]
