@@ -162,6 +162,9 @@ def _add_scan(commands: Commands) -> None:
                         help="detector of the images; the first one by default")
     parser.add_argument("--specimen", type=Path, metavar="FILE",
                         help="what the images show (.gsf), to tell their geometric error")
+    parser.add_argument("--marks-by-position", action="store_true",
+                        help="play it once more, with marks when the run before was at their "
+                        "places")
     parser.add_argument("--feedback", type=Path, metavar="LAW",
                         help="law file of `design`: play it without feedback, then with this one")
 

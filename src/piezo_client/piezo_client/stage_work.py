@@ -11,15 +11,18 @@ from pathlib import Path
 from piezo_client.client import GoalFailed
 from piezo_client.overview import stages_seen, status_lines
 from piezo_client.references import harmonic, triangle
-from piezo_client.scans import Scanned, StoredScan, images_of, stored_scan
+from piezo_client.scans import Scanned, StoredScan, images_of, stored_scan, write_scan
 from piezo_client.stage import Stage
 from piezo_common.command_line import BAD_INPUT, INTERRUPTED, next_line
 from piezo_common.progress_line import ProgressLine
 from piezo_common.text_file import read_bounded_text
 from piezo_models.model_summary import shortfall
 from piezo_recorder.reading.waveform_file import read_waveform
+from piezo_ros.stage_runs.recording_calls import free_name
 
 FAILED = 1
+MARKED = "marked"
+"""Folder for the scan with marks by measured position."""
 SHAPES = {"harmonic": harmonic, "triangle": triangle}
 
 
@@ -144,6 +147,8 @@ def _scan(stage: Stage, options: argparse.Namespace) -> list[str]:
     runs = (stage.learn_scan(scan, options.model, options.learn, options.periods, options.output)
             if options.learn else [stage.scan(scan, options.periods, options.output)])
     run = min(runs, key=lambda each: max(each.error_percent))
+    if options.marks_by_position:
+        run = _marked_by_position(stage, run, options)
     shown = {other: stage.scan(each, options.periods, options.output, other.replace(" ", "_"))
              for other, each in compared} | {name: run}
     return [*map(_errors_of, runs[:len(runs) if options.learn else 0]),
@@ -152,6 +157,16 @@ def _scan(stage: Stage, options: argparse.Namespace) -> list[str]:
             *_images(stage, shown, options),
             next_line("stage", "piezo_identification", "simulate", "--model",
                       options.model or "<MODEL>", "--data", run.path, "--output", options.output)]
+
+
+def _marked_by_position(stage: Stage, run: Scanned, options: argparse.Namespace) -> Scanned:
+    """Play a scan again with marks by measured position, and keep these."""
+    # Imported here, since SciPy takes as long as all that drives a stage.
+    from piezo_client.scan_marks import marked
+
+    scan = marked(run)
+    write_scan(scan, options.output / free_name(options.output, MARKED))
+    return stage.scan(scan, options.periods, options.output)
 
 
 def _planned(options: argparse.Namespace) -> dict[str, StoredScan]:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from piezo_common.arrays import FloatArray
 from piezo_common.summary_table import SummaryTable
 from piezo_controller.axes.coupled_inverse import GAIN_LIMIT, invert_path
+from piezo_controller.axes.path_marks import lead_samples
 from piezo_controller.axes.path_prediction import PathPrediction, predict_path
 from piezo_controller.axes.repeated_period import faded_in
 from piezo_controller.axes.scan_path import MOST_SAMPLES, ScanPath, size_text
@@ -96,13 +97,11 @@ class PathPlan:
     def marks(self) -> NDArray[np.int64]:
         """Return the marks of the samples, (N,): earlier than those of the path by the delay.
 
-        The path is that of the readings. An axis passes a place before its sensor shows it; each
-        axis counts by its squared speed at the marks.
+        The path is that of the readings; see `lead_samples`.
         """
         path = self.path
-        speed = np.gradient(path.position_um, axis=0)[path.marks > 0] ** 2
-        delay_s = np.sum(speed @ self.sensor_delay_s) / max(np.sum(speed), np.finfo(float).tiny)
-        return np.roll(path.marks, -round(delay_s / path.sample_period_s))
+        return np.roll(path.marks, -lead_samples(
+            path.position_um, path.marks, self.sensor_delay_s / path.sample_period_s))
 
     @property
     def frame(self) -> ScanFrame | None:
