@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from piezo_client.scan_marks import marked
-from piezo_client.scans import Scanned, stored_scan
+from piezo_client.scans import Scanned
 from piezo_controller.axes.scan import scan
+from piezo_controller.axes.stored_scan import stored_scan
 from piezo_identification.axes.identify_axes import identify_several_axes
 from piezo_recorder.sample_block import Mark
 

@@ -14,9 +14,9 @@ from sensor_msgs.msg import JointState
 
 from piezo_client import stage_command, stage_work
 from piezo_client.client import GoalFailed
-from piezo_client.scans import StoredScan, read_scan, write_scan
 from piezo_client.stage import Stage
 from piezo_common.gsf import Field, read_gsf, write_gsf
+from piezo_controller.axes.stored_scan import StoredScan, read_scan, write_scan
 from piezo_models import Coupling, IdentifiedAxes, save_axes_model
 from piezo_models.axes.coupled import CoupledModel
 from piezo_models.feedback_law.axes_law import AxesLaw, save_axes_law

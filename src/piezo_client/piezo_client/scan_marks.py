@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezo_client.scans import Scanned, StoredScan
+from piezo_client.scans import Scanned
 from piezo_controller.axes.path_marks import marks_by_position
+from piezo_controller.axes.stored_scan import StoredScan
 
 
 def marked(run: Scanned) -> StoredScan:

@@ -11,11 +11,12 @@ from pathlib import Path
 from piezo_client.client import GoalFailed
 from piezo_client.overview import stages_seen, status_lines
 from piezo_client.references import harmonic, triangle
-from piezo_client.scans import Scanned, StoredScan, images_of, stored_scan, write_scan
+from piezo_client.scans import Scanned, images_of
 from piezo_client.stage import Stage
 from piezo_common.command_line import BAD_INPUT, INTERRUPTED, next_line
 from piezo_common.progress_line import ProgressLine
 from piezo_common.text_file import read_bounded_text
+from piezo_controller.axes.stored_scan import StoredScan, stored_scan, write_scan
 from piezo_models.model_summary import shortfall
 from piezo_recorder.reading.waveform_file import read_waveform
 from piezo_ros.stage_runs.recording_calls import free_name

@@ -12,7 +12,8 @@ import pytest
 from piezo_client import stage_command, stage_work
 from piezo_client.results import Played
 from piezo_client.scan_marks import marked
-from piezo_client.scans import BEGIN_FILE, PERIOD_FILE, Scanned, read_scan, scanned, write_scan
+from piezo_client.scans import Scanned, scanned
+from piezo_controller.axes.stored_scan import BEGIN_FILE, PERIOD_FILE, read_scan, write_scan
 from piezo_recorder.images.scan_frame import ScanFrame
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag, Mark

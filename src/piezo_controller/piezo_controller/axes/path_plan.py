@@ -16,6 +16,7 @@ from piezo_controller.axes.path_marks import lead_samples
 from piezo_controller.axes.path_prediction import PathPrediction, predict_path
 from piezo_controller.axes.repeated_period import faded_in
 from piezo_controller.axes.scan_path import MOST_SAMPLES, ScanPath, size_text
+from piezo_controller.axes.stored_scan import SAME_PERIOD, stored_scan
 from piezo_controller.feedforward.feasibility import (
     BISECTIONS,
     Infeasible,
@@ -28,7 +29,6 @@ from piezo_controller.references.kind import InvalidReference
 from piezo_models.axes.coupled import CoupledModel
 from piezo_models.axes.identified_axes import IdentifiedAxes
 from piezo_recorder.images.scan_frame import FORMAT, VERSION, ScanFrame
-from piezo_recorder.reading.detected import mark_columns
 from piezo_recorder.sample_block import Mark
 
 if TYPE_CHECKING:
@@ -36,9 +36,6 @@ if TYPE_CHECKING:
 
 SLEW_LIMIT_V_PER_S = 2e6
 """Slew limit, as that of `plan_feedforward`."""
-
-SAME_PERIOD = 1e-9
-"""Relative difference of sample periods up to which they are one: rounding."""
 
 
 class UnreachablePath(UnreachableReference):
@@ -153,14 +150,7 @@ class PathPlan:
 
     def columns(self) -> dict[str, FloatArray]:
         """Return the period as the columns of a table of several axes, with its marks."""
-        path = self.path
-        return {
-            "time_s": path.time_s,
-            **{f"{axis}_voltage_v": column
-               for axis, column in zip(path.axes, self.voltage_v.T, strict=True)},
-            **{f"{axis}_displacement_um": column
-               for axis, column in zip(path.axes, path.position_um.T, strict=True)},
-            **mark_columns(self.marks)}
+        return stored_scan(self).columns()
 
 
 def plan_path(path: ScanPath, model: CoupledModel | IdentifiedAxes,
