@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A stage of two axes: played, recorded, read, and stopped as a whole."""
 
+import re
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -12,7 +13,7 @@ from piezo_interfaces.msg import Marks, SampleBlock
 from piezo_interfaces.srv import StartTracking
 from sensor_msgs.msg import JointState
 
-from piezo_client import stage_command, stage_work
+from piezo_client import references, stage_command, stage_work
 from piezo_client.client import GoalFailed
 from piezo_client.stage import Stage
 from piezo_common.gsf import Field, read_gsf, write_gsf
@@ -33,9 +34,9 @@ DEAF_FROM_S = 2.0
 
 @pytest.fixture(scope="module")
 def xy(nodes):
-    """The stage with a recorder, and a node that takes one axis."""
-    return nodes.start("recorder", "identification", namespace="/xy", axes=AXES, plant="xy",
-                       seed=SEED, **{"y.maximum_voltage_v": 80.0})
+    """The stage with all nodes."""
+    return nodes.start("recorder", "identification", "controller", namespace="/xy", axes=AXES,
+                       plant="xy", seed=SEED, **{"y.maximum_voltage_v": 80.0})
 
 
 def circle(samples=800):
@@ -123,6 +124,16 @@ def linear_model():
         operating_voltage_v=np.array([40.0, 40.0]), operating_displacement_um=np.full(2, 10.0))
 
 
+def save_linear_model(path):
+    model = linear_model()
+    frequency_hz = np.geomspace(1.0, 1e4, 10)
+    gain, modes = model.response(frequency_hz), model.poles_rad_per_s.size
+    save_axes_model(path, IdentifiedAxes(
+        model, np.array([[-20.0, 120.0]] * 2), Coupling(frequency_hz, gain, 1e-3 * np.abs(gain)),
+        np.zeros(modes, complex), 0.0 * model.residues_um_per_v, np.zeros(2), np.zeros(2)))
+    return path
+
+
 def test_pattern_is_planned_played_and_made_into_images_by_one_command(
         nodes, tmp_path, capfd, monkeypatch, without_pictures):
     field = Field(0.01 * np.random.default_rng(1).normal(size=(60, 60)), (-10.0, -10.0),
@@ -130,12 +141,7 @@ def test_pattern_is_planned_played_and_made_into_images_by_one_command(
     write_gsf(tmp_path / "specimen.gsf", field)
     stage = nodes.start("recorder", namespace="/scanned", axes=AXES, plant="xy",
                         specimen=str(tmp_path / "specimen.gsf"))
-    model = linear_model()
-    frequency_hz = np.geomspace(1.0, 1e4, 10)
-    gain, modes = model.response(frequency_hz), model.poles_rad_per_s.size
-    save_axes_model(tmp_path / "model.json", IdentifiedAxes(
-        model, np.array([[-20.0, 120.0]] * 2), Coupling(frequency_hz, gain, 1e-3 * np.abs(gain)),
-        np.zeros(modes, complex), 0.0 * model.residues_um_per_v, np.zeros(2), np.zeros(2)))
+    save_linear_model(tmp_path / "model.json")
     monkeypatch.setattr(stage_work.signal, "signal", lambda *_: None)
     assert stage.beside(stage_command.main, [
         "--namespace", "scanned", "scan", "--pattern", "raster", "--size-um", "5", "5", "--lines",
@@ -201,14 +207,14 @@ GAINS_UM_PER_V = np.array([0.3, 0.25])
 """About those of the plant."""
 
 
-def integral_law(path, factor=1.0):
+def integral_law(path, factor=1.0, operating_v=70.0):
     """Write a law that integrates the error of each axis, for gains that are off by a factor."""
     one = np.eye(2)
     late = DeclaredPlant(LinearBlock(0.5 * one, one, 0.5 * one, 0.0 * one),
                          factor * GAINS_UM_PER_V[None, :])
     tick = LinearBlock(one, 0.05 * one, np.diag(1.0 / GAINS_UM_PER_V / factor), 0.0 * one)
     save_axes_law(path, AxesLaw(AXES, 25e-6, 40, tick, np.diag(factor * GAINS_UM_PER_V), late,
-                                GAINS_UM_PER_V * 70.0, {}, {}))
+                                GAINS_UM_PER_V * operating_v, {}, {}))
     return path
 
 
@@ -242,13 +248,35 @@ def test_run_with_a_law_for_another_stage_ends_at_rest_with_the_cause(xy, tmp_pa
         stage.reset()
 
 
+def test_controller_tracks_a_path_with_and_without_a_law_and_tells_the_error_of_each_axis(
+        xy, tmp_path):
+    model, law = save_linear_model(tmp_path / "model.json"), tmp_path / "law.json"
+    figure = references.path("lissajous", 2.0, (8.0, 6.0), 2)
+    integral_law(law, operating_v=40.0)
+    with Stage("/xy") as stage:
+        without, led = (
+            xy.beside(stage.track, figure, model, mode, 1.0, tmp_path, controller)
+            for mode, controller in (("feedforward", ""), ("composite", law)))
+        with pytest.raises(GoalFailed, match="in the mode 'pid': use one of open_loop, feedf"):
+            xy.beside(stage.track, figure, model, "pid", 1.0, tmp_path)
+    assert led.e_rms_percent < 0.3 * without.e_rms_percent < 30.0
+    for run in without, led:
+        told = re.findall(r"([xy]): e_rms (\S+) %, largest error (\S+) um", run.message)
+        assert [axis for axis, *_ in told] == ["x", "y"]
+        for at, worst in (1, run.e_rms_percent), (2, run.largest_error_um):
+            assert max(float(each[at]) for each in told) == pytest.approx(worst, rel=1e-3)
+    recording = led.recording()
+    assert recording.axes == AXES and np.sum(recording.tracking) > 44_000
+    assert np.ptp(recording.displacement_um[-60_000:-10_000], axis=0).min() > 5.0
+
+
 def test_what_takes_one_axis_refuses_by_name(xy, tmp_path):
     loaded = xy.load(np.zeros(40))
     assert not loaded.success and "the stage has the axes x, y: give a voltage of each" in (
         loaded.message)
     assert "nobody answers the blocks of several axes" in xy.call(
         StartTracking, "start_tracking", feedback=True).message
-    with pytest.raises(GoalFailed, match="identification takes a stage of one axis, this one has"):
+    with pytest.raises(GoalFailed, match="identification takes a stage of one axis for this, this"):
         xy.identify(tmp_path)
 
 

@@ -10,7 +10,8 @@ from pathlib import Path
 
 from piezo_client.client import GoalFailed
 from piezo_client.overview import stages_seen, status_lines
-from piezo_client.references import harmonic, triangle
+from piezo_client.references import harmonic, path, triangle
+from piezo_client.results import Tracking
 from piezo_client.scans import Scanned, images_of
 from piezo_client.stage import Stage
 from piezo_common.command_line import BAD_INPUT, INTERRUPTED, next_line
@@ -99,16 +100,30 @@ def _identify(stage: Stage, options: argparse.Namespace) -> list[str]:
 
 
 def _track(stage: Stage, options: argparse.Namespace) -> list[str]:
-    reference = (
-        {"kind": "file", "file": str(options.file)} if options.file else
-        SHAPES[options.shape](options.frequency_hz, options.amplitude_um, options.centre_um))
+    if options.file:
+        reference = {"kind": "file", "file": str(options.file)}
+    elif options.shape in SHAPES:
+        reference = SHAPES[options.shape](
+            options.frequency_hz, options.amplitude_um, options.centre_um)
+    else:
+        reference = path(
+            options.shape, options.frequency_hz, options.amplitude_um, options.lines)
     run = stage.track(reference, options.model, options.mode, options.duration_s, options.output,
                       options.controller or "")
     return [f"e_rms_percent {run.e_rms_percent:.4g}",
             f"largest_error_um {run.largest_error_um:.4g}",
-            *filter(None, [run.message]), f"recorded {run.path}",
-            _next(options, "diagnose", "--model", options.model, "--data", run.path,
-                  "--output", options.output / "diagnosis")]
+            *filter(None, [run.message]), f"recorded {run.path}", _diagnosis_of(run, options)]
+
+
+def _diagnosis_of(run: Tracking, options: argparse.Namespace) -> str:
+    # Imported here, since it takes seconds, which commands without a model can save.
+    from piezo_models.model_file import is_of_several_axes
+
+    arguments = ("--model", options.model, "--data", run.path, "--output",
+                 options.output / "diagnosis")
+    if is_of_several_axes(options.model):  # which the node does not diagnose
+        return next_line("stage", "piezo_identification", "diagnose", *arguments)
+    return _next(options, "diagnose", *arguments)
 
 
 def _shortfall(model: Path | None) -> str:

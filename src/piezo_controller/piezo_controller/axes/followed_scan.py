@@ -10,6 +10,7 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_controller.axes.stored_scan import SAME_PERIOD, StoredScan
 from piezo_controller.references.smooth_rise import minimum_jerk
+from piezo_models.axes.coupled import CoupledModel
 from piezo_models.feedback_law.axes_law import AxesLaw
 from piezo_models.feedback_law.feedback_law import FeedbackLaw
 
@@ -72,14 +73,11 @@ def followed_scan(scan: StoredScan, stage: AxesStage, samples: int, law: AxesLaw
     Raises
     ------
     ValueError
-        If stage, scan and law have not the same axes and sample period.
+        If scan or law do not fit the stage, see `check_fit`.
     """
-    for name, other in (("stage", stage), *((("law", law),) if law else ())):
-        if other.axes != scan.axes or abs(
-                other.sample_period_s / scan.sample_period_s - 1) > SAME_PERIOD:
-            raise ValueError(
-                f"the {name} has {_axes_text(other)}, the scan {_axes_text(scan)}: plan it, and "
-                "design its law, with a model that was identified on this stage at its clock")
+    check_fit("scan", scan, stage)
+    if law is not None:
+        check_fit("law", law, stage)
     way_v = scan.begin_voltage_v[0] - stage.rest_voltage_v
     ramp_s = float(np.max(np.abs(way_v) / stage.ramp_rate_v_per_s))
     ramp = np.linspace(0.0, 1.0, math.ceil(ramp_s / stage.sample_period_s) + 2)[:, None]
@@ -93,6 +91,15 @@ def followed_scan(scan: StoredScan, stage: AxesStage, samples: int, law: AxesLaw
                         ticks * stage.samples_per_tick, ticks)
 
 
+def check_fit(name: str, made: AxesLaw | CoupledModel | StoredScan, stage: AxesStage) -> None:
+    """Raise ValueError if something was made for other axes or another clock than the stage's."""
+    if made.axes != stage.axes or abs(
+            made.sample_period_s / stage.sample_period_s - 1.0) > SAME_PERIOD:
+        raise ValueError(
+            f"the {name} has {_axes_text(made)}, the stage {_axes_text(stage)}: take a model that "
+            "was identified on this stage at its sample rate")
+
+
 def _following(law: AxesLaw, scan: StoredScan, start_sample: int,
                max_feedback_v: float) -> FeedbackLaw:
     """Return the law of a run, which expects the way into the path and then the path."""
@@ -104,6 +111,6 @@ def _following(law: AxesLaw, scan: StoredScan, start_sample: int,
     return law.following(once_um, scan.position_um, start_sample, max_feedback_v)
 
 
-def _axes_text(has: AxesStage | AxesLaw | StoredScan) -> str:
+def _axes_text(has: AxesStage | AxesLaw | CoupledModel | StoredScan) -> str:
     return (f"the axes {', '.join(has.axes) or '(one without a name)'} at "
             f"{1.0 / has.sample_period_s:.6g} Hz")

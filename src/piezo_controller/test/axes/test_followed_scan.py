@@ -52,7 +52,7 @@ def test_law_expects_the_path_and_acts_from_its_first_period_on():
 
 @pytest.mark.parametrize("changes", [{"axes": ("y", "x")}, {"sample_period_s": 2.5e-5}])
 def test_law_of_another_model_and_a_path_for_another_stage_are_refused(changes):
-    with pytest.raises(ValueError, match="the law has the axes .*, the scan the axes x, y at 1"):
+    with pytest.raises(ValueError, match="the law has the axes .*, the stage the axes x, y at 1"):
         followed_scan(SCAN, STAGE, 250, replace(LAW, **changes))
-    with pytest.raises(ValueError, match="identified on this stage at its clock"):
+    with pytest.raises(ValueError, match="the scan has the axes x, y at 10000 Hz, the st"):
         followed_scan(SCAN, replace(STAGE, **changes), 250)
