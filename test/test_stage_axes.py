@@ -146,17 +146,23 @@ def test_pattern_is_planned_played_and_made_into_images_by_one_command(
     assert stage.beside(stage_command.main, [
         "--namespace", "scanned", "scan", "--pattern", "raster", "--size-um", "5", "5", "--lines",
         "12", "--rate-hz", "200", "--compare", "--model", str(tmp_path / "model.json"),
+        "--feedback", str(integral_law(tmp_path / "law.json", operating_v=40.0)),
         "--specimen", str(tmp_path / "specimen.gsf"), "--output", str(tmp_path / "scan")]) == 0
     told = capfd.readouterr().out
     assert "Geometric error, RMS in pixels" in told and "no inverse, as measured" in told
+    assert "inverse and feedback, as measured" in told
     assert (tmp_path / "scan" / "report.html").exists()
     image = read_gsf(tmp_path / "scan" / "inverse_as_measured.gsf")
     assert image.values.shape == (12, 12) and image.size_um == pytest.approx((5.0, 5.0 * 12 / 11))
-    recording, = read_axes(tmp_path / "scan" / "scan")
+    recording, = read_axes(tmp_path / "scan" / "inverse")
     assert list(recording.signals) == ["height_um", "camera"]
     assert np.sum(recording.marks & Marks.PIXEL > 0) == 2 * 144
     again = image_of(recording)
     np.testing.assert_allclose(again.values, image.values, atol=1e-6)
+    led = image_of(read_axes(tmp_path / "scan" / "scan")[0])
+    shown = read_gsf(tmp_path / "scan" / "inverse_and_feedback_as_measured.gsf")
+    np.testing.assert_allclose(led.values, shown.values, atol=1e-6)
+    assert len(led.visited_values) == 144 and np.isfinite(led.visited_um).all()
 
 
 def test_array_without_a_column_for_each_axis_is_refused_before_it_is_sent(xy, tmp_path):
@@ -230,14 +236,22 @@ def slow_circle(tmp_path):
 def test_law_on_board_removes_the_errors_of_a_planned_path(xy, tmp_path, slow_circle):
     xy.restart()
     law = integral_law(tmp_path / "law.json")
+    marks = np.zeros(40_000, np.uint8)
+    marks[[0, 7, 39_999]] = Marks.FRAME | Marks.PIXEL, Marks.PIXEL, Marks.LINE
+    marked = replace(read_scan(slow_circle), marks=marks)
     with Stage("/xy") as stage:
-        without, led = (xy.beside(stage.scan, slow_circle, 2, tmp_path, feedback=feedback)
+        without, led = (xy.beside(stage.scan, marked, 2, tmp_path, feedback=feedback)
                         for feedback in (None, law))
     assert np.all(np.abs(without.offset_um) > 0.1) and np.all(np.abs(led.offset_um) < 0.003)
     assert np.all(led.error_percent < 0.3 * without.error_percent)
     recording = led.recording()
     added_v = recording.voltage_v[recording.tracking][-40_000:] - circle(40_000)
     assert np.allclose(np.mean(added_v, axis=0) * GAINS_UM_PER_V, -without.offset_um, rtol=0.2)
+    for run in without, led:
+        recording, = read_axes(run)
+        first = run.before_samples
+        assert not recording.marks[:first].any()
+        assert np.array_equal(recording.marks[first:first + 80_000], np.tile(marks, 2))
 
 
 def test_run_with_a_law_for_another_stage_ends_at_rest_with_the_cause(xy, tmp_path, slow_circle):
@@ -266,6 +280,8 @@ def test_controller_tracks_a_path_with_and_without_a_law_and_tells_the_error_of_
         for at, worst in (1, run.e_rms_percent), (2, run.largest_error_um):
             assert max(float(each[at]) for each in told) == pytest.approx(worst, rel=1e-3)
     recording = led.recording()
+    assert "scan.json" in recording.attachments
+    assert np.sum(read_axes(led)[0].marks & Marks.FRAME > 0) == 2  # at 0 and 1 s
     assert recording.axes == AXES and np.sum(recording.tracking) > 44_000
     assert np.ptp(recording.displacement_um[-60_000:-10_000], axis=0).min() > 5.0
 

@@ -53,7 +53,7 @@ class ScanFollower:
                 self._tracker.run, run.once_voltage_v, run.period_voltage_v, run.ticks, take,
                 answering=False, cancelled=lambda: cancelled.is_set() or bool(why_stop()),
                 report=lambda: None, law=None if run.law is None else message_of(run.law),
-                axes=run.axes)
+                axes=run.axes, marks=(b"", run.period_marks.tobytes()))
             try:
                 self._wait(over)
                 if cause := why_stop():

@@ -19,7 +19,7 @@ MAX_FEEDBACK_V = 20.0
 """Largest voltage of a feedback by default, as that of the controller node."""
 
 
-def images_of(run: "Scanned", periods: int, name: str, signal: str = "") -> "dict[str, ScanImage]":
+def images_of(run: "Scanned", name: str, signal: str = "") -> "dict[str, ScanImage]":
     """Return the images of a run, by the commanded positions and by the measured ones.
 
     Parameters
@@ -36,13 +36,9 @@ def images_of(run: "Scanned", periods: int, name: str, signal: str = "") -> "dic
     from piezo_recorder.images.scan_image import image_of
 
     recording, = read_axes(run.path)
-    scan = run.scan
-    commanded_um = np.concatenate([
-        np.repeat(scan.position_um[:1], len(scan.begin_voltage_v), axis=0),
-        *[scan.position_um] * periods])
-    # A recording may go on for some samples of the last voltage.
-    behind = len(recording.voltage_v) - len(commanded_um)
-    commanded_um = np.pad(commanded_um, ((0, max(behind, 0)), (0, 0)), "edge")
+    position_um = run.scan.position_um
+    at = np.maximum(np.arange(len(recording.voltage_v)) - run.before_samples, 0)
+    commanded_um = position_um[at % len(position_um)]
     return {f"{name}, as commanded": image_of(recording, signal, position_um=commanded_um),
             f"{name}, as measured": image_of(recording, signal)}
 
@@ -57,10 +53,13 @@ class Scanned(Played):
         Path of the recording.
     displacement_um : (N, n) array
         Displacement measured in the last period.
+    before_samples : int
+        Samples of the run before the first period.
     """
 
     scan: StoredScan
     displacement_um: FloatArray
+    before_samples: int = 0
 
     @property
     def offset_um(self) -> FloatArray:
@@ -110,7 +109,8 @@ def scanned(scan: StoredScan, played: Played, periods: int, before: int = 0) -> 
     """
     recording = played.recording()
     displacement_um = recording.displacement_um[recording.playing | recording.tracking]
-    end = (before or len(scan.begin_voltage_v)) + periods * len(scan.voltage_v)
+    before = before or len(scan.begin_voltage_v)
+    end = before + periods * len(scan.voltage_v)
     if recording.gaps or len(displacement_um) < end:
         raise ValueError(f"{played.path} does not hold the whole scan: play it again")
-    return Scanned(played.path, scan, displacement_um[end - len(scan.voltage_v):end])
+    return Scanned(played.path, scan, displacement_um[end - len(scan.voltage_v):end], before)

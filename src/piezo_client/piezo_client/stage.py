@@ -29,7 +29,6 @@ from piezo_client.results import (
 )
 from piezo_client.scans import MAX_FEEDBACK_V, Scanned, scanned
 from piezo_controller.axes.stored_scan import StoredScan, read_scan, write_scan
-from piezo_recorder.images.scan_frame import SCAN_FILE
 from piezo_ros.messages import Message, MessageType
 from piezo_ros.stage_runs.described_stage import DescribedStage
 from piezo_ros.stage_runs.recording_calls import RecorderNews, free_name
@@ -186,11 +185,10 @@ class Stage:
         return done
 
     def _scan(self, planned: StoredScan, periods: int, directory: AnyPath, name: str) -> Scanned:
-        frame = planned.frame
         played = self.play(planned.repeated_v(periods), planned.sample_period_s,
                            directory=directory, name=name, axes=planned.axes,
                            marks=planned.repeated_marks(periods),
-                           attachments={SCAN_FILE: frame.model_dump_json()} if frame else None)
+                           attachments=planned.attachments)
         return scanned(planned, played, periods)
 
     def _scan_with_feedback(self, planned: StoredScan, feedback: AnyPath, periods: int,
@@ -205,7 +203,7 @@ class Stage:
                             max_feedback_v)
         follower = self._follower = self._follower or ScanFollower(self.client)
         played = self._record(directory, name, lambda why_stop: follower.follow(
-            run, why_stop, self._progress), {})
+            run, why_stop, self._progress), planned.attachments)
         return scanned(planned, played, periods, len(run.once_voltage_v))
 
     def _record(self, directory: AnyPath, name: str,

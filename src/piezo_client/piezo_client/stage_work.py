@@ -157,18 +157,19 @@ def _scan(stage: Stage, options: argparse.Namespace) -> list[str]:
     if options.learn and options.feedback:
         raise ValueError("voltages are learned without feedback: leave out --learn or --feedback")
     scans = {"planned": options.scan} if options.pattern is None else _planned(options)
-    *compared, (name, scan) = scans.items()
-    if options.feedback:
-        return _scan_with_feedback(stage, scan, options)
+    planned = [(what, each, None) for what, each in scans.items()]
+    *others, (name, scan, law) = planned if options.feedback is None else [
+        *planned, (f"{planned[-1][0]} and feedback", planned[-1][1], options.feedback)]
     runs = (stage.learn_scan(scan, options.model, options.learn, options.periods, options.output)
-            if options.learn else [stage.scan(scan, options.periods, options.output)])
+            if options.learn else [stage.scan(scan, options.periods, options.output, feedback=law)])
     run = min(runs, key=lambda each: max(each.error_percent))
     if options.marks_by_position:
         run = _marked_by_position(stage, run, options)
-    shown = {other: stage.scan(each, options.periods, options.output, other.replace(" ", "_"))
-             for other, each in compared} | {name: run}
+    shown = {what: stage.scan(each, options.periods, options.output, what.replace(" ", "_"))
+             for what, each, _ in others} | {name: run}
     return [*map(_errors_of, runs[:len(runs) if options.learn else 0]),
-            *(str(each.summary()) for each in shown.values()),
+            *(line for what, each in shown.items() for line in (
+                *([f"{what}:"] if len(shown) > 1 else []), str(each.summary()))),
             *(f"recorded {each.path}" for each in shown.values()),
             *_images(stage, shown, options),
             next_line("stage", "piezo_identification", "simulate", "--model",
@@ -182,7 +183,7 @@ def _marked_by_position(stage: Stage, run: Scanned, options: argparse.Namespace)
 
     scan = marked(run)
     write_scan(scan, options.output / free_name(options.output, MARKED))
-    return stage.scan(scan, options.periods, options.output)
+    return stage.scan(scan, options.periods, options.output, feedback=options.feedback)
 
 
 def _planned(options: argparse.Namespace) -> dict[str, StoredScan]:
@@ -208,17 +209,9 @@ def _images(stage: Stage, runs: Mapping[str, Scanned],
     from piezo_recorder.images.image_page import write_images
 
     images = {name: image for what, run in runs.items()
-              for name, image in images_of(run, options.periods, what, options.signal).items()}
+              for name, image in images_of(run, what, options.signal).items()}
     specimen = options.specimen and read_gsf(options.specimen)
     return write_images(images, options.output, specimen)
-
-
-def _scan_with_feedback(stage: Stage, scan: Path | StoredScan,
-                        options: argparse.Namespace) -> list[str]:
-    runs = {text: stage.scan(scan, options.periods, options.output, feedback=law)
-            for text, law in (("without feedback", None), ("with feedback", options.feedback))}
-    return [line for text, run in runs.items() for line in (
-        f"{text}:", str(run.summary()), f"recorded {run.path}")]
 
 
 def _errors_of(run: Scanned) -> str:

@@ -93,7 +93,8 @@ def test_error_is_that_of_the_last_period_without_its_offset(folder):
 def test_command_prints_the_error_of_each_axis_and_what_may_follow(folder, monkeypatch, capsys):
     scan = read_scan(folder)
     run = scanned(scan, Kept(Path("run"), recorded(scan, 2, 0.0)), 2)
-    stage = MagicMock(scan=lambda *given: run if given == (folder, 2, Path("runs")) else None)
+    stage = MagicMock(scan=lambda *given, feedback: run if given == (
+        folder, 2, Path("runs")) and feedback is None else None)
     monkeypatch.setattr(stage_work.signal, "signal", lambda *_: None)
     monkeypatch.setattr(stage_work, "Stage", lambda *_: nullcontext(stage))
     assert stage_command.main(["scan", str(folder), "--output", "runs"]) == 0
@@ -148,18 +149,24 @@ def test_command_marks_by_position_in_a_further_run(folder, monkeypatch, capsys)
     scan = dataclasses.replace(read_scan(folder), marks=marks, frame=frame_of(6))
     played = []
 
-    def play(given, periods, _directory):
-        played.append(given)
+    def play(given, periods, directory, name="scan", feedback=None):
+        played.append((given, name, feedback))
         return Scanned(Path("run"), scan, np.roll(scan.position_um, 3, axis=0))
 
     monkeypatch.setattr(stage_work.signal, "signal", lambda *_: None)
     stage = MagicMock(scan=play, description=MagicMock(signals=[]))
     monkeypatch.setattr(stage_work, "Stage", lambda *_: nullcontext(stage))
-    assert stage_command.main([
-        "scan", str(folder), "--output", str(folder / "runs"), "--marks-by-position"]) == 0
-    assert played[0] == folder and np.array_equal(played[1].marks, np.roll(marks, 3))
-    kept = read_scan(folder / "runs" / "marked")
-    assert np.array_equal(kept.marks, played[1].marks)
+    law = folder / "law.json"
+    law.touch()
+    assert stage_command.main(["scan", str(folder), "--output", str(folder / "runs"),
+                               "--marks-by-position", "--feedback", str(law)]) == 0
+    first, (marked_scan, *_), without = played
+    assert first == (folder, "scan", law) and without == (folder, "planned", None)
+    assert played[1][1:] == ("scan", law)
+    assert np.array_equal(marked_scan.marks, np.roll(marks, 3))
+    assert np.array_equal(read_scan(folder / "runs" / "marked").marks, marked_scan.marks)
+    printed = capsys.readouterr().out
+    assert "planned:\n" in printed and "planned and feedback:\n" in printed
     with pytest.raises(ValueError, match="has no pixels whose places could be measured"):
         marked(Scanned(Path("run"), read_scan(folder), scan.position_um))
 

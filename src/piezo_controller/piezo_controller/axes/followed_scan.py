@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
 from piezo_controller.axes.stored_scan import SAME_PERIOD, StoredScan
@@ -52,6 +53,8 @@ class FollowedScan(NamedTuple):
     """The way from rest into the path, (B, n)."""
     period_voltage_v: FloatArray
     """One period, which is repeated, (N, n)."""
+    period_marks: NDArray[np.uint8]
+    """Its marks, (N,); empty if there are none."""
     law: FeedbackLaw | None
     """Acts from the first period on; None without feedback."""
     samples: int
@@ -87,7 +90,7 @@ def followed_scan(scan: StoredScan, stage: AxesStage, samples: int, law: AxesLaw
         scan.begin_voltage_v])
     following = None if law is None else _following(law, scan, len(once_v), max_feedback_v)
     ticks = math.ceil((len(once_v) + samples) / stage.samples_per_tick)
-    return FollowedScan(scan.axes, once_v, scan.voltage_v, following,
+    return FollowedScan(scan.axes, once_v, scan.voltage_v, scan.marks, following,
                         ticks * stage.samples_per_tick, ticks)
 
 

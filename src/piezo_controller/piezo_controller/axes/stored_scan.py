@@ -52,6 +52,11 @@ class StoredScan:
             **_of_axes(self.axes, "displacement_um", self.position_um),
             **(mark_columns(self.marks) if self.marks.size else {})}
 
+    @property
+    def attachments(self) -> dict[str, str]:
+        """Return what a recording holds for the images, by the names of files."""
+        return {} if self.frame is None else {SCAN_FILE: self.frame.model_dump_json()}
+
     def repeated_marks(self, periods: int) -> NDArray[np.uint8]:
         """Return the marks of the voltages of `repeated_v`, (T,)."""
         before = np.zeros(len(self.begin_voltage_v), np.uint8)

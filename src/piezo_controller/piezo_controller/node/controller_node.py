@@ -138,7 +138,8 @@ class ControllerNode(LifecycleNode):
                              streamed=plan.streamed)
         with self._recorder.record(directory, f"track_{goal.mode}", {
                 "model.json": Attachment(model.text, model.path),
-                "parameters.json": Attachment(_parameters(goal))},
+                "parameters.json": Attachment(_parameters(goal)),
+                **{name: Attachment(text) for name, text in prepared.attachments.items()}},
                 goal.unrecorded) as recording:
             result.recording = recording.path
             try:
@@ -215,7 +216,8 @@ class ControllerNode(LifecycleNode):
             plan.once_voltage_v, plan.period_voltage_v,
             prepared.ticks(clock.samples_per_tick), take, prepared.feedback is not None,
             shall_end, report, plan.continuation(),
-            None if prepared.law is None else message_of(prepared.law), prepared.axes)
+            None if prepared.law is None else message_of(prepared.law), prepared.axes,
+            prepared.marks)
 
 
 def _clock(described: StageDescription) -> StageClock:

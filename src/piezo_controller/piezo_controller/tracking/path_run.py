@@ -162,14 +162,16 @@ def prepare_path(request: TrackRequest, clock: StageClock, stage: AxesStage, fee
         law = feedbacks.law_of_axes(model.model, request.model_sha256)
     settle = round(SETTLE_S / clock.sample_period_s)
     run_samples = whole_ticks(request.durations_s[0], clock)
-    followed = followed_scan(stored_scan(plan), stage, settle + run_samples, law,
-                             feedbacks.max_feedback_v)
+    stored = stored_scan(plan)
+    followed = followed_scan(stored, stage, settle + run_samples, law, feedbacks.max_feedback_v)
     voltage_v, position_um = (np.roll(each, -settle, axis=0)
-                              for each in (plan.voltage_v, plan.path.position_um))
-    once_v = np.concatenate([
-        followed.once_voltage_v, plan.voltage_v[np.arange(settle) % len(voltage_v)]])
-    once_um = position_um[np.arange(-len(once_v), 0) % len(position_um)]
+                              for each in (stored.voltage_v, stored.position_um))
+    marks = np.roll(stored.marks, -settle)
     start = len(followed.once_voltage_v)
+    settling = np.arange(-settle, 0) % len(voltage_v)
+    once_v = np.concatenate([followed.once_voltage_v, voltage_v[settling]])
+    once_um = position_um[np.arange(-len(once_v), 0) % len(position_um)]
+    once_marks = np.concatenate([np.zeros(start, np.uint8), marks[settling]])
     travel_um = float(np.ptp(position_um, axis=0).max())
     runs = {axis: TrackingRun(
         _AlongAxis(once_v[:, at], voltage_v[:, at], once_um[:, at], position_um[:, at], start,
@@ -178,7 +180,9 @@ def prepare_path(request: TrackRequest, clock: StageClock, stage: AxesStage, fee
         window_samples=round(window_s * clock.sample_rate_hz))
         for at, axis in enumerate(stage.axes)}
     return PreparedRun(FeedforwardPlan(once_v, voltage_v, once_um, position_um, start), None,
-                       AxesTrackingRun(runs), law=followed.law, axes=stage.axes)
+                       AxesTrackingRun(runs), law=followed.law, axes=stage.axes,
+                       marks=(once_marks.tobytes(), marks.tobytes()),
+                       attachments=stored.attachments)
 
 
 def _planned(reference: Reference, model: IdentifiedAxes, clock: StageClock,

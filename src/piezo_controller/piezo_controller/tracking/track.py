@@ -7,8 +7,8 @@ them in a `TrackingRun`. The stage then plays the plan; each block of samples go
 """
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -125,6 +125,10 @@ class PreparedRun:
     """Law that the stage evaluates, instead of a feedback that answers block by block."""
     axes: tuple[str, ...] = ()
     """Names of the axes, if the stage has several; voltages then have a column for each."""
+    marks: tuple[bytes, bytes] = (b"", b"")
+    """Marks of the voltages that are played once, and of those that are repeated; see `Mark`."""
+    attachments: Mapping[str, str] = field(default_factory=dict)
+    """Texts to keep in the recording, by the names of their files."""
 
     def ticks(self, samples_per_tick: int) -> int:
         """Return the number of ticks to play; 0 if the length is not known in advance."""

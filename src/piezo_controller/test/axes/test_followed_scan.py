@@ -34,6 +34,7 @@ def test_run_goes_from_rest_along_the_plan_for_whole_ticks():
     assert np.all(rest == SCAN.begin_voltage_v[0])
     assert np.array_equal(once_v[-200:], SCAN.begin_voltage_v)
     assert run.period_voltage_v is SCAN.voltage_v
+    assert run.period_marks is SCAN.marks
     assert followed_scan(SCAN, STAGE, 3 * 250).law is None
     played = len(once_v) + 3 * 250
     assert played <= run.samples < played + 10 and run.samples == 10 * run.ticks

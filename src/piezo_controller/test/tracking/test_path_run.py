@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A goal to track a path with several axes is planned as a scan and measured axis by axis."""
 
+import json
 import re
 import sys
 from dataclasses import replace
@@ -86,6 +87,19 @@ def test_path_planned_before_is_tracked_from_its_file(prepared, model_file, tmp_
     assert np.allclose(np.roll(run.plan.period_voltage_v, 4000, axis=0), plan.voltage_v, atol=1e-4)
     followed, _ = played(run)
     assert followed.e_rms_percent() < 0.1
+
+
+def test_marks_come_with_their_places_from_the_first_period_on(prepared, model_file):
+    run = prepared("composite")
+    once, period = (np.frombuffer(part, np.uint8) for part in run.marks)
+    assert len(once) == len(run.plan.once_voltage_v) and len(period) == 2720
+    plan = scan(str(model_file), "raster", size_um=(10.0, 10.0), rate_hz=100.0, lines=6)
+    assert np.array_equal(np.roll(period, 4000), plan.marks)
+    start = run.plan.feedback_start_sample
+    assert not once[:start].any()
+    assert np.array_equal(once[start:], np.concatenate([plan.marks, plan.marks])[:4000])
+    assert json.loads(run.attachments["scan.json"])["pixels"] == [6, 6]
+    assert run.law.start_sample == start
 
 
 def test_axis_that_rests_is_measured_by_the_travel_of_the_other(prepared):
