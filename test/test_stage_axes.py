@@ -292,7 +292,8 @@ def test_what_takes_one_axis_refuses_by_name(xy, tmp_path):
         loaded.message)
     assert "nobody answers the blocks of several axes" in xy.call(
         StartTracking, "start_tracking", feedback=True).message
-    with pytest.raises(GoalFailed, match="identification takes a stage of one axis for this, this"):
+    with pytest.raises(GoalFailed, match="identification does this for a stage of one axis, .* the "
+                                         "recordings to ./run piezo_identification identify or"):
         xy.identify(tmp_path)
 
 

@@ -71,7 +71,7 @@ class DescribedStage:
         axes = self._heard.axes if self._heard is not None else []
         if not axes:
             return ""
-        return (f"{self._node.get_name()} takes a stage of one axis for this, this one has the "
+        return (f"{self._node.get_name()} does this for a stage of one axis, this one has the "
                 f"axes {', '.join(axis.name for axis in axes)}: record experiments or scans of all "
                 "of them, and give the recordings to ./run piezo_identification identify or "
                 "diagnose")

@@ -213,7 +213,11 @@ class StageCommands:
         ------
         LimitError, FeedbackLawError, StageRefusal
         """
-        limits = self._limits_of_one_axis("replace_feedforward")
+        limits = self._limits
+        if not isinstance(limits, VoltageLimits):
+            raise StageRefusal("replace_feedforward takes a stage of one axis, this one has "
+                               f"{_axes_text(self._engine.axes)}: load feedforward and law between "
+                               "two runs")
         feedforward = Feedforward(np.array(once_voltage_v, dtype=float),
                                   np.array(period_voltage_v, dtype=float))
         limits.check(feedforward.sequence_v, self._ticks.sample_period_s)
@@ -362,13 +366,6 @@ class StageCommands:
             raise StageRefusal(f"the waveform has {voltage_v.size} voltages for {len(own)} axes: "
                                "give as many of each")
         return voltage_v.reshape(-1, len(own))
-
-    def _limits_of_one_axis(self, service: str) -> VoltageLimits:
-        """Return the limits; refuse services that do not support several axes yet."""
-        if not isinstance(self._limits, VoltageLimits):
-            raise StageRefusal(f"{service} takes a stage of one axis, this one has "
-                               f"{_axes_text(self._engine.axes)}: play a waveform of all of them")
-        return self._limits
 
     def _require_room(self, samples: float, voltage_v: np.ndarray, hold_at_end: bool) -> None:
         """Refuse a waveform that exceeds the memory of a backend with stored waveforms."""

@@ -249,7 +249,7 @@ def test_waveform_that_lacks_a_voltage_of_one_axis_is_refused():
 
 def test_replacement_within_a_run_takes_one_axis():
     engine, _ = make_engine()
-    with pytest.raises(StageRefusal, match="takes a stage of one axis, this one has the axes x, y"):
+    with pytest.raises(StageRefusal, match="the axes x, y: load feedforward and law between"):
         engine.commands.replacement(np.zeros(40), (), None)
 
 
