@@ -2,12 +2,16 @@
 """Marks of a scan come when a stage whose delays were identified is where they say."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from piezo_client.scan_marks import marked
+from piezo_client.scans import Scanned
 from piezo_controller.axes.scan import scan
+from piezo_controller.axes.stored_scan import stored_scan
 from piezo_identification.axes.identify_axes import identify_several_axes
 from piezo_recorder.sample_block import Mark
 
@@ -33,20 +37,43 @@ def true_um(voltage_v, monkeypatch):
         return flexure.motion_um(voltage_v)
 
 
-@pytest.mark.parametrize("axes", [("x", "y"), ("y", "x")])
-def test_pixels_are_marked_within_one_sample_of_their_places(identified, axes, monkeypatch):
-    plan = scan(identified, "raster", axes=axes, size_um=(SIZE_UM, SIZE_UM), rate_hz=100.0,
-                lines=LINES, pixels=PIXELS, both_directions=True)
-    voltage_v = np.concatenate([plan.begin_voltage_v, np.tile(plan.voltage_v, (12, 1))]) - REST_V
-    samples = len(plan.voltage_v)
-    fast = ("x", "y").index(axes[0])
-    found_um = (true_um(voltage_v, monkeypatch) + REST_UM)[-samples:, fast]
-    at = np.flatnonzero(plan.marks & Mark.PIXEL)
+@pytest.fixture(params=[("x", "y"), ("y", "x")], ids=" and ".join)
+def plan(identified, request):
+    return scan(identified, "raster", axes=request.param, size_um=(SIZE_UM, SIZE_UM),
+                rate_hz=100.0, lines=LINES, pixels=PIXELS, both_directions=True)
+
+
+def played_v(plan):
+    """Voltages about the operating point until the motion has settled."""
+    return np.concatenate([plan.begin_voltage_v, np.tile(plan.voltage_v, (12, 1))]) - REST_V
+
+
+def late_samples(plan, marks, monkeypatch):
+    """By how much each pixel is marked too late for its place."""
+    fast = plan.path.axes.index(plan.frame.axes[0])
+    found_um = (true_um(played_v(plan), monkeypatch) + REST_UM)[-len(marks):, fast]
+    at = np.flatnonzero(marks & Mark.PIXEL)
     share = (np.arange(PIXELS) + 0.5) / PIXELS - 0.5
     way = np.where(np.arange(LINES) % 2, -1.0, 1.0)
     wanted_um = plan.path.centre_um[fast] + SIZE_UM * np.outer(way, share).ravel()
-    late = (found_um[at] - wanted_um) / np.gradient(found_um)[at]
+    return (found_um[at] - wanted_um) / np.gradient(found_um)[at]
+
+
+def test_pixels_are_marked_within_one_sample_of_their_places(plan, monkeypatch):
+    late = late_samples(plan, plan.marks, monkeypatch)
     assert np.abs(late).max() < 0.6  # delays of 0.3 and 1.6 samples are rounded
+
+
+def test_marks_by_position_are_within_one_sample_where_the_path_is_not_followed(
+        plan, monkeypatch):
+    followed = replace(plan, voltage_v=(plan.voltage_v - REST_V) * 1.03 + REST_V)
+    planned = late_samples(followed, plan.marks, monkeypatch)
+    assert np.abs(planned).max() > 1.0
+    noise_um = flexure.NOISE_UM * np.random.default_rng(7).normal(size=plan.voltage_v.shape)
+    measured_um = flexure.motion_um(played_v(followed))[-len(plan.marks):] + REST_UM + noise_um
+    again = marked(Scanned(Path("run"), stored_scan(followed), measured_um))
+    assert np.abs(late_samples(followed, again.marks, monkeypatch)).max() < 0.8
+    assert np.array_equal(again.voltage_v, followed.voltage_v)
 
 
 def test_marks_of_the_reading_are_later_by_the_delay(identified):

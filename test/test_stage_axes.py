@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A stage of two axes: played, recorded, read, and stopped as a whole."""
 
+import re
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -12,11 +13,11 @@ from piezo_interfaces.msg import Marks, SampleBlock
 from piezo_interfaces.srv import StartTracking
 from sensor_msgs.msg import JointState
 
-from piezo_client import stage_command, stage_work
+from piezo_client import references, stage_command, stage_work
 from piezo_client.client import GoalFailed
-from piezo_client.scans import StoredScan, read_scan, write_scan
 from piezo_client.stage import Stage
 from piezo_common.gsf import Field, read_gsf, write_gsf
+from piezo_controller.axes.stored_scan import StoredScan, read_scan, write_scan
 from piezo_models import Coupling, IdentifiedAxes, save_axes_model
 from piezo_models.axes.coupled import CoupledModel
 from piezo_models.feedback_law.axes_law import AxesLaw, save_axes_law
@@ -33,9 +34,9 @@ DEAF_FROM_S = 2.0
 
 @pytest.fixture(scope="module")
 def xy(nodes):
-    """The stage with a recorder, and a node that takes one axis."""
-    return nodes.start("recorder", "identification", namespace="/xy", axes=AXES, plant="xy",
-                       seed=SEED, **{"y.maximum_voltage_v": 80.0})
+    """The stage with all nodes."""
+    return nodes.start("recorder", "identification", "controller", namespace="/xy", axes=AXES,
+                       plant="xy", seed=SEED, **{"y.maximum_voltage_v": 80.0})
 
 
 def circle(samples=800):
@@ -123,6 +124,16 @@ def linear_model():
         operating_voltage_v=np.array([40.0, 40.0]), operating_displacement_um=np.full(2, 10.0))
 
 
+def save_linear_model(path):
+    model = linear_model()
+    frequency_hz = np.geomspace(1.0, 1e4, 10)
+    gain, modes = model.response(frequency_hz), model.poles_rad_per_s.size
+    save_axes_model(path, IdentifiedAxes(
+        model, np.array([[-20.0, 120.0]] * 2), Coupling(frequency_hz, gain, 1e-3 * np.abs(gain)),
+        np.zeros(modes, complex), 0.0 * model.residues_um_per_v, np.zeros(2), np.zeros(2)))
+    return path
+
+
 def test_pattern_is_planned_played_and_made_into_images_by_one_command(
         nodes, tmp_path, capfd, monkeypatch, without_pictures):
     field = Field(0.01 * np.random.default_rng(1).normal(size=(60, 60)), (-10.0, -10.0),
@@ -130,27 +141,28 @@ def test_pattern_is_planned_played_and_made_into_images_by_one_command(
     write_gsf(tmp_path / "specimen.gsf", field)
     stage = nodes.start("recorder", namespace="/scanned", axes=AXES, plant="xy",
                         specimen=str(tmp_path / "specimen.gsf"))
-    model = linear_model()
-    frequency_hz = np.geomspace(1.0, 1e4, 10)
-    gain, modes = model.response(frequency_hz), model.poles_rad_per_s.size
-    save_axes_model(tmp_path / "model.json", IdentifiedAxes(
-        model, np.array([[-20.0, 120.0]] * 2), Coupling(frequency_hz, gain, 1e-3 * np.abs(gain)),
-        np.zeros(modes, complex), 0.0 * model.residues_um_per_v, np.zeros(2), np.zeros(2)))
+    save_linear_model(tmp_path / "model.json")
     monkeypatch.setattr(stage_work.signal, "signal", lambda *_: None)
     assert stage.beside(stage_command.main, [
         "--namespace", "scanned", "scan", "--pattern", "raster", "--size-um", "5", "5", "--lines",
         "12", "--rate-hz", "200", "--compare", "--model", str(tmp_path / "model.json"),
+        "--feedback", str(integral_law(tmp_path / "law.json", operating_v=40.0)),
         "--specimen", str(tmp_path / "specimen.gsf"), "--output", str(tmp_path / "scan")]) == 0
     told = capfd.readouterr().out
     assert "Geometric error, RMS in pixels" in told and "no inverse, as measured" in told
+    assert "inverse and feedback, as measured" in told
     assert (tmp_path / "scan" / "report.html").exists()
     image = read_gsf(tmp_path / "scan" / "inverse_as_measured.gsf")
     assert image.values.shape == (12, 12) and image.size_um == pytest.approx((5.0, 5.0 * 12 / 11))
-    recording, = read_axes(tmp_path / "scan" / "scan")
+    recording, = read_axes(tmp_path / "scan" / "inverse")
     assert list(recording.signals) == ["height_um", "camera"]
     assert np.sum(recording.marks & Marks.PIXEL > 0) == 2 * 144
     again = image_of(recording)
     np.testing.assert_allclose(again.values, image.values, atol=1e-6)
+    led = image_of(read_axes(tmp_path / "scan" / "scan")[0])
+    shown = read_gsf(tmp_path / "scan" / "inverse_and_feedback_as_measured.gsf")
+    np.testing.assert_allclose(led.values, shown.values, atol=1e-6)
+    assert len(led.visited_values) == 144 and np.isfinite(led.visited_um).all()
 
 
 def test_array_without_a_column_for_each_axis_is_refused_before_it_is_sent(xy, tmp_path):
@@ -201,14 +213,14 @@ GAINS_UM_PER_V = np.array([0.3, 0.25])
 """About those of the plant."""
 
 
-def integral_law(path, factor=1.0):
+def integral_law(path, factor=1.0, operating_v=70.0):
     """Write a law that integrates the error of each axis, for gains that are off by a factor."""
     one = np.eye(2)
     late = DeclaredPlant(LinearBlock(0.5 * one, one, 0.5 * one, 0.0 * one),
                          factor * GAINS_UM_PER_V[None, :])
     tick = LinearBlock(one, 0.05 * one, np.diag(1.0 / GAINS_UM_PER_V / factor), 0.0 * one)
     save_axes_law(path, AxesLaw(AXES, 25e-6, 40, tick, np.diag(factor * GAINS_UM_PER_V), late,
-                                GAINS_UM_PER_V * 70.0, {}, {}))
+                                GAINS_UM_PER_V * operating_v, {}, {}))
     return path
 
 
@@ -224,14 +236,22 @@ def slow_circle(tmp_path):
 def test_law_on_board_removes_the_errors_of_a_planned_path(xy, tmp_path, slow_circle):
     xy.restart()
     law = integral_law(tmp_path / "law.json")
+    marks = np.zeros(40_000, np.uint8)
+    marks[[0, 7, 39_999]] = Marks.FRAME | Marks.PIXEL, Marks.PIXEL, Marks.LINE
+    marked = replace(read_scan(slow_circle), marks=marks)
     with Stage("/xy") as stage:
-        without, led = (xy.beside(stage.scan, slow_circle, 2, tmp_path, feedback=feedback)
+        without, led = (xy.beside(stage.scan, marked, 2, tmp_path, feedback=feedback)
                         for feedback in (None, law))
     assert np.all(np.abs(without.offset_um) > 0.1) and np.all(np.abs(led.offset_um) < 0.003)
     assert np.all(led.error_percent < 0.3 * without.error_percent)
     recording = led.recording()
     added_v = recording.voltage_v[recording.tracking][-40_000:] - circle(40_000)
     assert np.allclose(np.mean(added_v, axis=0) * GAINS_UM_PER_V, -without.offset_um, rtol=0.2)
+    for run in without, led:
+        recording, = read_axes(run)
+        first = run.before_samples
+        assert not recording.marks[:first].any()
+        assert np.array_equal(recording.marks[first:first + 80_000], np.tile(marks, 2))
 
 
 def test_run_with_a_law_for_another_stage_ends_at_rest_with_the_cause(xy, tmp_path, slow_circle):
@@ -242,13 +262,38 @@ def test_run_with_a_law_for_another_stage_ends_at_rest_with_the_cause(xy, tmp_pa
         stage.reset()
 
 
+def test_controller_tracks_a_path_with_and_without_a_law_and_tells_the_error_of_each_axis(
+        xy, tmp_path):
+    model, law = save_linear_model(tmp_path / "model.json"), tmp_path / "law.json"
+    figure = references.path("lissajous", 2.0, (8.0, 6.0), 2)
+    integral_law(law, operating_v=40.0)
+    with Stage("/xy") as stage:
+        without, led = (
+            xy.beside(stage.track, figure, model, mode, 1.0, tmp_path, controller)
+            for mode, controller in (("feedforward", ""), ("composite", law)))
+        with pytest.raises(GoalFailed, match="in the mode 'pid': use one of open_loop, feedf"):
+            xy.beside(stage.track, figure, model, "pid", 1.0, tmp_path)
+    assert led.e_rms_percent < 0.3 * without.e_rms_percent < 30.0
+    for run in without, led:
+        told = re.findall(r"([xy]): e_rms (\S+) %, largest error (\S+) um", run.message)
+        assert [axis for axis, *_ in told] == ["x", "y"]
+        for at, worst in (1, run.e_rms_percent), (2, run.largest_error_um):
+            assert max(float(each[at]) for each in told) == pytest.approx(worst, rel=1e-3)
+    recording = led.recording()
+    assert "scan.json" in recording.attachments
+    assert np.sum(read_axes(led)[0].marks & Marks.FRAME > 0) == 2  # at 0 and 1 s
+    assert recording.axes == AXES and np.sum(recording.tracking) > 44_000
+    assert np.ptp(recording.displacement_um[-60_000:-10_000], axis=0).min() > 5.0
+
+
 def test_what_takes_one_axis_refuses_by_name(xy, tmp_path):
     loaded = xy.load(np.zeros(40))
     assert not loaded.success and "the stage has the axes x, y: give a voltage of each" in (
         loaded.message)
     assert "nobody answers the blocks of several axes" in xy.call(
         StartTracking, "start_tracking", feedback=True).message
-    with pytest.raises(GoalFailed, match="identification takes a stage of one axis, this one has"):
+    with pytest.raises(GoalFailed, match="identification does this for a stage of one axis, .* the "
+                                         "recordings to ./run piezo_identification identify or"):
         xy.identify(tmp_path)
 
 

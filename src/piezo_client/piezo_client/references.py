@@ -52,6 +52,26 @@ def multi_frequency(frequencies_hz: Sequence[float], amplitudes_um: Sequence[flo
     return _of_components("multi_frequency", frequencies_hz, amplitudes_um, phases_rad, centre_um)
 
 
+def path(kind: str, rate_hz: float, size_um: float | Sequence[float],
+         lines: int = 64) -> dict[str, Any]:
+    """Return a path of several axes about the operating point of their model.
+
+    Parameters
+    ----------
+    kind : str
+        One of ``raster``, ``spiral``, ``lissajous``, ``rosette`` and ``cycloid``.
+    rate_hz : float
+        Lines or turns a second, as for `piezo_controller.axes.patterns.ScanPattern`.
+    size_um : float or sequence of two
+        Along the fast and the slow axis.
+    lines : int
+        Lines of a frame, turns or lobes.
+    """
+    sizes_um = np.atleast_1d(np.asarray(size_um, dtype=float)).tolist()
+    return {"kind": kind, "frequency_hz": [float(rate_hz)], "amplitude_um": sizes_um,
+            "lines": lines}
+
+
 def sampled(displacement_um: ArrayLike, path: str | PathLike[str],
             sample_rate_hz: float = 40000.0) -> dict[str, Any]:
     """Return a periodic trajectory given by the samples of one period.

@@ -7,7 +7,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 from piezo_client.client import CANCEL_TIMEOUT_S, WATCH_PERIOD_S, Client, ServiceFailed
-from piezo_client.scan_feedback import FollowedScan
+from piezo_controller.axes.followed_scan import FollowedScan
 from piezo_ros.messages import Message
 from piezo_ros.requests.calls import CallFailed
 from piezo_ros.stage_runs.law_message import message_of
@@ -42,7 +42,7 @@ class ScanFollower:
 
         def take(block: Message) -> float:
             nonlocal samples
-            samples += len(block.displacement_um) // len(run.law.axes)
+            samples += len(block.displacement_um) // len(run.axes)
             if progress:
                 left = 1.0 - samples / run.samples
                 progress("", 1.0 - left, left * run.samples * block.sample_period_s)
@@ -52,7 +52,8 @@ class ScanFollower:
             over = pool.submit(
                 self._tracker.run, run.once_voltage_v, run.period_voltage_v, run.ticks, take,
                 answering=False, cancelled=lambda: cancelled.is_set() or bool(why_stop()),
-                report=lambda: None, law=message_of(run.law), axes=run.law.axes)
+                report=lambda: None, law=None if run.law is None else message_of(run.law),
+                axes=run.axes, marks=(b"", run.period_marks.tobytes()))
             try:
                 self._wait(over)
                 if cause := why_stop():

@@ -9,17 +9,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezo_client.scans import Scanned, StoredScan
-from piezo_common.arrays import FloatArray
+from piezo_client.scans import Scanned
+from piezo_controller.axes.stored_scan import SAME_PERIOD, StoredScan
+from piezo_controller.references.smooth_rise import minimum_jerk
 from piezo_models.axes.coupled import CoupledModel
 
 PASSED = 0.1
 """Smallest gain, relative to the DC gain in its worst direction, at which a line is learned: up to
 three times the highest mode. With 0.03 the errors on the simulated XY stage are within a
 fifth; at higher frequencies there is noise, and no model is known."""
-
-SAME_PERIOD = 1e-9
-"""Relative difference up to which two sample periods are equal; allows for rounding."""
 
 
 def learned(run: Scanned, model: CoupledModel) -> StoredScan:
@@ -52,13 +50,6 @@ def learned(run: Scanned, model: CoupledModel) -> StoredScan:
     lines[used] = np.linalg.solve(response[used - 1], error[used][..., None])[..., 0]
     more_v = np.fft.irfft(lines, samples, axis=0)
     begin = len(scan.begin_voltage_v)
-    before = np.arange(-begin, 0) % samples
+    more_before_v = minimum_jerk(begin)[:, None] * more_v[np.arange(-begin, 0) % samples]
     return replace(scan, voltage_v=scan.voltage_v + more_v,
-                   begin_voltage_v=scan.begin_voltage_v + smooth_rise(begin) * more_v[before])
-
-
-def smooth_rise(samples: int) -> FloatArray:
-    """Return a minimum-jerk rise from 0 to 1, shape (samples, 1)."""
-    at = np.arange(samples)[:, None] / max(samples, 1)
-    rise: FloatArray = at**3 * (10.0 + at * (6.0 * at - 15.0))
-    return rise
+                   begin_voltage_v=scan.begin_voltage_v + more_before_v)

@@ -27,15 +27,8 @@ from piezo_client.results import (
     Played,
     Tracking,
 )
-from piezo_client.scans import (
-    MAX_FEEDBACK_V,
-    Scanned,
-    StoredScan,
-    read_scan,
-    scanned,
-    write_scan,
-)
-from piezo_recorder.images.scan_frame import SCAN_FILE
+from piezo_client.scans import MAX_FEEDBACK_V, Scanned, scanned
+from piezo_controller.axes.stored_scan import StoredScan, read_scan, write_scan
 from piezo_ros.messages import Message, MessageType
 from piezo_ros.stage_runs.described_stage import DescribedStage
 from piezo_ros.stage_runs.recording_calls import RecorderNews, free_name
@@ -192,31 +185,25 @@ class Stage:
         return done
 
     def _scan(self, planned: StoredScan, periods: int, directory: AnyPath, name: str) -> Scanned:
-        frame = planned.frame
         played = self.play(planned.repeated_v(periods), planned.sample_period_s,
                            directory=directory, name=name, axes=planned.axes,
                            marks=planned.repeated_marks(periods),
-                           attachments={SCAN_FILE: frame.model_dump_json()} if frame else None)
+                           attachments=planned.attachments)
         return scanned(planned, played, periods)
 
     def _scan_with_feedback(self, planned: StoredScan, feedback: AnyPath, periods: int,
                             directory: AnyPath, name: str, max_feedback_v: float) -> Scanned:
         # Imported here, since it takes a second that playing alone does not need.
-        from piezo_client.scan_feedback import followed_scan
         from piezo_client.scan_follower import ScanFollower
+        from piezo_controller.axes.followed_scan import AxesStage, followed_scan
         from piezo_models.feedback_law.axes_law import load_axes_law
 
-        axes = self.description.axes
-        if tuple(axis.name for axis in axes) != planned.axes:
-            raise ValueError(f"the scan has the axes {', '.join(planned.axes)}, and the stage "
-                             f"{', '.join(axis.name for axis in axes) or 'one without a name'}: "
-                             "plan it with a model of this stage")
-        run = followed_scan(
-            planned, load_axes_law(feedback), periods, [axis.rest_voltage_v for axis in axes],
-            [axis.ramp_rate_v_per_s for axis in axes], max_feedback_v)
+        run = followed_scan(planned, AxesStage.of(self.description),
+                            periods * len(planned.voltage_v), load_axes_law(feedback),
+                            max_feedback_v)
         follower = self._follower = self._follower or ScanFollower(self.client)
         played = self._record(directory, name, lambda why_stop: follower.follow(
-            run, why_stop, self._progress), {})
+            run, why_stop, self._progress), planned.attachments)
         return scanned(planned, played, periods, len(run.once_voltage_v))
 
     def _record(self, directory: AnyPath, name: str,

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NoReturn, TypeAlias
 
 from piezo_common.command_line import BAD_INPUT, INTERRUPTED, namespace
-from piezo_controller.commands.scan_command import add_path_options
+from piezo_controller.commands.scan_command import WITHOUT_FILE, add_path_options
 from piezo_ros.starting import without_ros_arguments
 
 WAIT_S = 3.0
@@ -18,6 +18,7 @@ Commands: TypeAlias = "argparse._SubParsersAction[_Parser]"
 INPUTS = ("model", "file", "waveform", "scan", "controller", "feedback", "data", "holdout",
           "recordings", "extended_model", "specimen")
 SHAPES = "harmonic", "triangle"
+LINES = 64
 IDENTIFY = "`./run piezo_client stage identify --output DIR`"
 
 
@@ -115,7 +116,8 @@ def _add_identify(commands: Commands) -> None:
 
 
 def _add_track(commands: Commands) -> None:
-    parser = _add(commands, "track", "track a periodic reference and record the run")
+    parser = _add(commands, "track", "track a periodic reference, or a path of several axes, and "
+                  "record the run")
     parser.add_argument("--model", type=Path, required=True, help="model file")
     parser.add_argument("--controller", type=Path, metavar="FILE",
                         help="feedback of the composite modes, as design wrote it; by default it "
@@ -123,12 +125,18 @@ def _add_track(commands: Commands) -> None:
     parser.add_argument("--mode", default="composite",
                         help="such as open_loop, feedforward or composite (default: %(default)s)")
     parser.add_argument("--file", type=Path, metavar="CSV",
-                        help="reference: one period, time_s,displacement_um at the sample rate")
-    parser.add_argument("--shape", choices=SHAPES, default="harmonic",
-                        help="reference where no file is given (default: %(default)s)")
+                        help="reference: one period, time_s,displacement_um at the sample rate; of "
+                        "several axes x_displacement_um and so on, such as path.csv of scan")
+    parser.add_argument("--shape", choices=(*SHAPES, *WITHOUT_FILE), default=SHAPES[0],
+                        help="reference where no file is given (default: %(default)s); the others "
+                        "than harmonic and triangle are of several axes, about the operating point "
+                        "of the model")
+    parser.add_argument("--lines", type=int, default=LINES, metavar="NUMBER",
+                        help="lines, turns or lobes of a path of several axes (default: "
+                        "%(default)s)")
     for option, default, text in (
-            ("--frequency-hz", 100.0, "of the reference"),
-            ("--amplitude-um", 40.0, "of the reference, peak to peak"),
+            ("--frequency-hz", 100.0, "of the reference; lines or turns a second of a path"),
+            ("--amplitude-um", 40.0, "of the reference, peak to peak; size of a path"),
             ("--centre-um", 50.0, "mean displacement"),
             ("--duration-s", 1.0, "how long")):
         parser.add_argument(option, type=float, default=default, metavar="NUMBER",
@@ -163,6 +171,9 @@ def _add_scan(commands: Commands) -> None:
                         help="detector of the images; the first one by default")
     parser.add_argument("--specimen", type=Path, metavar="FILE",
                         help="what the images show (.gsf), to tell their geometric error")
+    parser.add_argument("--marks-by-position", action="store_true",
+                        help="play it once more, with marks when the run before was at their "
+                        "places")
     parser.add_argument("--feedback", type=Path, metavar="LAW",
                         help="law file of `design`: play it without feedback, then with this one")
 

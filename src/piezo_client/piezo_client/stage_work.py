@@ -10,16 +10,21 @@ from pathlib import Path
 
 from piezo_client.client import GoalFailed
 from piezo_client.overview import stages_seen, status_lines
-from piezo_client.references import harmonic, triangle
-from piezo_client.scans import Scanned, StoredScan, images_of, stored_scan
+from piezo_client.references import harmonic, path, triangle
+from piezo_client.results import Tracking
+from piezo_client.scans import Scanned, images_of
 from piezo_client.stage import Stage
 from piezo_common.command_line import BAD_INPUT, INTERRUPTED, next_line
 from piezo_common.progress_line import ProgressLine
 from piezo_common.text_file import read_bounded_text
+from piezo_controller.axes.stored_scan import StoredScan, stored_scan, write_scan
 from piezo_models.model_summary import shortfall
 from piezo_recorder.reading.waveform_file import read_waveform
+from piezo_ros.stage_runs.recording_calls import free_name
 
 FAILED = 1
+MARKED = "marked"
+"""Folder for the scan with marks by measured position."""
 SHAPES = {"harmonic": harmonic, "triangle": triangle}
 
 
@@ -95,16 +100,30 @@ def _identify(stage: Stage, options: argparse.Namespace) -> list[str]:
 
 
 def _track(stage: Stage, options: argparse.Namespace) -> list[str]:
-    reference = (
-        {"kind": "file", "file": str(options.file)} if options.file else
-        SHAPES[options.shape](options.frequency_hz, options.amplitude_um, options.centre_um))
+    if options.file:
+        reference = {"kind": "file", "file": str(options.file)}
+    elif options.shape in SHAPES:
+        reference = SHAPES[options.shape](
+            options.frequency_hz, options.amplitude_um, options.centre_um)
+    else:
+        reference = path(
+            options.shape, options.frequency_hz, options.amplitude_um, options.lines)
     run = stage.track(reference, options.model, options.mode, options.duration_s, options.output,
                       options.controller or "")
     return [f"e_rms_percent {run.e_rms_percent:.4g}",
             f"largest_error_um {run.largest_error_um:.4g}",
-            *filter(None, [run.message]), f"recorded {run.path}",
-            _next(options, "diagnose", "--model", options.model, "--data", run.path,
-                  "--output", options.output / "diagnosis")]
+            *filter(None, [run.message]), f"recorded {run.path}", _diagnosis_of(run, options)]
+
+
+def _diagnosis_of(run: Tracking, options: argparse.Namespace) -> str:
+    # Imported here, since it takes seconds, which commands without a model can save.
+    from piezo_models.model_file import is_of_several_axes
+
+    arguments = ("--model", options.model, "--data", run.path, "--output",
+                 options.output / "diagnosis")
+    if is_of_several_axes(options.model):  # which the node does not diagnose
+        return next_line("stage", "piezo_identification", "diagnose", *arguments)
+    return _next(options, "diagnose", *arguments)
 
 
 def _shortfall(model: Path | None) -> str:
@@ -138,20 +157,33 @@ def _scan(stage: Stage, options: argparse.Namespace) -> list[str]:
     if options.learn and options.feedback:
         raise ValueError("voltages are learned without feedback: leave out --learn or --feedback")
     scans = {"planned": options.scan} if options.pattern is None else _planned(options)
-    *compared, (name, scan) = scans.items()
-    if options.feedback:
-        return _scan_with_feedback(stage, scan, options)
+    planned = [(what, each, None) for what, each in scans.items()]
+    *others, (name, scan, law) = planned if options.feedback is None else [
+        *planned, (f"{planned[-1][0]} and feedback", planned[-1][1], options.feedback)]
     runs = (stage.learn_scan(scan, options.model, options.learn, options.periods, options.output)
-            if options.learn else [stage.scan(scan, options.periods, options.output)])
+            if options.learn else [stage.scan(scan, options.periods, options.output, feedback=law)])
     run = min(runs, key=lambda each: max(each.error_percent))
-    shown = {other: stage.scan(each, options.periods, options.output, other.replace(" ", "_"))
-             for other, each in compared} | {name: run}
+    if options.marks_by_position:
+        run = _marked_by_position(stage, run, options)
+    shown = {what: stage.scan(each, options.periods, options.output, what.replace(" ", "_"))
+             for what, each, _ in others} | {name: run}
     return [*map(_errors_of, runs[:len(runs) if options.learn else 0]),
-            *(str(each.summary()) for each in shown.values()),
+            *(line for what, each in shown.items() for line in (
+                *([f"{what}:"] if len(shown) > 1 else []), str(each.summary()))),
             *(f"recorded {each.path}" for each in shown.values()),
             *_images(stage, shown, options),
             next_line("stage", "piezo_identification", "simulate", "--model",
                       options.model or "<MODEL>", "--data", run.path, "--output", options.output)]
+
+
+def _marked_by_position(stage: Stage, run: Scanned, options: argparse.Namespace) -> Scanned:
+    """Play a scan again with marks by measured position, and keep these."""
+    # Imported here, since SciPy takes as long as all that drives a stage.
+    from piezo_client.scan_marks import marked
+
+    scan = marked(run)
+    write_scan(scan, options.output / free_name(options.output, MARKED))
+    return stage.scan(scan, options.periods, options.output, feedback=options.feedback)
 
 
 def _planned(options: argparse.Namespace) -> dict[str, StoredScan]:
@@ -177,17 +209,9 @@ def _images(stage: Stage, runs: Mapping[str, Scanned],
     from piezo_recorder.images.image_page import write_images
 
     images = {name: image for what, run in runs.items()
-              for name, image in images_of(run, options.periods, what, options.signal).items()}
+              for name, image in images_of(run, what, options.signal).items()}
     specimen = options.specimen and read_gsf(options.specimen)
     return write_images(images, options.output, specimen)
-
-
-def _scan_with_feedback(stage: Stage, scan: Path | StoredScan,
-                        options: argparse.Namespace) -> list[str]:
-    runs = {text: stage.scan(scan, options.periods, options.output, feedback=law)
-            for text, law in (("without feedback", None), ("with feedback", options.feedback))}
-    return [line for text, run in runs.items() for line in (
-        f"{text}:", str(run.summary()), f"recorded {run.path}")]
 
 
 def _errors_of(run: Scanned) -> str:

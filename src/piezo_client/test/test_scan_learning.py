@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from piezo_client.scan_learning import learned
-from piezo_client.scans import Scanned, StoredScan, read_scan, write_scan
+from piezo_client.scans import Scanned
+from piezo_controller.axes.stored_scan import StoredScan, read_scan, write_scan
 from piezo_models.axes.coupled import CoupledModel
 
 PERIOD_S, SAMPLES, BEGIN = 1e-3, 400, 60

@@ -11,10 +11,12 @@ import pytest
 
 from piezo_client import stage_command, stage_work
 from piezo_client.results import Played
-from piezo_client.scans import BEGIN_FILE, PERIOD_FILE, Scanned, read_scan, scanned, write_scan
+from piezo_client.scan_marks import marked
+from piezo_client.scans import Scanned, scanned
+from piezo_controller.axes.stored_scan import BEGIN_FILE, PERIOD_FILE, read_scan, write_scan
 from piezo_recorder.images.scan_frame import ScanFrame
 from piezo_recorder.reading.recording import Recording
-from piezo_recorder.sample_block import Flag
+from piezo_recorder.sample_block import Flag, Mark
 
 SAMPLES, BEGIN, PERIOD_S = 80, 30, 1e-4
 PHASE = 2.0 * np.pi * np.arange(SAMPLES) / SAMPLES
@@ -51,6 +53,13 @@ def recorded(scan, periods, error_um, ramp=7):
                      np.zeros((count, 2)), displacement_um, flags, axes=("x", "y"))
 
 
+def frame_of(marked_pixels):
+    return ScanFrame(
+        format="piezo_scan", version=1, path="raster of a test", axes=["x", "y"], pixels=[8, 5],
+        pixel_um=[0.1, 0.2], centre_um=[1.0, 2.0], marked_pixels=marked_pixels,
+        sensor_delay_s=[0.0, 1e-5])
+
+
 @dataclasses.dataclass(frozen=True)
 class Kept(Played):
     """A run whose recording need not be read."""
@@ -84,7 +93,8 @@ def test_error_is_that_of_the_last_period_without_its_offset(folder):
 def test_command_prints_the_error_of_each_axis_and_what_may_follow(folder, monkeypatch, capsys):
     scan = read_scan(folder)
     run = scanned(scan, Kept(Path("run"), recorded(scan, 2, 0.0)), 2)
-    stage = MagicMock(scan=lambda *given: run if given == (folder, 2, Path("runs")) else None)
+    stage = MagicMock(scan=lambda *given, feedback: run if given == (
+        folder, 2, Path("runs")) and feedback is None else None)
     monkeypatch.setattr(stage_work.signal, "signal", lambda *_: None)
     monkeypatch.setattr(stage_work, "Stage", lambda *_: nullcontext(stage))
     assert stage_command.main(["scan", str(folder), "--output", "runs"]) == 0
@@ -124,15 +134,41 @@ def test_command_wants_one_path_and_a_model_to_plan_it(folder, monkeypatch, caps
 
 def test_marks_and_frame_are_kept_with_the_voltages_and_repeated_with_them(folder):
     marks = np.arange(SAMPLES).astype(np.uint8) % 16
-    frame = ScanFrame(
-        format="piezo_scan", version=1, path="raster of a test", axes=["x", "y"], pixels=[8, 5],
-        pixel_um=[0.1, 0.2], centre_um=[1.0, 2.0], marked_pixels=40, sensor_delay_s=[0.0, 1e-5])
+    frame = frame_of(40)
     scan = dataclasses.replace(read_scan(folder), marks=marks, frame=frame)
     write_scan(scan, folder / "again")
     found = read_scan(folder / "again")
     assert np.array_equal(found.marks, marks) and found.frame == frame
     assert np.array_equal(found.repeated_marks(2), np.r_[np.zeros(BEGIN), marks, marks])
     assert not read_scan(folder).repeated_marks(2).any() and read_scan(folder).frame is None
+
+
+def test_command_marks_by_position_in_a_further_run(folder, monkeypatch, capsys):
+    marks = np.zeros(SAMPLES, np.uint8)
+    marks[10:70:10] = Mark.PIXEL
+    scan = dataclasses.replace(read_scan(folder), marks=marks, frame=frame_of(6))
+    played = []
+
+    def play(given, periods, directory, name="scan", feedback=None):
+        played.append((given, name, feedback))
+        return Scanned(Path("run"), scan, np.roll(scan.position_um, 3, axis=0))
+
+    monkeypatch.setattr(stage_work.signal, "signal", lambda *_: None)
+    stage = MagicMock(scan=play, description=MagicMock(signals=[]))
+    monkeypatch.setattr(stage_work, "Stage", lambda *_: nullcontext(stage))
+    law = folder / "law.json"
+    law.touch()
+    assert stage_command.main(["scan", str(folder), "--output", str(folder / "runs"),
+                               "--marks-by-position", "--feedback", str(law)]) == 0
+    first, (marked_scan, *_), without = played
+    assert first == (folder, "scan", law) and without == (folder, "planned", None)
+    assert played[1][1:] == ("scan", law)
+    assert np.array_equal(marked_scan.marks, np.roll(marks, 3))
+    assert np.array_equal(read_scan(folder / "runs" / "marked").marks, marked_scan.marks)
+    printed = capsys.readouterr().out
+    assert "planned:\n" in printed and "planned and feedback:\n" in printed
+    with pytest.raises(ValueError, match="has no pixels whose places could be measured"):
+        marked(Scanned(Path("run"), read_scan(folder), scan.position_um))
 
 
 def test_axis_that_rests_is_compared_with_the_largest_travel(folder):

@@ -6,9 +6,11 @@ from pathlib import Path
 from unittest.mock import MagicMock
 
 import pytest
+from piezo_interfaces.msg import Reference
 
 from piezo_client import stage_command, stage_work
 from piezo_client.client import ServiceFailed
+from piezo_client.results import Tracking
 
 
 def test_interrupt_before_the_work_is_read_ends_in_one_line(monkeypatch, capsys):
@@ -76,3 +78,21 @@ def test_who_tracks_without_a_model_is_told_how_to_make_one(capsys):
     printed = capsys.readouterr().err
     makes_one = "required: --model; identify makes a model: `./run piezo_client stage identify"
     assert makes_one in printed
+
+
+def test_path_of_several_axes_is_tracked_by_its_shape(monkeypatch, tmp_path, capsys):
+    model = tmp_path / "model.json"
+    model.write_text(json.dumps({"format": "piezo_stage_model", "axes": ["x", "y"]}))
+    stage = MagicMock()
+    stage.track.return_value = Tracking(Path("run"), 0.2, 0.04, 0, "x: e_rms 0.2 %")
+    monkeypatch.setattr(stage_work.signal, "signal", lambda *_: None)
+    monkeypatch.setattr(stage_work, "Stage", lambda *_: nullcontext(stage))
+    assert stage_command.main([
+        "track", "--model", str(model), "--shape", "raster", "--frequency-hz", "20",
+        "--amplitude-um", "5", "--lines", "10", "--output", "runs"]) == 0
+    reference = Reference(**stage.track.call_args.args[0])
+    assert (reference.kind, reference.frequency_hz.tolist(), reference.amplitude_um.tolist(),
+            reference.lines, reference.centre_um) == ("raster", [20.0], [5.0], 10, 0.0)
+    printed = capsys.readouterr().out
+    assert "x: e_rms 0.2 %\n" in printed
+    assert "next: ./run piezo_identification diagnose --model" in printed

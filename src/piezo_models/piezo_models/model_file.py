@@ -100,8 +100,8 @@ def load_model(path: str | PathLike[str]) -> IdentifiedModel:
         a missing, unknown or invalid field.
     """
     if is_of_several_axes(path):
-        raise ModelFileError(f"{path}: is a model of several axes, which only simulate, diagnose, "
-                             "scan and Python take so far; give a model of one axis")
+        raise ModelFileError(f"{path}: is a model of several axes, which track, simulate, "
+                             "diagnose, design, scan and Python take; give a model of one axis")
     try:
         return built_model(load_document(ModelDocument, path, LARGEST_FILE_BYTES))
     except SchemaError as error:

@@ -12,9 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from piezo_common.arrays import FloatArray
 from piezo_common.summary_table import SummaryTable
 from piezo_controller.axes.coupled_inverse import GAIN_LIMIT, invert_path
+from piezo_controller.axes.path_marks import lead_samples
 from piezo_controller.axes.path_prediction import PathPrediction, predict_path
 from piezo_controller.axes.repeated_period import faded_in
 from piezo_controller.axes.scan_path import MOST_SAMPLES, ScanPath, size_text
+from piezo_controller.axes.stored_scan import SAME_PERIOD, stored_scan
 from piezo_controller.feedforward.feasibility import (
     BISECTIONS,
     Infeasible,
@@ -27,7 +29,6 @@ from piezo_controller.references.kind import InvalidReference
 from piezo_models.axes.coupled import CoupledModel
 from piezo_models.axes.identified_axes import IdentifiedAxes
 from piezo_recorder.images.scan_frame import FORMAT, VERSION, ScanFrame
-from piezo_recorder.reading.detected import mark_columns
 from piezo_recorder.sample_block import Mark
 
 if TYPE_CHECKING:
@@ -35,9 +36,6 @@ if TYPE_CHECKING:
 
 SLEW_LIMIT_V_PER_S = 2e6
 """Slew limit, as that of `plan_feedforward`."""
-
-SAME_PERIOD = 1e-9
-"""Relative difference of sample periods up to which they are one: rounding."""
 
 
 class UnreachablePath(UnreachableReference):
@@ -96,13 +94,11 @@ class PathPlan:
     def marks(self) -> NDArray[np.int64]:
         """Return the marks of the samples, (N,): earlier than those of the path by the delay.
 
-        The path is that of the readings. An axis passes a place before its sensor shows it; each
-        axis counts by its squared speed at the marks.
+        The path is that of the readings; see `lead_samples`.
         """
         path = self.path
-        speed = np.gradient(path.position_um, axis=0)[path.marks > 0] ** 2
-        delay_s = np.sum(speed @ self.sensor_delay_s) / max(np.sum(speed), np.finfo(float).tiny)
-        return np.roll(path.marks, -round(delay_s / path.sample_period_s))
+        return np.roll(path.marks, -lead_samples(
+            path.position_um, path.marks, self.sensor_delay_s / path.sample_period_s))
 
     @property
     def frame(self) -> ScanFrame | None:
@@ -154,14 +150,7 @@ class PathPlan:
 
     def columns(self) -> dict[str, FloatArray]:
         """Return the period as the columns of a table of several axes, with its marks."""
-        path = self.path
-        return {
-            "time_s": path.time_s,
-            **{f"{axis}_voltage_v": column
-               for axis, column in zip(path.axes, self.voltage_v.T, strict=True)},
-            **{f"{axis}_displacement_um": column
-               for axis, column in zip(path.axes, path.position_um.T, strict=True)},
-            **mark_columns(self.marks)}
+        return stored_scan(self).columns()
 
 
 def plan_path(path: ScanPath, model: CoupledModel | IdentifiedAxes,

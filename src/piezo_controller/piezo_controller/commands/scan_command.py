@@ -7,8 +7,9 @@ from pathlib import Path
 
 from piezo_common.command_line import Command
 
-PATTERNS = ("raster", "spiral", "lissajous", "rosette", "cycloid", "points", "file", "scanspec")
-WITH_FILE = PATTERNS[-3:]
+WITHOUT_FILE = "raster", "spiral", "lissajous", "rosette", "cycloid"
+WITH_FILE = "points", "file", "scanspec"
+PATTERNS = (*WITHOUT_FILE, *WITH_FILE)
 
 
 def _add_options(parser: argparse.ArgumentParser) -> None:

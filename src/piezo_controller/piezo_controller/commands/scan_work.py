@@ -2,16 +2,12 @@
 """Implementation of `scan`: plan the voltages; write, print and draw them."""
 
 import argparse
-from pathlib import Path
 
-import numpy as np
-
-from piezo_common.arrays import FloatArray
 from piezo_common.command_line import print_next
 from piezo_common.picture_style import to_png
 from piezo_controller.axes.path_plan import PathPlan
 from piezo_controller.axes.scan import scan
-from piezo_recorder.images.scan_frame import SCAN_FILE
+from piezo_controller.axes.stored_scan import BEGIN_FILE, PERIOD_FILE, stored_scan, write_scan
 
 OF_PATTERN = ("size_um", "centre_um", "rate_hz", "lines", "pixels", "both_directions", "flyback_s",
               "frame_flyback_s", "linear_velocity", "file", "axes")
@@ -28,17 +24,9 @@ def plan_of(options: argparse.Namespace) -> PathPlan:
 def plan_scan(options: argparse.Namespace) -> None:
     """Plan the path; write its voltages and a figure, and print what to expect."""
     plan = plan_of(options)
-    options.output.mkdir(parents=True, exist_ok=True)
-    period, begin, picture = (options.output / name for name in (
-        "path.csv", "begin.csv", "path.png"))
-    _write(period, plan.columns())
-    begin_v = plan.begin_voltage_v
-    _write(begin, {"time_s": plan.model.sample_period_s * np.arange(len(begin_v), dtype=float),
-                   **{f"{axis}_voltage_v": column
-                      for axis, column in zip(plan.path.axes, begin_v.T, strict=True)}})
-    if plan.frame is not None:
-        (options.output / SCAN_FILE).write_text(
-            plan.frame.model_dump_json(indent=1) + "\n", encoding="utf-8")
+    write_scan(stored_scan(plan), options.output)
+    period, begin, picture = (
+        options.output / name for name in (PERIOD_FILE, BEGIN_FILE, "path.png"))
     print(plan.summary())
     picture.write_bytes(to_png(plan.plot()))
     print(f"one period, to be repeated: {period}; from the operating point into it: {begin}")
@@ -46,7 +34,3 @@ def plan_scan(options: argparse.Namespace) -> None:
     print_next(options, "piezo_identification", "simulate", "--model", options.model, "--data",
                "<a recording of these voltages>", "--output", options.output)
 
-
-def _write(path: Path, columns: dict[str, FloatArray]) -> None:
-    np.savetxt(path, np.column_stack(list(columns.values())), "%.9g", ",",
-               header=",".join(columns), comments="")

@@ -14,6 +14,7 @@ from piezo_interfaces.action import Track
 from piezo_interfaces.msg import SampleBlock, StageDescription
 from rclpy.lifecycle import LifecycleNode
 
+from piezo_controller.axes.followed_scan import AxesStage
 from piezo_controller.feedback.synthesis.weights import BUILT_IN
 from piezo_controller.node.followed_reference import FollowedReference
 from piezo_controller.node.model_service import ModelService
@@ -24,9 +25,11 @@ from piezo_controller.references.reference import Reference
 from piezo_controller.tracking.accepted_models import ModelText
 from piezo_controller.tracking.feedbacks import LOOPS, PLACES, Feedbacks, FeedbackSettings
 from piezo_controller.tracking.pace import check_pace
+from piezo_controller.tracking.path_run import prepare_path
 from piezo_controller.tracking.track import (
     Learning,
     PreparedRun,
+    Steps,
     TrackRequest,
     Unwatched,
     prepare,
@@ -107,17 +110,24 @@ class ControllerNode(LifecycleNode):
         directory = self._data_root.writable(goal.directory or self._directory)
         self._locate_files(goal)
         named, model, replaced = self._models.model_for(goal.model)
-        described = self._stage.wait(progress.check)
+        described = self._stage.wait(progress.check, several_axes=True)
         clock = _clock(described)
-        live = None if goal.reference.kind != TOPIC else self._references.begin(
+        live = None if goal.reference.kind != TOPIC or described.axes else self._references.begin(
             clock.sample_period_s, described.timing == "lockstep", goal.reference.centre_um,
             progress.check)
         request = _request(goal, model, directory)
         feedbacks = self._feedbacks(clock).with_controller(goal.controller, goal.mode)
-        prepared = prepare(request, clock, feedbacks, _Preparing(progress, goal.tolerance_um),
-                           self._data_root.writable, REPORT_PERIOD_S, live)
+
+        def prepared_for(asked: TrackRequest, steps: Steps) -> PreparedRun:
+            if described.axes:
+                return prepare_path(asked, clock, AxesStage.of(described), feedbacks, steps,
+                                    REPORT_PERIOD_S)
+            return prepare(asked, clock, feedbacks, steps, self._data_root.writable,
+                           REPORT_PERIOD_S, live)
+
+        prepared = prepared_for(request, _Preparing(progress, goal.tolerance_um))
         present = PresentRun(
-            request, named, prepared, lambda other: prepare(other, clock, feedbacks, Unwatched()),
+            request, named, prepared, lambda other: prepared_for(other, Unwatched()),
             self._tracker, clock.tick_s)
         progress.check()
         self._stage.check_unchanged(described)
@@ -128,7 +138,8 @@ class ControllerNode(LifecycleNode):
                              streamed=plan.streamed)
         with self._recorder.record(directory, f"track_{goal.mode}", {
                 "model.json": Attachment(model.text, model.path),
-                "parameters.json": Attachment(_parameters(goal))},
+                "parameters.json": Attachment(_parameters(goal)),
+                **{name: Attachment(text) for name, text in prepared.attachments.items()}},
                 goal.unrecorded) as recording:
             result.recording = recording.path
             try:
@@ -153,8 +164,8 @@ class ControllerNode(LifecycleNode):
         uncompensated = (
             f'the feedforward does not compensate: {", ".join(plan.uncompensated)}'
             if plan.uncompensated else "")
-        notes = (replaced, present.note, learned, uncompensated, run.not_followed, run.lateness,
-                 plan.note, recording.note)
+        notes = (replaced, present.note, learned, uncompensated, run.note, plan.note,
+                 recording.note)
         if result.degraded:
             raise CallFailed("; ".join(filter(None, (result.degraded_reason, *notes))))
         result.message = "; ".join(filter(None, (account.note, *notes)))
@@ -187,8 +198,8 @@ class ControllerNode(LifecycleNode):
 
         def take(block: SampleBlock) -> float:
             if not run.complete:
-                account.take(
-                    block.flags, len(block.displacement_um) // clock.samples_per_tick)
+                samples = len(block.displacement_um) // max(len(block.axes), 1)
+                account.take(block.flags, samples // clock.samples_per_tick)
             answer_v = prepared.take(np.frombuffer(block.displacement_um))
             self._followed.take(block, run.expected_um)
             return answer_v
@@ -205,7 +216,8 @@ class ControllerNode(LifecycleNode):
             plan.once_voltage_v, plan.period_voltage_v,
             prepared.ticks(clock.samples_per_tick), take, prepared.feedback is not None,
             shall_end, report, plan.continuation(),
-            None if prepared.law is None else message_of(prepared.law))
+            None if prepared.law is None else message_of(prepared.law), prepared.axes,
+            prepared.marks)
 
 
 def _clock(described: StageDescription) -> StageClock:

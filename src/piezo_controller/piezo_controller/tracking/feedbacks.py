@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_controller.feedback.axes_design import design_axes_feedback
 from piezo_controller.feedback.controller_file import (
     ControllerFileError,
     load_stabilising_controller,
@@ -23,13 +24,15 @@ from piezo_controller.feedback.multirate_feedback import MultirateFeedback
 from piezo_controller.feedback.onboard_law import answers_samples, onboard_law
 from piezo_controller.feedback.synthesis.design_choices import DEFAULT_WEIGHTS
 from piezo_controller.feedback.synthesis.generalised_plant import nominal_hysteresis_gain
-from piezo_controller.feedback.synthesis.weights import load_weights
+from piezo_controller.feedback.synthesis.weights import DesignWeights, load_weights
 from piezo_controller.feedforward.periodic import FeedforwardPlan
 from piezo_controller.learning.fast_sensitivity import fast_sensitivity
 from piezo_controller.tracking.foreseen import Sensitivity, open_loop_sensitivity
 from piezo_controller.tracking.plan import TrackingPlan
 from piezo_controller.tracking.tracking_modes import FEEDBACK_METHODS, StageClock, feedback_room_v
+from piezo_models.axes.coupled import CoupledModel
 from piezo_models.cascade import StageModel
+from piezo_models.feedback_law.axes_law import AxesLaw, load_axes_law
 from piezo_models.feedback_law.feedback_law import FeedbackLaw
 
 PLACES = ("before_inverse", "behind_inverse")
@@ -68,12 +71,19 @@ class FeedbackSettings:
 
 
 class Feedbacks:
-    """Makes the feedback of a run; designs are cached by model."""
+    """Makes the feedback of a run; designs are cached by model.
+
+    Attributes
+    ----------
+    max_feedback_v : float
+        Largest voltage of a feedback together with a feedforward, of either sign (V).
+    """
 
     def __init__(self, settings: FeedbackSettings, stage: StageClock) -> None:
         self._settings, self._stage = settings, stage
-        self._max_feedback_v = min(settings.max_feedback_v, stage.max_feedback_v)
+        self.max_feedback_v = min(settings.max_feedback_v, stage.max_feedback_v)
         self._designs: dict[tuple[str, str, int], FeedbackController] = {}
+        self._axes_laws: dict[str, AxesLaw] = {}
 
     def of_mode(self, mode: str, model: StageModel, model_sha256: str,
                 plan: TrackingPlan) -> Feedback:
@@ -99,7 +109,7 @@ class Feedbacks:
         if settings.place == "behind_inverse" or not isinstance(plan, FeedforwardPlan):
             return self.limited(controller)
         return FeedbackBeforeInverse(
-            controller, model, plan, stage.samples_per_tick, self._max_feedback_v,
+            controller, model, plan, stage.samples_per_tick, self.max_feedback_v,
             stage.rest_voltage_v)
 
     def law_of_mode(self, mode: str, model: StageModel, model_sha256: str,
@@ -117,9 +127,31 @@ class Feedbacks:
         return onboard_law(
             self._controller(mode, model, model_sha256, answered=False), model, plan,
             self._stage.sample_period_s,
-            self._max_feedback_v if composite else self._room_v(plan),
+            self.max_feedback_v if composite else self._room_v(plan),
             before_inverse=composite and self._settings.place == "before_inverse",
             max_error_um=self._settings.max_error_um if composite else math.inf)
+
+    def law_of_axes(self, model: CoupledModel, model_sha256: str) -> AxesLaw:
+        """Return the feedback of the mode composite for several axes, designed or from its file.
+
+        Parameters
+        ----------
+        model_sha256 : str
+            Hash of the model's file.
+
+        Raises
+        ------
+        ValueError
+            If the file, the weights or the design cannot be used, or blocks are to be answered.
+        """
+        if self._settings.loop != "onboard":
+            raise ValueError("the blocks of several axes are not answered: set feedback to onboard")
+        if self._settings.controller_file:
+            return load_axes_law(self._settings.controller_file)
+        if model_sha256 not in self._axes_laws:
+            self._axes_laws[model_sha256] = design_axes_feedback(
+                model, self._weights(), model_sha256)
+        return self._axes_laws[model_sha256]
 
     def sensitivity(self, mode: str, model: StageModel, model_sha256: str) -> Sensitivity:
         """Return the part of a reference that remains as error in a mode without an inverse.
@@ -226,15 +258,16 @@ class Feedbacks:
 
     def limited(self, controller: FeedbackController) -> Feedback:
         """Return a feedback that acts behind the inverse, limited to its largest voltage."""
-        return MultirateFeedback(controller, self._max_feedback_v)
+        return MultirateFeedback(controller, self.max_feedback_v)
+
+    def _weights(self) -> DesignWeights:
+        return load_weights(self._settings.weights or DEFAULT_WEIGHTS).at_tick(self._stage.tick_s)
 
     def _design(self, method: str, model: StageModel, model_sha256: str,
                 delay_ticks: int) -> FeedbackController:
         key = model_sha256, method, delay_ticks
         if key not in self._designs:
-            weights = load_weights(
-                self._settings.weights or DEFAULT_WEIGHTS).at_tick(self._stage.tick_s)
             self._designs[key] = design_feedback(
-                model, weights, self._stage.sample_period_s, model_sha256, method,
+                model, self._weights(), self._stage.sample_period_s, model_sha256, method,
                 delay_ticks=delay_ticks)
         return self._designs[key]

@@ -7,10 +7,10 @@ them in a `TrackingRun`. The stage then plays the plan; each block of samples go
 """
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from piezo_common.arrays import FloatArray
 from piezo_controller.feedback.integral_feedback import design_integral_feedback
@@ -34,6 +34,9 @@ from piezo_controller.tracking.tracking_run import TrackingRun
 from piezo_models.cascade import StageModel
 from piezo_models.feedback_law.feedback_law import FeedbackLaw
 from piezo_models.model_file import load_model
+
+if TYPE_CHECKING:
+    from piezo_controller.tracking.path_run import AxesTrackingRun
 
 LEARNING_ITERATIONS = 10
 WITHOUT_INVERSE = "open_loop", "pid", "pi"
@@ -114,12 +117,18 @@ class PreparedRun:
 
     plan: TrackingPlan
     feedback: Feedback | None
-    run: TrackingRun
+    run: "TrackingRun | AxesTrackingRun"
 
     learning: Learning | None = None
     """Only in the mode ``learning``."""
     law: FeedbackLaw | None = None
     """Law that the stage evaluates, instead of a feedback that answers block by block."""
+    axes: tuple[str, ...] = ()
+    """Names of the axes, if the stage has several; voltages then have a column for each."""
+    marks: tuple[bytes, bytes] = (b"", b"")
+    """Marks of the voltages that are played once, and of those that are repeated; see `Mark`."""
+    attachments: Mapping[str, str] = field(default_factory=dict)
+    """Texts to keep in the recording, by the names of their files."""
 
     def ticks(self, samples_per_tick: int) -> int:
         """Return the number of ticks to play; 0 if the length is not known in advance."""

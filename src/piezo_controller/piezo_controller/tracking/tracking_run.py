@@ -172,6 +172,11 @@ class TrackingRun:
         return (f"{NOT_FOLLOWED}: its rms error is {error_um:.3g} um, and that of a stage which "
                 f"rests at the mean {at_rest_um:.3g} um; use composite, or a slower reference")
 
+    @property
+    def note(self) -> str:
+        """Return the warnings of the run; empty without any."""
+        return "; ".join(filter(None, (self.not_followed, self.lateness)))
+
     def _account(self, before: int, expected_um: FloatArray, displacement_um: FloatArray) -> None:
         """Add a block to the error statistics, except its samples before the counted part."""
         expected_um, displacement_um = expected_um[before:], displacement_um[before:]

@@ -197,7 +197,7 @@ def read_axes(path: str | PathLike[str]) -> list[AxesRecording]:
 
 
 def axes_recording_of(recording: Recording) -> AxesRecording:
-    """Return the waveforms of a stage of several axes, from their first sample to the last.
+    """Return what a stage of several axes played or tracked, from its first sample to the last.
 
     If the recording contains the number of repeats, and of those that settle, only the equal
     periods after these are returned.
@@ -209,7 +209,7 @@ def axes_recording_of(recording: Recording) -> AxesRecording:
     """
     if not recording.axes:
         raise RecordingError(f"{recording.path} is of one axis: give a recording of several")
-    played, part = np.flatnonzero(recording.playing), recording
+    played, part = np.flatnonzero(recording.playing | recording.tracking), recording
     if played.size:
         row = np.arange(len(recording.sample_index))
         part = recording.select((row >= played[0]) & (row <= played[-1]))

@@ -67,13 +67,14 @@ class DescribedStage:
 
     @property
     def too_many_axes(self) -> str:
-        """Why a node for one axis cannot use the stage; empty if it can."""
+        """Why a stage cannot be used for what takes one axis; empty if it can."""
         axes = self._heard.axes if self._heard is not None else []
         if not axes:
             return ""
-        return (f"{self._node.get_name()} takes a stage of one axis, this one has the axes "
-                f"{', '.join(axis.name for axis in axes)}: play and record waveforms of all of "
-                "them, and identify from the recordings")
+        return (f"{self._node.get_name()} does this for a stage of one axis, this one has the "
+                f"axes {', '.join(axis.name for axis in axes)}: record experiments or scans of all "
+                "of them, and give the recordings to ./run piezo_identification identify or "
+                "diagnose")
 
     def wait(self, check: Callable[[], None], several_axes: bool = False) -> StageDescription:
         """Return the description of the stage; wait for one that is starting.

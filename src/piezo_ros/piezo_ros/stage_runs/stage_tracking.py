@@ -69,7 +69,8 @@ class StageTracker:
     def run(self, once_voltage_v: FloatArray, period_voltage_v: FloatArray, ticks: int,
             take: Callable[[SampleBlock], float], answering: bool, cancelled: Callable[[], bool],
             report: Callable[[], object], more: More | None = None,
-            law: FeedbackLaw | None = None, axes: Sequence[str] = ()) -> None:
+            law: FeedbackLaw | None = None, axes: Sequence[str] = (),
+            marks: tuple[bytes, bytes] = (b"", b"")) -> None:
         """Play a feedforward for some ticks and wait until the stage is at rest.
 
         Parameters
@@ -93,6 +94,9 @@ class StageTracker:
             Law that the stage evaluates itself; there are then no responses.
         axes : sequence of str
             Names of all axes of the stage, if it has several; the blocks are then not answered.
+        marks : tuple of bytes
+            Marks of both voltages as in `LoadFeedforward`, a byte for each sample of all axes, or
+            none.
 
         Raises
         ------
@@ -103,7 +107,7 @@ class StageTracker:
         for event in self._at_rest, self._awake, self._begun:
             event.clear()
         self._blocks = self.last_sample = self.missed_feedback = self._feedforward_id = 0
-        self._load_voltages(once_voltage_v, period_voltage_v, axes=axes)
+        self._load_voltages(once_voltage_v, period_voltage_v, axes=axes, marks=marks)
         if law is not None:
             call_service(self._node, self._load_law, LoadFeedback.Request(
                 law=law, feedforward_id=self._feedforward_id))
@@ -167,11 +171,14 @@ class StageTracker:
             raise
 
     def _load_voltages(self, once_voltage_v: FloatArray, period_voltage_v: FloatArray | bytes = b"",
-                       append: bool = False, axes: Sequence[str] = ()) -> None:
+                       append: bool = False, axes: Sequence[str] = (),
+                       marks: tuple[bytes, bytes] = (b"", b"")) -> None:
         self._feedforward_id = call_service(self._node, self._load, LoadFeedforward.Request(
             once_voltage_v=array.array("d", bytes(once_voltage_v)),
             period_voltage_v=array.array("d", bytes(period_voltage_v)), append=append,
-            feedforward_id=self._feedforward_id, axes=list(axes))).feedforward_id
+            feedforward_id=self._feedforward_id, axes=list(axes),
+            once_marks=array.array("B", marks[0]), period_marks=array.array("B", marks[1]))
+        ).feedforward_id
 
     def _append(self, voltage_v: FloatArray) -> None:
         self._load_voltages(voltage_v, append=True)

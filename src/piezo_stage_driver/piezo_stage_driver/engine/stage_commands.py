@@ -56,6 +56,7 @@ class StageCommands:
         self._latch, self._guards = latch, guards
         self._feedback_limits = feedback_limits or FeedbackLimits()
         self._feedforward: Feedforward | None = None
+        self._feedforward_marks: Feedforward | None = None
         self._feedforward_id = 0
         self._law: CheckedLaw | None = None
         self._begun_s = -math.inf
@@ -91,10 +92,7 @@ class StageCommands:
         """
         self._require_ready()
         voltage_v = self._by_sample(np.array(voltage_v, dtype=float), axes)
-        marks = np.array(marks, dtype=np.uint8)
-        if len(marks) not in (0, len(voltage_v)):
-            raise StageRefusal(f"the waveform has {len(voltage_v)} samples and {len(marks)} marks: "
-                               "give a mark for each sample, or none")
+        marks = _checked_marks(marks, voltage_v)
         hold_samples = self._ticks.samples_per_value(sample_period_s)
         if repeats < 1:
             raise StageRefusal("repeats is 0: play the waveform at least once")
@@ -115,7 +113,8 @@ class StageCommands:
 
     def load_feedforward(self, once_voltage_v: npt.ArrayLike, period_voltage_v: npt.ArrayLike,
                          append: bool = False, feedforward_id: int = 0,
-                         axes: Sequence[str] = ()) -> int:
+                         axes: Sequence[str] = (), once_marks: npt.ArrayLike = (),
+                         period_marks: npt.ArrayLike = ()) -> int:
         """Load the feedforward that ``start_tracking`` plays.
 
         Parameters
@@ -129,6 +128,8 @@ class StageCommands:
             Number of the feedforward to append to; 0 for the loaded one.
         axes : sequence of str
             Names of all axes in the order of the stage, if it has several.
+        once_marks, period_marks : array_like of uint8, shape (n,), (m,), optional
+            Marks of the samples, see `play`; a stream has none.
 
         Returns
         -------
@@ -150,6 +151,8 @@ class StageCommands:
                 raise StageRefusal("there is no streamed feedforward to append to: "
                                    "load one without a repeated part first")
             self._require_loaded(feedforward_id)
+            if len(np.ravel(once_marks)) or len(np.ravel(period_marks)):
+                raise StageRefusal("a stream carries no marks: load them with a repeated part")
             limits.check(once_voltage_v, self._ticks.sample_period_s, self._feedforward.last_v)
             self._feedforward.append(once_voltage_v)
             return self._feedforward_id
@@ -157,7 +160,8 @@ class StageCommands:
         feedforward = Feedforward(
             once_voltage_v, self._by_sample(np.array(period_voltage_v, dtype=float), axes))
         limits.check(feedforward.sequence_v, self._ticks.sample_period_s)
-        self._feedforward, self._law = feedforward, None
+        marks = _marks_of(feedforward, once_marks, period_marks)
+        self._feedforward, self._feedforward_marks, self._law = feedforward, marks, None
         # Random, so that a restarted stage does not reuse its numbers.
         self._feedforward_id = secrets.randbits(63) + 1
         return self._feedforward_id
@@ -209,7 +213,11 @@ class StageCommands:
         ------
         LimitError, FeedbackLawError, StageRefusal
         """
-        limits = self._limits_of_one_axis("replace_feedforward")
+        limits = self._limits
+        if not isinstance(limits, VoltageLimits):
+            raise StageRefusal("replace_feedforward takes a stage of one axis, this one has "
+                               f"{_axes_text(self._engine.axes)}: load feedforward and law between "
+                               "two runs")
         feedforward = Feedforward(np.array(once_voltage_v, dtype=float),
                                   np.array(period_voltage_v, dtype=float))
         limits.check(feedforward.sequence_v, self._ticks.sample_period_s)
@@ -299,9 +307,12 @@ class StageCommands:
         elif feedback:
             added = FeedbackHold(*beginning)
         self._feedforward.rewind()
+        if self._feedforward_marks is not None:
+            self._feedforward_marks.rewind()
         samples = ticks * self._ticks.samples_per_tick or math.inf
         self._engine.begin(Program(
-            [Phase("track", self._feedforward, samples, FLAG_TRACKING)]), client, added)
+            [Phase("track", self._feedforward, samples, FLAG_TRACKING,
+                   self._feedforward_marks)]), client, added)
         self._begun_s = time.monotonic()
         return self._engine.tick
 
@@ -356,13 +367,6 @@ class StageCommands:
                                "give as many of each")
         return voltage_v.reshape(-1, len(own))
 
-    def _limits_of_one_axis(self, service: str) -> VoltageLimits:
-        """Return the limits; refuse services that do not support several axes yet."""
-        if not isinstance(self._limits, VoltageLimits):
-            raise StageRefusal(f"{service} takes a stage of one axis, this one has "
-                               f"{_axes_text(self._engine.axes)}: play a waveform of all of them")
-        return self._limits
-
     def _require_room(self, samples: float, voltage_v: np.ndarray, hold_at_end: bool) -> None:
         """Refuse a waveform that exceeds the memory of a backend with stored waveforms."""
         engine = self._engine
@@ -402,6 +406,28 @@ class StageCommands:
             left = f", {left_s:.2g} s left" if math.isfinite(left_s) else ", until it is stopped"
             raise StageRefusal(f"the stage is busy ({engine.phase_name}{client}{left}): "
                                "wait, or cancel that first")
+
+
+def _checked_marks(marks: npt.ArrayLike, voltage_v: np.ndarray) -> np.ndarray:
+    """Return the marks of voltages, shape (n,), or none at all."""
+    marks = np.array(marks, dtype=np.uint8)
+    if len(marks) not in (0, len(voltage_v)):
+        raise StageRefusal(f"the waveform has {len(voltage_v)} samples and {len(marks)} marks: "
+                           "give a mark for each sample, or none")
+    return marks
+
+
+def _marks_of(feedforward: Feedforward, once_marks: npt.ArrayLike,
+              period_marks: npt.ArrayLike) -> Feedforward | None:
+    """Return what gives the marks of a feedforward, sample by sample; None if it has none."""
+    parts = [_checked_marks(marks, voltage_v) for marks, voltage_v in zip(
+        (once_marks, period_marks), feedforward.parts_v, strict=True)]
+    if not any(part.any() for part in parts):
+        return None
+    once, period = (part if len(part) else np.zeros(length, np.uint8)
+                    for part, length in zip(parts, feedforward.lengths, strict=True))
+    # Behind a part that is played once there are no marks, where voltages are held.
+    return Feedforward(once, period if len(period) else np.zeros(1, np.uint8))
 
 
 def _axes_text(axes: Sequence[str]) -> str:

@@ -122,7 +122,8 @@ class StageServices:
             self._ask(late, "load_feedforward", Event.APPEND if request.append else Event.LOAD,
                       lambda stage: stage.load_feedforward(
                           request.once_voltage_v, request.period_voltage_v, request.append,
-                          request.feedforward_id, request.axes), fill)
+                          request.feedforward_id, request.axes, request.once_marks,
+                          request.period_marks), fill)
 
     def _on_replace_feedforward(self, request: ReplaceFeedforward.Request,
                                 late: LateResponse) -> None:

@@ -145,6 +145,31 @@ def test_marks_and_signals_of_a_slow_waveform_are_those_of_its_values():
                        2.0 * circle(20)[:, 0])
 
 
+def test_marks_of_a_feedforward_are_put_out_once_and_in_every_period():
+    engine, backend = make_engine(Detecting)
+    once, period = np.zeros(200, np.uint8), np.zeros(400, np.uint8)
+    once[150], period[[0, 399]] = 4, (3, 1)
+    once_v = np.linspace([0.0, 10.0], circle()[0], 200)
+    for marks, wanted in (
+            ((once, period), np.concatenate([once, period, period])),
+            (((), period), np.concatenate([0 * once, period, period])),
+            ((once, ()), np.concatenate([once, 0 * period, 0 * period]))):
+        engine.commands.load_feedforward(once_v.ravel(), circle().ravel(), False, 0, AXES, *marks)
+        backend.put_out.clear()
+        first = engine.next_sample
+        engine.commands.start_tracking(False, 25)
+        run(engine)
+        put_out = np.concatenate([backend.put_out.get(number, np.zeros(len(each), np.uint8))
+                                  for number, each in enumerate(backend.played_v)])
+        assert np.array_equal(put_out[first:first + 1000], wanted)
+    with pytest.raises(StageRefusal, match="400 samples and 3 marks: give a mark for each"):
+        engine.commands.load_feedforward(once_v.ravel(), circle().ravel(), False, 0, AXES, (),
+                                         (1, 2, 3))
+    engine.commands.load_feedforward(once_v.ravel(), (), axes=AXES)
+    with pytest.raises(StageRefusal, match="a stream carries no marks"):
+        engine.commands.load_feedforward(once_v[::-1].ravel(), (), True, 0, AXES, once)
+
+
 def test_stop_ends_the_marks():
     engine, backend = make_engine(Detecting)
     play(engine, circle(4000), marks=np.ones(4000, np.uint8))
@@ -224,7 +249,7 @@ def test_waveform_that_lacks_a_voltage_of_one_axis_is_refused():
 
 def test_replacement_within_a_run_takes_one_axis():
     engine, _ = make_engine()
-    with pytest.raises(StageRefusal, match="takes a stage of one axis, this one has the axes x, y"):
+    with pytest.raises(StageRefusal, match="the axes x, y: load feedforward and law between"):
         engine.commands.replacement(np.zeros(40), (), None)
 
 

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from piezo_client.scan_feedback import followed_scan
-from piezo_client.scans import Scanned, StoredScan, stored_scan
+from piezo_client.scans import MAX_FEEDBACK_V, Scanned
+from piezo_controller.axes.followed_scan import AxesStage, followed_scan
 from piezo_controller.axes.scan import scan
+from piezo_controller.axes.stored_scan import StoredScan, stored_scan
 from piezo_controller.feedback.axes_design import design_axes_feedback
 from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_models.axes.identified_axes import IdentifiedAxes
@@ -79,16 +80,20 @@ def followed_with_law(planned: StoredScan, law: AxesLaw, held_s: float,
     """Play a path with a law, or without it, tick by tick as the stage does."""
     stage = SimulatedStage(plant_of_study(), 21)
     stage.open()
-    rest_v = np.zeros(len(LIMITS))
     if held_s:
         up = ramp_of_study(np.full(len(LIMITS), HELD_V))
         stage.exchange(np.concatenate([up, np.repeat(up[-1:], round(held_s * CLOCK_HZ), axis=0),
                                        up[::-1]]))
     periods = 1 + math.ceil(SETTLING_S * CLOCK_HZ / len(planned.voltage_v))
-    run = followed_scan(planned, law, periods, rest_v, np.full(len(LIMITS), RAMP_V_PER_S))
+    described = AxesStage(
+        tuple(LIMITS), 1.0 / CLOCK_HZ, law.samples_per_tick,
+        np.tile(VOLTAGE_RANGE_V, (len(LIMITS), 1)), np.zeros(len(LIMITS)),
+        np.full(len(LIMITS), RAMP_V_PER_S))
+    run = followed_scan(planned, described, periods * len(planned.voltage_v), law, MAX_FEEDBACK_V)
     voltage_v = np.concatenate([run.once_voltage_v, *[run.period_voltage_v] * periods])
     missing = run.samples - len(voltage_v)
     voltage_v = np.concatenate([voltage_v, np.tile(voltage_v[-1], (missing, 1))])
+    assert run.law is not None
     running, displacement_um = RunningAxesLaw(run.law, law.samples_per_tick), []
     for planned_v in voltage_v.reshape(-1, law.samples_per_tick, len(LIMITS)):
         added_v = running.begin(planned_v) if acts else 0.0

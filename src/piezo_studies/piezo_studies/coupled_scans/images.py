@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from piezo_client.scans import stored_scan
 from piezo_common.gsf import Field
 from piezo_common.picture_style import WIDE_IN, label, new_figure
 from piezo_controller.axes.path_plan import PathPlan
 from piezo_controller.axes.scan import scan
+from piezo_controller.axes.stored_scan import stored_scan
 from piezo_models.axes.coupled import CoupledModel
 from piezo_models.axes.identified_axes import IdentifiedAxes
 from piezo_recorder.images.geometric_error import error_by_sensors, error_by_specimen

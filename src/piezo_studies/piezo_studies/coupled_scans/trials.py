@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from piezo_client.scan_learning import learned
-from piezo_client.scans import Scanned, StoredScan, stored_scan
+from piezo_client.scans import Scanned
 from piezo_controller.axes.path_plan import PathPlan
 from piezo_controller.axes.scan import scan
 from piezo_controller.axes.scan_path import ScanPath
+from piezo_controller.axes.stored_scan import StoredScan, stored_scan
 from piezo_models.axes.identified_axes import IdentifiedAxes
 from piezo_studies.coupled_scans.xy_stage import (
     CLOCK_HZ,

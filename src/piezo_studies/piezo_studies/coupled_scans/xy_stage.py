@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from piezo_client.scans import Scanned, StoredScan
+from piezo_client.scans import Scanned
 from piezo_common.arrays import FloatArray
 from piezo_common.gsf import Field
+from piezo_controller.axes.stored_scan import StoredScan
 from piezo_identification.axes.identify_axes import identify_several_axes
 from piezo_identification.experiments.catalogue import Experiment
 from piezo_identification.experiments.several_axes import axes_experiments

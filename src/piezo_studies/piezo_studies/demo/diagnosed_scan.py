@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from piezo_client.scans import stored_scan
 from piezo_common.report_page import Picture, Section, pictured
 from piezo_controller.axes.path_plan import PathPlan
 from piezo_controller.axes.scan import scan
+from piezo_controller.axes.stored_scan import stored_scan
 from piezo_identification.axes.diagnose_axes import diagnose_axes
 from piezo_identification.axes.identify_axes import identify_several_axes
 from piezo_models.axes.identified_axes import IdentifiedAxes

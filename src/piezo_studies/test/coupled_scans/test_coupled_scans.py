@@ -8,7 +8,7 @@ import control
 import numpy as np
 import pytest
 
-from piezo_client.scans import StoredScan
+from piezo_controller.axes.stored_scan import StoredScan
 from piezo_models.axes.coupled import CoupledModel
 from piezo_models.feedback_law.axes_law import AxesLaw
 from piezo_models.feedback_law.feedback_law import DeclaredPlant, LinearBlock

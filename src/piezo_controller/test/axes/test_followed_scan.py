@@ -4,8 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezo_client.scan_feedback import REST_S, followed_scan
-from piezo_client.scans import StoredScan
+from piezo_controller.axes.followed_scan import REST_S, AxesStage, followed_scan
+from piezo_controller.axes.stored_scan import StoredScan
 from piezo_models.feedback_law.axes_law import AxesLaw
 from piezo_models.feedback_law.feedback_law import DeclaredPlant, LinearBlock
 
@@ -20,10 +20,12 @@ LAW = AxesLaw(
 SCAN = StoredScan(AXES, PERIOD_S, np.linspace([50.0, 40.0], [70.0, 50.0], 200),
                   POSITION_UM / 0.2, POSITION_UM)
 REST_V, RAMP_V_PER_S = [0.0, 10.0], [1000.0, 500.0]
+STAGE = AxesStage(AXES, PERIOD_S, 10, np.array([[-20.0, 120.0]] * 2), np.array(REST_V),
+                  np.array(RAMP_V_PER_S))
 
 
 def test_run_goes_from_rest_along_the_plan_for_whole_ticks():
-    run = followed_scan(SCAN, LAW, 3, REST_V, RAMP_V_PER_S)
+    run = followed_scan(SCAN, STAGE, 3 * 250, LAW, 12.0)
     once_v = run.once_voltage_v
     assert np.array_equal(once_v[0], REST_V)
     steps = np.abs(np.diff(once_v[:-200], axis=0)).max(axis=0) / PERIOD_S
@@ -32,12 +34,14 @@ def test_run_goes_from_rest_along_the_plan_for_whole_ticks():
     assert np.all(rest == SCAN.begin_voltage_v[0])
     assert np.array_equal(once_v[-200:], SCAN.begin_voltage_v)
     assert run.period_voltage_v is SCAN.voltage_v
+    assert run.period_marks is SCAN.marks
+    assert followed_scan(SCAN, STAGE, 3 * 250).law is None
     played = len(once_v) + 3 * 250
     assert played <= run.samples < played + 10 and run.samples == 10 * run.ticks
 
 
 def test_law_expects_the_path_and_acts_from_its_first_period_on():
-    run = followed_scan(SCAN, LAW, 1, REST_V, RAMP_V_PER_S, 12.0)
+    run = followed_scan(SCAN, STAGE, 250, LAW, 12.0)
     law = run.law
     assert law.start_sample == len(law.once_um) == len(run.once_voltage_v)
     assert np.array_equal(law.period_um, POSITION_UM)
@@ -48,6 +52,8 @@ def test_law_expects_the_path_and_acts_from_its_first_period_on():
 
 
 @pytest.mark.parametrize("changes", [{"axes": ("y", "x")}, {"sample_period_s": 2.5e-5}])
-def test_law_of_another_model_is_refused(changes):
-    with pytest.raises(ValueError, match="design the law for the model that the scan was planned"):
-        followed_scan(SCAN, replace(LAW, **changes), 1, REST_V, RAMP_V_PER_S)
+def test_law_of_another_model_and_a_path_for_another_stage_are_refused(changes):
+    with pytest.raises(ValueError, match="the law has the axes .*, the stage the axes x, y at 1"):
+        followed_scan(SCAN, STAGE, 250, replace(LAW, **changes))
+    with pytest.raises(ValueError, match="the scan has the axes x, y at 10000 Hz, the st"):
+        followed_scan(SCAN, replace(STAGE, **changes), 250)
