@@ -9,6 +9,7 @@ from pathlib import Path
 from piezo_common.picture_style import to_png
 from piezo_studies.coupled_scans.feedback_trials import feedback_table, rasters_with_feedback
 from piezo_studies.coupled_scans.images import image_table, images_figure, images_of_grating
+from piezo_studies.coupled_scans.marks import mark_table, rasters_marked
 from piezo_studies.coupled_scans.trials import TABLES, Row
 from piezo_studies.coupled_scans.xy_stage import identified
 from piezo_studies.marked_sections import with_sections
@@ -41,6 +42,8 @@ def main(arguments: list[str] | None = None) -> None:
         print(tables[SECTIONS + name], file=sys.stderr, flush=True)
     tables[SECTIONS + "feedback"] = feedback_table(rasters_with_feedback(model))
     print(tables[SECTIONS + "feedback"], file=sys.stderr, flush=True)
+    tables[SECTIONS + "marks"] = mark_table(rasters_marked(model))
+    print(tables[SECTIONS + "marks"], file=sys.stderr, flush=True)
     images, specimen = images_of_grating(model)
     tables[SECTIONS + IMAGES] = image_table(images, specimen)
     print(tables[SECTIONS + IMAGES], file=sys.stderr, flush=True)

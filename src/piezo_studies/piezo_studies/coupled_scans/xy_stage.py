@@ -107,7 +107,7 @@ def followed(scan: StoredScan, periods: int, mean_of: int = 1, seed: int = 21) -
     mean_of : int
         Periods whose mean counts, which has less noise.
     """
-    stage = _moving(scan, periods, SimulatedStage(plant_of_study(), seed))
+    stage = moving(scan, periods, SimulatedStage(plant_of_study(), seed))
     displacement_um = np.mean([stage.exchange(scan.voltage_v) for _ in range(mean_of)], axis=0)
     return Scanned(Path(PLANT), scan, displacement_um)
 
@@ -115,7 +115,7 @@ def followed(scan: StoredScan, periods: int, mean_of: int = 1, seed: int = 21) -
 def imaged(scan: StoredScan, specimen: Field, plant: AxesPlantConfig | None = None,
            seed: int = 21) -> AxesRecording:
     """Play two periods of a scan over a specimen; return the recording of the second."""
-    stage = _moving(scan, 1, SimulatedStage(plant or plant_of_study(), seed, specimen=specimen))
+    stage = moving(scan, 1, SimulatedStage(plant or plant_of_study(), seed, specimen=specimen))
     displacement_um = stage.exchange(scan.voltage_v)
     signals = dict(zip(stage.signals, stage.read_signals().T, strict=True))
     return AxesRecording(
@@ -124,7 +124,7 @@ def imaged(scan: StoredScan, specimen: Field, plant: AxesPlantConfig | None = No
             **mark_columns(scan.marks)})
 
 
-def _moving(scan: StoredScan, periods: int, stage: SimulatedStage) -> SimulatedStage:
+def moving(scan: StoredScan, periods: int, stage: SimulatedStage) -> SimulatedStage:
     """Return the stage after some periods of a scan."""
     stage.open()
     stage.exchange(ramp_of_study(scan.begin_voltage_v[0]))

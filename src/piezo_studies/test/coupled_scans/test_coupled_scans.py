@@ -16,6 +16,7 @@ from piezo_studies.coupled_scans import feedback_trials, xy_stage
 from piezo_studies.coupled_scans.__main__ import IMAGES, SECTIONS, table
 from piezo_studies.coupled_scans.feedback_trials import FeedbackRow, feedback_table
 from piezo_studies.coupled_scans.images import image_table, images_figure, images_of_grating
+from piezo_studies.coupled_scans.marks import MarkRow, mark_table
 from piezo_studies.coupled_scans.trials import TABLES, Row
 from piezo_studies.marked_sections import with_sections
 
@@ -28,12 +29,14 @@ def test_page_has_a_table_of_every_trial():
     sections = {SECTIONS + name: table(name, [ROW]) for name in TABLES}
     after = with_sections(before, sections | {
         SECTIONS + IMAGES: image_table({}, None),
+        SECTIONS + "marks": mark_table(iter(())),
         SECTIONS + "feedback": feedback_table(iter(()))}, SECTIONS)
     assert image_table({}, None) in before, "run make coupled-scans"
     assert after.count("| spiral | 49 | 0.072 | 0.028 | 5 | 0.028 | 0.1 |") == len(TABLES)
     for name in TABLES:
         assert table(name, []) in before, "run make coupled-scans"
-    assert feedback_table(iter(())) in before, "run make coupled-scans"
+    for empty in feedback_table(iter(())), mark_table(iter(())):
+        assert empty in before, "run make coupled-scans"
 
 
 def test_raster_is_followed_better_with_the_law_than_without():
@@ -53,6 +56,11 @@ def test_raster_is_followed_better_with_the_law_than_without():
     assert np.all(np.abs(led.offset_um) < 0.01) and np.all(np.abs(without.offset_um) > 0.1)
     row = FeedbackRow("slow", "none", without, [led, led])
     assert feedback_table(iter([row])).count("| slow | none |") == 1
+
+
+def test_row_of_marks_tells_the_mean_and_the_largest_lateness():
+    row = MarkRow("slow", 3.14, np.array([3.0, -4.0]), np.array([0.5, -0.5]))
+    assert mark_table(iter([row])).endswith("| slow | 3.1 | 3.5 | 4 | 0.5 | 0.5 |\n")
 
 
 def test_mean_of_periods_has_less_noise():
