@@ -145,13 +145,15 @@ class Estimate:
 
     def order_table(self) -> str:
         """Return the best trials, one per line, with the chosen one marked."""
-        lines = ["order  parameters  residual RMS  information"]
-        for trial in self._best_trials():
+        trials = self._best_trials()
+        width = max(len("order"), *(len(str(trial.order)) for trial in trials))
+        lines = [f"{'order':{width}}  parameters  residual RMS  information"]
+        for trial in trials:
             mark = ""
             if trial.order == self.order:
                 mark = "  <- given" if self.order_given else "  <- least information"
             lines.append(
-                f"{trial.order!s:>5}  {trial.parameters:10d}  {trial.residual_rms:12.6g}  "
+                f"{trial.order!s:>{width}}  {trial.parameters:10d}  {trial.residual_rms:12.6g}  "
                 f"{trial.information:11.1f}{mark}{'  ' if trial.refusal else ''}{trial.refusal}"
             )
         return "\n".join(lines)

@@ -39,8 +39,8 @@ class SearchSettings:
     promise: float = 100.0
     """Largest deficit of log-evidence with which a structure is followed or tried again."""
     promise_of_start: float = 1000.0
-    """The same for a start with another kind of amplifier or with a line, whose loops were not yet
-    estimated, before and after the search from the best start."""
+    """Largest deficit with which a start with another kind of amplifier or with a line is
+    followed, before and after the search from the best start: its loops were not yet estimated."""
     chance: float = 3.0
     """Largest loss of log-likelihood on held-out rows that is attributed to chance."""
     modes_less: int = 2
@@ -119,8 +119,8 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
     -------
     promising : list of (WholeModel, WholeFit)
         The best fit of all, including the given model, and the best one with another kind of
-        amplifier if it is not far behind, each with its problem. Which one will end up better is
-        not known at this stage.
+        amplifier if it is behind but not far, each with its problem. Which one will end up better
+        is not known at this stage; if they are alike, the search exchanges the amplifier itself.
     tried : list of (str, WholeFit)
         All fits in the order they were made.
     """
@@ -135,7 +135,7 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
             found.append((problem, together))
             best = together if is_better(together, best) else best
         between = list(between_rows(problem, given, delay_s))
-        listed = [*starts(problem, given, delay_s), *between]
+        listed = [*starts(problem, given, delay_s, with_new_loops is not None), *between]
         for number, structure in enumerate(listed, 1):
             check_cancelled()
             if not is_asked_for(structure.model) or is_at_noise(problem, best):
@@ -161,7 +161,7 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
     promising = [(where, fit) for where, fit in found if fit is best]
     rivals = [(where, fit) for where, fit in found
               if fit is not before and has_amplifier(fit) != has_amplifier(best)
-              and fit.evidence_over(best) > -SETTINGS.promise_of_start]
+              and -SETTINGS.promise_of_start < fit.evidence_over(best) < -SETTINGS.promise]
     promising += sorted(rivals, key=lambda entry: -entry[1].evidence_over(best))[:1]
     return promising, tried
 
@@ -260,12 +260,13 @@ def _better(problem: WholeModel, tried: Sequence[Tried], best: WholeFit) -> list
     return [fit for _, fit in tried if is_better(fit, best) and has_modes_in_band(problem, fit)]
 
 
-def starts(problem: WholeModel, given: StageModel,
-           delay_s: float | None) -> Iterator[Structure]:
+def starts(problem: WholeModel, given: StageModel, delay_s: float | None,
+           is_loop_recorded: bool) -> Iterator[Structure]:
     """Yield alternative starts of the search.
 
     They contain the ringing modes and a lag on one side of the hysteresis. A search without the
     hysteresis describes part of the loops as dynamics, which step-by-step changes cannot undo.
+    Only recorded loops tell an amplifier of second order from a mode.
     """
     given = _with_modes_in_parallel(given)
     ringing = [effect for effect in given.effects
@@ -283,7 +284,7 @@ def starts(problem: WholeModel, given: StageModel,
     what = f"{len(modes)} modes that ring"
     yield Structure(f"{what}, with an amplifier's lag", replace(
         bare, effects=(AmplifierLag(lag_s), *effects)), delay_s)
-    if any(type(mode) is CoupledMode for mode in modes):
+    if is_loop_recorded:
         # The delay is added later.
         late_s = lag_s + max(delay_s or 0.0, 0.0)
         yield Structure(f"{what} in phase, an amplifier of second order", replace(
@@ -364,13 +365,18 @@ def _with_pair_between(creep: CreepDynamics) -> CreepDynamics:
 
 def _creep_as_far_as(creep: CreepDynamics, rate_rad_per_s: float,
                      pairs: int | None = None) -> CreepDynamics:
-    """Return a creep with faster pairs added below some rate, each as large as the fastest."""
-    poles, zeros = creep.poles_rad_per_s, creep.zeros_rad_per_s
+    """Return a creep with faster pairs added below some rate, which continue its trend."""
+    poles, zeros = list(creep.poles_rad_per_s), list(creep.zeros_rad_per_s)
     factor, added = SETTINGS.faster_creep, 0
+    sizes = np.log(zeros) - np.log(poles)
+    exponent = 0.0 if len(poles) < 2 else np.clip(
+        np.log(sizes[-1] / sizes[-2]) / np.log(poles[-1] / poles[-2]), -1.0, 0.0)
     while poles and factor * poles[-1] < rate_rad_per_s and added != pairs:
-        poles, zeros = (*poles, factor * poles[-1]), (*zeros, factor * zeros[-1])
         added += 1
-    return CreepDynamics(poles, zeros)
+        size = sizes[-1] * factor ** (added * exponent)
+        poles.append(factor * poles[-1])
+        zeros.append(float(poles[-1] * np.exp(size)))
+    return CreepDynamics(tuple(poles), tuple(zeros))
 
 
 def _in_phase(modes: Sequence[VibrationMode]) -> tuple[VibrationMode, ...]:

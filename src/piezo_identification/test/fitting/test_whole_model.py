@@ -227,7 +227,7 @@ def test_what_a_fit_simulated_is_made_anew_where_it_is_asked_for(wrong, recordin
 def test_modes_between_which_are_antiresonances_stand_in_parallel_in_every_start(wrong, recordings):
     problem = WholeModel(wrong, recordings, [0.0] * 3)
     in_series = ElectricVibrationDynamics(1e-4, (2800.0, 4900.0), (0.05, 0.03), (3500.0,), (0.04,))
-    listed = list(starts(problem, replace(wrong, dynamics=in_series), None))
+    listed = list(starts(problem, replace(wrong, dynamics=in_series), None, True))
     assert listed
     for structure in listed:
         assert not structure.model.dynamics.mode_frequencies_rad_per_s

@@ -9,6 +9,7 @@ jump need to be omitted.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -24,6 +25,14 @@ from piezo_identification.conditioning.creep_removal import inverse_of_creep
 from piezo_identification.conditioning.outlier_samples import good_samples
 from piezo_identification.conditioning.segments import Recordings, played_segments
 from piezo_identification.conditioning.waveforms import samples_per_mean
+from piezo_identification.estimators.creep.power_law import (
+    POWER_LAW,
+    continued,
+    creep_of_point,
+    lowest_ringing_rad_per_s,
+    of_level_and_exponent,
+    rates_of_law,
+)
 from piezo_identification.estimators.creep.square_wave_creep import (
     BINS_PER_DECADE,
     MORE_PAIRS,
@@ -95,6 +104,8 @@ def estimate_slow_creep(
 ) -> Estimate:
     """Estimate the creep dynamics (4.4) from recordings of any slow voltage.
 
+    The creep is either a few free exponentials, or a power law, which is continued to the modes.
+
     Hysteresis, offset and initial creep are fitted together with it. If the data show them, so are
     a drift proportional to time and the remanence of the first rise of a stage that was never
     cycled. Each recording, and each stretch after a gap, starts with an unknown past.
@@ -110,7 +121,8 @@ def estimate_slow_creep(
     Returns
     -------
     Estimate
-        Its model is a `CreepDynamics`; its order counts pairs of pole and zero.
+        Its model is a `CreepDynamics`; its order counts pairs of pole and zero, or is the name of
+        the power law.
 
     Raises
     ------
@@ -121,11 +133,11 @@ def estimate_slow_creep(
     parts = played_segments(recordings)
     settling_s = left_out_s(dynamics)
     problem = _Problem(parts, settling_s)
-    point, trials = _search(problem, pair_count)
-    residual = problem.residual(point)
+    found = _search(problem, pair_count)
+    residual = problem.residual(found.point)
 
     def gain(larger: _Problem) -> float:
-        residual_then = larger.residual(point)
+        residual_then = larger.residual(found.point)
         return problem.gain_of(
             residual, residual_then, larger.width - problem.width, larger.alike(residual_then))
 
@@ -133,22 +145,37 @@ def estimate_slow_creep(
     gains = [gain(each) for each in tried]
     if max(gains) > NUISANCE_GAIN:
         problem = tried[int(np.argmax(gains))]
-        point, trials = _search(problem, pair_count)
-    if pair_count is not None and trials[-1].refusal:
+        found = _search(problem, pair_count)
+    if pair_count is not None and found.trials[-1].refusal:
         raise CreepNotShown(
             f"{parts[0].path} does not show {pair_count} pairs of creep poles and zeros "
-            f"({trials[-1].refusal}): ask for fewer, or record longer")
-    model, deviations = problem.creep(point)
-    return Estimate(model, deviations, point.size // 2, tuple(trials), pair_count is not None)
+            f"({found.trials[-1].refusal}): ask for fewer, or record longer")
+    model, deviations = problem.creep(found, lowest_ringing_rad_per_s(dynamics))
+    return Estimate(model, deviations, found.order, tuple(found.trials), pair_count is not None)
 
 
-def _search(
-    problem: "_Problem", pair_count: int | None,
-) -> tuple[FloatArray, list[OrderTrial]]:
+@dataclass(frozen=True)
+class _Found:
+    """The chosen creep, and all orders that were tried."""
+
+    order: int | str
+    point: FloatArray
+    free: FloatArray
+    """Change of the point with each free number, (P, numbers)."""
+    trials: list[OrderTrial]
+
+
+def _search(problem: "_Problem", pair_count: int | None) -> _Found:
+    """Add exponentials one by one; choose them or a power law by the information."""
+    found = _free_exponentials(problem, pair_count)
+    return found if pair_count is not None else _or_power_law(problem, found)
+
+
+def _free_exponentials(problem: "_Problem", pair_count: int | None) -> _Found:
     """Add exponentials one by one, each from the best of several rates."""
     point = best = np.empty(0)
     residual = problem.residual(point)
-    trials = [problem.trial(point, residual, 0.0)]
+    trials = [problem.trial(0, 0, residual, 0.0)]
     with while_time_lasts(MORE_PAIRS, 1.0 if pair_count else SHARE_OF_CREEP):
         for _ in range(MOST_PAIRS if pair_count is None else pair_count):
             for start in problem.starts(point):
@@ -157,12 +184,31 @@ def _search(
                     break
             residual_then = problem.residual(trial_point)
             gain = problem.gain_of(residual, residual_then, 3, problem.alike(residual_then))
-            trials.append(problem.trial(trial_point, residual_then, trials[-1].information - gain))
-            if pair_count is None and (trials[-1].refusal or gain <= 0.0):
+            pairs, refusal = trial_point.size // 2, problem.refusal(trial_point)
+            trials.append(problem.trial(
+                pairs, 3 * pairs, residual_then, trials[-1].information - gain, refusal))
+            if pair_count is None and (refusal or gain <= 0.0):
                 break
             point = best = trial_point
             residual = residual_then
-    return best, trials
+    return _Found(best.size // 2, best, np.eye(best.size), trials)
+
+
+def _or_power_law(problem: "_Problem", found: _Found) -> _Found:
+    """Return free exponentials, or creep with a power law if that has less information."""
+    point, free = problem.power_law()
+    residual = problem.residual(point)
+    # Each rate has a free initial state.
+    numbers = free.shape[1] + point.size // 2
+    chosen = next(trial for trial in found.trials if trial.order == found.order)
+    gain = problem.gain_of(problem.residual(found.point), residual, numbers - chosen.parameters,
+                           problem.alike(residual))
+    trial = problem.trial(POWER_LAW, numbers, residual, chosen.information - gain,
+                          problem.refusal(point))
+    trials = [*found.trials, trial]
+    if gain > 0.0 and not trial.refusal:
+        return _Found(POWER_LAW, point, free, trials)
+    return replace(found, trials=trials)
 
 
 class _Problem:
@@ -312,25 +358,40 @@ class _Problem:
         return float(
             rows * np.log(np.sum(before**2) / np.sum(after**2)) - parameters * np.log(rows))
 
-    def trial(self, point: FloatArray, residual: FloatArray, information: float) -> OrderTrial:
-        """Describe a fit, with its information relative to no creep."""
-        pairs = point.size // 2
-        rms = float(np.sqrt(np.sum(residual**2) / self.rows))
-        return OrderTrial(pairs, 3 * pairs, rms, information, self.refusal(point))
+    def power_law(self) -> tuple[FloatArray, FloatArray]:
+        """Return the point of the best power law, and its change with level and exponent."""
+        rates = rates_of_law(self.rates)
+        fixed = np.concatenate([rates, np.zeros_like(rates)])
+        free = of_level_and_exponent(rates, rates.mean())
+        solution = least_squares(
+            lambda numbers: self.residual(fixed + free @ numbers), [np.log(FIRST_GAINS[0]), 0.0],
+            xtol=1e-7, ftol=1e-9, gtol=1e-12, max_nfev=30)
+        return fixed + free @ solution.x, free
 
-    def creep(self, point: FloatArray) -> tuple[CreepDynamics, dict[str, object]]:
-        """Model of a point, and its standard deviations."""
-        rates, gains = np.exp(np.split(point, 2))
-        if rates.size == 0:
+    def trial(self, order: int | str, numbers: int, residual: FloatArray, information: float,
+              refusal: str = "") -> OrderTrial:
+        """Describe a fit, with its information relative to no creep."""
+        rms = float(np.sqrt(np.sum(residual**2) / self.rows))
+        return OrderTrial(order, numbers, rms, information, refusal)
+
+    def creep(self, found: _Found,
+              ringing_rad_per_s: float) -> tuple[CreepDynamics, dict[str, object]]:
+        """Model of the chosen creep, and its standard deviations.
+
+        A power law is continued from the rates that the rows show to those of the modes.
+        """
+        point, free = found.point, found.free
+        if not point.size:
             return CreepDynamics(), {"poles_rad_per_s": (), "zeros_rad_per_s": ()}
         residual = self.residual(point)
-        steps = 1e-4 * np.eye(point.size)
         jacobian = np.column_stack([
-            (self.residual(point + step) - self.residual(point - step)) / 2e-4 for step in steps])
-        values = np.concatenate([rates, gains])
+            (self.residual(point + 1e-4 * each) - self.residual(point - 1e-4 * each)) / 2e-4
+            for each in free.T])
         covariance = parameter_covariance(
-            jacobian / values, residual, residual.size - self.rows + 3 * rates.size)
-        return creep_of_partial_fractions(rates, gains, covariance)
+            jacobian, residual, residual.size - self.rows + free.shape[1] + point.size // 2)
+        if found.order == POWER_LAW:
+            point, free = continued(point, ringing_rad_per_s)
+        return creep_of_point(point, free, covariance)
 
 
 class _Part:

@@ -2,7 +2,7 @@
 """Creep from a long square wave, by output-error fit."""
 
 from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,13 @@ from piezo_identification.conditioning.waveforms import (
     played,
     samples_per_mean,
     square_wave,
+)
+from piezo_identification.estimators.creep.power_law import (
+    POWER_LAW,
+    continued,
+    creep_of_point,
+    lowest_ringing_rad_per_s,
+    rates_of_law,
 )
 from piezo_identification.estimators.estimate import (
     ROWS_OF_DECAY,
@@ -93,7 +100,8 @@ def estimate_creep(
     Returns
     -------
     Estimate
-        Its model is a `CreepDynamics`; its order counts pairs of pole and zero.
+        Its model is a `CreepDynamics`; its order counts pairs of pole and zero, or is the name of
+        the power law.
 
     Raises
     ------
@@ -182,6 +190,11 @@ def _estimate_as_held(record: "_CreepRecord", pair_count: int | None) -> Estimat
             if pair_count is None and not better:
                 break
             best = rates
+    law = record.power_law() if pair_count is None else None
+    if law is not None:
+        trials.append(law.trial)
+        if law.trial.information < min(trial.information for trial in trials[:-1]):
+            return Estimate(*record.creep_of_law(law), POWER_LAW, tuple(trials))
     model, standard_deviations = record.creep(best)
     shown = len(model.poles_rad_per_s)
     if pair_count is not None and shown < pair_count:
@@ -190,6 +203,16 @@ def _estimate_as_held(record: "_CreepRecord", pair_count: int | None) -> Estimat
             "others are too fast for the rows, or have no positive gain: ask for fewer, or record "
             "longer")
     return Estimate(model, standard_deviations, best.size, tuple(trials), pair_count is not None)
+
+
+@dataclass(frozen=True)
+class _PowerLaw:
+    """Fit of creep with a power law."""
+
+    point: FloatArray
+    covariance: FloatArray
+    """Of its level and its exponent, (2, 2)."""
+    trial: OrderTrial
 
 
 class _CreepRecord:
@@ -216,6 +239,7 @@ class _CreepRecord:
         self.displacement = self._average(recording.displacement_um)
         self.fastest = 1.0 / max(ROWS_OF_DECAY * self.period_s, self.settling_s / 3.0)
         self.bounds = np.log([0.3 / self.time_s[-1], self.fastest])
+        self.ringing_rad_per_s = lowest_ringing_rad_per_s(dynamics)
 
     def as_held(self, level: FloatArray) -> "_CreepRecord":
         """Return the same record with a voltage that has this mean in each sample period."""
@@ -329,6 +353,45 @@ class _CreepRecord:
         )
         return creep_of_partial_fractions(
             rates, gains, propagated(relative, covariance), FAST * self.fastest)
+
+    def power_law(self) -> _PowerLaw | None:
+        """Fit a power law; None if the record shows no creep in the direction of the steps."""
+        rates = rates_of_law(self.bounds)
+        basis, count = self._basis(np.exp(rates)), rates.size
+        others, of_rates = np.delete(basis, np.s_[2 : 2 + count], axis=1), basis[:, 2 : 2 + count]
+
+        def columns(exponent: float) -> FloatArray:
+            weights = np.exp(exponent * (rates - rates.mean()))
+            return np.column_stack([of_rates @ weights, others])
+
+        def fit(exponent: float) -> tuple[FloatArray, FloatArray]:
+            check_cancelled()
+            made = columns(exponent)
+            coefficients: FloatArray = np.linalg.lstsq(
+                made, self.displacement, rcond=1e-12)[0].astype(float)
+            return coefficients, self.displacement - made @ coefficients
+
+        solution = least_squares(lambda each: fit(each[0])[1], [0.0], bounds=(-1.0, 1.0))
+        exponent = float(solution.x[0])
+        coefficients, residual = fit(exponent)
+        size, gain = coefficients[0], coefficients[2]
+        if size <= 0.0 or gain <= 0.0:
+            return None
+        bent = size * (of_rates @ ((rates - rates.mean()) * np.exp(
+            exponent * (rates - rates.mean()))))
+        covariance = parameter_covariance(np.column_stack([bent, columns(exponent)]), residual)
+        relative = np.zeros((2, covariance.shape[0]))
+        relative[0, [1, 3]] = 1.0 / size, -1.0 / gain
+        relative[1, 0] = 1.0
+        gains = np.log(size / gain) + exponent * (rates - rates.mean())
+        return _PowerLaw(
+            np.concatenate([rates, gains]), propagated(relative, covariance),
+            order_trial(POWER_LAW, residual, 4 + count, signal=self.displacement))
+
+    def creep_of_law(self, law: _PowerLaw) -> tuple[CreepDynamics, dict[str, tuple[float, ...]]]:
+        """Return the model of a power law, continued to the modes, and its deviations."""
+        point, free = continued(law.point, self.ringing_rad_per_s)
+        return creep_of_point(point, free, law.covariance)
 
     @property
     def first_run_s(self) -> float:

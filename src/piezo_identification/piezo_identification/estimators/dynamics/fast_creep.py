@@ -13,6 +13,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.estimators.creep.power_law import RINGING, SLOWER_THAN_MODES
 from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
 from piezo_identification.estimators.dynamics.fast_record import FastRecord, FreeFit, independent
 from piezo_identification.estimators.dynamics.output_error import ROWS_OF_SEARCH, fit_output_error
@@ -34,12 +35,6 @@ RATES_PER_DECADE = 2.5
 
 FASTER_THAN_KNOWN = 3.0
 """Factor between the fastest known creep and the slowest creep that is sought."""
-
-SLOWER_THAN_MODES = 0.2
-"""Fraction of the lowest ringing frequency up to which creep is sought."""
-
-RINGING = 0.5
-"""Damping ratio below which a mode rings."""
 
 MOST_TURNS = 4
 """Largest number of times that creep is sought again with the dynamics corrected for creep."""

@@ -364,6 +364,11 @@ class FastRecord:
         slopes = _without(slopes, span)
         return residual, left @ (left.T @ slopes) - slopes, poles, residues
 
+    def has_endless_lag(self, fit: FastFit) -> bool:
+        """Return whether the lag of a fit is at its upper bound: it then represents drift."""
+        longest = self._bounds(fit.order, fit.vector.size)[1][0]
+        return bool(fit.vector[0] > longest - NEIGHBOURS)
+
     def _bounds(self, order: ModeOrder, size: int) -> tuple[FloatArray, FloatArray]:
         """Return bounds of the vector and the delay, from what the samples can show."""
         period_s = self.input.sample_period_s

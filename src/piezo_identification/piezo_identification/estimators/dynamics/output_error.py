@@ -162,7 +162,7 @@ class _Search:
     def estimate(self, order_given: bool) -> Estimate:
         """Return the best order, without its delay if that is not significant."""
         trials = self._trials()
-        chosen = min(trials, key=lambda trial: trial.information)
+        chosen = min(trials, key=lambda trial: (bool(trial.refusal), trial.information))
         fit, delay = self._polished(self._fits[chosen.order]), None
         if self._known_delay is None:
             fit, delay = self._with_delay_decided(fit)
@@ -197,7 +197,9 @@ class _Search:
     def _trials(self) -> tuple[OrderTrial, ...]:
         return tuple(OrderTrial(
             order, self._numbers(order), float(np.sqrt(fit.cost / fit.residual.size)),
-            self._information(fit)) for order, fit in self._fits.items())
+            self._information(fit),
+            "a lag as long as the record" if self._record.has_endless_lag(fit) else "")
+            for order, fit in self._fits.items())
 
     def _try_forms(self, free: FreeFit) -> None:
         """Fit the free poles as a model, forms with as many modes, and the best with a lag."""

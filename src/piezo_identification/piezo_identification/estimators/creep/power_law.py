@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Creep with a power or the logarithm of time: evenly spaced exponentials of two free numbers.
+
+The gains of the exponentials are a power of their rates (as in Oustaloup et al., IEEE Trans.
+Circuits Syst. I 47, 2000). A point contains the logarithms of rates, then of gains; gains are
+relative to the immediate one.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from piezo_common.arrays import FloatArray
+from piezo_identification.conditioning.settling import SlowDynamics
+from piezo_identification.estimators.estimate import creep_of_partial_fractions, propagated
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+
+POWER_LAW = "power law"
+"""Name of the order of such creep."""
+
+RATIO = 4.0
+"""Ratio of neighbouring rates: the response of their sum differs from a power of time by less than
+1e-5 of the step."""
+
+RINGING = 0.5
+"""Damping ratio below which a mode rings."""
+
+SLOWER_THAN_MODES = 0.2
+"""Fraction of the lowest ringing frequency up to which a power law is continued, and further creep
+is sought in fast records."""
+
+
+def rates_of_law(bounds: FloatArray) -> FloatArray:
+    """Return logarithms of rates that cover those which the rows show, and two slower ones.
+
+    Parameters
+    ----------
+    bounds : (2,) array
+        Logarithms of the slowest and the fastest rate that the rows show.
+    """
+    count = int(np.ceil(np.ptp(bounds) / np.log(RATIO))) + 2
+    rates: FloatArray = bounds[1] - np.log(RATIO) * (np.arange(count, 0.0, -1.0) - 0.5)
+    return rates
+
+
+def of_level_and_exponent(rates: FloatArray, centre: float) -> FloatArray:
+    """Return the change of a point with the level at a rate, and with the exponent, (P, 2)."""
+    of_gains = np.column_stack([np.ones(rates.size), rates - centre])
+    return np.concatenate([np.zeros_like(of_gains), of_gains])
+
+
+def continued(point: FloatArray, ringing_rad_per_s: float) -> tuple[FloatArray, FloatArray]:
+    """Continue a power law from the rates that the rows show to those of the modes.
+
+    Parameters
+    ----------
+    point : (P,) array
+    ringing_rad_per_s : float
+        Lowest frequency of the modes that ring; 0 if none is known.
+
+    Returns
+    -------
+    point : (Q,) array
+    free : (Q, 2) array
+        Its change with level and exponent.
+    """
+    rates, gains = np.split(point, 2)
+    end = np.log(max(SLOWER_THAN_MODES * ringing_rad_per_s, np.exp(rates[-1])))
+    faster = np.arange(rates[-1] + np.log(RATIO), end, np.log(RATIO))
+    wider = np.append(rates, faster)
+    all_gains = np.polyval(np.polyfit(rates, gains, 1), wider)
+    # The faster exponentials were a part of the immediate gain.
+    all_gains -= np.log1p(-np.exp(all_gains[rates.size :]).sum())
+    return np.concatenate([wider, all_gains]), of_level_and_exponent(wider, rates.mean())
+
+
+def creep_of_point(
+    point: FloatArray, free: FloatArray, covariance: FloatArray,
+) -> tuple[CreepDynamics, dict[str, Any]]:
+    """Return the creep of a point and its standard deviations.
+
+    Parameters
+    ----------
+    point : (P,) array
+    free : (P, n) array
+        Change of the point with each free number.
+    covariance : (n, n) array
+        Covariance of these numbers.
+    """
+    values = np.exp(point)
+    rates, gains = np.split(values, 2)
+    return creep_of_partial_fractions(
+        rates, gains, propagated(values[:, None] * free, covariance))
+
+
+def lowest_ringing_rad_per_s(dynamics: ElectricVibrationDynamics | None) -> float:
+    """Return the lowest frequency of the modes that ring; 0 if none is known."""
+    if dynamics is None:
+        return 0.0
+    parallel = dynamics.parallel_modes if isinstance(dynamics, SlowDynamics) else ()
+    modes = [*zip(dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios, strict=True),
+             *((mode.frequency_rad_per_s, mode.damping_ratio) for mode in parallel)]
+    return min((frequency for frequency, damping in modes if damping < RINGING), default=0.0)
