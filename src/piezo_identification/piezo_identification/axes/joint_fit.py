@@ -18,9 +18,9 @@ from piezo_identification.fitting.levenberg_marquardt import descend
 from piezo_models.axes.coupled import CoupledModel
 from piezo_recorder.reading.axes import AxesRecording
 
-STEPS = 4
-"""Largest number of steps of the fit: on the simulated stages of two axes, the fourth gains a
-hundredth of the first or less."""
+STEPS = 3
+"""Largest number of steps of the fit: on the simulated stages of two axes, a fourth gains 3 %
+of the first or less."""
 
 LAST_FIT = "the last fit of all parameters to all recordings"
 """What is cut short once the time is over."""

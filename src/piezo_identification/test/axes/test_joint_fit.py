@@ -46,7 +46,10 @@ def recordings():
     fast_v = 50.0 + 10.0 * np.column_stack([np.sin(np.cumsum(rng.uniform(0.0, 1.5, samples)))
                                             for _ in range(2)])
     fast_v[:50] = fast_v[0]
-    found = []
+    periodic_v = np.tile(fast_v[:1400] - fast_v[:1400].mean(axis=0) + 50.0, (2, 1))
+    noise_um = NOISE_UM * rng.normal(size=periodic_v.shape)
+    found = [AxesRecording("periodic", ("x", "y"), PERIOD_S, periodic_v,
+                           TRUE.simulate(periodic_v, periodic=True) + noise_um, 2)]
     for name, voltage_v, period_s in (
             ("loops x", loops_v[:, None] * [1.0, 0.0], 4e-3),
             ("loops y", loops_v[:, None] * [0.0, 1.0], 4e-3), ("fast", fast_v, PERIOD_S)):
@@ -105,3 +108,11 @@ def test_errors_are_never_larger_than_before_though_the_time_is_over(recordings)
     assert LAST_FIT in budget.not_tried
     np.testing.assert_array_equal(found.numbers.gains, stage.numbers.gains)
     assert found.known is stage.known
+
+
+def test_an_axis_that_rests_without_noise_is_fitted_beside(recordings):
+    resting = replace(recordings[1], displacement_um=recordings[1].displacement_um * [1.0, 0.0])
+    stage = start(0.05)
+    errors = AxesErrors(FreeAxes(stage.model, stage.numbers), [*recordings, resting])
+    assert all(np.isfinite(each).all() for each in errors.linearised(np.zeros(errors.low.size)))
+    assert np.isfinite(errors.value(np.zeros(errors.low.size)))
