@@ -12,7 +12,7 @@ from piezo_common.budget import while_time_lasts
 from piezo_identification.axes.axes_errors import AxesErrors
 from piezo_identification.axes.coupled_numbers import CoupledNumbers
 from piezo_identification.axes.free_axes import FreeAxes
-from piezo_identification.axes.predict_axes import predict_several_axes
+from piezo_identification.axes.predict_axes import SAME_PERIOD, predict_several_axes
 from piezo_identification.fitting.joint_fit import SETTINGS
 from piezo_identification.fitting.levenberg_marquardt import descend
 from piezo_models.axes.coupled import CoupledModel
@@ -65,8 +65,15 @@ def fit_to_all(stage: FittedStage, recordings: Sequence[AxesRecording]) -> Fitte
 
 
 def _centred(model: CoupledModel, recordings: Sequence[AxesRecording]) -> CoupledModel:
-    """Return the model whose displacement agrees with recordings on average."""
-    offsets_um = [np.mean(each.measured_um - each.simulated_um, axis=0) for each in (
-        predict_several_axes(model, recording) for recording in recordings)]
+    """Return the model whose displacement agrees on average with the fastest that move an axis.
+
+    In slow recordings it depends on earlier creep, and at rest on how the voltage was reached.
+    """
+    offset_um = np.array([np.mean(each.measured_um - each.simulated_um, axis=0) for each in (
+        predict_several_axes(model, recording) for recording in recordings)])
+    moves = np.array([np.ptp(each.voltage_v, axis=0) > 0.0 for each in recordings])
+    period_s = np.array([each.sample_period_s for each in recordings])[:, None]
+    shortest_s = np.min(np.where(moves, period_s, np.inf), axis=0)
+    counts = moves & (period_s <= (1.0 + SAME_PERIOD) * shortest_s)
     return replace(model, operating_displacement_um=(
-        model.operating_displacement_um + np.mean(offsets_um, axis=0)))
+        model.operating_displacement_um + np.average(offset_um, axis=0, weights=counts)))

@@ -116,3 +116,12 @@ def test_an_axis_that_rests_without_noise_is_fitted_beside(recordings):
     errors = AxesErrors(FreeAxes(stage.model, stage.numbers), [*recordings, resting])
     assert all(np.isfinite(each).all() for each in errors.linearised(np.zeros(errors.low.size)))
     assert np.isfinite(errors.value(np.zeros(errors.low.size)))
+
+
+def test_an_axis_that_rests_elsewhere_does_not_shift_the_displacement(recordings):
+    shifted = replace(recordings[2], displacement_um=recordings[2].displacement_um + [5.0, 0.0])
+    stage = replace(start(0.0), model=TRUE)
+    with spending(Budget(1e-9)):
+        model = fit_to_all(stage, [*recordings, shifted]).model
+    np.testing.assert_allclose(model.operating_displacement_um, TRUE.operating_displacement_um,
+                               atol=NOISE_UM)
