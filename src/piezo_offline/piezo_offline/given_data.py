@@ -161,6 +161,38 @@ def axes_recordings_of(given: Any, name: str) -> list[AxesRecording]:
     return []
 
 
+def axes_data_of(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the given recordings or response of several axes; empty if they are of one axis.
+
+    Parameters
+    ----------
+    given : mapping of str to data
+        By what they show; those of "dynamics" may be one frequency response. None for no data.
+
+    Returns
+    -------
+    dict of str to list of AxesRecording, or AxesResponse
+
+    Raises
+    ------
+    piezo_recorder.RecordingError
+        If some are of one axis and others of several, or a file or arrays are invalid.
+    """
+    response = axes_response_in(given["dynamics"])
+    found = {name: [axes_recordings_of(each, name) for each in in_list(data)]
+             for name, data in given.items()
+             if data is not None and not (response and name == "dynamics")}
+    are_of_axes = [bool(each) for listed in found.values() for each in listed]
+    if not response and not any(are_of_axes):
+        return {}
+    if not all(are_of_axes):
+        raise RecordingError("some data are of one axis and others of several: give data of one "
+                             "stage")
+    of_axes = {name: [recording for each in listed for recording in each]
+               for name, listed in found.items()}
+    return {"dynamics": response or ()} | of_axes
+
+
 def axes_response_in(given: Any) -> AxesResponse | None:
     """Return the given frequency response of several axes, or None if the data are not one."""
     if isinstance(given, control.FrequencyResponseData):

@@ -46,8 +46,8 @@ from piezo_models.model_file import load_model
 from piezo_offline.files import load_model as load_any_model
 from piezo_offline.given_data import (
     DataWarning,
+    axes_data_of,
     axes_recordings_of,
-    axes_response_in,
     in_list,
     read,
     recordings_of,
@@ -120,16 +120,15 @@ def identify(
     >>> print(np.round(model.model.dynamics.mode_frequencies_rad_per_s, 3))
     [1257.]
     """
-    fast = axes_response_in(dynamics) or axes_recordings_of(dynamics, "dynamics")
-    others = {name: axes_recordings_of(data, name) for name, data in (
-        ("creep", creep), ("hysteresis", hysteresis), ("validation", validation))}
-    if fast or others["creep"] or others["hysteresis"]:
+    all_data = {"creep": creep, "dynamics": dynamics, "hysteresis": hysteresis,
+                "validation": validation}
+    of_axes = axes_data_of(all_data)
+    if of_axes:
         return identify_several_axes(
-            fast, **others, pairs=modes, note=note or (lambda text: None),
+            **of_axes, pairs=modes, note=note or (lambda text: None),
             progress=progress or (lambda what, part: None), budget=Budget(budget_s))
     given: dict[str, Any] = {}
-    for name, data in (("creep", creep), ("dynamics", dynamics), ("hysteresis", hysteresis),
-                       ("validation", validation)):
+    for name, data in all_data.items():
         response = response_in(data) if name == "dynamics" else None
         if data is None:
             continue

@@ -35,6 +35,17 @@ def test_arrays_of_two_axes_give_a_model_of_both(identified):
     assert all(error["e_y_percent"] < 3.0 for error in identified.errors.values())
 
 
+ONE_AXIS = {"time_s": [0.0], "voltage_v": [0.0], "displacement_um": [0.0]}
+
+
+@pytest.mark.parametrize("given", [
+    {"dynamics": [columns(1), ONE_AXIS]}, {"dynamics": columns(1), "creep": ONE_AXIS},
+    {"dynamics": ONE_AXIS, "validation": columns(1)}])
+def test_data_of_one_axis_beside_those_of_two_are_refused(given):
+    with pytest.raises(RecordingError, match="some data are of one axis and others of several"):
+        piezo_offline.identify(**given)
+
+
 def test_a_saved_model_simulates_alike(identified, tmp_path):
     path = tmp_path / "model.json"
     piezo_offline.save_model(path, identified)

@@ -184,7 +184,7 @@ class _Errors:
         rows = np.arange(len(recording.voltage_v))
         self.stretch = rows * SPLIT.stretches // rows.size
         self.fitted = self.stretch % SPLIT.held_out != SPLIT.held_out // 2
-        before = np.zeros((rows.size, 0)) if recording.periods else decays(model, recording)
+        before = decays(model, recording)
         self._nuisance = np.linalg.svd(np.column_stack([
             np.ones(rows.size), before - before.mean(axis=0)]), full_matrices=False)[0]
         moves_v = np.linalg.norm(recording.voltage_v - recording.voltage_v[0], axis=1)

@@ -8,20 +8,16 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_common.budget import Budget, spending
-from piezo_identification.axes.actuator_rounds import (
-    FittedStage,
-    coupled_model,
-    in_rounds,
-    modal_model,
-    residues_of,
-)
+from piezo_identification.axes.actuator_start import start_of_actuators
 from piezo_identification.axes.axes_response import AxesResponse
 from piezo_identification.axes.coupled_fit import (
     CoupledFit,
     covariances,
     covariances_of_correlated,
 )
-from piezo_identification.axes.coupled_numbers import Linearised
+from piezo_identification.axes.coupled_numbers import CoupledNumbers, Linearised
+from piezo_identification.axes.joint_fit import FittedStage, fit_to_all
+from piezo_identification.axes.modal_model import coupled_model, modal_model, residues_of
 from piezo_identification.axes.modes_fit import JUDGED_STEPS, Note, Progress, fitted_modes
 from piezo_identification.axes.order_search import without_weak_poles
 from piezo_identification.axes.predict_axes import SAME_PERIOD, errors_percent
@@ -134,7 +130,7 @@ def _of_response(
         turn = response.hold_gain()[:, None] * spectra[0].z[:, None] ** late
         known = covariances_of_correlated(fit, spectra, np.einsum(
             "km,kmdij,ki->kmdij", turn, covariance, turn.conj()))
-    return _identified(FittedStage(fit, spectra, model, np.zeros(n)), known,
+    return _identified(FittedStage(fit.numbers, model, known),
                        np.tile([-ANY_VOLTAGE_V, ANY_VOLTAGE_V], (n, 1)), [response])
 
 
@@ -163,23 +159,28 @@ def _of_recordings(
     shortest_s = min(each.sample_period_s for each in recordings)
     fast = list(dynamics) or [each for each in recordings if _is_of_period(each, shortest_s)]
     fit, spectra, late = _fitted_modes(fast, pairs, note, progress)
-    whole = None
+    started = None
     if by_experiment["creep"] or by_experiment["hysteresis"]:
-        whole = in_rounds(fit, late, by_experiment, fast, pairs, note, progress)
+        started = start_of_actuators(fit, late, by_experiment, fast, pairs, note, progress)
         alike = [each for each in recordings if _is_of_period(each, fast[0].sample_period_s)]
-        if whole is None and len(alike) > len(fast):
+        if started is None and len(alike) > len(fast):
             fast = alike
             fit, spectra, late = _fitted_modes(fast, pairs, note, progress)
-    progress("memory", 0.9)
+    model = coupled_model(fit.numbers, late, fast)
+    if started is not None:
+        fit, spectra, model = started.fit, started.spectra, started.model
+    if len(fit.numbers.back):
+        progress("memory", 0.8)
+        model = _with_softening(model, fit.numbers, spectra, fast)
+    stage = FittedStage(fit.numbers, model, covariances(fit, spectra))
+    if model.actuators:
+        progress("all parameters", 0.8)
+        stage = fit_to_all(stage, recordings)
     n = len(fast[0].axes)
-    whole = whole or FittedStage(
-        fit, spectra, coupled_model(fit.numbers, late, fast), np.zeros(n))
-    if len(whole.fit.numbers.back):
-        whole = replace(whole, model=_with_softening(whole, fast))
     voltage_range_v = np.array([[min(each.voltage_v[:, axis].min() for each in recordings),
                                  max(each.voltage_v[:, axis].max() for each in recordings)]
                                 for axis in range(n)])
-    return _identified(whole, covariances(whole.fit, whole.spectra), voltage_range_v, recordings)
+    return _identified(stage, voltage_range_v, recordings)
 
 
 def _fitted_modes(recordings: Sequence[AxesRecording], pairs: int | None, note: Note,
@@ -221,13 +222,13 @@ def _check_alike(recording: AxesRecording, first: AxesRecording | AxesResponse,
             f"{first.name} of {first.sample_period_s:.6g} s: give recordings of one rate")
 
 
-def _identified(found: FittedStage, known: Sequence[FloatArray], voltage_range_v: FloatArray,
+def _identified(found: FittedStage, voltage_range_v: FloatArray,
                 sources: Sequence[AxesRecording | AxesResponse]) -> IdentifiedAxes:
-    """Return the model with its deviations, from covariances as `covariances` returns them."""
-    numbers, model = found.fit.numbers, found.model
+    """Return the model with its deviations."""
+    numbers, model = found.numbers, found.model
     period_s, n, columns = model.sample_period_s, len(model.axes), numbers.gains.shape[0]
     # Rounding makes the variance of what is not determined negative.
-    deviations = np.sqrt(np.maximum([np.diag(each) for each in known], 0.0))
+    deviations = np.sqrt(np.maximum([np.diag(each) for each in found.known], 0.0))
     gain_deviations = deviations[:, : columns * n].reshape(n, columns, n).transpose(1, 0, 2)
     off = deviations[0, numbers.own().shape[1]:][:columns]
     pairs = int(np.count_nonzero(numbers.steps.imag > 0.0))
@@ -236,28 +237,29 @@ def _identified(found: FittedStage, known: Sequence[FloatArray], voltage_range_v
     residue_deviations = residues_of(numbers, gain_deviations)
     delays_s, delay_deviations_s = sensor_delays(model, residue_deviations)
     return IdentifiedAxes(
-        model, voltage_range_v, _coupling(found, known), pole_deviations, residue_deviations,
+        model, voltage_range_v, _coupling(found), pole_deviations, residue_deviations,
         delays_s, delay_deviations_s,
         recordings=[{"path": each.name, "sha256": each.sha256} for each in sources])
 
 
-def _with_softening(found: FittedStage, recordings: Sequence[AxesRecording]) -> CoupledModel:
+def _with_softening(model: CoupledModel, numbers: CoupledNumbers, spectra: Sequence[Spectrum],
+                    recordings: Sequence[AxesRecording]) -> CoupledModel:
     """Return the model with the memory that explains one recording of each level best."""
-    numbers, amplitudes_v = found.fit.numbers, [each.amplitude_v for each in found.spectra]
+    amplitudes_v = [each.amplitude_v for each in spectra]
     softening = Softening(
         np.array([residues_of(numbers, back) for back in numbers.back]), numbers.back_gain,
         numbers.reference_v, MEMORIES_S[-1], (min(amplitudes_v), max(amplitudes_v)))
     judged = [level[0] for level in levels_of(recordings)]
-    candidates = [replace(found.model, softening=replace(softening, memory_s=memory_s))
+    candidates = [replace(model, softening=replace(softening, memory_s=memory_s))
                   for memory_s in MEMORIES_S]
     return min(candidates, key=lambda candidate: sum(
         error["e_y_percent"] for each in judged
         for error in errors_percent(candidate, [each]).values()))
 
 
-def _coupling(found: FittedStage, known: Sequence[FloatArray]) -> Coupling:
+def _coupling(found: FittedStage) -> Coupling:
     """Return the response at some frequencies with its deviations."""
-    numbers, model = found.fit.numbers, found.model
+    numbers, model = found.numbers, found.model
     n, nyquist_hz = len(model.axes), 0.5 / model.sample_period_s
     of_modes = np.abs(model.poles_rad_per_s[model.poles_rad_per_s.imag > 0.0]) / (2.0 * np.pi)
     lowest_hz = min(1e-3 * nyquist_hz, of_modes.min(initial=nyquist_hz) / 10.0)
@@ -270,16 +272,13 @@ def _coupling(found: FittedStage, known: Sequence[FloatArray]) -> Coupling:
         at = Linearised(numbers, response_to(axis, z, np.zeros((z.size, n), complex),
                                              np.ones((z.size, n)), numbers.reference_v))
         own, shared = at.own_slopes(), at.shared_slopes()
-        for output, covariance in enumerate(known):
+        for output, covariance in enumerate(found.known):
             late = z[:, None] ** -int(model.latency_samples[output])
             slopes = late * np.hstack([own, shared[output]])
             covariance = covariance[: slopes.shape[1], : slopes.shape[1]]
             deviation[:, output, axis] = (
                 _spread(slopes.real, covariance) + 1j * _spread(slopes.imag, covariance))
-    response = model.response(frequency_hz)
-    off = response * found.scale_off
-    return Coupling(frequency_hz, response, np.hypot(deviation.real, off.real)
-                    + 1j * np.hypot(deviation.imag, off.imag))
+    return Coupling(frequency_hz, model.response(frequency_hz), deviation)
 
 
 def _spread(slopes: FloatArray, covariance: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from piezo_common.cancellation import check_cancelled
 from piezo_identification.axes.coupled_fit import CoupledFit, refined, softened_numbers
 from piezo_identification.axes.coupled_numbers import CoupledNumbers
 from piezo_identification.axes.order_search import evidence_of, growing, without_weak_poles
-from piezo_identification.axes.sensor_delays import latencies
+from piezo_identification.axes.sensor_delays import further_latencies, latencies
 from piezo_identification.axes.spectra import (
     Spectrum,
     reweighted,
@@ -74,13 +74,9 @@ def fitted_modes(
     behind_actuators : bool
         The drive is that of the modes, behind hysteresis and creep.
     """
+    start, late = _with_latencies(_reference(levels), pairs, progress)
+    levels = [[each.advanced(late) for each in level] for level in levels]
     reference = _reference(levels)
-    start = _ordered(reference, pairs, progress)
-    late = latencies(reference, start)
-    if late.any():
-        levels = [[each.advanced(late) for each in level] for level in levels]
-        reference = _reference(levels)
-        start = _ordered(reference, pairs, progress)
     fit, everything = _best_fit(reference, levels, start, note, progress)
     if behind_actuators:
         numbers = without_slow_poles(fit.numbers)
@@ -148,6 +144,22 @@ def _is_response(level: Sequence[Spectrum]) -> bool:
     return len(level) == n and all(
         not each.transient and each.driven == (axis,) and np.all(each.drive[:, axis] == 1.0)
         for axis, each in enumerate(level))
+
+
+def _with_latencies(reference: Sequence[Spectrum], pairs: int | None,
+                    progress: Progress) -> tuple[CoupledFit, np.ndarray]:
+    """Return the linear fit with most evidence, and its latencies.
+
+    What lags behind the light modes is late, or it passes a slow amplifier: a pole without delay.
+    """
+    first = _ordered(reference, pairs, progress)
+    best, late = first, np.zeros(reference[0].motion.shape[1], dtype=int)
+    for tried in (latencies(reference, first), further_latencies(reference, first)):
+        if tried.any():
+            fit = _ordered([each.advanced(tried) for each in reference], pairs, progress)
+            if evidence_of(fit) > evidence_of(best):
+                best, late = fit, tried
+    return best, late
 
 
 def _ordered(reference: Sequence[Spectrum], pairs: int | None, progress: Progress) -> CoupledFit:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.settling import AT_REST
@@ -79,7 +80,7 @@ def predict_several_axes(model: CoupledModel, recording: AxesRecording) -> AxesP
 
     A recording of periods is predicted as one that has repeated for long, and one whose first
     voltages are all the same from rest. Any other begins in motion: what the modes still ring by is
-    estimated from its displacement, as the offset is. So is the rest of earlier creep.
+    estimated from its displacement, as the offset is. So is the rest of earlier creep in all.
 
     Raises
     ------
@@ -114,12 +115,10 @@ def predict_several_axes(model: CoupledModel, recording: AxesRecording) -> AxesP
             f"{recording.name} has a sample period of {recording.sample_period_s:.6g} s, and the "
             f"model of {model.sample_period_s:.6g} s: resample it, or identify at its rate")
     displacement_um = simulated_um(model, recording, circumstances_of(model, recording))
-    if not recording.periods:
-        displacement_um = displacement_um + _fitted(
-            decays(model, recording), recording.displacement_um - displacement_um)
-    return AxesPrediction(
-        recording.axes, recording.sample_period_s * np.arange(len(displacement_um), dtype=float),
-        recording.voltage_v, recording.displacement_um, displacement_um)
+    displacement_um = displacement_um + fitted(
+        decays(model, recording), recording.displacement_um - displacement_um)
+    return AxesPrediction(recording.axes, _time_s(recording), recording.voltage_v,
+                          recording.displacement_um, displacement_um)
 
 
 def circumstances_of(model: CoupledModel, recording: AxesRecording) -> Circumstances:
@@ -166,19 +165,29 @@ def simulated_um(model: CoupledModel, recording: AxesRecording,
     return np.tile(displacement_um, (periods, 1))
 
 
-def decays(model: CoupledModel, recording: AxesRecording) -> FloatArray:
-    """Return the courses by which motion from before a recording decays, (N, columns)."""
-    time_s = recording.sample_period_s * np.arange(len(recording.voltage_v))[:, None]
-    rates = [rate for each in model.actuators for rate in each.creep.poles_rad_per_s]
-    crept = np.exp(-time_s * rates)
-    if np.all(np.ptp(recording.voltage_v[:AT_REST], axis=0) == 0.0):
+def decays(model: CoupledModel, recording: AxesRecording,
+           rows: slice | NDArray[np.intp] = slice(None)) -> FloatArray:
+    """Return the courses by which motion from before a recording decays, (rows, columns).
+
+    Those of the creep come first.
+    """
+    crept = creep_decays(model, recording, rows)
+    if recording.periods or np.all(np.ptp(recording.voltage_v[:AT_REST], axis=0) == 0.0):
         return crept
     poles = model.poles_rad_per_s
-    ringing = np.exp(time_s * poles)
+    ringing = np.exp(_time_s(recording)[rows, None] * poles)
     return np.hstack([crept, ringing.real, ringing.imag[:, poles.imag > 0.0]])
 
 
-def _fitted(courses: FloatArray, residual_um: FloatArray) -> FloatArray:
+def creep_decays(model: CoupledModel, recording: AxesRecording,
+                 rows: slice | NDArray[np.intp] = slice(None)) -> FloatArray:
+    """Return the courses of the creep of earlier motion, one for each rate, (rows, columns)."""
+    rates = [rate for each in model.actuators for rate in each.creep.poles_rad_per_s]
+    courses: FloatArray = np.exp(-_time_s(recording)[rows, None] * rates)
+    return courses
+
+
+def fitted(courses: FloatArray, residual_um: FloatArray) -> FloatArray:
     """Return the part of the residual that follows some courses about their means, (N, n)."""
     about = courses - courses.mean(axis=0)
     # Together with an offset, which no error includes.
@@ -186,6 +195,10 @@ def _fitted(courses: FloatArray, residual_um: FloatArray) -> FloatArray:
     gains = np.linalg.lstsq(columns, residual_um, rcond=1e-9)[0]
     fitted_um: FloatArray = about @ gains[:-1]
     return fitted_um
+
+
+def _time_s(recording: AxesRecording) -> FloatArray:
+    return recording.sample_period_s * np.arange(len(recording.voltage_v), dtype=float)
 
 
 def errors_percent(model: CoupledModel,

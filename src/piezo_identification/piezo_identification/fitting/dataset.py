@@ -132,7 +132,8 @@ def dataset_of(simulated: Sequence[SimulatedRecording], recordings: Sequence[Rec
         others share that number. By default, all share it.
     """
     simulated, model = tuple(simulated), simulated[0].model
-    rows, stretch, for_estimation = _split(simulated, undivided)
+    rows, stretch, for_estimation = split_rows(
+        [part.voltage_v for part in simulated], [part.begin for part in simulated], undivided)
     nuisance = [nuisance_regressors(part, used) for part, used in zip(simulated, rows, strict=True)]
     changes = np.vstack(side_by_side(
         lambda index: sensitivities(simulated[index], rows[index]), range(len(simulated))))
@@ -158,14 +159,31 @@ def _extent(simulated: Sequence[SimulatedRecording]) -> Extent:
     )
 
 
-def _split(simulated: Sequence[SimulatedRecording], undivided: int,
-           ) -> tuple[tuple[NDArray[np.intp], ...], NDArray[np.intp], BoolArray]:
-    """Return the rows of each recording, the stretch of each row, and whether it may be fitted."""
+def split_rows(voltages_v: Sequence[FloatArray], begins: Sequence[int], undivided: int = 0,
+               ) -> tuple[tuple[NDArray[np.intp], ...], NDArray[np.intp], BoolArray]:
+    """Return the rows of each recording, the stretch of each row, and whether it may be fitted.
+
+    Parameters
+    ----------
+    voltages_v : sequence of (N,) or (N, axes) array
+        Voltages of each recording in V.
+    begins : sequence of int
+        First sample of each recording that is used.
+    undivided : int
+        See `dataset_of`.
+
+    Returns
+    -------
+    rows : tuple of (n,) array of int
+    stretch : (r,) array of int
+    for_estimation : (r,) array of bool
+    """
     rows, numbers, fitted = [], [], []
-    for index, part in enumerate(simulated):
-        budget = max(SPLIT.most_rows // (1 if index < undivided else len(simulated)),
+    for index, (whole_v, begin) in enumerate(zip(voltages_v, begins, strict=True)):
+        budget = max(SPLIT.most_rows // (1 if index < undivided else len(voltages_v)),
                      SPLIT.stretches)
-        settled = np.arange(part.begin, part.time_s.size)
+        voltage_v = whole_v[begin:]
+        settled = np.arange(begin, len(whole_v))
         is_fitted = np.arange(SPLIT.stretches) % SPLIT.held_out != SPLIT.held_out // 2
         if settled.size > budget:
             # Random shifts keep the chunks from staying in phase with a periodic waveform.
@@ -174,28 +192,28 @@ def _split(simulated: Sequence[SimulatedRecording], undivided: int,
             # Only the beginning shows how far the creep had progressed.
             shift[0] = 0
             first = -(-np.arange(SPLIT.stretches) * settled.size // SPLIT.stretches)
-            for number, step in enumerate(_steps_from_rest(part, chunk)):
+            for number, step in enumerate(_steps_from_rest(voltage_v, chunk)):
                 at = int(np.searchsorted(first, step, side="right")) - 1
                 length = np.diff(first, append=settled.size)[at]
                 shift[at] = min(step - first[at], length - chunk) if at else 0
                 if shift[at] < step - first[at] and at + 1 < SPLIT.stretches:
                     shift[at + 1] = 0
                 is_fitted[at : at + 2] = (number + 1) % SPLIT.held_out != 0
-            starts = part.begin + first + shift
+            starts = begin + first + shift
             chosen = (starts[:, None] + np.arange(chunk)).ravel()
         else:
             chosen = settled
         rows.append(chosen)
-        of_rows = (chosen - part.begin) * SPLIT.stretches // settled.size
+        of_rows = (chosen - begin) * SPLIT.stretches // settled.size
         numbers.append(index * SPLIT.stretches + of_rows)
         fitted.append(is_fitted[of_rows])
     return tuple(rows), np.concatenate(numbers), np.concatenate(fitted)
 
 
-def _steps_from_rest(part: SimulatedRecording, rest: int) -> NDArray[np.intp]:
+def _steps_from_rest(voltage_v: FloatArray, rest: int) -> NDArray[np.intp]:
     """Return the last rows before voltage steps from rests of some rows, counted from the first."""
-    voltage_v = part.voltage_v[part.begin :]
+    changes_v = np.abs(np.diff(voltage_v, axis=0)).reshape(len(voltage_v) - 1, -1)
     least_v = WAVEFORM.level_tolerance * np.ptp(voltage_v)
-    moving = np.flatnonzero(np.abs(np.diff(voltage_v)) > least_v)
+    moving = np.flatnonzero(np.any(changes_v > least_v, axis=1))
     steps = moving[np.diff(moving, prepend=-rest) >= rest]
     return steps[:: -(-steps.size // SPLIT.steps) or 1]

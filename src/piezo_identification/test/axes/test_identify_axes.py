@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from piezo_common.budget import Budget
 from piezo_identification.axes.identify_axes import identify_several_axes
@@ -81,6 +82,21 @@ def test_delays_of_the_sensors_are_found(identified):
     wanted_s = np.array(flexure.LATE) * flexure.PERIOD_S
     assert np.all(np.abs(identified.delays_s - wanted_s) < 4.0 * identified.delay_deviations_s)
     assert np.all(identified.delay_deviations_s < 0.2 * flexure.PERIOD_S)
+
+
+def test_a_slow_amplifier_is_a_pole_and_no_delay_of_the_sensor():
+    kept = np.exp(-0.1)
+    rng, tables = np.random.default_rng(3), []
+    for axis in range(2):
+        voltage_v = flexure.multisine_v(2048, rng)[:, None] * np.eye(2)[axis]
+        slower_v = lfilter([0.0, 1.0 - kept], [1.0, -kept], voltage_v, axis=0)
+        columns = flexure.table(slower_v, rng)
+        columns |= {"x_voltage_v": voltage_v[:, 0], "y_voltage_v": voltage_v[:, 1]}
+        tables.append(flexure.recording(columns, f"experiment {axis}"))
+    model = identify_several_axes(tables, pairs=4).model
+    assert np.max(model.latency_samples) <= 2
+    np.testing.assert_allclose(np.diag(model.response(0.0)[0].real),
+                               np.diag(flexure.response([0.0])[0].real), rtol=2e-3)
 
 
 def test_a_budget_ends_the_search_with_the_best_so_far(recordings):

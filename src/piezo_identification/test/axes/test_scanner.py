@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piezo_identification.axes import actuator_rounds
+from piezo_identification.axes import actuator_start
 from piezo_identification.axes.identify_axes import identify_several_axes
 from piezo_identification.axes.predict_axes import predict_several_axes
 from piezo_models.axes_model_file import load_axes_model, save_axes_model
@@ -21,7 +21,7 @@ import scanner
 def identified():
     tables = scanner.experiments(np.random.default_rng(1))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(actuator_rounds, "LEVELS_OF_ROUNDS", (12, 24))
+        patch.setattr(actuator_start, "LEVELS", (12, 24))
         return identify_several_axes(**{
             experiment: [flexure.recording(table, f"{experiment} {number}")
                          for number, table in enumerate(listed)]

@@ -466,6 +466,8 @@ def _poles_and_residues(
 
 def _delayed(signal: FloatArray, samples: int, periodic: bool) -> FloatArray:
     """Return a signal delayed by samples; before it is its period or its first value."""
+    if not samples:
+        return signal
     at = np.arange(len(signal)) - samples
     delayed: FloatArray = signal[at % len(signal) if periodic else np.maximum(at, 0)]
     return delayed

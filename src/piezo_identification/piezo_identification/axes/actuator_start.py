@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Start of hysteresis and creep of each axis, with the modes behind them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from piezo_common.budget import has_time_for
+from piezo_identification.axes.actuator_estimate import estimate_actuators
+from piezo_identification.axes.coupled_fit import CoupledFit
+from piezo_identification.axes.modal_model import coupled_model
+from piezo_identification.axes.modes_fit import (
+    Note,
+    Progress,
+    fitted_modes,
+    without_slow_poles,
+)
+from piezo_identification.axes.predict_axes import (
+    circumstances_of,
+    creep_decays,
+    fitted,
+    predict_several_axes,
+    simulated_um,
+)
+from piezo_identification.axes.spectra import Spectrum, played_lines, spectra_of_levels
+from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
+from piezo_models.axes.coupled import CoupledModel
+from piezo_recorder.reading.axes import AxesRecording
+
+LEVELS = (12, 50)
+"""Levels of the hysteresis in the first and the second estimate. In the first, with modes that were
+fitted without hysteresis, more would follow errors of the modes."""
+
+SECOND_ESTIMATE, FIRST = "second estimate of hysteresis and creep, with the modes", 0.6
+"""What is omitted, and from which share of the time: it takes up to a third of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class StartedStage:
+    """Modes as fitted to spectra, and the model with hysteresis and creep in front of them."""
+
+    fit: CoupledFit
+
+    spectra: list[Spectrum]
+    """That were fitted."""
+    model: CoupledModel
+
+
+def with_drive(model: CoupledModel, recording: AxesRecording) -> AxesRecording:
+    """Return a recording with the drive of the modes as its voltage, without earlier creep.
+
+    The drive of a periodic voltage is reduced to the lines of the voltage: between them hysteresis
+    adds too little to determine a response.
+    """
+    periods = recording.periods or 1
+    voltage_v = recording.voltage_v.reshape(periods, -1, len(model.axes)).mean(axis=0)
+    circumstances = circumstances_of(model, recording)
+    drive_v = model.drive_v(voltage_v, bool(recording.periods), circumstances.pasts)
+    resting = np.ptp(voltage_v, axis=0) == 0.0
+    drive_v[:, resting] = drive_v[0, resting]  # without the rounding of the creep
+    if recording.periods:
+        lines = np.fft.rfft(drive_v, axis=0)
+        lines[~played_lines(np.fft.rfft(voltage_v, axis=0))] = 0.0
+        drive_v = drive_v.mean(axis=0) + np.fft.irfft(lines, len(drive_v), axis=0)
+    crept_um = fitted(creep_decays(model, recording), recording.displacement_um - simulated_um(
+        model, recording, circumstances))
+    return replace(recording, voltage_v=np.tile(drive_v, (periods, 1)),
+                   displacement_um=recording.displacement_um - crept_um)
+
+
+def start_of_actuators(
+    fit: CoupledFit, late: np.ndarray, by_experiment: Mapping[str, Sequence[AxesRecording]],
+    fast: Sequence[AxesRecording], pairs: int | None, note: Note, progress: Progress,
+) -> StartedStage | None:
+    """Estimate hysteresis and creep of each axis with the modes given, and then the modes, twice.
+
+    Parameters
+    ----------
+    fit : CoupledFit
+        Fit of the modes alone.
+    late : (n,) array of int
+        Latency of each sensor.
+    by_experiment : mapping of str to sequence of AxesRecording
+        "dynamics", "creep" and "hysteresis".
+    fast : sequence of AxesRecording
+        Those of the shortest sample period.
+    pairs : int, optional
+        Pairs of poles; by evidence by default.
+    note : callable
+        Called with what was found of each axis.
+    progress : callable
+        Called with (stage, fraction) when a stage begins.
+
+    Returns
+    -------
+    StartedStage or None
+        The one of the two with less residual; None where no axis shows hysteresis or creep.
+    """
+    recordings = [each for listed in by_experiment.values() for each in listed]
+    slow = [*by_experiment["creep"], *by_experiment["hysteresis"]]
+    loops = by_experiment["hysteresis"] or slow
+    steps = by_experiment["creep"] or slow
+    model = coupled_model(without_slow_poles(fit.numbers), late, fast)
+    found: list[StartedStage] = []
+    densities: Sequence[DensityEstimate | None] = ()
+    for number, levels in enumerate(LEVELS):
+        if number and not has_time_for(SECOND_ESTIMATE, FIRST):
+            break
+        progress(f"hysteresis and creep, estimate {number + 1}", 0.6 + 0.1 * number)
+        actuators, densities = estimate_actuators(model, steps, loops, levels, densities)
+        if not any(each.hysteresis or each.creep.poles_rad_per_s for each in actuators):
+            return None
+        found.append(_behind(replace(model, actuators=actuators), fast, pairs))
+        model = found[-1].model
+    best = min(found, key=lambda each: _residual(each.model, recordings))
+    for axis, actuator in zip(model.axes, best.model.actuators, strict=True):
+        shown = "hysteresis" if actuator.hysteresis else "no hysteresis"
+        note(f"{axis}: {shown}, {len(actuator.creep.poles_rad_per_s)} pairs of creep")
+    return best
+
+
+def _behind(model: CoupledModel, fast: Sequence[AxesRecording],
+            pairs: int | None) -> StartedStage:
+    """Fit the modes behind hysteresis and creep."""
+    driven = [with_drive(model, each) for each in fast]
+    fit, spectra, late = fitted_modes(
+        spectra_of_levels(driven), pairs, _silent, _silent, behind_actuators=True)
+    return StartedStage(fit, spectra, coupled_model(fit.numbers, late, driven, model.actuators))
+
+
+def _silent(*_: object) -> None:
+    """Ignore notes and progress."""
+
+
+def _residual(model: CoupledModel, recordings: Sequence[AxesRecording]) -> float:
+    """Return the sum of the logarithms of the mean square residuals of recordings."""
+    predictions = (predict_several_axes(model, each) for each in recordings)
+    return float(sum(np.log(np.sum(np.var(each.measured_um - each.simulated_um, axis=0)))
+                     for each in predictions))
