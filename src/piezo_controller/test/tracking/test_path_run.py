@@ -107,12 +107,18 @@ def test_axis_that_rests_is_measured_by_the_travel_of_the_other(prepared):
     assert run.e_rms_percent() < 0.1
 
 
+def test_errors_of_a_run_within_a_line_are_relative_to_the_travel_of_the_path(prepared):
+    run, _ = played(prepared("feedforward", duration_s=0.002))
+    assert run.e_rms_percent() < 0.2
+
+
 @pytest.mark.parametrize(("changes", "said"), [
     ({"mode": "learning"}, "do not track in the mode 'learning': use one of open_loop"),
     ({"mode": "pid"}, "do not track in the mode 'pid'"),
     ({"references": [RASTER, RASTER]}, "repeat one path by its exact inverse: leave then"),
     ({"inversion": "zero_phase"}, "repeat one path by its exact inverse: leave then"),
-    ({"references": [replace(RASTER, kind="harmonic")]}, "unknown pattern 'harmonic': use one of"),
+    ({"references": [replace(RASTER, kind="harmonic", centre_um=50.0)]},
+     "several axes follow no 'harmonic': use one of raster"),
     ({"references": [replace(RASTER, kind="points")]}, "the kind points needs a file: name it"),
     ({"references": [replace(RASTER, file="path.csv")]}, "the kind raster takes no file"),
     ({"references": [replace(RASTER, centre_um=5.0)]}, "leave centre_um, phase_rad and once out"),
