@@ -175,7 +175,7 @@ def _add_scan(commands: Commands) -> None:
                         help="play it once more, with marks when the run before was at their "
                         "places")
     parser.add_argument("--feedback", type=Path, metavar="LAW",
-                        help="law file of `design`: play it without feedback, then with this one")
+                        help="law file of `design`: play it with this feedback, then without")
 
 
 def _add_diagnose(commands: Commands) -> None:

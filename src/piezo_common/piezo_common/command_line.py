@@ -134,7 +134,7 @@ def namespace(text: str) -> str:
     """
     if not re.fullmatch(r"/?|(/?[a-z_]\w*)(/[a-z_]\w*)*", text, re.ASCII | re.IGNORECASE):
         raise argparse.ArgumentTypeError(
-            f"{text!r} is no namespace: give letters, digits and _ after a slash, such as /left")
+            f"{text!r} is no namespace: give letters, digits and _, no digit first, such as /left")
     return text
 
 
