@@ -91,7 +91,9 @@ class AxesTrackingRun:
 
     @property
     def note(self) -> str:
-        """Return the errors of each axis, and which did not follow."""
+        """Return the errors of each axis, and which did not follow; empty before any counts."""
+        if not self.begun:
+            return ""
         return "; ".join(
             f"{axis}: e_rms {run.e_rms_percent():.4g} %, largest error {run.largest_error_um:.4g} "
             f"um{', ' * bool(run.note)}{run.note}" for axis, run in self._runs.items())

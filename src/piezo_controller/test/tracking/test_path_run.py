@@ -66,7 +66,9 @@ def played(prepared):
 
 
 def test_path_is_followed_as_far_as_its_inverse_and_measured_axis_by_axis(prepared):
-    exact, found_um = played(prepared("feedforward"))
+    ready = prepared("feedforward")
+    assert ready.run.note == ""
+    exact, found_um = played(ready)
     plain, _ = played(prepared("open_loop"))
     assert exact.e_rms_percent() < 0.1 and exact.on_target and exact.settled_after_sample == 0
     assert plain.e_rms_percent() > 10.0 and not plain.on_target
