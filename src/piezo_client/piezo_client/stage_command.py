@@ -128,9 +128,9 @@ def _add_track(commands: Commands) -> None:
                         help="reference: one period, time_s,displacement_um at the sample rate; of "
                         "several axes x_displacement_um and so on, such as path.csv of scan")
     parser.add_argument("--shape", choices=(*SHAPES, *WITHOUT_FILE), default=SHAPES[0],
-                        help="reference where no file is given (default: %(default)s); the others "
-                        "than harmonic and triangle are of several axes, about the operating point "
-                        "of the model")
+                        help="reference where no file is given (default: %(default)s); shapes "
+                        "other than harmonic and triangle are paths of several axes, about the "
+                        "operating point of the model")
     parser.add_argument("--lines", type=int, default=LINES, metavar="NUMBER",
                         help="lines, turns or lobes of a path of several axes (default: "
                         "%(default)s)")
