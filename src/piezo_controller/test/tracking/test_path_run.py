@@ -18,8 +18,7 @@ from piezo_controller.tracking.feedbacks import Feedbacks, FeedbackSettings
 from piezo_controller.tracking.path_run import prepare_path
 from piezo_controller.tracking.track import TrackRequest, Unwatched
 from piezo_controller.tracking.tracking_modes import StageClock
-from piezo_models import Coupling, IdentifiedAxes
-from piezo_models.axes_model_file import save_axes_model
+from piezo_models import save_axes_model
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "axes"))
 import xy_flexure
@@ -32,13 +31,8 @@ RASTER = Reference("raster", (100.0,), (10.0,), lines=6)
 
 @pytest.fixture(scope="module")
 def model_file(tmp_path_factory):
-    model = xy_flexure.model()
-    frequency_hz, modes = np.geomspace(1.0, 1e4, 10), model.poles_rad_per_s.size
-    gain = model.response(frequency_hz)
     path = tmp_path_factory.mktemp("model") / "model.json"
-    save_axes_model(path, IdentifiedAxes(
-        model, np.array([[-120.0, 120.0]] * 2), Coupling(frequency_hz, gain, 1e-3 * np.abs(gain)),
-        np.zeros(modes, complex), 0.0 * model.residues_um_per_v, np.zeros(2), np.zeros(2)))
+    save_axes_model(path, xy_flexure.identified(120.0))
     return path
 
 
