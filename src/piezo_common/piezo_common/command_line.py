@@ -138,6 +138,24 @@ def namespace(text: str) -> str:
     return text
 
 
+def count(text: str) -> int:
+    """Return a whole number of 1 or more from an argument.
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        If it is none.
+
+    Examples
+    --------
+    >>> count("3")
+    3
+    """
+    if not text.isdecimal() or not int(text):
+        raise argparse.ArgumentTypeError(f"{text!r} is no count: give a whole number of 1 or more")
+    return int(text)
+
+
 def check_output_file(output: Path) -> None:
     """Check before the work that a file can be written.
 
