@@ -63,7 +63,7 @@ def path(kind: str, rate_hz: float, size_um: float | Sequence[float],
     rate_hz : float
         Lines or turns a second, as for `piezo_controller.axes.patterns.ScanPattern`.
     size_um : float or sequence of two
-        Along the fast and the slow axis.
+        Along the fast and the slow axis, or one size for both.
     lines : int
         Lines of a frame, turns or lobes.
     """

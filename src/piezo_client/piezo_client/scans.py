@@ -78,9 +78,7 @@ class Scanned(Played):
 
         For an axis that rests it is relative to the largest travel.
         """
-        travel_um = np.ptp(self.scan.position_um, axis=0)
-        travel_um = np.where(travel_um > 0.0, travel_um, travel_um.max())
-        percent: FloatArray = 100.0 * np.std(self.error_um, axis=0) / travel_um
+        percent: FloatArray = 100.0 * np.std(self.error_um, axis=0) / self.scan.travel_um
         return percent
 
     def summary(self) -> SummaryTable:

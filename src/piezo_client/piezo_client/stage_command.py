@@ -8,7 +8,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import NoReturn, TypeAlias
 
-from piezo_common.command_line import BAD_INPUT, INTERRUPTED, namespace
+from piezo_common.command_line import BAD_INPUT, INTERRUPTED, count, namespace
 from piezo_controller.commands.scan_command import WITHOUT_FILE, add_path_options
 from piezo_ros.starting import without_ros_arguments
 
@@ -128,10 +128,10 @@ def _add_track(commands: Commands) -> None:
                         help="reference: one period, time_s,displacement_um at the sample rate; of "
                         "several axes x_displacement_um and so on, such as path.csv of scan")
     parser.add_argument("--shape", choices=(*SHAPES, *WITHOUT_FILE), default=SHAPES[0],
-                        help="reference where no file is given (default: %(default)s); the others "
-                        "than harmonic and triangle are of several axes, about the operating point "
-                        "of the model")
-    parser.add_argument("--lines", type=int, default=LINES, metavar="NUMBER",
+                        help="reference where no file is given (default: %(default)s); shapes "
+                        "other than harmonic and triangle are paths of several axes, about the "
+                        "operating point of the model")
+    parser.add_argument("--lines", type=count, default=LINES, metavar="NUMBER",
                         help="lines, turns or lobes of a path of several axes (default: "
                         "%(default)s)")
     for option, default, text in (
@@ -148,7 +148,7 @@ def _add_play(commands: Commands) -> None:
     parser.add_argument("waveform", type=Path, metavar="FILE",
                         help="CSV time_s,voltage_v of uniform samples, or x_voltage_v and so on of "
                         "all axes; a recording as CSV will do")
-    parser.add_argument("--repeats", type=int, default=1, metavar="NUMBER",
+    parser.add_argument("--repeats", type=count, default=1, metavar="NUMBER",
                         help="how often (default: %(default)s)")
 
 
@@ -157,9 +157,9 @@ def _add_scan(commands: Commands) -> None:
     parser.add_argument("scan", type=Path, metavar="DIR", nargs="?",
                         help="folder that `scan` wrote path.csv and begin.csv into; or give "
                         "--pattern and --model")
-    parser.add_argument("--periods", type=int, default=2, metavar="NUMBER",
+    parser.add_argument("--periods", type=count, default=2, metavar="NUMBER",
                         help="how often it is followed; the last one counts (default: %(default)s)")
-    parser.add_argument("--learn", type=int, default=0, metavar="RUNS",
+    parser.add_argument("--learn", type=count, default=0, metavar="RUNS",
                         help="play it so often at most, each time with voltages learned from the "
                         "run before")
     parser.add_argument("--model", type=Path, metavar="FILE",
@@ -175,7 +175,7 @@ def _add_scan(commands: Commands) -> None:
                         help="play it once more, with marks when the run before was at their "
                         "places")
     parser.add_argument("--feedback", type=Path, metavar="LAW",
-                        help="law file of `design`: play it without feedback, then with this one")
+                        help="law file of `design`: play it with this feedback, then without")
 
 
 def _add_diagnose(commands: Commands) -> None:
@@ -185,7 +185,7 @@ def _add_diagnose(commands: Commands) -> None:
                         help="recordings to explain")
     parser.add_argument("--holdout", type=Path, default="", metavar="FILE",
                         help="recording on which the errors are measured")
-    parser.add_argument("--experiments", type=int, default=0, metavar="NUMBER",
+    parser.add_argument("--experiments", type=count, default=0, metavar="NUMBER",
                         help="that may be played until one explanation remains (default: none)")
     parser.add_argument("--longest-s", type=float, default=0.0, metavar="SECONDS",
                         help="that each of them may last (default: 30 s)")

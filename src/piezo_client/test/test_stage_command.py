@@ -72,6 +72,18 @@ def test_a_namespace_that_cannot_be_is_refused_before_ros_is_asked(capsys):
     assert "'not ok' is no namespace: give letters" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("typed", [
+    "track --model m.json --output runs --shape raster --lines -5",
+    "play wave.csv --output runs --repeats 0", "scan plan --output runs --periods 0",
+    "scan plan --output runs --learn -1",
+    "diagnose --model m.json --data d.csv --output runs --experiments 1.5"])
+def test_a_number_that_counts_nothing_is_refused_before_ros_is_asked(typed, capsys):
+    with pytest.raises(SystemExit) as ended:
+        stage_command.main(typed.split())
+    assert ended.value.code == 2
+    assert "is no count: give a whole number of 1 or more" in capsys.readouterr().err
+
+
 def test_who_tracks_without_a_model_is_told_how_to_make_one(capsys):
     with pytest.raises(SystemExit):
         stage_command.main(["track", "--output", "runs"])

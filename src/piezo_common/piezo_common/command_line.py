@@ -134,8 +134,26 @@ def namespace(text: str) -> str:
     """
     if not re.fullmatch(r"/?|(/?[a-z_]\w*)(/[a-z_]\w*)*", text, re.ASCII | re.IGNORECASE):
         raise argparse.ArgumentTypeError(
-            f"{text!r} is no namespace: give letters, digits and _ after a slash, such as /left")
+            f"{text!r} is no namespace: give letters, digits and _, no digit first, such as /left")
     return text
+
+
+def count(text: str) -> int:
+    """Return a whole number of 1 or more from an argument.
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        If it is none.
+
+    Examples
+    --------
+    >>> count("3")
+    3
+    """
+    if not text.isdecimal() or not int(text):
+        raise argparse.ArgumentTypeError(f"{text!r} is no count: give a whole number of 1 or more")
+    return int(text)
 
 
 def check_output_file(output: Path) -> None:

@@ -45,9 +45,12 @@ class ProgressLine:
 
 
 def overwrite(terminal: TextIO, text: str) -> None:
-    """Write a text in place of the present line of a terminal, without ending the line."""
+    """Write a text in place of the present line of a terminal.
+
+    What is written next, such as a warning, begins in the same line.
+    """
     width = shutil.get_terminal_size().columns - 1
-    terminal.write("\r\x1b[K" + text[:width])
+    terminal.write(f"\r\x1b[K{text[:width]}\r")
     terminal.flush()
 
 

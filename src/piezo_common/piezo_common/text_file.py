@@ -17,6 +17,8 @@ from piezo_common.regular_file import UnreadableFile, open_regular
 
 LARGEST_BYTES = 10_000_000
 PART_BYTES = 1 << 18
+PREVIOUS = ".previous"
+"""End of the stem of an earlier version that is kept."""
 
 log = logging.getLogger(__name__)
 
@@ -95,7 +97,7 @@ def keep_previous(path: Path, earlier: Path | None = None) -> None:
     OSError
         If it cannot be renamed.
     """
-    previous = path.with_name(f"{path.stem}.previous{path.suffix}")
+    previous = path.with_name(f"{path.stem}{PREVIOUS}{path.suffix}")
     os.replace(earlier or path, previous)
     log.warning("%s: the earlier file is kept as %s", path, previous.name)
 

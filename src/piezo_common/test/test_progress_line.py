@@ -16,8 +16,8 @@ def test_a_terminal_gets_one_line_that_is_written_over():
     progress.show("dynamics", 0.5, 8.0)
     progress.clear()
     assert "\n" not in terminal.getvalue()
-    assert terminal.getvalue().count("\r") == 3
-    assert terminal.getvalue().endswith("\r\x1b[K")
+    assert terminal.getvalue().count("\r\x1b[K") == 3
+    assert terminal.getvalue().endswith("\r\x1b[K\r")
 
 
 def test_a_log_gets_one_line_for_each_step():

@@ -56,7 +56,7 @@ def test_a_terminal_shows_one_line_that_is_cleared_at_the_end(capsys, monkeypatc
         progress("short", 0.5)
     shown = capsys.readouterr().out
     assert "\n" not in shown
-    assert shown.split("\r\x1b[K") == ["", "  0 %  a step with ", " 50 %  short", ""]
+    assert shown.split("\r\x1b[K") == ["", "  0 %  a step with \r", " 50 %  short\r", "\r"]
 
 
 def test_a_last_step_that_begins_early_is_not_said_to_be_late(clock, capsys):

@@ -72,8 +72,11 @@ def marks_by_position(position_um: FloatArray, marks: NDArray[np.uint8], reading
     passed += places - places % samples
     found = np.abs(passed - marked) < FARTHEST * samples / lines
     at = np.where(found, np.round(np.where(found, passed, 0.0)), marked).astype(int)
-    # Two marks within a sample, which a place that was not passed may cause, go to two samples.
-    at = np.maximum.accumulate(at - np.arange(len(at))) + np.arange(len(at))
+    # Two marks within a sample, which noise or a place that was not passed may cause, go to two
+    # samples; the last mark stays before the first of the next period.
+    number = np.arange(len(at))
+    at = np.maximum.accumulate(at - number)
+    at = np.minimum(at, at[:1] + samples - len(at)) + number
     by_position = np.zeros_like(marks)
     np.bitwise_or.at(by_position, at % samples, marks[marked])
     return by_position

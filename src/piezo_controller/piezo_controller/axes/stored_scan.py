@@ -43,6 +43,16 @@ class StoredScan:
     frame: ScanFrame | None = None
     """Pixels of the image; None if no pixels are marked."""
 
+    @property
+    def travel_um(self) -> FloatArray:
+        """Return the peak-to-peak position of each axis; the largest for an axis that rests, (n,).
+
+        Errors are relative to it.
+        """
+        own_um = np.ptp(self.position_um, axis=0)
+        travel_um: FloatArray = np.where(own_um > 0.0, own_um, own_um.max())
+        return travel_um
+
     def columns(self) -> dict[str, FloatArray]:
         """Return the period as the columns of a table of several axes, with its marks."""
         samples = len(self.voltage_v)

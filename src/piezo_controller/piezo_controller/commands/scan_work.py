@@ -33,4 +33,3 @@ def plan_scan(options: argparse.Namespace) -> None:
     print(f"drawn {picture}")
     print_next(options, "piezo_identification", "simulate", "--model", options.model, "--data",
                "<a recording of these voltages>", "--output", options.output)
-

@@ -15,7 +15,7 @@ from pydantic import ConfigDict
 
 from piezo_common.arrays import FloatArray
 from piezo_common.schema import Document, Number, Numbers, SchemaError, entry, load_document
-from piezo_common.text_file import replace_document
+from piezo_common.text_file import PREVIOUS, replace_document
 from piezo_controller.references.kind import Reference
 
 FORMAT = "piezo_learned_feedforward"
@@ -125,6 +125,8 @@ def find_like(directory: str | Path, reference: Reference, model_sha256: str,
     """
     found = []
     for path in sorted(Path(directory).glob("learned_*.json")):
+        if path.stem.endswith(PREVIOUS):
+            continue
         try:
             document = load_document(LearnedDocument, path)
         except SchemaError:

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Several axes track a path: planned as by `scan`, and measured axis by axis."""
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,9 +10,9 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_controller.axes.followed_scan import AxesStage, check_fit, followed_scan
 from piezo_controller.axes.path_plan import PathPlan
+from piezo_controller.axes.patterns import KINDS, PATTERNS
 from piezo_controller.axes.scan import scan
 from piezo_controller.axes.stored_scan import stored_scan
-from piezo_controller.commands.scan_command import WITH_FILE
 from piezo_controller.feedforward.periodic import SETTLE_S, FeedforwardPlan
 from piezo_controller.references.kind import InvalidReference, Reference
 from piezo_controller.tracking.feedbacks import Feedbacks
@@ -92,7 +91,9 @@ class AxesTrackingRun:
 
     @property
     def note(self) -> str:
-        """Return the errors of each axis, and which did not follow."""
+        """Return the errors of each axis, and which did not follow; empty before any counts."""
+        if not self.begun:
+            return ""
         return "; ".join(
             f"{axis}: e_rms {run.e_rms_percent():.4g} %, largest error {run.largest_error_um:.4g} "
             f"um{', ' * bool(run.note)}{run.note}" for axis, run in self._runs.items())
@@ -113,12 +114,12 @@ class AxesTrackingRun:
 class _AlongAxis(FeedforwardPlan):
     """The part of one axis in a path."""
 
-    largest_travel_um: float = math.inf
-    """Of all axes: errors of an axis that rests are relative to it."""
+    whole_travel_um: float = field(kw_only=True)
+    """That of the whole path, see `StoredScan.travel_um`."""
 
     def travel_um(self, samples: int) -> float:
-        """See `TrackingPlan`."""
-        return super().travel_um(samples) or self.largest_travel_um
+        """Return the travel of the whole path, also for a run that ends within its first line."""
+        return self.whole_travel_um
 
 
 def prepare_path(request: TrackRequest, clock: StageClock, stage: AxesStage, feedbacks: Feedbacks,
@@ -172,10 +173,9 @@ def prepare_path(request: TrackRequest, clock: StageClock, stage: AxesStage, fee
     once_v = np.concatenate([followed.once_voltage_v, voltage_v[settling]])
     once_um = position_um[np.arange(-len(once_v), 0) % len(position_um)]
     once_marks = np.concatenate([np.zeros(start, np.uint8), marks[settling]])
-    travel_um = float(np.ptp(position_um, axis=0).max())
     runs = {axis: TrackingRun(
         _AlongAxis(once_v[:, at], voltage_v[:, at], once_um[:, at], position_um[:, at], start,
-                   largest_travel_um=travel_um),
+                   whole_travel_um=float(stored.travel_um[at])),
         run_samples, tick_s=clock.tick_s, tolerance_um=request.tolerance_um,
         window_samples=round(window_s * clock.sample_rate_hz))
         for at, axis in enumerate(stage.axes)}
@@ -189,9 +189,12 @@ def _planned(reference: Reference, model: IdentifiedAxes, clock: StageClock,
              stage: AxesStage) -> PathPlan:
     """Plan the path of a reference within the voltages of both the model and the stage."""
     kind, sizes_um = reference.kind, tuple(reference.amplitude_um)
-    if (kind in WITH_FILE) != bool(reference.file):
+    if kind not in (*KINDS, "scanspec"):
+        raise InvalidReference(f"several axes follow no {kind!r}: use one of "
+                               f"{', '.join(KINDS)}, scanspec")
+    if (kind in PATTERNS) == bool(reference.file):
         raise InvalidReference(f"a path of the kind {kind} " + (
-            "needs a file: name it" if kind in WITH_FILE else "takes no file: leave it out"))
+            "takes no file: leave it out" if kind in PATTERNS else "needs a file: name it"))
     if reference.centre_um or len(reference.phase_rad) or reference.once:
         raise InvalidReference("a path of several axes is repeated about the operating point of "
                                "the model: leave centre_um, phase_rad and once out")

@@ -59,6 +59,15 @@ def test_places_are_marked_within_a_sample_on_a_motion_that_lags_and_is_noisy(ki
     assert len(late) >= 64 and np.abs(late).max() < 1.0
 
 
+def test_no_mark_is_lost_where_each_sample_has_one():
+    angle_rad = 2.0 * np.pi * np.arange(400) / 400
+    position_um = 10.0 * np.column_stack([np.cos(angle_rad), np.sin(angle_rad)])
+    noise_um = 0.05 * np.random.default_rng(0).normal(size=position_um.shape)
+    marks = np.full(400, Mark.PIXEL, np.uint8)
+    found = marks_by_position(position_um, marks, position_um + noise_um, np.zeros(2))
+    assert np.array_equal(found, marks)
+
+
 def test_places_that_are_not_passed_and_rests_keep_their_marks():
     position_um, marks, _ = drawn("raster", **RASTER)
     still_um = np.tile(position_um.mean(axis=0), (len(marks), 1))

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.signal import cont2discrete, lfilter
 
-from piezo_models import CoupledModel
+from piezo_models import CoupledModel, Coupling, IdentifiedAxes
 
 PERIOD_S = 25e-6
 FINER = 10
@@ -59,6 +59,17 @@ def model(frequency_off=(0.0, 0.0, 0.0), damping_off=0.0, push_off=0.0):
     both = control.ss(control.append(*rows)) * control.ss(
         [], [], [], np.vstack([np.eye(2), np.eye(2)]), PERIOD_S)
     return CoupledModel.from_control(both, ("x", "y"))
+
+
+def identified(largest_v):
+    """Return the model as it is identified with voltages of either sign."""
+    exact = model()
+    frequency_hz, modes = np.geomspace(1.0, 1e4, 10), exact.poles_rad_per_s.size
+    gain = exact.response(frequency_hz)
+    return IdentifiedAxes(
+        exact, largest_v * np.array([[-1.0, 1.0]] * 2),
+        Coupling(frequency_hz, gain, 1e-3 * np.abs(gain)), np.zeros(modes, complex),
+        1e-3 * exact.residues_um_per_v, np.zeros(2), np.zeros(2))
 
 
 def _held(a, b, span_s):

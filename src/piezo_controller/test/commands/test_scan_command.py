@@ -10,7 +10,7 @@ import pytest
 
 from piezo_common.schema import load_document
 from piezo_controller.commands.scan_command import main
-from piezo_models import Coupling, IdentifiedAxes, save_axes_model
+from piezo_models import save_axes_model
 from piezo_recorder.images.scan_frame import ScanFrame
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "axes"))
@@ -19,14 +19,8 @@ import xy_flexure
 
 @pytest.fixture(scope="module")
 def model_file(tmp_path_factory):
-    model = xy_flexure.model()
-    frequency_hz = np.geomspace(1.0, 1e4, 10)
-    gain = model.response(frequency_hz)
-    modes = model.poles_rad_per_s.size
     path = tmp_path_factory.mktemp("model") / "model.json"
-    save_axes_model(path, IdentifiedAxes(
-        model, np.array([[-60.0, 60.0]] * 2), Coupling(frequency_hz, gain, 1e-3 * np.abs(gain)),
-        np.zeros(modes, complex), 1e-3 * model.residues_um_per_v, np.zeros(2), np.zeros(2)))
+    save_axes_model(path, xy_flexure.identified(60.0))
     return path
 
 

@@ -80,3 +80,10 @@ def test_nearest_like_reference_is_found_and_its_correction_grows_with_the_ampli
 def test_what_is_not_alike_is_not_found(path, wanted):
     (path.parent / "learned_broken.json").write_text("{")
     assert find_like(path.parent, *wanted) is None
+
+
+def test_an_earlier_version_that_is_kept_is_not_found(path):
+    save_learned(path, Learned(*SAME, np.zeros(400), 0.001, 9))
+    path.unlink()
+    assert len(list(path.parent.iterdir())) == 1
+    assert find_like(path.parent, *SAME) is None

@@ -18,8 +18,7 @@ from piezo_controller.tracking.feedbacks import Feedbacks, FeedbackSettings
 from piezo_controller.tracking.path_run import prepare_path
 from piezo_controller.tracking.track import TrackRequest, Unwatched
 from piezo_controller.tracking.tracking_modes import StageClock
-from piezo_models import Coupling, IdentifiedAxes
-from piezo_models.axes_model_file import save_axes_model
+from piezo_models import save_axes_model
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "axes"))
 import xy_flexure
@@ -32,13 +31,8 @@ RASTER = Reference("raster", (100.0,), (10.0,), lines=6)
 
 @pytest.fixture(scope="module")
 def model_file(tmp_path_factory):
-    model = xy_flexure.model()
-    frequency_hz, modes = np.geomspace(1.0, 1e4, 10), model.poles_rad_per_s.size
-    gain = model.response(frequency_hz)
     path = tmp_path_factory.mktemp("model") / "model.json"
-    save_axes_model(path, IdentifiedAxes(
-        model, np.array([[-120.0, 120.0]] * 2), Coupling(frequency_hz, gain, 1e-3 * np.abs(gain)),
-        np.zeros(modes, complex), 0.0 * model.residues_um_per_v, np.zeros(2), np.zeros(2)))
+    save_axes_model(path, xy_flexure.identified(120.0))
     return path
 
 
@@ -66,7 +60,9 @@ def played(prepared):
 
 
 def test_path_is_followed_as_far_as_its_inverse_and_measured_axis_by_axis(prepared):
-    exact, found_um = played(prepared("feedforward"))
+    ready = prepared("feedforward")
+    assert ready.run.note == ""
+    exact, found_um = played(ready)
     plain, _ = played(prepared("open_loop"))
     assert exact.e_rms_percent() < 0.1 and exact.on_target and exact.settled_after_sample == 0
     assert plain.e_rms_percent() > 10.0 and not plain.on_target
@@ -107,12 +103,18 @@ def test_axis_that_rests_is_measured_by_the_travel_of_the_other(prepared):
     assert run.e_rms_percent() < 0.1
 
 
+def test_errors_of_a_run_within_a_line_are_relative_to_the_travel_of_the_path(prepared):
+    run, _ = played(prepared("feedforward", duration_s=0.002))
+    assert run.e_rms_percent() < 0.2
+
+
 @pytest.mark.parametrize(("changes", "said"), [
     ({"mode": "learning"}, "do not track in the mode 'learning': use one of open_loop"),
     ({"mode": "pid"}, "do not track in the mode 'pid'"),
     ({"references": [RASTER, RASTER]}, "repeat one path by its exact inverse: leave then"),
     ({"inversion": "zero_phase"}, "repeat one path by its exact inverse: leave then"),
-    ({"references": [replace(RASTER, kind="harmonic")]}, "unknown pattern 'harmonic': use one of"),
+    ({"references": [replace(RASTER, kind="harmonic", centre_um=50.0)]},
+     "several axes follow no 'harmonic': use one of raster"),
     ({"references": [replace(RASTER, kind="points")]}, "the kind points needs a file: name it"),
     ({"references": [replace(RASTER, file="path.csv")]}, "the kind raster takes no file"),
     ({"references": [replace(RASTER, centre_um=5.0)]}, "leave centre_um, phase_rad and once out"),

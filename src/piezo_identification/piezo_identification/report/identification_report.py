@@ -142,5 +142,5 @@ def _choices(details: Sequence[Detail]) -> Iterator[Section]:
             "What was tried", [f"{text}." for text in details if text.plot is None],
             pictures=[pictured(
                 text.partition(":")[0].capitalize(), text.plot(),
-                "What was tried; the filled mark is what was chosen.")
+                "What was tried: the filled mark was chosen, crosses were refused.")
                 for text in details if text.plot is not None])

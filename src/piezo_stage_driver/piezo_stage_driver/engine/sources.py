@@ -111,11 +111,6 @@ class Feedforward:
         return len(self._period_v) > 0
 
     @property
-    def parts_v(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the voltages that are played once, and those that are repeated, in V."""
-        return self._once_v, self._period_v
-
-    @property
     def sequence_v(self) -> np.ndarray:
         """Return all voltages loaded first, up to the repetition, in V."""
         return np.concatenate([self._once_v, self._period_v, self._period_v[:1]])

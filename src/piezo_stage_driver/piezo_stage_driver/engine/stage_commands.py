@@ -92,7 +92,7 @@ class StageCommands:
         """
         self._require_ready()
         voltage_v = self._by_sample(np.array(voltage_v, dtype=float), axes)
-        marks = _checked_marks(marks, voltage_v)
+        marks = _checked_marks(marks, len(voltage_v))
         hold_samples = self._ticks.samples_per_value(sample_period_s)
         if repeats < 1:
             raise StageRefusal("repeats is 0: play the waveform at least once")
@@ -151,7 +151,7 @@ class StageCommands:
                 raise StageRefusal("there is no streamed feedforward to append to: "
                                    "load one without a repeated part first")
             self._require_loaded(feedforward_id)
-            if len(np.ravel(once_marks)) or len(np.ravel(period_marks)):
+            if np.size(once_marks) or np.size(period_marks):
                 raise StageRefusal("a stream carries no marks: load them with a repeated part")
             limits.check(once_voltage_v, self._ticks.sample_period_s, self._feedforward.last_v)
             self._feedforward.append(once_voltage_v)
@@ -408,11 +408,11 @@ class StageCommands:
                                "wait, or cancel that first")
 
 
-def _checked_marks(marks: npt.ArrayLike, voltage_v: np.ndarray) -> np.ndarray:
-    """Return the marks of voltages, shape (n,), or none at all."""
+def _checked_marks(marks: npt.ArrayLike, samples: int) -> np.ndarray:
+    """Return the marks of some samples, shape (samples,), or none at all."""
     marks = np.array(marks, dtype=np.uint8)
-    if len(marks) not in (0, len(voltage_v)):
-        raise StageRefusal(f"the waveform has {len(voltage_v)} samples and {len(marks)} marks: "
+    if len(marks) not in (0, samples):
+        raise StageRefusal(f"the waveform has {samples} samples and {len(marks)} marks: "
                            "give a mark for each sample, or none")
     return marks
 
@@ -420,12 +420,12 @@ def _checked_marks(marks: npt.ArrayLike, voltage_v: np.ndarray) -> np.ndarray:
 def _marks_of(feedforward: Feedforward, once_marks: npt.ArrayLike,
               period_marks: npt.ArrayLike) -> Feedforward | None:
     """Return what gives the marks of a feedforward, sample by sample; None if it has none."""
-    parts = [_checked_marks(marks, voltage_v) for marks, voltage_v in zip(
-        (once_marks, period_marks), feedforward.parts_v, strict=True)]
+    parts = [_checked_marks(marks, samples) for marks, samples in zip(
+        (once_marks, period_marks), feedforward.lengths, strict=True)]
     if not any(part.any() for part in parts):
         return None
-    once, period = (part if len(part) else np.zeros(length, np.uint8)
-                    for part, length in zip(parts, feedforward.lengths, strict=True))
+    once, period = (part if len(part) else np.zeros(samples, np.uint8)
+                    for part, samples in zip(parts, feedforward.lengths, strict=True))
     # Behind a part that is played once there are no marks, where voltages are held.
     return Feedforward(once, period if len(period) else np.zeros(1, np.uint8))
 
