@@ -45,7 +45,8 @@ def marks_by_position(position_um: FloatArray, marks: NDArray[np.uint8], reading
 
     A place is passed where the axes cross the plane through it that is at right angles to the path.
     The difference of the readings to the path is averaged over the time of a pixel. A place that is
-    not passed within a quarter of a line keeps its mark, as one at which the path rests.
+    not passed within a quarter of a line keeps its mark, as one at which the path rests. Marks stay
+    in their order: one that would come before its predecessor follows it by a sample.
 
     Parameters
     ----------
