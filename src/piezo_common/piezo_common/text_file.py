@@ -71,12 +71,10 @@ def replace_text(path: str | PathLike[str], text: str) -> None:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
-        changes = path.exists() and not filecmp.cmp(path, temporary, shallow=False)
-        if changes:
+        if path.exists() and not filecmp.cmp(path, temporary, shallow=False):
             shutil.copy2(path, earlier)
-        os.replace(temporary, path)
-        if changes:
             keep_previous(path, earlier)
+        os.replace(temporary, path)
     finally:
         for left in (temporary, earlier):
             left.unlink(missing_ok=True)

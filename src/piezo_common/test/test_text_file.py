@@ -5,6 +5,7 @@ import json
 
 import pytest
 
+from piezo_common import text_file
 from piezo_common.text_file import replace_document
 
 
@@ -25,6 +26,18 @@ def test_a_file_of_the_same_format_is_replaced_and_kept(tmp_path, caplog):
     assert json.loads(path.read_text())["value"] == 2.0
     assert json.loads(previous.read_text())["value"] == 1.0
     assert set(tmp_path.iterdir()) == {path, previous}
+
+
+def test_an_interrupt_never_loses_the_earlier_file(tmp_path, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    replace(tmp_path / "file.json", 1.0)
+    monkeypatch.setattr(text_file, "keep_previous", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        replace(tmp_path / "file.json", 2.0)
+    kept, = tmp_path.iterdir()
+    assert json.loads(kept.read_text())["value"] == 1.0
 
 
 def test_a_file_that_does_not_change_is_not_kept_twice(tmp_path, caplog):
