@@ -20,11 +20,8 @@ def marked(run: Scanned) -> StoredScan:
     ValueError
         If the scan has no pixels.
     """
-    scan = run.scan
-    if scan.frame is None:
-        raise ValueError("the scan has no pixels whose places could be measured: plan a pattern "
-                         "with pixels")
+    scan, frame = run.scan, run.scan.checked_frame()
     delay_s = np.zeros(len(scan.axes))
-    delay_s[[scan.axes.index(axis) for axis in scan.frame.axes]] = scan.frame.sensor_delay_s
+    delay_s[[scan.axes.index(axis) for axis in frame.axes]] = frame.sensor_delay_s
     return replace(scan, marks=marks_by_position(
         scan.position_um, scan.marks, run.displacement_um, delay_s / scan.sample_period_s))

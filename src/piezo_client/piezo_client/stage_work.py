@@ -17,7 +17,7 @@ from piezo_client.stage import Stage
 from piezo_common.command_line import BAD_INPUT, INTERRUPTED, next_line
 from piezo_common.progress_line import ProgressLine
 from piezo_common.text_file import read_bounded_text
-from piezo_controller.axes.stored_scan import StoredScan, stored_scan, write_scan
+from piezo_controller.axes.stored_scan import StoredScan, read_scan, stored_scan, write_scan
 from piezo_models.model_summary import shortfall
 from piezo_recorder.reading.waveform_file import read_waveform
 from piezo_ros.stage_runs.recording_calls import free_name
@@ -156,10 +156,12 @@ def _scan(stage: Stage, options: argparse.Namespace) -> list[str]:
         raise ValueError("learning divides the error by the response of a model: give --model")
     if options.learn and options.feedback:
         raise ValueError("voltages are learned without feedback: leave out --learn or --feedback")
-    scans = {"planned": options.scan} if options.pattern is None else _planned(options)
+    scans = {"planned": read_scan(options.scan)} if options.pattern is None else _planned(options)
     planned = [(what, each, None) for what, each in scans.items()]
     *others, (name, scan, law) = planned if options.feedback is None else [
         *planned, (f"{planned[-1][0]} and feedback", planned[-1][1], options.feedback)]
+    if options.marks_by_position:
+        scan.checked_frame()  # before anything is played
     runs = (stage.learn_scan(scan, options.model, options.learn, options.periods, options.output)
             if options.learn else [stage.scan(scan, options.periods, options.output, feedback=law)])
     run = min(runs, key=lambda each: max(each.error_percent))

@@ -94,7 +94,8 @@ def test_command_prints_the_error_of_each_axis_and_what_may_follow(folder, monke
     scan = read_scan(folder)
     run = scanned(scan, Kept(Path("run"), recorded(scan, 2, 0.0)), 2)
     stage = MagicMock(scan=lambda *given, feedback: run if given == (
-        folder, 2, Path("runs")) and feedback is None else None)
+        scan, 2, Path("runs")) and feedback is None else None)
+    monkeypatch.setattr(stage_work, "read_scan", {folder: scan}.get)
     monkeypatch.setattr(stage_work.signal, "signal", lambda *_: None)
     monkeypatch.setattr(stage_work, "Stage", lambda *_: nullcontext(stage))
     assert stage_command.main(["scan", str(folder), "--output", "runs"]) == 0
@@ -108,7 +109,8 @@ def test_command_that_learns_prints_every_run_and_wants_a_model(folder, monkeypa
     runs = [scanned(scan, Kept(Path(f"run_{number}"), recorded(scan, 2, error_um)), 2)
             for number, error_um in enumerate((np.sin(PHASE)[:, None] * [0.4, 0.2], 0.0))]
     stage = MagicMock(learn_scan=lambda *given: runs if given == (
-        folder, folder / PERIOD_FILE, 4, 2, Path("runs")) else [])
+        scan, folder / PERIOD_FILE, 4, 2, Path("runs")) else [])
+    monkeypatch.setattr(stage_work, "read_scan", {folder: scan}.get)
     monkeypatch.setattr(stage_work.signal, "signal", lambda *_: None)
     monkeypatch.setattr(stage_work, "Stage", lambda *_: nullcontext(stage))
     command = ["scan", str(folder), "--output", "runs", "--learn", "4"]
@@ -146,13 +148,15 @@ def test_marks_and_frame_are_kept_with_the_voltages_and_repeated_with_them(folde
 def test_command_marks_by_position_in_a_further_run(folder, monkeypatch, capsys):
     marks = np.zeros(SAMPLES, np.uint8)
     marks[10:70:10] = Mark.PIXEL
-    scan = dataclasses.replace(read_scan(folder), marks=marks, frame=frame_of(6))
+    bare = read_scan(folder)
+    scan = dataclasses.replace(bare, marks=marks, frame=frame_of(6))
     played = []
 
     def play(given, periods, directory, name="scan", feedback=None):
         played.append((given, name, feedback))
         return Scanned(Path("run"), scan, np.roll(scan.position_um, 3, axis=0))
 
+    monkeypatch.setattr(stage_work, "read_scan", {folder: scan}.get)
     monkeypatch.setattr(stage_work.signal, "signal", lambda *_: None)
     stage = MagicMock(scan=play, description=MagicMock(signals=[]))
     monkeypatch.setattr(stage_work, "Stage", lambda *_: nullcontext(stage))
@@ -161,14 +165,17 @@ def test_command_marks_by_position_in_a_further_run(folder, monkeypatch, capsys)
     assert stage_command.main(["scan", str(folder), "--output", str(folder / "runs"),
                                "--marks-by-position", "--feedback", str(law)]) == 0
     first, (marked_scan, *_), without = played
-    assert first == (folder, "scan", law) and without == (folder, "planned", None)
+    assert first == (scan, "scan", law) and without == (scan, "planned", None)
     assert played[1][1:] == ("scan", law)
     assert np.array_equal(marked_scan.marks, np.roll(marks, 3))
     assert np.array_equal(read_scan(folder / "runs" / "marked").marks, marked_scan.marks)
     printed = capsys.readouterr().out
     assert "planned:\n" in printed and "planned and feedback:\n" in printed
     with pytest.raises(ValueError, match="has no pixels whose places could be measured"):
-        marked(Scanned(Path("run"), read_scan(folder), scan.position_um))
+        marked(Scanned(Path("run"), bare, scan.position_um))
+    monkeypatch.setattr(stage_work, "read_scan", {folder: bare}.get)
+    assert stage_command.main(["scan", str(folder), "--output", "runs", "--marks-by-position"]) == 2
+    assert "has no pixels" in capsys.readouterr().err and len(played) == 3
 
 
 def test_axis_that_rests_is_compared_with_the_largest_travel(folder):

@@ -67,6 +67,13 @@ class StoredScan:
         """Return what a recording holds for the images, by the names of files."""
         return {} if self.frame is None else {SCAN_FILE: self.frame.model_dump_json()}
 
+    def checked_frame(self) -> ScanFrame:
+        """Return the pixels of the image; raise ValueError if no pixels are marked."""
+        if self.frame is None:
+            raise ValueError("the scan has no pixels whose places could be measured: plan a "
+                             "pattern with pixels")
+        return self.frame
+
     def repeated_marks(self, periods: int) -> NDArray[np.uint8]:
         """Return the marks of the voltages of `repeated_v`, (T,)."""
         before = np.zeros(len(self.begin_voltage_v), np.uint8)
