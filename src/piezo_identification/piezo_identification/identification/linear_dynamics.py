@@ -202,11 +202,14 @@ def estimate_linear_dynamics(
     # A second pass has no effect if only one of them is recorded.
     passes = 2 if given and (creep or needs_hysteresis) else 1
     driving: DensityEstimate | None = None
+    highest_rad_per_s = max((np.pi / part.sample_period_s for part in fast), default=0.0)
+
     def estimated(found: LinearDynamics, driving: DensityEstimate | None,
                   turn: int) -> tuple[LinearDynamics, DensityEstimate | None]:
         if creep:
             begin("creep, given the dynamics" if turn else "creep", 0.5 * turn)
-            found = found.with_creep(*creep_of(creep, found, bool(turn), order.creep_pairs))
+            found = found.with_creep(*creep_of(
+                creep, found, bool(turn), order.creep_pairs, highest_rad_per_s))
         if not given:
             return found, driving
         begin("dynamics, given the creep" if turn else "dynamics", 0.5 * turn + 0.3)
@@ -231,7 +234,7 @@ def estimate_linear_dynamics(
 
 def creep_of(
     recordings: Sequence[Recording], found: LinearDynamics, is_dynamics_known: bool,
-    pair_count: int | None,
+    pair_count: int | None, highest_rad_per_s: float = 0.0,
 ) -> tuple[Estimate, float]:
     """Estimate the creep, with rows read as its jumps show, otherwise as those of the dynamics.
 
@@ -245,6 +248,8 @@ def creep_of(
         Whether `found` already contains the dynamics.
     pair_count : int, optional
         Number of creep pairs; by default chosen from the data.
+    highest_rad_per_s : float
+        Highest frequency of the fast recordings.
 
     Returns
     -------
@@ -255,7 +260,8 @@ def creep_of(
     tried = []
     for read_at in _creep_readings(recordings, found):
         aligned = [rows_read_at_start(each, read_as(each, read_at)) for each in recordings]
-        estimate = _creep_of_aligned(aligned, found, is_dynamics_known, pair_count)
+        estimate = _creep_of_aligned(
+            aligned, found, is_dynamics_known, pair_count, highest_rad_per_s)
         is_alike = read_at == found.read_at_samples
         tried.append((
             estimate.residual_rms / (1.0 if is_alike else CLEARLY_LESS), estimate, read_at))
@@ -271,13 +277,14 @@ def _creep_readings(recordings: Sequence[Recording], found: LinearDynamics) -> s
 
 def _creep_of_aligned(
     recordings: Sequence[Recording], found: LinearDynamics, is_dynamics_known: bool,
-    pair_count: int | None,
+    pair_count: int | None, highest_rad_per_s: float,
 ) -> Estimate:
     """Return the creep from a single square wave, or from other slow recordings."""
     dynamics = found.slow_dynamics if is_dynamics_known else None
     if len(recordings) == 1 and is_square_wave(recordings[0]):
-        return estimate_creep(recordings[0], dynamics, pair_count, found.slow_delay_s)
-    return estimate_slow_creep(recordings, dynamics, pair_count)
+        return estimate_creep(
+            recordings[0], dynamics, pair_count, found.slow_delay_s, highest_rad_per_s)
+    return estimate_slow_creep(recordings, dynamics, pair_count, highest_rad_per_s)
 
 
 def loop_readings(hysteresis: Sequence[Recording], found: LinearDynamics) -> set[float]:

@@ -49,14 +49,14 @@ def of_level_and_exponent(rates: FloatArray, centre: float) -> FloatArray:
     return np.concatenate([np.zeros_like(of_gains), of_gains])
 
 
-def continued(point: FloatArray, ringing_rad_per_s: float) -> tuple[FloatArray, FloatArray]:
-    """Continue a power law from the rates that the rows show to those of the modes.
+def continued(point: FloatArray, end_rad_per_s: float) -> tuple[FloatArray, FloatArray]:
+    """Continue a power law from the rates that the rows show to a faster one.
 
     Parameters
     ----------
     point : (P,) array
-    ringing_rad_per_s : float
-        Lowest frequency of the modes that ring; 0 if none is known.
+    end_rad_per_s : float
+        See `end_of_law_rad_per_s`.
 
     Returns
     -------
@@ -65,7 +65,7 @@ def continued(point: FloatArray, ringing_rad_per_s: float) -> tuple[FloatArray, 
         Its change with level and exponent.
     """
     rates, gains = np.split(point, 2)
-    end = np.log(max(SLOWER_THAN_MODES * ringing_rad_per_s, np.exp(rates[-1])))
+    end = np.log(max(end_rad_per_s, np.exp(rates[-1])))
     faster = np.arange(rates[-1] + np.log(RATIO), end, np.log(RATIO))
     wider = np.append(rates, faster)
     all_gains = np.polyval(np.polyfit(rates, gains, 1), wider)
@@ -93,11 +93,20 @@ def creep_of_point(
         rates, gains, propagated(values[:, None] * free, covariance))
 
 
-def lowest_ringing_rad_per_s(dynamics: ElectricVibrationDynamics | None) -> float:
-    """Return the lowest frequency of the modes that ring; 0 if none is known."""
-    if dynamics is None:
-        return 0.0
+def end_of_law_rad_per_s(dynamics: ElectricVibrationDynamics | None,
+                         highest_rad_per_s: float) -> float:
+    """Return the rate up to which a power law is continued.
+
+    Parameters
+    ----------
+    dynamics : ElectricVibrationDynamics or None
+        Known dynamics: the law ends below the modes that ring.
+    highest_rad_per_s : float
+        Highest frequency of the fast recordings, which replaces that of the modes if none is known.
+    """
+    dynamics = dynamics or ElectricVibrationDynamics()
     parallel = dynamics.parallel_modes if isinstance(dynamics, SlowDynamics) else ()
     modes = [*zip(dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios, strict=True),
              *((mode.frequency_rad_per_s, mode.damping_ratio) for mode in parallel)]
-    return min((frequency for frequency, damping in modes if damping < RINGING), default=0.0)
+    return SLOWER_THAN_MODES * min(
+        (frequency for frequency, damping in modes if damping < RINGING), default=highest_rad_per_s)

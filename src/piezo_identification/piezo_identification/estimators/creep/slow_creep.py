@@ -29,7 +29,7 @@ from piezo_identification.estimators.creep.power_law import (
     POWER_LAW,
     continued,
     creep_of_point,
-    lowest_ringing_rad_per_s,
+    end_of_law_rad_per_s,
     of_level_and_exponent,
     rates_of_law,
 )
@@ -100,7 +100,7 @@ NUISANCE_GAIN = 10.0
 
 def estimate_slow_creep(
     recordings: Recordings, dynamics: ElectricVibrationDynamics | None = None,
-    pair_count: int | None = None,
+    pair_count: int | None = None, highest_rad_per_s: float = 0.0,
 ) -> Estimate:
     """Estimate the creep dynamics (4.4) from recordings of any slow voltage.
 
@@ -117,6 +117,8 @@ def estimate_slow_creep(
     pair_count : int, optional
         Number of pole and zero pairs; by default as many as the Bayesian information criterion
         justifies.
+    highest_rad_per_s : float
+        Highest frequency of the fast recordings, for a power law without known modes.
 
     Returns
     -------
@@ -150,7 +152,7 @@ def estimate_slow_creep(
         raise CreepNotShown(
             f"{parts[0].path} does not show {pair_count} pairs of creep poles and zeros "
             f"({found.trials[-1].refusal}): ask for fewer, or record longer")
-    model, deviations = problem.creep(found, lowest_ringing_rad_per_s(dynamics))
+    model, deviations = problem.creep(found, end_of_law_rad_per_s(dynamics, highest_rad_per_s))
     return Estimate(model, deviations, found.order, tuple(found.trials), pair_count is not None)
 
 
@@ -375,10 +377,10 @@ class _Problem:
         return OrderTrial(order, numbers, rms, information, refusal)
 
     def creep(self, found: _Found,
-              ringing_rad_per_s: float) -> tuple[CreepDynamics, dict[str, object]]:
+              end_rad_per_s: float) -> tuple[CreepDynamics, dict[str, object]]:
         """Model of the chosen creep, and its standard deviations.
 
-        A power law is continued from the rates that the rows show to those of the modes.
+        A power law is continued to a rate that the rows do not show.
         """
         point, free = found.point, found.free
         if not point.size:
@@ -390,7 +392,7 @@ class _Problem:
         covariance = parameter_covariance(
             jacobian, residual, residual.size - self.rows + free.shape[1] + point.size // 2)
         if found.order == POWER_LAW:
-            point, free = continued(point, ringing_rad_per_s)
+            point, free = continued(point, end_rad_per_s)
         return creep_of_point(point, free, covariance)
 
 

@@ -28,7 +28,7 @@ from piezo_identification.estimators.creep.power_law import (
     POWER_LAW,
     continued,
     creep_of_point,
-    lowest_ringing_rad_per_s,
+    end_of_law_rad_per_s,
     rates_of_law,
 )
 from piezo_identification.estimators.estimate import (
@@ -70,7 +70,7 @@ class CreepNotShown(ValueError):
 
 def estimate_creep(
     recording: Recording, dynamics: ElectricVibrationDynamics | None = None,
-    pair_count: int | None = None, delay_s: float = 0.0,
+    pair_count: int | None = None, delay_s: float = 0.0, highest_rad_per_s: float = 0.0,
 ) -> Estimate:
     """Estimate the creep dynamics (4.4) from a square wave of long period.
 
@@ -96,6 +96,8 @@ def estimate_creep(
         justifies.
     delay_s : float
         Delay of the measurement in addition to the dynamics.
+    highest_rad_per_s : float
+        Highest frequency of the fast recordings, for a power law without known modes.
 
     Returns
     -------
@@ -127,11 +129,12 @@ def estimate_creep(
     >>> figure = estimate.plot()                   # why this order
     """
     part = square_part(played(recording))
-    record = _CreepRecord(part, dynamics, delay_s)
+    record = _CreepRecord(part, dynamics, delay_s, highest_rad_per_s)
     if record.wave.steps.size < FEWEST_STEPS:
         return _estimate(record, pair_count)
     later = without_first(part, record.wave.steps[0])
-    cut = _estimate(_CreepRecord(later, dynamics, delay_s), pair_count)
+    cut = _estimate(_CreepRecord(
+        later, dynamics, delay_s, highest_rad_per_s), pair_count)
     whole = _estimate(record, pair_count)
     off_um = record.first_run_off_um(cut.model)
     if off_um == 0.0:
@@ -219,7 +222,7 @@ class _CreepRecord:
     """The averaged record, and the response of creep exponentials to its voltage."""
 
     def __init__(self, recording: Recording, dynamics: ElectricVibrationDynamics | None,
-                 delay_s: float) -> None:
+                 delay_s: float, highest_rad_per_s: float) -> None:
         self.path = recording.path
         self.wave = square_wave(recording)
         self.period_s = recording.sample_period_s
@@ -239,7 +242,7 @@ class _CreepRecord:
         self.displacement = self._average(recording.displacement_um)
         self.fastest = 1.0 / max(ROWS_OF_DECAY * self.period_s, self.settling_s / 3.0)
         self.bounds = np.log([0.3 / self.time_s[-1], self.fastest])
-        self.ringing_rad_per_s = lowest_ringing_rad_per_s(dynamics)
+        self.end_of_law_rad_per_s = end_of_law_rad_per_s(dynamics, highest_rad_per_s)
 
     def as_held(self, level: FloatArray) -> "_CreepRecord":
         """Return the same record with a voltage that has this mean in each sample period."""
@@ -390,7 +393,7 @@ class _CreepRecord:
 
     def creep_of_law(self, law: _PowerLaw) -> tuple[CreepDynamics, dict[str, tuple[float, ...]]]:
         """Return the model of a power law, continued to the modes, and its deviations."""
-        point, free = continued(law.point, self.ringing_rad_per_s)
+        point, free = continued(law.point, self.end_of_law_rad_per_s)
         return creep_of_point(point, free, law.covariance)
 
     @property

@@ -65,3 +65,9 @@ def test_deviations_belong_to_the_zeros(estimate):
     deviations = estimate.standard_deviations
     assert not any(deviations["poles_rad_per_s"])
     assert all(each > 0.0 for each in deviations["zeros_rad_per_s"])
+
+
+def test_law_goes_on_into_the_band_of_fast_recordings_if_no_mode_is_known(recording):
+    found = estimate_creep(recording, highest_rad_per_s=MODE_RAD_PER_S)
+    assert found.order == POWER_LAW
+    assert max(found.model.poles_rad_per_s) > 0.2 * MODE_RAD_PER_S / RATIO
