@@ -252,8 +252,16 @@ def report_implausible(found: Sequence[str], note: Callable[[str], object]) -> N
 
 
 def report_uncertain_parameters(fitted: FittedModel, note: Callable[[str], object]) -> None:
-    """Report the parameters whose standard deviation is larger than their value, if any."""
+    """Report the parameters whose standard deviation is larger than their value, if any.
+
+    The exponentials of smooth creep may replace one another, though their sum is well determined.
+    """
     uncertain = unidentified_parameters(fitted.model, fitted.uncertainties)
+    pairs = len(fitted.model.creep.poles_rad_per_s)
+    others = [name for name in uncertain if not name.startswith("creep ")]
+    if pairs > 1 and len(uncertain) - len(others) > pairs:
+        note(f"the recordings determine the creep as a whole, not each of its {pairs} exponentials")
+        uncertain = others
     if uncertain:
         note(f"the recordings do not determine {', '.join(uncertain)}: the standard deviation is "
              "larger than the value; give a lower order, or record more")
