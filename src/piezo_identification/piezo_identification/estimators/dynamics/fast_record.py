@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import prev_fast_len
 from scipy.optimize import least_squares
 
 from piezo_common.arrays import ComplexArray, FloatArray
@@ -231,11 +230,6 @@ class FastRecord:
         longest = max(each.stop - each.start for each in every)
         stretches = tuple(
             each for each in every if each.stop - each.start > SHORT * longest)
-        if not given.is_periodic:
-            # The transform of a length with large prime factors takes ten times as long.
-            stretches = tuple(
-                slice(each.start, each.start + prev_fast_len(each.stop - each.start, real=True))
-                for each in stretches)
         lines = SpectralLines.excited_by(given.samples, stretches, count)
 
         def rows(values: FloatArray) -> FloatArray:
