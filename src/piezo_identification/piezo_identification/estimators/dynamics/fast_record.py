@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import prev_fast_len
 from scipy.optimize import least_squares
 
 from piezo_common.arrays import ComplexArray, FloatArray
@@ -57,6 +58,11 @@ ANTIRESONANCE_SPAN = 3.0
 
 LONG = 20_000
 """Number of rows from which a search uses lines of the spectrum instead of a part of the rows."""
+
+SLOW_TRANSFORM = 200_000
+"""Number of rows from which a stretch is cut to a length without large prime factors, whose
+transform takes a tenth of the time. Shorter ones are kept whole, with all periods of a
+multisine."""
 
 SHORT = 0.1
 """Length, relative to the longest stretch without a gap, below which a stretch is omitted from the
@@ -230,6 +236,10 @@ class FastRecord:
         longest = max(each.stop - each.start for each in every)
         stretches = tuple(
             each for each in every if each.stop - each.start > SHORT * longest)
+        if longest > SLOW_TRANSFORM and not given.is_periodic:
+            stretches = tuple(
+                slice(each.start, each.start + prev_fast_len(each.stop - each.start, real=True))
+                for each in stretches)
         lines = SpectralLines.excited_by(given.samples, stretches, count)
 
         def rows(values: FloatArray) -> FloatArray:
