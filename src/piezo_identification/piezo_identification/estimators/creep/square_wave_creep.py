@@ -214,7 +214,7 @@ class _PowerLaw:
 
     point: FloatArray
     covariance: FloatArray
-    """Of its level and its exponent, (2, 2)."""
+    """Covariance of its level and its exponent, (2, 2)."""
     trial: OrderTrial
 
 
