@@ -9,8 +9,8 @@ from piezo_common.arrays import FloatArray
 from piezo_recorder.sample_block import Mark
 
 STEPS = 12
-"""Of a search for the time of a place. Where the speed is within 40 % of the planned one, the last
-step is below 1/10000 of the first."""
+"""Number of steps of a search for the time of a place. Where the speed is within 40 % of the
+planned one, the last step is below 1/10000 of the first."""
 
 CONVERGED_SAMPLES = 0.1
 """Last step of a search that has found its place: a mark is rounded to a sample in any case."""

@@ -360,12 +360,12 @@ class _CreepRecord:
     def power_law(self) -> _PowerLaw | None:
         """Fit a power law; None if the record shows no creep in the direction of the steps."""
         rates = rates_of_law(self.bounds)
+        above = rates - rates.mean()
         basis, count = self._basis(np.exp(rates)), rates.size
         others, of_rates = np.delete(basis, np.s_[2 : 2 + count], axis=1), basis[:, 2 : 2 + count]
 
         def columns(exponent: float) -> FloatArray:
-            weights = np.exp(exponent * (rates - rates.mean()))
-            return np.column_stack([of_rates @ weights, others])
+            return np.column_stack([of_rates @ np.exp(exponent * above), others])
 
         def fit(exponent: float) -> tuple[FloatArray, FloatArray]:
             check_cancelled()
@@ -380,13 +380,12 @@ class _CreepRecord:
         size, gain = coefficients[0], coefficients[2]
         if size <= 0.0 or gain <= 0.0:
             return None
-        bent = size * (of_rates @ ((rates - rates.mean()) * np.exp(
-            exponent * (rates - rates.mean()))))
+        bent = size * (of_rates @ (above * np.exp(exponent * above)))
         covariance = parameter_covariance(np.column_stack([bent, columns(exponent)]), residual)
         relative = np.zeros((2, covariance.shape[0]))
         relative[0, [1, 3]] = 1.0 / size, -1.0 / gain
         relative[1, 0] = 1.0
-        gains = np.log(size / gain) + exponent * (rates - rates.mean())
+        gains = np.log(size / gain) + exponent * above
         return _PowerLaw(
             np.concatenate([rates, gains]), propagated(relative, covariance),
             order_trial(POWER_LAW, residual, 4 + count, signal=self.displacement))
