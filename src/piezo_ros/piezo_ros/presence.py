@@ -51,7 +51,8 @@ class Presence:
 
     def _look(self, watched_s: float) -> bool:
         identities = _identities(self._node, self.name)
-        if watched_s < SETTLING_S or not self._seen:
+        # The graph may tell the name of a node long before its publishers.
+        if watched_s < SETTLING_S or not self._identities:
             self._identities |= identities
         present = self.name in _full_names(self._node)
         if self._identities:

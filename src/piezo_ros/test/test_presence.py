@@ -98,3 +98,20 @@ def test_node_is_known_from_the_beginning_however_late_it_is_looked_at(
     contexts("mortal")
     seen(watcher, "mortal")
     assert watched.gone
+
+
+def test_node_whose_publishers_are_found_late_is_told_from_its_successor(monkeypatch):
+    now_s, publishers = 0.0, []
+    monkeypatch.setattr(presence, "time", SimpleNamespace(monotonic=lambda: now_s))
+    graph = SimpleNamespace(
+        get_node_names_and_namespaces=lambda: [("mortal", "/presence")],
+        get_publishers_info_by_topic=lambda topic: [SimpleNamespace(
+            node_name="mortal", node_namespace="/presence", endpoint_gid=[gid])
+            for gid in publishers])
+    watched = Presence(graph, "/presence/mortal")
+    now_s += presence.SETTLING_S + presence.LOOK_PERIOD_S
+    publishers = [1]
+    assert not watched.gone
+    now_s += 2.0 * presence.LOOK_PERIOD_S
+    publishers = [2]
+    assert watched.gone
