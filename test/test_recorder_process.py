@@ -68,7 +68,8 @@ class FedRecorder(Client):
         if not self.spin_until(condition, TIMEOUT_S):
             pytest.fail(f"nothing came for {TIMEOUT_S:g} s; the recorder says:\n"
                         + self._log.read_text()
-                        + f"and told {len(self.diagnostics)} times, at last {self.diagnostics[-1:]}")
+                        + f"and told {len(self.diagnostics)} times, at last "
+                        f"{self.diagnostics[-1:]}")
 
     def publish(self, ticks):
         for tick in ticks:
