@@ -22,6 +22,16 @@ NEGLIGIBLE = 1e-5
 SMALL_PART = 0.01
 """Participation below which the ringing of a mode is not waited for, as its mean is correct."""
 
+RINGING = 0.5
+"""Damping ratio below which a mode rings."""
+
+SLOWER_THAN_MODES = 0.2
+"""Fraction of the frequency of a ringing mode below which other poles are creep."""
+
+STANDS_OUT = 0.1
+"""Product of participation, frequency and quality factor, relative to that of the mode that stands
+out most, from which a slower mode is believed."""
+
 AT_REST = 20
 """Number of first samples with constant voltage for which a recording begins at rest."""
 
@@ -131,15 +141,23 @@ def settling_time_s(dynamics: ElectricVibrationDynamics) -> float:
     """Return the time after which the response to a step has settled.
 
     Poles with a small share of that response, as of a mode near an antiresonance, do not count.
+    Nor do those that hardly stand out, far slower than the mode that does most: they are creep, or
+    errors of loops.
     """
     if dynamics.is_static:
         return 0.0
     system = dynamics.state_space()
     poles, directions = np.linalg.eig(system.A)
-    shares = (system.C @ directions)[0] * np.linalg.solve(directions, system.B)[:, 0] / poles
+    shares = np.abs(
+        (system.C @ directions)[0] * np.linalg.solve(directions, system.B)[:, 0] / poles)
+    rates_rad_per_s, frequencies = -poles.real, np.abs(poles)
+    rings = rates_rad_per_s < RINGING * frequencies
+    heights = np.where(rings, shares * frequencies**2 / rates_rad_per_s, 0.0)
+    slowest = SLOWER_THAN_MODES * frequencies[np.argmax(heights)] if rings.any() else 0.0
+    is_clear = (frequencies >= slowest) | (heights >= STANDS_OUT * heights.max())
     # The two poles of a mode share its participation.
-    rates_rad_per_s = -poles.real[2.0 * np.abs(shares) > SMALL_PART]
-    return float(-np.log(NEGLIGIBLE) / rates_rad_per_s.min(initial=np.inf))
+    waited = (2.0 * shares > SMALL_PART) & is_clear
+    return float(-np.log(NEGLIGIBLE) / rates_rad_per_s[waited].min(initial=np.inf))
 
 
 def first_settled(dynamics: ElectricVibrationDynamics, time_s: FloatArray,

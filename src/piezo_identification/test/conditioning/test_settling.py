@@ -92,3 +92,13 @@ def test_modes_beside_each_other_ring_in_a_staircase_with_their_parts_only():
     assert slow_delay_s(dynamics, effects) == pytest.approx(1e-4)
     frequency_hz = np.array([1.0, 194.0, 300.0])
     assert slow.response(frequency_hz) == pytest.approx(dynamics.response(frequency_hz, modes))
+
+
+@pytest.mark.parametrize("participation, is_waited_for", [(0.02, False), (0.5, True)])
+def test_a_slow_mode_is_waited_for_only_if_it_stands_out_beside_the_others(
+        participation, is_waited_for):
+    others = VibrationMode(2e4, 0.01, 0.9), VibrationMode(4e4, 0.02, 0.05)
+    slow = VibrationMode(1e3, 1e-3, participation)
+    settled_s, usual_s = (settling_time_s(slow_dynamics(ElectricVibrationDynamics(), modes))
+                          for modes in ((*others, slow), others))
+    assert (settled_s > 10.0 * usual_s) == is_waited_for

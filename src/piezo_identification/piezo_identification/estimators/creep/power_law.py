@@ -11,7 +11,11 @@ from typing import Any
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.conditioning.settling import SlowDynamics
+from piezo_identification.conditioning.settling import (
+    RINGING,
+    SLOWER_THAN_MODES,
+    SlowDynamics,
+)
 from piezo_identification.estimators.estimate import creep_of_partial_fractions, propagated
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
@@ -21,13 +25,6 @@ POWER_LAW = "power law"
 RATIO = 4.0
 """Ratio of neighbouring rates: the response of their sum differs from a power of time by less than
 1e-5 of the step."""
-
-RINGING = 0.5
-"""Damping ratio below which a mode rings."""
-
-SLOWER_THAN_MODES = 0.2
-"""Fraction of the lowest ringing frequency up to which a power law is continued, and further creep
-is sought in fast records."""
 
 
 def rates_of_law(bounds: FloatArray) -> FloatArray:

@@ -133,7 +133,7 @@ def estimate_slow_creep(
         requested number of pairs.
     """
     parts = played_segments(recordings)
-    settling_s = left_out_s(dynamics)
+    settling_s = left_out_s(dynamics, step_s=max(map(_longest_run_s, parts)))
     problem = _Problem(parts, settling_s)
     found = _search(problem, pair_count)
     residual = problem.residual(found.point)
@@ -504,13 +504,26 @@ def _used(voltage_v: FloatArray, range_v: float, skipped: int) -> NDArray[np.boo
 
     The last one is excluded because a logger that reads late sees the response to the jump there.
     """
-    jumps = np.flatnonzero(np.abs(np.diff(voltage_v, prepend=voltage_v[0])) > JUMP_SHARE * range_v)
+    jumps = _jumps(voltage_v, range_v)
     since = np.arange(voltage_v.size)
     last = np.full(voltage_v.size, -skipped - 1)
     last[jumps] = jumps
     used = since - np.maximum.accumulate(last) >= skipped
     used[jumps - 1] = False
     return used
+
+
+def _jumps(voltage_v: FloatArray, range_v: float) -> NDArray[np.intp]:
+    """Return the first sample of each jump."""
+    change_v = np.abs(np.diff(voltage_v, prepend=voltage_v[0]))
+    return np.flatnonzero(change_v > JUMP_SHARE * range_v)
+
+
+def _longest_run_s(part: Recording) -> float:
+    """Return the longest time between two jumps of a recording."""
+    voltage_v = np.asarray(part.voltage_v, dtype=float)
+    edges = [0, *_jumps(voltage_v, float(np.ptp(voltage_v))), voltage_v.size]
+    return float(np.max(np.diff(edges))) * part.sample_period_s
 
 
 def _bins(

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.estimators.creep.power_law import RINGING, SLOWER_THAN_MODES
+from piezo_identification.conditioning.settling import RINGING, SLOWER_THAN_MODES
 from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
 from piezo_identification.estimators.dynamics.fast_record import FastRecord, FreeFit, independent
 from piezo_identification.estimators.dynamics.output_error import ROWS_OF_SEARCH, fit_output_error

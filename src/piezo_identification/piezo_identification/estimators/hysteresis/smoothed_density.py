@@ -256,7 +256,7 @@ def _choice_for(
         first, known = Penalties(near.smoothing_weight, near.translation_weight), near.plays
     if known is None:
         choice = choose_penalties(segments, coarse_v, translation, near=first)
-        if first is not None or choice.is_enough:
+        if choice.is_enough:
             return choice, None, segments, 1
     plays = None
     with while_time_lasts("a density about a sum of plays", WEIGHTS if choice else SEARCH):
