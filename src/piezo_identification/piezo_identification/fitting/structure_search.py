@@ -10,6 +10,7 @@ import numpy as np
 from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_common.side_by_side import side_by_side
+from piezo_identification.conditioning.settling import STANDS_OUT
 from piezo_identification.fitting.whole_model import WholeFit, WholeModel
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
@@ -119,8 +120,8 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
     -------
     promising : list of (WholeModel, WholeFit)
         The best fit of all, including the given model, and the best one with another kind of
-        amplifier if it is behind but not far, each with its problem. Which one will end up better
-        is not known at this stage; if they are alike, the search exchanges the amplifier itself.
+        amplifier if it is not far behind, each with its problem. Which one will end up better is
+        not known at this stage. If they are alike, the amplifier of second order comes first.
     tried : list of (str, WholeFit)
         All fits in the order they were made.
     """
@@ -158,11 +159,16 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
             found += [(where, each) for _, each in here]
             for _, each in here:
                 best = each if is_better(each, best) else best
-    promising = [(where, fit) for where, fit in found if fit is best]
-    rivals = [(where, fit) for where, fit in found
-              if fit is not before and has_amplifier(fit) != has_amplifier(best)
-              and -SETTINGS.promise_of_start < fit.evidence_over(best) < -SETTINGS.promise]
-    promising += sorted(rivals, key=lambda entry: -entry[1].evidence_over(best))[:1]
+    rivals = sorted(((where, fit) for where, fit in found
+                     if fit is not before and has_amplifier(fit) != has_amplifier(best)
+                     and fit.evidence_over(best) > -SETTINGS.promise_of_start),
+                    key=lambda entry: -entry[1].evidence_over(best))
+    promising = [(where, fit) for where, fit in found if fit is best] + rivals[:1]
+    # The search can make an amplifier simpler, but finds no other one once the fast rows are
+    # explained.
+    if rivals and has_amplifier(rivals[0][1]) and (
+            rivals[0][1].evidence_over(best) > -SETTINGS.promise):
+        promising.reverse()
     return promising, tried
 
 
@@ -277,9 +283,8 @@ def starts(problem: WholeModel, given: StageModel, delay_s: float | None,
                    if not isinstance(effect, VibrationMode | AmplifierLag | SensorLag))
     lag_s = next((effect.time_constant_s for effect in given.effects
                   if type(effect) is AmplifierLag), problem.sample_period_s)
-    bare = replace(_electric(given, 0.0), creep=_creep_as_far_as(_without_gaps(given.creep), min(
-        (mode.frequency_rad_per_s for mode in ringing), default=0.0)))
     modes = _apart(ringing)
+    bare = replace(_electric(given, 0.0), creep=_creep_up_to(given.creep, ringing))
     effects = (*_in_phase(modes), *others)
     what = f"{len(modes)} modes that ring"
     yield Structure(f"{what}, with an amplifier's lag", replace(
@@ -287,8 +292,10 @@ def starts(problem: WholeModel, given: StageModel, delay_s: float | None,
     if is_loop_recorded:
         # The delay is added later.
         late_s = lag_s + max(delay_s or 0.0, 0.0)
-        yield Structure(f"{what} in phase, an amplifier of second order", replace(
-            bare, effects=(SecondOrderAmplifier(late_s), *_uncoupled(modes), *others)), None)
+        clear = _clear(modes)
+        yield Structure(f"{len(clear)} modes in phase, an amplifier of second order", replace(
+            bare, creep=_creep_up_to(given.creep, clear),
+            effects=(SecondOrderAmplifier(late_s), *_uncoupled(clear), *others)), None)
     if any(isinstance(effect, VibrationMode) for effect in given.effects):
         yield Structure(f"{what}, with an electric lag", replace(
             _electric(bare, lag_s), effects=effects), delay_s)
@@ -361,6 +368,27 @@ def _with_pair_between(creep: CreepDynamics) -> CreepDynamics:
     poles = np.insert(poles, gap + 1, np.sqrt(poles[gap] * poles[gap + 1]))
     gains = np.insert(gains, gap + 1, share)
     return CreepDynamics(tuple(poles.tolist()), tuple((poles * np.exp(gains)).tolist()))
+
+
+def _clear(modes: Sequence[VibrationMode]) -> list[VibrationMode]:
+    """Return modes without slower ones that hardly stand out beside the clearest.
+
+    They may stand for creep or for errors of the loops.
+    """
+    if not modes:
+        return []
+    heights = [abs(mode.participation) * mode.frequency_rad_per_s / mode.damping_ratio
+               for mode in modes]
+    clearest = modes[int(np.argmax(heights))]
+    return [mode for mode, height in zip(modes, heights, strict=True)
+            if mode.frequency_rad_per_s >= clearest.frequency_rad_per_s
+            or height >= STANDS_OUT * max(heights)]
+
+
+def _creep_up_to(creep: CreepDynamics, modes: Sequence[VibrationMode]) -> CreepDynamics:
+    """Return a creep without wide gaps, continued to the slowest of some modes."""
+    end_rad_per_s = min((mode.frequency_rad_per_s for mode in modes), default=0.0)
+    return _creep_as_far_as(_without_gaps(creep), end_rad_per_s)
 
 
 def _creep_as_far_as(creep: CreepDynamics, rate_rad_per_s: float,

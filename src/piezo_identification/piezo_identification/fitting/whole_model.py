@@ -173,12 +173,8 @@ class WholeModel:
 
     def __init__(self, model: StageModel, recordings: Sequence[Recording],
                  read_late_s: Sequence[float]) -> None:
-        bare = replace(model, effects=())
         self._given, self._hysteresis_width = model, WIDE_PRIOR
-        simulated = side_by_side(
-            lambda index: SimulatedRecording(
-                model, recordings[index], read_late_s=read_late_s[index]).with_model(bare),
-            range(len(recordings)))
+        simulated = _simulated(model, recordings, read_late_s)
         self.sample_period_s = min(part.sample_period_s for part in simulated)
         # Rows of means cannot be read at another time.
         self.is_sampled = all(part.samples_per_mean == 1 for part in simulated)
@@ -191,16 +187,25 @@ class WholeModel:
         self._counts = np.zeros(len(simulated))
         self.about_here()
 
-    def with_hysteresis(self, hysteresis: PreisachModel, width: float) -> "WholeModel":
-        """Return the problem with another initial hysteresis and prior width of its changes."""
+    def with_hysteresis(self, model: StageModel, width: float) -> "WholeModel":
+        """Return the problem with the hysteresis of a model, which also fits the pasts.
+
+        Parameters
+        ----------
+        model : StageModel
+            Model with all of its effects.
+        width : float
+            Prior width of the changes of the hysteresis.
+        """
         problem = copy(self)
         vars(problem).pop("_pieces_um", None)
         problem.about_here()
-        problem._given = replace(self._given, hysteresis=hysteresis)
+        problem._given = replace(self._given, hysteresis=model.hysteresis)
         problem._hysteresis_width = width
-        bare = replace(problem._given, effects=())
-        problem._dataset = replace(self._dataset, model=bare, simulated=tuple(side_by_side(
-            lambda part: part.with_model(bare), self._dataset.simulated)))
+        problem._dataset = replace(
+            self._dataset, model=replace(model, effects=()),
+            simulated=tuple(_simulated(model, self._dataset.recordings, [
+                part.read_late_s for part in self._dataset.simulated])))
         return problem
 
     def with_held_out_rows(self, fit: WholeFit) -> "WholeModel":
@@ -208,7 +213,7 @@ class WholeModel:
 
         The fits of this problem have no held-out rows.
         """
-        problem = self.with_hysteresis(fit.model.hysteresis, self._hysteresis_width)
+        problem = self.with_hysteresis(fit.delayed_model, self._hysteresis_width)
         problem._fitted, problem._counts = self._good, np.zeros_like(self._counts)
         return problem
 
@@ -224,8 +229,8 @@ class WholeModel:
         gain_um_per_v = max(float(moved @ measured / (moved @ moved)), LEAST_GAIN)
         offset_um = np.mean([measured.mean() - gain_um_per_v * moved.mean()
                              for moved, measured in pairs])
-        return self.with_hysteresis(PreisachModel.line(
-            loops.voltage_min_v, loops.voltage_max_v, gain_um_per_v, float(offset_um)),
+        return self.with_hysteresis(replace(self._given, hysteresis=PreisachModel.line(
+            loops.voltage_min_v, loops.voltage_max_v, gain_um_per_v, float(offset_um))),
             WIDE_PRIOR)
 
     def about_here(self) -> None:
@@ -339,6 +344,16 @@ class WholeModel:
         if sum(part.time_s.size for part in parts) > JOINT.kept_samples:
             return None
         return side_by_side(lambda part: list(piece_outputs_um(part, self._given)), parts)
+
+
+def _simulated(model: StageModel, recordings: Sequence[Recording],
+               read_late_s: Sequence[float]) -> list[SimulatedRecording]:
+    """Return the recordings, with the pasts that a model fits best, without its effects."""
+    bare = replace(model, effects=())
+    return side_by_side(
+        lambda index: SimulatedRecording(
+            model, recordings[index], read_late_s=read_late_s[index]).with_model(bare),
+        range(len(recordings)))
 
 
 def _split_deviations(

@@ -22,6 +22,7 @@ from piezo_identification.fitting.structure_search import (
     SETTINGS,
     Structure,
     begun,
+    has_amplifier,
     is_at_noise,
     is_better,
     searched,
@@ -85,7 +86,8 @@ class _Search:
 
         def with_new_loops(start: Structure) -> WholeModel:
             renewed.append(self._newly_estimated(self.problem.fit(start.model, start.delay_s, 0)))
-            return self.problem.with_hysteresis(renewed[0].model(), WIDE_PRIOR)
+            return self.problem.with_hysteresis(
+                replace(start.model, hysteresis=renewed[0].model()), WIDE_PRIOR)
 
         promising, tried = begun(
             self.problem, self.given.model, delay_s, self._part(0.0, BEGUN), self.is_asked_for,
@@ -100,9 +102,11 @@ class _Search:
         with while_time_lasts("the search from another start"):
             for number, start in enumerate(states[1:], 1):
                 check_cancelled()
-                # It has to make up for what the search before has gained, too.
-                if _is_promising(start.best, state.best) and not is_at_noise(
-                        state.problem, state.best):
+                # It has to make up for what the search before has gained, too. The search makes
+                # an amplifier simpler itself.
+                is_new = (_is_promising(start.best, state.best) if has_amplifier(start.best)
+                          else is_better(start.best, state.best))
+                if is_new and not is_at_noise(state.problem, state.best):
                     other = self._from(start, BEGUN + number * length, length)
                     state = other if is_better(other.best, state.best) else state
         return self._or_of_a_line(state, delay_s)
@@ -169,9 +173,9 @@ class _Search:
         with while_time_lasts("second estimate of the hysteresis, given the fit"):
             check_cancelled()
             density = self._newly_estimated(before.best)
-            problem = before.problem.with_hysteresis(density.model(), width)
-            again = problem.fit(replace(before.best.model, hysteresis=density.model()),
-                                before.best.delay_s, SETTINGS.steps)
+            model = replace(before.best.delayed_model, hysteresis=density.model())
+            problem = before.problem.with_hysteresis(model, width)
+            again = problem.fit(model, before.best.delay_s, SETTINGS.steps)
             self.tried.append(("hysteresis estimated again", again))
             if is_better(again, before.best):
                 return _State(replace(before.fitted, visited=density.visited), again, problem)

@@ -2,6 +2,8 @@
 """One fit of the whole model: it corrects every component, and finds the right structure."""
 
 from dataclasses import replace
+from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from piezo_identification.conditioning.outlier_samples import with_outliers_mark
 from piezo_identification.experiments import catalogue as experiments
 from piezo_identification.fitting.structure_search import (
     begun,
+    has_amplifier,
     is_better,
     searched,
     starts,
@@ -20,7 +23,9 @@ from piezo_identification.prediction import unseen_errors
 from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.second_order_amplifier import SecondOrderAmplifier
 from piezo_models.effects.vibration_mode import VibrationMode
+from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_recorder import recording_of
 
 pytestmark = pytest.mark.kernels
 
@@ -160,7 +165,7 @@ def test_starts_have_the_loops_that_were_estimated_beside_them(plant, wrong, rec
     problem, again = WholeModel(line, recordings, [0.0] * 3), []
 
     def with_new_loops(_):
-        again.append(problem.with_hysteresis(plant.hysteresis, WIDE_PRIOR))
+        again.append(problem.with_hysteresis(plant, WIDE_PRIOR))
         return again[0]
 
     _, tried = begun(problem, line, None, with_new_loops=with_new_loops)
@@ -168,6 +173,59 @@ def test_starts_have_the_loops_that_were_estimated_beside_them(plant, wrong, rec
     residual_um = [np.std(fit.residual_um[2][0]) for fit in (together, start)]
     assert len(again) == 1
     assert residual_um[1] < 0.2 * residual_um[0]
+
+
+def test_another_hysteresis_finds_the_past_of_a_recording_anew(plant):
+    ends_v = [0.0, 90.0, 20.0, 50.0, 70.0, 30.0, 80.0, 25.0, 60.0]
+    voltage_v = np.concatenate([np.linspace(*pair, 500, endpoint=False)
+                                for pair in pairwise(ends_v)])
+    displacement_um = plant.simulate(voltage_v, 1e-3)
+    recording = recording_of({"time_s": 1e-3 * np.arange(voltage_v.size - 1500),
+                              "voltage_v": voltage_v[1500:],
+                              "displacement_um": displacement_um[1500:]})
+    line = WholeModel(replace(plant, hysteresis=PreisachModel.line(-20.0, 120.0, 1.0)),
+                      [recording], [0.0])
+    anew, from_the_start = (problem.fit(plant, None, 0).residual_um[0][0] for problem in (
+        line.with_hysteresis(plant, WIDE_PRIOR), WholeModel(plant, [recording], [0.0])))
+    np.testing.assert_allclose(anew, from_the_start, atol=1e-9)
+    assert np.std(anew) < 1e-3 * np.ptp(recording.displacement_um)
+
+
+class FitOfEvidence(SimpleNamespace):
+    def evidence_over(self, other):
+        return self.evidence - other.evidence
+
+    def held_out_over(self, other):
+        return 0.0
+
+
+@pytest.mark.parametrize("behind, order", [
+    (50.0, [True, False]), (500.0, [False, True]), (5000.0, [False]), (-500.0, [True, False])])
+def test_the_amplifier_that_a_search_cannot_find_comes_first_if_it_is_alike(
+        wrong, behind, order):
+    """The search makes it simpler, but finds none once the fast rows are explained."""
+    def fit(model, delay_s, steps, changes=None):
+        kinds = [type(effect) for effect in model.effects]
+        evidence = {SecondOrderAmplifier: 1e4 - behind, AmplifierLag: 1e4}
+        return FitOfEvidence(model=model, numbers=1,
+                             evidence=max([evidence.get(kind, 0.0) for kind in kinds] or [0.0]))
+
+    problem = SimpleNamespace(sample_period_s=1e-4, is_sampled=True, fit=fit,
+                              over_noise=lambda fit: np.array([2.0]),
+                              fastest_over_noise=lambda fit: 2.0)
+    promising, _ = begun(problem, wrong, None, with_new_loops=lambda start: problem)
+    assert [has_amplifier(fit) for _, fit in promising] == order
+
+
+def test_a_start_leaves_out_slow_modes_that_hardly_stand_out(wrong, recordings):
+    problem = WholeModel(wrong, recordings, [0.0] * 3)
+    modes = (VibrationMode(900.0, 0.01, 0.001), VibrationMode(2800.0, 0.02, 0.8),
+             VibrationMode(4900.0, 0.03, 0.1))
+    given = replace(wrong, dynamics=ElectricVibrationDynamics(1e-4), effects=modes)
+    frequencies = [[effect.frequency_rad_per_s for effect in structure.model.effects
+                    if isinstance(effect, VibrationMode)]
+                   for structure in starts(problem, given, None, True)]
+    assert frequencies == [[900.0, 2800.0, 4900.0], [2800.0, 4900.0], [900.0, 2800.0, 4900.0]]
 
 
 def test_rows_that_are_read_late_within_their_hold_are_found(plant, play):
