@@ -225,7 +225,9 @@ def test_second_goal_is_refused_while_one_runs_and_the_first_goes_on(suite, mode
                                          rf"for {suite.node.get_fully_qualified_name()} "
                                          r"\("):
         suite.goal("track", **goal_fields(model, tmp_path))
-    told = "\n".join(status_lines(suite))
+    lines, is_stopped = status_lines(suite)
+    told = "\n".join(lines)
+    assert not is_stopped
     assert f"controller: busy with controller/track for {suite.node.get_fully_qualified_name()}" \
         in told
     assert "identification: works on no goal" in told
@@ -276,6 +278,8 @@ def test_emergency_stop_ends_a_track_whose_recording_stays_readable(suite, model
     assert recording.voltage_v[-1] == 0.0
     with pytest.raises(GoalFailed, match="the stage is stopped"):
         suite.goal("track", **goal_fields(model, tmp_path))
+    lines, is_stopped = status_lines(suite)
+    assert is_stopped and "now: emergency stop" in "\n".join(lines)
     assert suite.trigger("reset").success
 
 

@@ -45,8 +45,14 @@ def _namespaces(client: Client) -> dict[str, set[str]]:
     return {namespace: names for namespace, names in seen.items() if "stage" in names}
 
 
-def status_lines(client: Client) -> list[str]:
-    """Return the status of the stage in a client's namespace, line by line.
+def status_lines(client: Client) -> tuple[list[str], bool]:
+    """Return the status of the stage in a client's namespace.
+
+    Returns
+    -------
+    lines : list of str
+    is_stopped : bool
+        Whether the stage stays at rest until it is reset.
 
     Raises
     ------
@@ -77,7 +83,8 @@ def status_lines(client: Client) -> list[str]:
               for key, status in sorted(heard.items())
               if key.startswith(f"{namespace}/") and key.endswith(": goal")]
     missing = [name for name in NODES if name not in client.neighbours()]
-    return [*lines, f"not there: {', '.join(missing)}" if missing else "all nodes are there"]
+    lines.append(f"not there: {', '.join(missing)}" if missing else "all nodes are there")
+    return lines, name in heard and heard[name].level == DiagnosticStatus.ERROR
 
 
 def _description(stage: Any) -> list[str]:

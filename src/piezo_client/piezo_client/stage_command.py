@@ -8,7 +8,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import NoReturn, TypeAlias
 
-from piezo_common.command_line import BAD_INPUT, INTERRUPTED, count, namespace
+from piezo_common.command_line import BAD_INPUT, INTERRUPTED, Parser, count, namespace
 from piezo_controller.commands.scan_command import WITHOUT_FILE, add_path_options
 from piezo_ros.starting import without_ros_arguments
 
@@ -50,7 +50,7 @@ def _inputs(options: argparse.Namespace) -> Iterator[Path]:
         yield from given if isinstance(given, list) else [given]
 
 
-class _Parser(argparse.ArgumentParser):
+class _Parser(Parser):
     """A parser whose error names the command that makes a model, if none is given."""
 
     def error(self, message: str) -> NoReturn:

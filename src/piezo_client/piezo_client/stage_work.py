@@ -266,7 +266,9 @@ def _list(stage: Stage, options: argparse.Namespace) -> list[str]:
 
 
 def _status(stage: Stage, options: argparse.Namespace) -> list[str]:
-    return [*status_lines(stage.client), _next(options, "identify", "--output", "<DIR>")]
+    lines, is_stopped = status_lines(stage.client)
+    following = ["reset"] if is_stopped else ["identify", "--output", "<DIR>"]
+    return [*lines, _next(options, *following)]
 
 
 WORK: dict[str, Callable[[Stage, argparse.Namespace], list[str]]] = {

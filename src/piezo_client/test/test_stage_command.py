@@ -46,11 +46,20 @@ def test_command_without_results_names_the_one_that_follows(
     monkeypatch.setattr(stage_work.signal, "signal", lambda *_: None)
     monkeypatch.setattr(stage_work, "Stage", lambda *_: nullcontext(MagicMock()))
     monkeypatch.setattr(stage_work, "stages_seen", lambda *_: {"/left": {"stage", "recorder"}})
-    monkeypatch.setattr(stage_work, "status_lines", lambda *_: ["/stage is active"])
+    monkeypatch.setattr(stage_work, "status_lines", lambda *_: (["/stage is active"], False))
     options = Namespace(command=command, namespace="", wait_s=1.0)
     assert stage_work.drive(options) == 0
     *_, last = capsys.readouterr().out.splitlines()
     assert last == f"next: ./run piezo_client stage {following}"
+
+
+def test_status_of_a_stopped_stage_names_the_reset(monkeypatch, capsys):
+    monkeypatch.setattr(stage_work.signal, "signal", lambda *_: None)
+    monkeypatch.setattr(stage_work, "Stage", lambda *_: nullcontext(MagicMock()))
+    monkeypatch.setattr(stage_work, "status_lines", lambda *_: (["now: hung"], True))
+    assert stage_work.drive(Namespace(command="status", namespace="", wait_s=1.0)) == 0
+    *_, last = capsys.readouterr().out.splitlines()
+    assert last == "next: ./run piezo_client stage reset"
 
 
 def test_refusal_is_said_in_one_line(monkeypatch, capsys):

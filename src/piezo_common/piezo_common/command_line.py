@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from piezo_common.budget import Budget
 
@@ -20,6 +20,14 @@ UMBRELLA = "piezo"
 """The command with all offline commands as subcommands."""
 OF_THE_STAGE = "piezo_client"
 """The package of the command that drives a stage, which is not part of `UMBRELLA`."""
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line, as other errors are."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print the message, and exit."""
+        self.exit(BAD_INPUT, f"{self.prog}: {message}; --help lists the options\n")
 
 
 @dataclass(frozen=True)
@@ -51,7 +59,7 @@ class Command:
 
     def parser(self) -> argparse.ArgumentParser:
         """Return the parser of the command under its own name."""
-        return self.fill(argparse.ArgumentParser(prog=self.name))
+        return self.fill(Parser(prog=self.name))
 
     def fill(self, parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
         """Set up a parser, for example of a subcommand, for this command; return it."""

@@ -5,6 +5,8 @@ import doctest
 import subprocess
 import sys
 
+import pytest
+
 from piezo_common import command_line
 
 CHATTY = """
@@ -31,3 +33,12 @@ def test_output_that_nobody_reads_any_more_ends_a_command_without_a_word():
 
 def test_next_command_is_typed_as_the_present_one_was():
     assert doctest.testmod(command_line).failed == 0
+
+
+def test_an_option_that_is_missing_is_told_in_one_line(capsys):
+    with pytest.raises(SystemExit) as ended:
+        command_line.Command(
+            "weigh", "", lambda parser: parser.add_argument("--output", required=True), "").main([])
+    assert ended.value.code == 2
+    assert capsys.readouterr().err == (
+        "weigh: the following arguments are required: --output; --help lists the options\n")

@@ -5,7 +5,7 @@ import argparse
 import sys
 from importlib import metadata
 
-from piezo_common.command_line import BAD_INPUT, UMBRELLA
+from piezo_common.command_line import BAD_INPUT, UMBRELLA, Parser
 from piezo_controller.commands.design_command import COMMAND as DESIGN
 from piezo_controller.commands.scan_command import COMMAND as SCAN
 from piezo_identification.commands.check_command import COMMAND as CHECK
@@ -57,7 +57,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def parser() -> argparse.ArgumentParser:
     """Return the parser with all subcommands."""
-    made = argparse.ArgumentParser(
+    made = Parser(
         prog=UMBRELLA, description="Work on recordings, models and controllers of a piezo stage.")
     made.add_argument("--version", action=_Version, nargs=0, help="print the version, and end")
     commands = made.add_subparsers(title="commands", required=True, metavar="COMMAND",
