@@ -397,9 +397,11 @@ def _creep_as_far_as(creep: CreepDynamics, rate_rad_per_s: float,
     poles, zeros = list(creep.poles_rad_per_s), list(creep.zeros_rad_per_s)
     factor, added = SETTINGS.faster_creep, 0
     sizes = np.log(zeros) - np.log(poles)
-    exponent = 0.0 if len(poles) < 2 else np.clip(
+    if not poles or sizes[-1] <= 0.0:  # a pair of the other sign shows no trend
+        return creep
+    exponent = 0.0 if len(poles) < 2 or sizes[-2] <= 0.0 else np.clip(
         np.log(sizes[-1] / sizes[-2]) / np.log(poles[-1] / poles[-2]), -1.0, 0.0)
-    while poles and factor * poles[-1] < rate_rad_per_s and added != pairs:
+    while factor * poles[-1] < rate_rad_per_s and added != pairs:
         added += 1
         size = sizes[-1] * factor ** (added * exponent)
         poles.append(factor * poles[-1])

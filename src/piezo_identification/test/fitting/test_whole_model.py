@@ -217,6 +217,19 @@ def test_the_amplifier_that_a_search_cannot_find_comes_first_if_it_is_alike(
     assert [has_amplifier(fit) for _, fit in promising] == order
 
 
+@pytest.mark.parametrize("zeros, continued", [
+    ((0.11, 1.1), True), ((0.11, 0.99), False), ((0.099, 1.1), True)])
+def test_a_start_continues_the_creep_unless_its_last_pair_has_the_other_sign(
+        wrong, recordings, zeros, continued):
+    problem = WholeModel(wrong, recordings, [0.0] * 3)
+    given = replace(wrong, creep=CreepDynamics((0.1, 1.0), zeros),
+                    effects=(VibrationMode(2800.0, 0.02, 0.8),))
+    for structure in starts(problem, given, None, True):
+        creep = structure.model.creep
+        assert creep.zeros_rad_per_s[:2] == zeros
+        assert (len(creep.zeros_rad_per_s) > 2) == continued
+
+
 def test_a_start_leaves_out_slow_modes_that_hardly_stand_out(wrong, recordings):
     problem = WholeModel(wrong, recordings, [0.0] * 3)
     modes = (VibrationMode(900.0, 0.01, 0.001), VibrationMode(2800.0, 0.02, 0.8),
