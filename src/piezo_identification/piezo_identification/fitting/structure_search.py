@@ -198,7 +198,7 @@ def searched(problem: WholeModel, best: WholeFit,
         All fits in the order they were made.
     """
     refuted, tried = set[str](), list[Tried]()
-    screened = list[Tried]()
+    screened, is_simpler = list[Tried](), False
     with while_time_lasts("further changes of the structure") as search:
         for turn in range(SETTINGS.rounds):
             screened = []
@@ -209,7 +209,8 @@ def searched(problem: WholeModel, best: WholeFit,
                 tried.append(("the same, on from there", again))
                 best = again if is_better(again, best) else best
             _screen(problem, best, [
-                structure for structure in structures(problem, best)
+                structure for structure in (
+                    _with_less(best) if is_simpler else structures(problem, best))
                 if structure.change not in refuted and is_asked_for(structure.model)],
                 screened, _of_round(report, turn))
             screened.sort(key=lambda entry: -entry[1].evidence_over(best))
@@ -225,6 +226,9 @@ def searched(problem: WholeModel, best: WholeFit,
             better = _better(problem, followed, best)
             if not better:
                 break
+            # What added nothing before a part was left out adds nothing after it.
+            is_simpler = all(
+                fit.numbers < best.numbers for fit in _better(problem, screened, best))
             best = max(better, key=lambda fit: fit.evidence_over(best))
         problem.about_here()
         last = problem.again(best, SETTINGS.steps)
