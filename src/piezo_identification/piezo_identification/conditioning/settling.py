@@ -22,6 +22,9 @@ NEGLIGIBLE = 1e-5
 SMALL_PART = 0.01
 """Participation below which the ringing of a mode is not waited for, as its mean is correct."""
 
+USUAL_SETTLING_S = 0.03
+"""Time omitted after a step if the electric and vibration dynamics are not known."""
+
 RINGING = 0.5
 """Damping ratio below which a mode rings."""
 
@@ -141,8 +144,8 @@ def settling_time_s(dynamics: ElectricVibrationDynamics) -> float:
     """Return the time after which the response to a step has settled.
 
     Poles with a small share of that response, as of a mode near an antiresonance, do not count.
-    Nor do those that hardly stand out, far slower than the mode that does most: they are creep, or
-    errors of loops.
+    Those that hardly stand out, far slower than the mode that does most, are waited for no longer
+    than usual: they are creep, or errors of loops.
     """
     if dynamics.is_static:
         return 0.0
@@ -156,8 +159,10 @@ def settling_time_s(dynamics: ElectricVibrationDynamics) -> float:
     slowest = SLOWER_THAN_MODES * frequencies[np.argmax(heights)] if rings.any() else 0.0
     is_clear = (frequencies >= slowest) | (heights >= STANDS_OUT * heights.max())
     # The two poles of a mode share its participation.
-    waited = (2.0 * shares > SMALL_PART) & is_clear
-    return float(-np.log(NEGLIGIBLE) / rates_rad_per_s[waited].min(initial=np.inf))
+    is_notable = 2.0 * shares > SMALL_PART
+    all_s, clear_s = (-np.log(NEGLIGIBLE) / rates_rad_per_s[counted].min(initial=np.inf)
+                      for counted in (is_notable, is_notable & is_clear))
+    return float(max(clear_s, min(all_s, USUAL_SETTLING_S)))
 
 
 def first_settled(dynamics: ElectricVibrationDynamics, time_s: FloatArray,

@@ -15,6 +15,7 @@ from piezo_identification.conditioning.generator_edges import free_running_level
 from piezo_identification.conditioning.recording_start import square_part, without_first
 from piezo_identification.conditioning.settling import (
     MOST_OF_RECORDING,
+    USUAL_SETTLING_S,
     low_frequency_delay_s,
     settling_time_s,
 )
@@ -48,9 +49,6 @@ MORE_PAIRS, SHARE_OF_CREEP = "more pairs of the creep", 0.2
 
 MOST_PAIRS = 8
 """Largest number of pole and zero pairs that is tried."""
-
-USUAL_SETTLING_S = 0.03
-"""Time omitted after a step if the electric and vibration dynamics are not known."""
 
 FAST = 0.99
 """Rate relative to the upper bound from which the bound limits it."""

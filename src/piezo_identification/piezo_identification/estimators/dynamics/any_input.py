@@ -16,9 +16,8 @@ from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.generator_edges import generator_edges
 from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.sensor_noise import noise_floor_um
-from piezo_identification.conditioning.settling import AT_REST
+from piezo_identification.conditioning.settling import AT_REST, USUAL_SETTLING_S
 from piezo_identification.conditioning.waveforms import two_levels
-from piezo_identification.estimators.creep.square_wave_creep import USUAL_SETTLING_S
 from piezo_identification.estimators.dynamics.fast_creep import fit_with_fast_creep
 from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
 from piezo_identification.estimators.dynamics.fast_signals import (
