@@ -33,7 +33,8 @@ SLOWER_THAN_MODES = 0.2
 
 STANDS_OUT = 0.1
 """Product of participation, frequency and quality factor, relative to that of the mode that stands
-out most, from which a slower mode is believed."""
+out most, from which a slower mode is believed. For a lag: the speed after a step, relative to that
+of the modes."""
 
 AT_REST = 20
 """Number of first samples with constant voltage for which a recording begins at rest."""
@@ -155,9 +156,12 @@ def settling_time_s(dynamics: ElectricVibrationDynamics) -> float:
         (system.C @ directions)[0] * np.linalg.solve(directions, system.B)[:, 0] / poles)
     rates_rad_per_s, frequencies = -poles.real, np.abs(poles)
     rings = rates_rad_per_s < RINGING * frequencies
-    heights = np.where(rings, shares * frequencies**2 / rates_rad_per_s, 0.0)
+    speeds = shares * frequencies
+    heights = np.where(rings, speeds * frequencies / rates_rad_per_s, 0.0)
     slowest = SLOWER_THAN_MODES * frequencies[np.argmax(heights)] if rings.any() else 0.0
-    is_clear = (frequencies >= slowest) | (heights >= STANDS_OUT * heights.max())
+    # A lag that drives the modes moves as fast as they do.
+    is_lag = ~rings & (speeds >= STANDS_OUT * 2.0 * speeds.max(where=rings, initial=0.0))
+    is_clear = (frequencies >= slowest) | (heights >= STANDS_OUT * heights.max()) | is_lag
     # The two poles of a mode share its participation.
     is_notable = 2.0 * shares > SMALL_PART
     all_s, clear_s = (-np.log(NEGLIGIBLE) / rates_rad_per_s[counted].min(initial=np.inf)

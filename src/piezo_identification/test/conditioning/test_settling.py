@@ -105,6 +105,11 @@ def test_a_slow_mode_is_waited_for_only_if_it_stands_out_beside_the_others(
     assert (settled_s > 10.0 * without_s) == is_waited_for
 
 
+def test_a_lag_far_slower_than_the_modes_behind_it_is_waited_for():
+    behind_lag = ElectricVibrationDynamics(5e-3, (2e4,), (0.02,))
+    assert settling_time_s(behind_lag) == pytest.approx(-5e-3 * np.log(1e-5), rel=1e-6)
+
+
 def test_a_faint_slow_mode_is_waited_for_as_long_as_usual():
     fast = VibrationMode(2e5, 0.1, 0.9)
     slow = VibrationMode(1e3, 1e-3, 0.02)
