@@ -9,7 +9,7 @@ import control
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect
 from piezo_models.effects.lag import Lag
@@ -154,6 +154,23 @@ def settling_time_s(dynamics: ElectricVibrationDynamics) -> float:
     poles, directions = np.linalg.eig(system.A)
     shares = np.abs(
         (system.C @ directions)[0] * np.linalg.solve(directions, system.B)[:, 0] / poles)
+    # The two poles of a mode share its participation.
+    is_notable = 2.0 * shares > SMALL_PART
+    all_s, clear_s = (-np.log(NEGLIGIBLE) / (-poles.real[counted]).min(initial=np.inf)
+                      for counted in (is_notable, is_notable & _stand_out(poles, shares)))
+    return float(max(clear_s, min(all_s, USUAL_SETTLING_S)))
+
+
+def _stand_out(poles: ComplexArray, shares: FloatArray) -> BoolArray:
+    """Return which poles are no creep and no error of loops, (n,).
+
+    Parameters
+    ----------
+    poles : (n,) array of complex
+        Poles in rad/s.
+    shares : (n,) array
+        Share of each in the response to a step.
+    """
     rates_rad_per_s, frequencies = -poles.real, np.abs(poles)
     rings = rates_rad_per_s < RINGING * frequencies
     speeds = shares * frequencies
@@ -161,12 +178,9 @@ def settling_time_s(dynamics: ElectricVibrationDynamics) -> float:
     slowest = SLOWER_THAN_MODES * frequencies[np.argmax(heights)] if rings.any() else 0.0
     # A lag that drives the modes moves as fast as they do.
     is_lag = ~rings & (speeds >= STANDS_OUT * 2.0 * speeds.max(where=rings, initial=0.0))
-    is_clear = (frequencies >= slowest) | (heights >= STANDS_OUT * heights.max()) | is_lag
-    # The two poles of a mode share its participation.
-    is_notable = 2.0 * shares > SMALL_PART
-    all_s, clear_s = (-np.log(NEGLIGIBLE) / rates_rad_per_s[counted].min(initial=np.inf)
-                      for counted in (is_notable, is_notable & is_clear))
-    return float(max(clear_s, min(all_s, USUAL_SETTLING_S)))
+    found: BoolArray = (
+        (frequencies >= slowest) | (heights >= STANDS_OUT * heights.max()) | is_lag)
+    return found
 
 
 def first_settled(dynamics: ElectricVibrationDynamics, time_s: FloatArray,
