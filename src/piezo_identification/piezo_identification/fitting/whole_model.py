@@ -188,7 +188,9 @@ class WholeModel:
         self.about_here()
 
     def with_hysteresis(self, model: StageModel, width: float) -> "WholeModel":
-        """Return the problem with the hysteresis of a model, which also fits the pasts.
+        """Return the problem with the hysteresis of a model, which also chooses the pasts.
+
+        Each recording has the past that the model finds, or keeps its own if that is closer.
 
         Parameters
         ----------
@@ -204,9 +206,25 @@ class WholeModel:
         problem._hysteresis_width = width
         problem._dataset = replace(
             self._dataset, model=replace(model, effects=()),
-            simulated=tuple(_simulated(model, self._dataset.recordings, [
-                part.read_late_s for part in self._dataset.simulated])))
+            simulated=tuple(side_by_side(
+                lambda index: self._after_closest_past(model, index),
+                range(len(self._dataset.simulated)))))
         return problem
+
+    def _after_closest_past(self, model: StageModel, index: int) -> SimulatedRecording:
+        """Return a recording simulated by a model without effects, after the closest past."""
+        before = self._dataset.simulated[index]
+        mask = [*self._dataset.masks()][index]
+        rows = self._dataset.rows[index][self._good[mask]]
+
+        def after(past_v: tuple[float, ...] | None) -> SimulatedRecording:
+            return SimulatedRecording(
+                model, self._dataset.recordings[index], past_v, before.read_late_s)
+
+        found = after(None)
+        if found.past_v != before.past_v:
+            found = min(found, after(before.past_v), key=lambda part: part.error_um(rows))
+        return found.with_model(replace(model, effects=()))
 
     def with_held_out_rows(self, fit: WholeFit) -> "WholeModel":
         """Return the problem about a fit with all rows, once no structure is chosen any more.

@@ -22,6 +22,7 @@ from piezo_identification.conditioning.waveforms import (
     with_voltage_before,
 )
 from piezo_identification.simulation.model_run import ModelRun, starting_past_v
+from piezo_identification.simulation.nuisance import nuisance_regressors
 from piezo_identification.simulation.recorded_voltage import in_parts
 from piezo_identification.simulation.sampled_response import (
     behind_lags,
@@ -177,6 +178,13 @@ class SimulatedRecording:
         if in_turn or not any(linear_part):
             return self._behind(linear_part, in_turn)[rows]
         return self._output(*linear_part, rows)
+
+    def error_um(self, rows: NDArray[np.intp]) -> float:
+        """Return the RMS error at some rows, with offset and initial creep projected out."""
+        difference_um = self.measured_um[rows] - self.simulate(rows=rows)
+        nuisance = nuisance_regressors(self, rows)
+        difference_um -= nuisance @ np.linalg.lstsq(nuisance, difference_um, rcond=1e-12)[0]
+        return float(np.sqrt(np.mean(difference_um**2)))
 
     def hysteresis_output_um(self, hysteresis: PreisachModel) -> FloatArray:
         """Return the output of another hysteresis for the same voltages, in um, (N parts,).

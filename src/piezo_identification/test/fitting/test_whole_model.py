@@ -175,20 +175,36 @@ def test_starts_have_the_loops_that_were_estimated_beside_them(plant, wrong, rec
     assert residual_um[1] < 0.2 * residual_um[0]
 
 
-def test_another_hysteresis_finds_the_past_of_a_recording_anew(plant):
+@pytest.fixture
+def cut(plant):
+    """A recording without its beginning, so that it depends on its past."""
     ends_v = [0.0, 90.0, 20.0, 50.0, 70.0, 30.0, 80.0, 25.0, 60.0]
     voltage_v = np.concatenate([np.linspace(*pair, 500, endpoint=False)
                                 for pair in pairwise(ends_v)])
     displacement_um = plant.simulate(voltage_v, 1e-3)
-    recording = recording_of({"time_s": 1e-3 * np.arange(voltage_v.size - 1500),
-                              "voltage_v": voltage_v[1500:],
-                              "displacement_um": displacement_um[1500:]})
+    return recording_of({"time_s": 1e-3 * np.arange(voltage_v.size - 1500),
+                         "voltage_v": voltage_v[1500:],
+                         "displacement_um": displacement_um[1500:]})
+
+
+def test_another_hysteresis_finds_the_past_of_a_recording_anew(plant, cut):
     line = WholeModel(replace(plant, hysteresis=PreisachModel.line(-20.0, 120.0, 1.0)),
-                      [recording], [0.0])
+                      [cut], [0.0])
     anew, from_the_start = (problem.fit(plant, None, 0).residual_um[0][0] for problem in (
-        line.with_hysteresis(plant, WIDE_PRIOR), WholeModel(plant, [recording], [0.0])))
+        line.with_hysteresis(plant, WIDE_PRIOR), WholeModel(plant, [cut], [0.0])))
     np.testing.assert_allclose(anew, from_the_start, atol=1e-9)
-    assert np.std(anew) < 1e-3 * np.ptp(recording.displacement_um)
+    assert np.std(anew) < 1e-3 * np.ptp(cut.displacement_um)
+
+
+def test_a_past_that_is_found_is_not_taken_if_the_one_before_is_closer(plant, cut, monkeypatch):
+    problem = WholeModel(plant, [cut], [0.0])
+    before = problem.fit(plant, None, 0).residual_um[0][0]
+    monkeypatch.setattr("piezo_identification.simulation.simulated_recording.starting_past_v",
+                        lambda *_: (50.0, 45.0))
+    wrong, kept = (each.fit(plant, None, 0).residual_um[0][0] for each in (
+        WholeModel(plant, [cut], [0.0]), problem.with_hysteresis(plant, WIDE_PRIOR)))
+    assert np.std(wrong) > 3.0 * np.std(before)
+    np.testing.assert_allclose(kept, before, atol=1e-9)
 
 
 class FitOfEvidence(SimpleNamespace):
