@@ -109,13 +109,38 @@ def _projected_out(part: SimulatedRecording, rows: NDArray[np.intp],
     return np.column_stack([nuisance_regressors(part, rows), *own])
 
 
+class _Nuisance:
+    """Regressors to be projected out, and their factors, with which many signals are projected.
+
+    Parameters
+    ----------
+    regressors : (n, k) array
+    good : (n,) array of bool
+        Rows that determine the coefficients.
+    """
+
+    def __init__(self, regressors: FloatArray, good: BoolArray) -> None:
+        self.regressors, self._good = regressors, good
+        self._basis, triangle = np.linalg.qr(regressors[good])
+        # The triangle has the singular values of the long matrix.
+        self.inverse = np.linalg.pinv(triangle, rcond=1e-12)
+
+    def sizes(self, values: FloatArray) -> FloatArray:
+        """Return the coefficients that fit values at all rows best, (k,) or (k, m)."""
+        return np.asarray(self.inverse @ (self._basis.T @ values[self._good]))
+
+    def projected_out_of(self, values: FloatArray) -> FloatArray:
+        """Return values at all rows without their nuisance part."""
+        return values - self.regressors @ self.sizes(values)
+
+
 @dataclass(frozen=True, eq=False)
 class _Point:
     """Simulation at some unknowns, and its error with the nuisance regressors projected out."""
 
     dataset: Dataset
     effects: tuple[Effect, ...]
-    nuisance: list[FloatArray]
+    nuisance: list[_Nuisance]
     sizes: list[FloatArray]
     residual_um: list[FloatArray]
 
@@ -201,7 +226,7 @@ class JointErrors:
     def dataset_at(self, vector: FloatArray) -> Dataset:
         """Return the data set simulated with the changed model, with its nuisance regressors."""
         point = self._at(vector)
-        nuisance = block_diag(*point.nuisance)
+        nuisance = block_diag(*(each.regressors for each in point.nuisance))
         changes = self.dataset.regressors[:, self.dataset.nuisance_count :]
         if self._columns[1]:
             # Derivatives of the last step, close to the result.
@@ -297,7 +322,7 @@ class JointErrors:
         residuals, jacobians = [], []
         for index, (fitted, square) in enumerate(zip(self._fitted, squares, strict=True)):
             weight = np.sqrt(INDEPENDENT / (np.count_nonzero(fitted) * square))
-            remaining = self._without_nuisance(index, point.nuisance[index], columns[index])[0]
+            remaining = point.nuisance[index].projected_out_of(columns[index])
             moved = self._moved_with_rates(point, index)
             remaining[:, : moved.shape[1]] += moved
             residuals.append(weight * point.residual_um[index][fitted])
@@ -315,14 +340,14 @@ class JointErrors:
                 self.new_count, self.later)
             effects = self.effects_at(vector)
 
-            def of_recording(index: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+            def of_recording(index: int) -> tuple[_Nuisance, FloatArray, FloatArray]:
                 part, rows = dataset.simulated[index], dataset.rows[index]
-                simulated_um = part.simulate(effects, rows=rows)
-                nuisance = _projected_out(part, rows, effects)
-                return nuisance, *self._without_nuisance(
-                    index, nuisance, part.measured_um[rows] - simulated_um)
+                difference_um = part.measured_um[rows] - part.simulate(effects, rows=rows)
+                nuisance = _Nuisance(_projected_out(part, rows, effects), self._good[index])
+                sizes = nuisance.sizes(difference_um)
+                return nuisance, sizes, difference_um - nuisance.regressors @ sizes
 
-            nuisance, remaining, sizes = (list(each) for each in zip(
+            nuisance, sizes, remaining = (list(each) for each in zip(
                 *side_by_side(of_recording, range(len(dataset.rows))), strict=True))
             self._points = dict([*self._points.items()][-1:])
             self._points[key] = _Point(dataset, effects, nuisance, sizes, remaining)
@@ -356,19 +381,11 @@ class JointErrors:
             moved[number] += step if moved[number] + step <= self.high[number] else -step
             effects = self.effects_at(moved)
             moved_um = part.simulate(effects, rows=rows) - unmoved_um
-            if point.nuisance[index].shape[1] > self._own_count[index]:
-                moved_um += (_projected_out(part, rows, effects)
-                             - point.nuisance[index]) @ point.sizes[index]
+            nuisance = point.nuisance[index].regressors
+            if nuisance.shape[1] > self._own_count[index]:
+                moved_um += (_projected_out(part, rows, effects) - nuisance) @ point.sizes[index]
             columns.append(moved_um / (moved[number] - vector[number]))
         return np.column_stack([changes, *columns])
-
-    def _without_nuisance(self, index: int, nuisance: FloatArray,
-                          values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return values at all rows without their nuisance part, and the nuisance coefficients."""
-        good = self._good[index]
-        sizes = np.asarray(
-            np.linalg.lstsq(nuisance[good], values[good], rcond=1e-12)[0], dtype=float)
-        return values - nuisance @ sizes, sizes
 
     def _moved_with_rates(self, point: _Point, index: int) -> FloatArray:
         """Return the part of the derivatives by which decay coefficients follow decay rates.
@@ -380,8 +397,7 @@ class JointErrors:
                             self._good[index])
         nuisance, model = point.nuisance[index], self.dataset.model
         pairs = len(model.creep.poles_rad_per_s)
-        decays = decay_sensitivities(part, rows, np.ones(nuisance.shape[1]), model)[good, :pairs]
-        # The triangle of its QR factors has the same singular values as the long matrix.
-        inverse = np.linalg.pinv(np.linalg.qr(nuisance[good], mode="r"), rcond=1e-12)
-        by_size = nuisance @ (inverse @ inverse.T)[:, 1 : 1 + pairs]
+        ones = np.ones(nuisance.regressors.shape[1])
+        decays = decay_sensitivities(part, rows, ones, model)[good, :pairs]
+        by_size = nuisance.regressors @ (nuisance.inverse @ nuisance.inverse.T)[:, 1 : 1 + pairs]
         return by_size * (decays.T @ point.residual_um[index][good])

@@ -9,6 +9,7 @@ from scipy.optimize import lsq_linear
 
 from piezo_common.arrays import FloatArray
 from piezo_common.budget import is_time_up
+from piezo_common.long_matrix import triangle_of
 
 FIRST_DAMPING, FACTOR, MOST_DAMPING = 1e-3, 10.0, 1e6
 """The first step is undamped. A step without gain is retried with the first damping, then with a
@@ -72,7 +73,7 @@ def descend(objective: Objective, vector: FloatArray, steps: int, worthwhile: fl
         residual, jacobian = objective.linearised(vector)
         if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
             return Descent(vector, value, 0.0, True)
-        triangle = np.asarray(np.linalg.qr(np.column_stack([jacobian, residual]), mode="r"))
+        triangle = triangle_of(np.column_stack([jacobian, residual]))
         step, promise = _step(objective, vector, triangle, damping=0.0)
         if promise < worthwhile:
             return Descent(vector, value, promise, True)

@@ -131,7 +131,8 @@ def _sequence(a: FloatArray, vector: FloatArray, length: int) -> tuple[FloatArra
     return columns, power
 
 
-@njit(cache=True, nogil=True)
+# The order of the sum is free, so that the processor adds several products at once.
+@njit(cache=True, nogil=True, fastmath={"reassoc", "nsz"})
 def _answer(samples: FloatArray, states: FloatArray, latest_first: FloatArray,
             outputs: FloatArray, at: NDArray[np.intp], output: FloatArray) -> None:
     """Write the output at some samples of whole blocks, from the states at their starts."""

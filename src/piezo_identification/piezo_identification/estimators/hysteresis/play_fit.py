@@ -18,6 +18,7 @@ from scipy.optimize import least_squares, nnls
 
 from piezo_common.arrays import FloatArray
 from piezo_common.cancellation import check_cancelled
+from piezo_common.long_matrix import triangle_of
 from piezo_identification.estimators.hysteresis.equations import HysteresisSegment
 from piezo_identification.estimators.hysteresis.everett_regression import remembered_pairs
 
@@ -181,8 +182,7 @@ class _PlayRegression:
         plays = _play_columns(self._row_of_pair, self._pairs[:, 2], ways,
                               _widths(rising, falling), self.count)
         columns = self._without(np.hstack([self._reversible, plays]))
-        triangle = np.asarray(
-            np.linalg.qr(np.column_stack([columns, self._output_um]), mode="r"))
+        triangle = triangle_of(np.column_stack([columns, self._output_um]))
         weights, residual = nnls(triangle[:, :-1], triangle[:, -1], maxiter=30 * columns.shape[1])
         # Try to omit the reversible part and the play of zero width, or only the reversible part.
         for first in (SLOPE_KNOTS + 1, SLOPE_KNOTS):
