@@ -254,8 +254,11 @@ class JointErrors:
             self._at(vector).residual_um, self._fitted, strict=True)])
 
     def value(self, vector: FloatArray) -> float:
-        """Return the function to minimise; infinite where the simulation is not finite."""
-        squares = self.squares_um2(vector) + self.accuracy_um**2
+        """Return the function to minimise; infinite where there is no finite simulation."""
+        try:
+            squares = self.squares_um2(vector) + self.accuracy_um**2
+        except np.linalg.LinAlgError:  # such as a filter much slower than its samples
+            return np.inf
         changes = self._prior * vector[: self.count]
         against = float(
             0.5 * INDEPENDENT * np.log(squares).sum() + 0.5 * changes @ changes)

@@ -28,6 +28,6 @@ def failures_explained(stage: Callable[[], str], paths: Iterable[object]) -> Ite
     except np.linalg.LinAlgError as error:
         named = ", ".join(map(str, paths))
         raise ValueError(
-            f"the {stage()} cannot be computed from {named} ({error}): a recording does not show "
+            f"{stage()}: cannot be computed from {named} ({error}): a recording does not show "
             "what it was given for; look at each with check, and leave out those that do not fit"
         ) from error

@@ -207,6 +207,21 @@ def test_a_past_that_is_found_is_not_taken_if_the_one_before_is_closer(plant, cu
     np.testing.assert_allclose(kept, before, atol=1e-9)
 
 
+def test_numbers_that_cannot_be_simulated_are_worse_than_all_others(
+        plant, recordings, monkeypatch):
+    model = replace(plant, effects=(SecondOrderAmplifier(1e-4), ))
+    fit = WholeModel(model, recordings, [0.0] * 3).fit(model, None, 0)
+
+    def fail(*_):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    assert np.isfinite(fit.errors.value(fit.vector))
+    fit.errors.forget()
+    for name in "apply", "advance":
+        monkeypatch.setattr(SecondOrderAmplifier, name, fail)
+    assert fit.errors.value(fit.vector) == np.inf
+
+
 class FitOfEvidence(SimpleNamespace):
     def evidence_over(self, other):
         return self.evidence - other.evidence

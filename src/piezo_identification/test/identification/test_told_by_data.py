@@ -34,7 +34,7 @@ def test_a_creep_file_given_as_dynamics_is_named_with_what_to_do(creep):
 
 def test_a_failure_of_linear_algebra_names_stage_and_recordings(creep, monkeypatch):
     monkeypatch.setattr(module, "estimate_loops", lambda *_: np.linalg.cholesky(-np.eye(2)))
-    with pytest.raises(ValueError, match="the hysteresis cannot be computed from .*creep.csv "
+    with pytest.raises(ValueError, match="hysteresis: cannot be computed from .*creep.csv "
                                          ".*: a recording does not show") as raised:
         identify(creep=creep)
     assert not isinstance(raised.value, np.linalg.LinAlgError)

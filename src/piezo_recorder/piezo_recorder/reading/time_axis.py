@@ -179,7 +179,9 @@ def _uneven(time_s: FloatArray, steps_s: FloatArray, place: Callable[[int], str]
                      f"({100.0 * largest_s / period_s:.3g} % of the period; "
                      f"{100.0 * SETTINGS.uniform:g} % are taken as they are): they were resampled "
                      "by straight lines")
-    index, at_rows = _grid(time_s, gaps, period_s)
+        index, at_rows = _grid((time_s - time_s[0]) / period_s, gaps)
+    else:
+        index, at_rows = _grid(ticks.astype(float), gaps)
     return TimeAxis(period_s, index, at_rows, jitter_s, notes)
 
 
@@ -236,15 +238,22 @@ def _gap_notes(gaps: np.ndarray, steps_s: FloatArray, place: Callable[[int], str
             f"{steps_s[first]:.4g} s before {where}: there are {gaps.size + 1} segments"]
 
 
-def _grid(time_s: FloatArray, gaps: np.ndarray, period_s: float) -> tuple[np.ndarray, FloatArray]:
-    """Return the samples of an even clock in each segment, and their positions among the rows."""
-    edges = [0, *(gaps + 1).tolist(), time_s.size]
+def _grid(tick: FloatArray, gaps: np.ndarray) -> tuple[np.ndarray, FloatArray]:
+    """Return the samples of an even clock in each segment, and their positions among the rows.
+
+    Parameters
+    ----------
+    tick : (N,) array
+        Time of each row in periods of the clock.
+    """
+    edges = [0, *(gaps + 1).tolist(), tick.size]
     indices, places = [], []
     for start, end in zip(edges[:-1], edges[1:], strict=True):
-        tick = (time_s[start:end] - time_s[0]) / period_s
-        index = np.arange(np.ceil(tick[0] - 1e-9), np.floor(tick[-1] + 1e-9) + 1, dtype=np.int64)
+        of_rows = tick[start:end]
+        index = np.arange(
+            np.ceil(of_rows[0] - 1e-9), np.floor(of_rows[-1] + 1e-9) + 1, dtype=np.int64)
         indices.append(index)
-        places.append(np.interp(index, tick, np.arange(start, end, dtype=float)))
+        places.append(np.interp(index, of_rows, np.arange(start, end, dtype=float)))
     place = np.concatenate(places)
     row = np.round(place)
     # A row that is there keeps its values to the last digit, in which a converter's steps show.

@@ -99,6 +99,18 @@ def test_the_rows_beside_one_that_was_put_in_stay_as_they_are(tmp_path):
     assert np.unique(recording.displacement_um).size <= 12
 
 
+@pytest.mark.parametrize("printed", ["%.9g", "%.6f", "%.17g"])
+def test_rows_keep_their_voltages_beside_lost_ones_if_their_times_are_rounded(tmp_path, printed):
+    rows = np.delete(np.arange(200), [13, 77])
+    level_v = np.where(np.arange(200) // 20 % 2, 90.0, 10.0)
+    behind_um = np.concatenate([[1.0], 0.1 * level_v[:-1]])
+    path = tmp_path / "lost.csv"
+    np.savetxt(path, np.column_stack([rows / 30.0, level_v[rows], behind_um[rows]]),
+               [printed, "%g", "%g"], ",", header="time_s,voltage_v,displacement_um", comments="")
+    recording = read_recording(path)
+    np.testing.assert_allclose(recording.voltage_v, level_v)
+    np.testing.assert_allclose(recording.displacement_um, behind_um)
+
 
 def test_a_voltage_that_is_held_is_held_where_it_is_resampled(tmp_path):
     random = np.random.default_rng(1)
