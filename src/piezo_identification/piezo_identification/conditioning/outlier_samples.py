@@ -21,6 +21,12 @@ OUTLIER = "outlier_um"
 """Column of a recording with the error of the displacement at outliers, zero elsewhere. A column of
 this name in a CSV file is used unchanged."""
 
+JUMP_SHARE = 0.02
+"""Change within a sample, relative to the voltage range, that counts as a jump."""
+
+MOST_JUMPS = 0.1
+"""Largest part of the rows that begin a jump between holds."""
+
 SMALL = 1e-4
 """Smallest assumed noise, as a fraction of the travel."""
 
@@ -54,6 +60,30 @@ def with_outliers_marked(recording: Recording) -> Recording:
         sample = np.clip(np.flatnonzero(wrong), good[0], good[-1])
         off_um[wrong] = measured_um[wrong] - PchipInterpolator(good, measured_um[good])(sample)
     return replace(recording, displacement_um=measured_um - off_um,
+                   columns=recording.columns | {OUTLIER: off_um})
+
+
+def with_jump_rows_marked(recording: Recording) -> Recording:
+    """Mark the first row of each jump of the voltage, and give it the displacement of the next one.
+
+    A model without dynamics answers a jump at once. A row holds the displacement of the instant at
+    which its voltage begins, so that the response is shown by the next row.
+
+    Parameters
+    ----------
+    recording : Recording
+        Recording with marked outliers; returned unchanged if its voltage jumps in many rows, which
+        are points that were measured at rest.
+    """
+    voltage_v = np.asarray(recording.voltage_v, dtype=float)
+    change_v = np.abs(np.diff(voltage_v[:-1], prepend=voltage_v[0]))
+    rows = np.flatnonzero(change_v > JUMP_SHARE * np.ptp(voltage_v))
+    if rows.size > MOST_JUMPS * voltage_v.size:
+        return recording
+    off_um, displacement_um = recording.columns[OUTLIER].copy(), recording.displacement_um.copy()
+    off_um[rows] += displacement_um[rows] - displacement_um[rows + 1]
+    displacement_um[rows] = displacement_um[rows + 1]
+    return replace(recording, displacement_um=displacement_um,
                    columns=recording.columns | {OUTLIER: off_um})
 
 

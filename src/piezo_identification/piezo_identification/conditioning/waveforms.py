@@ -21,6 +21,11 @@ class WaveformSettings:
     slow_branch_s: float = 0.05
     """A branch between two reversals that takes longer shows hysteresis, a shorter one dynamics.
     The slowest modes and lags of a stage decay in this time."""
+    held_time: float = 0.01
+    """Time of a hold, as a fraction of the duration: within it the voltage stays within the
+    tolerance of a level."""
+    held_rows: float = 0.3
+    """Smallest part of the rows in holds of a recording with holds."""
     smallest_reversal: float = 1e-3
     """Smallest reversal that is not noise, as a fraction of the voltage range, where branches are
     classified by their duration."""
@@ -93,6 +98,15 @@ def two_levels(recording: Recording) -> SquareWave | None:
     if swing_v == 0.0 or off_v > SETTINGS.level_tolerance * swing_v:
         return None
     return SquareWave(level, np.flatnonzero(np.diff(level)) + 1)
+
+
+def has_holds(recording: Recording) -> bool:
+    """Return whether the voltage stands for much of a recording, in which creep alone moves."""
+    voltage_v = np.asarray(recording.voltage_v, dtype=float)
+    rows = max(1, round(SETTINGS.held_time * voltage_v.size))
+    change_v = np.abs(voltage_v[rows:] - voltage_v[:-rows])
+    return bool(np.mean(change_v <= SETTINGS.level_tolerance * np.ptp(voltage_v))
+                >= SETTINGS.held_rows)
 
 
 def square_wave(recording: Recording) -> SquareWave:

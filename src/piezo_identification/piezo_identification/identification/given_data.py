@@ -8,6 +8,7 @@ from typing import Any
 from piezo_identification.conditioning.outlier_samples import (
     good_samples,
     outlier_text,
+    with_jump_rows_marked,
     with_outliers_marked,
 )
 from piezo_identification.conditioning.row_alignment import read_as, rows_read_at_start
@@ -76,6 +77,8 @@ def conditioned_data(given: Mapping[str, Data], note: Callable[[str], object],
                      read_at_samples: float) -> dict[str, Data]:
     """Mark outliers, cut at gaps, make the displacement rise with the voltage, align the rows.
 
+    Without a recording of the dynamics, the first rows of jumps are marked, too.
+
     Parameters
     ----------
     note : callable
@@ -84,6 +87,9 @@ def conditioned_data(given: Mapping[str, Data], note: Callable[[str], object],
         As in `identify`.
     """
     marked = without_gaps(with_marked_outliers(given, note))
+    if not of_kind(marked, "dynamics"):
+        marked = {name: with_jump_rows_marked(data) for name, data in marked.items()
+                  if isinstance(data, Recording)}
     return aligned(rising_with_voltage(marked, note), read_at_samples)
 
 

@@ -21,7 +21,7 @@ from piezo_identification.conditioning.settling import (
     slow_delay_s,
     slow_dynamics,
 )
-from piezo_identification.conditioning.waveforms import played, two_levels
+from piezo_identification.conditioning.waveforms import has_holds, played, two_levels
 from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
 from piezo_identification.estimators.dynamics.any_input import estimate_dynamics_any
@@ -202,6 +202,8 @@ def estimate_linear_dynamics(
     # A second pass has no effect if only one of them is recorded.
     passes = 2 if given and (creep or needs_hysteresis) else 1
     driving: DensityEstimate | None = None
+    # Only loops of another speed tell creep from the hysteresis if the voltage never stands.
+    slow = creep if any(has_holds(played(each)) for each in creep) else [*creep, *hysteresis]
     highest_rad_per_s = max((np.pi / part.sample_period_s for part in fast), default=0.0)
 
     def estimated(found: LinearDynamics, driving: DensityEstimate | None,
@@ -209,7 +211,7 @@ def estimate_linear_dynamics(
         if creep:
             begin("creep, given the dynamics" if turn else "creep", 0.5 * turn)
             found = found.with_creep(*creep_of(
-                creep, found, bool(turn), order.creep_pairs, highest_rad_per_s))
+                slow, found, bool(turn), order.creep_pairs, highest_rad_per_s))
         if not given:
             return found, driving
         begin("dynamics, given the creep" if turn else "dynamics", 0.5 * turn + 0.3)

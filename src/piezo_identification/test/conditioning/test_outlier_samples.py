@@ -6,10 +6,12 @@ import pytest
 
 from piezo_identification.conditioning.outlier_samples import (
     good_samples,
+    with_jump_rows_marked,
     with_outliers_marked,
 )
 from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics
 from piezo_identification.experiments import catalogue as experiments
+from piezo_recorder import recording_of
 
 MAKERS = {
     "creep": (experiments.creep(), 100.0),
@@ -68,3 +70,15 @@ def test_dynamics_are_those_without_outliers(plant, play):
     assert mended.mode_frequencies_rad_per_s == pytest.approx(
         truth.mode_frequencies_rad_per_s, rel=2e-3)
     assert mended.time_constant_s == pytest.approx(truth.time_constant_s, rel=5e-3)
+
+
+@pytest.mark.parametrize("rows_of_a_level, marked", [(50, True), (1, False)])
+def test_first_rows_of_jumps_are_left_out_unless_every_row_is_a_point(rows_of_a_level, marked):
+    level_v = np.repeat(np.append(np.arange(0.0, 90.0, 10.0), np.arange(70.0, -1.0, -10.0)),
+                        rows_of_a_level)
+    recording = with_outliers_marked(recording_of({
+        "time_s": 0.1 * np.arange(level_v.size), "voltage_v": level_v,
+        "displacement_um": np.append(0.0, level_v[:-1]) + 1e-3 * np.arange(level_v.size)}))
+    left_out = np.flatnonzero(~good_samples(with_jump_rows_marked(recording)))
+    jumps = np.flatnonzero(np.diff(level_v)) + 1
+    np.testing.assert_array_equal(left_out, jumps if marked else [])

@@ -22,7 +22,7 @@ from piezo_common.arrays import FloatArray
 from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.conditioning.creep_removal import inverse_of_creep
-from piezo_identification.conditioning.outlier_samples import good_samples
+from piezo_identification.conditioning.outlier_samples import JUMP_SHARE, good_samples
 from piezo_identification.conditioning.segments import Recordings, played_segments
 from piezo_identification.conditioning.waveforms import samples_per_mean
 from piezo_identification.estimators.creep.power_law import (
@@ -69,9 +69,6 @@ samples."""
 
 MOST_BINS = 2000
 """Largest number of rows of the regression; longer recordings are averaged over neighbours."""
-
-JUMP_SHARE = 0.02
-"""Change within a sample, relative to the voltage range, that counts as a jump."""
 
 GAINS = (1e-4, 1.0)
 """Range of the gain of a creep exponential relative to the immediate gain."""
