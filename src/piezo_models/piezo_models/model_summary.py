@@ -101,8 +101,12 @@ def main_results(identified: "IdentifiedModel") -> SummaryTable:
     """
     model = identified.model
     low_um, high_um = model.hysteresis.output_range_um
-    visited = "" if identified.visited is None else (
-        f", {100.0 * visited_fraction(identified.visited):.3g} % of the Preisach plane visited")
+    visited = ""
+    if not model.hysteresis.density_um_per_v2.any():
+        visited = ", without hysteresis"
+    elif identified.visited is not None:
+        visited = (f", {100.0 * visited_fraction(identified.visited):.3g} % of the Preisach plane "
+                   "visited")
     rows = [row for row in parameter_rows(model, identified.uncertainties)
             if row[1] and not str(row[0]).startswith(CREEP_ROWS)]
     return SummaryTable(

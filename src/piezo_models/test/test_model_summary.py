@@ -72,7 +72,7 @@ def test_main_results_of_a_line_are_its_title_alone():
     line = PreisachModel.line(0.0, 10.0, 2.0)
     shown = main_results(IdentifiedModel(
         StageModel(line, CreepDynamics(), ElectricVibrationDynamics()), (0.0, 10.0)))
-    assert repr(shown) == "identified: 20 um from 0 to 10 V"
+    assert repr(shown) == "identified: 20 um from 0 to 10 V, without hysteresis"
 
 
 def test_coverage_counts_half_cells_on_the_diagonal():

@@ -21,6 +21,9 @@ COMPONENTS = ("creep", "dynamics", "hysteresis")
 NUMBERS = {"creep": "--creep-pairs", "dynamics": "--modes"}
 """Options that set the number of modes or creep pairs of a component."""
 
+FAR_ABOVE = 3.0
+"""Ratio of the error on unseen motion to the noise above which an adequate model is doubted."""
+
 SLOW_HZ = 5.0
 """Frequency below which a residual of loops may be creep; above it, fast dynamics."""
 
@@ -75,6 +78,35 @@ def adequacy_of(
         for component in COMPONENTS for name, data in testable(recordings).items()
         if experiment_of(name) == component
     }
+
+
+def unseen_errors_beyond_noise(
+    model: StageModel, recordings: Mapping[str, Any], delays_s: Mapping[str, float],
+) -> list[str]:
+    """Return a sentence for each recording of the validation whose error is far above its noise.
+
+    Components that fit their own recordings say nothing of motion that these do not contain.
+
+    Parameters
+    ----------
+    recordings : dict of str to Recording or FrequencyResponse
+        Conditioned data without gaps.
+    delays_s : dict of str to float
+        As in `adequacy_of`.
+    """
+    sentences = []
+    for name, data in testable(recordings).items():
+        if experiment_of(name) != "validation":
+            continue
+        fit = lack_of_fit(component_residual(
+            "hysteresis", model, data, delays_s.get(name, 0.0)))
+        if not fit.is_adequate and fit.ratio > FAR_ABOVE:
+            sentences.append(
+                f"the error on {data.path}, which was not fitted, is {fit.residual_rms_um:.3g} um, "
+                f"{fit.ratio:.3g} times the noise, although each component fits its own recording: "
+                "these recordings do not show all that the model needs; record what is missing, "
+                "such as loops for --hysteresis, or fast motion for --dynamics")
+    return sentences
 
 
 def _component_adequacy(

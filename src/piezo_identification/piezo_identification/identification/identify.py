@@ -12,7 +12,13 @@ from typing import Any
 
 from piezo_common.budget import Budget, spending
 from piezo_common.cancellation import checking
-from piezo_identification.adequacy.component_adequacy import adequacy_document, adequacy_of
+from piezo_identification.adequacy.component_adequacy import (
+    ADEQUATE,
+    adequacy_document,
+    adequacy_of,
+    overall_verdict,
+    unseen_errors_beyond_noise,
+)
 from piezo_identification.adequacy.loop_shape import refuse_impossible_loops
 from piezo_identification.adequacy.model_plausibility import implausible_data, implausible_model
 from piezo_identification.conditioning.recording_start import motion_um_per_s
@@ -188,10 +194,13 @@ def identify(
         report_implausible(implausible_model(fitted.model, recordings), note)
         stages.begin("validation", 0.95)
         errors = validation_errors(fitted.model, recordings)
-        adequacy = adequacy_document(
-            adequacy_of(fitted.model, conditioned, delays_of_rows_s(conditioned, read_at), [
-                name for name, number in (("creep", order.creep_pairs), ("dynamics", order.modes))
-                if number is not None]))
+        delays_s = delays_of_rows_s(conditioned, read_at)
+        adequacy = adequacy_document(adequacy_of(fitted.model, conditioned, delays_s, [
+            name for name, number in (("creep", order.creep_pairs), ("dynamics", order.modes))
+            if number is not None]))
+        if overall_verdict(adequacy) == ADEQUATE:
+            report_implausible(
+                unseen_errors_beyond_noise(fitted.model, conditioned, delays_s), note)
         identified = replace(
             identified_model(fitted, errors, given, rows), adequacy=adequacy,
             uncertainties=reliable(fitted.uncertainties, adequacy,

@@ -12,12 +12,14 @@ from piezo_identification.adequacy.component_adequacy import (
     adequacy_of,
     adequacy_table,
     overall_verdict,
+    unseen_errors_beyond_noise,
 )
 from piezo_identification.adequacy.component_residual import component_residual
 from piezo_identification.adequacy.lack_of_fit import lack_of_fit
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.experiments import catalogue as experiments
 from piezo_models.effects.delay import Delay
+from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
 NOISE_UM = 0.009
@@ -45,6 +47,18 @@ def test_the_stage_itself_is_adequate_and_its_noise_is_found(plant, recordings):
         assert (part.left, part.advice) == ("", "")
     assert overall_verdict(adequacy_document(adequacy)) == "adequate"
     assert adequacy["dynamics"].noise_from == "repeats"
+
+
+@pytest.mark.parametrize("lacks_hysteresis", [False, True])
+def test_an_error_on_the_validation_far_above_the_noise_is_told(
+        plant, recordings, lacks_hysteresis):
+    model = replace(plant, hysteresis=PreisachModel.line(-20.0, 120.0, 1.0)) if (
+        lacks_hysteresis) else plant
+    unseen = {"creep": recordings["creep"], "validation": recordings["hysteresis"]}
+    told = unseen_errors_beyond_noise(model, unseen, {})
+    assert len(told) == lacks_hysteresis
+    if told:
+        assert recordings["hysteresis"].path in told[0]
 
 
 @pytest.mark.parametrize("seeds", [range(10), pytest.param(range(10, 110), marks=pytest.mark.long)],
