@@ -23,11 +23,11 @@ def write_endless_probe(directory):
 def write_short_probe(directory):
     """Let the experiments of an identification take an eighth of their time."""
     swing_v = SWING_FRACTION * USUAL_LIMITS.span_v
-    tones = {"arc_s": 0.1, "tones_s": 0.3, "tones": [list(tone) for tone in VALIDATION_TONES]}
+    tones = {"arc_s": 0.05, "tones_s": 0.2, "tones": [list(tone) for tone in VALIDATION_TONES]}
     _write(directory, {
         "creep": {"swing_v": swing_v, "period_s": 60.0, "sample_period_s": 0.01},
-        "dynamics": {"swing_v": swing_v, "period_s": 0.02, "duration_s": 0.5},
-        "hysteresis": {"level_count": 10, "harmonic_period_s": 1.0, "sample_period_s": 1e-3},
+        "dynamics": {"swing_v": swing_v, "period_s": 0.02, "duration_s": 0.3},
+        "hysteresis": {"level_count": 10, "harmonic_period_s": 0.5, "sample_period_s": 1e-3},
         "validation": tones, "multisine": tones, "relay": {"oscillation_s": 1.0}})
 
 

@@ -193,6 +193,7 @@ def paced(nodes):
 
 def test_run_whose_answers_came_late_fails_and_says_how_many(paced, fields):
     stage = paced
+    fields["duration_s"] = 1.0
     goal = stage.send_goal("track", **fields)
     controller = stage.processes.process("controller")
     late = 2 * MAX_LATE_PERCENT / 100.0 * fields["duration_s"] / TICK_S

@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 
 from piezo_controller.feedback.feedback_design import design_feedback
+from piezo_controller.feedback.synthesis import dk_iteration
 from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
@@ -33,6 +34,14 @@ def stage_model():
 def controller(stage_model):
     """Return the default design for the stage."""
     return design_feedback(stage_model, load_weights(), model_sha256="0" * 64)
+
+
+@pytest.fixture(scope="module")
+def short_search():
+    """Search few scalings: for tests that take a design as given, not for those of its quality."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(dk_iteration, "SEARCHED", 3)
+        yield
 
 
 CLOCK_PERIOD_S = 25e-6

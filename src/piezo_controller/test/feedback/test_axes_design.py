@@ -53,7 +53,7 @@ def model():
 
 
 @pytest.fixture(scope="module")
-def law(model):
+def law(model, short_search):
     return design_axes_feedback(model, load_weights())
 
 

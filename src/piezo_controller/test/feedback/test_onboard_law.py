@@ -32,7 +32,7 @@ def plan(stage_model):
 
 
 @pytest.fixture(scope="module")
-def quick_controller(stage_model):
+def quick_controller(stage_model, controller, short_search):
     """Return the default design for a stage that evaluates it without computing time."""
     return design_feedback(stage_model, load_weights(), delay_ticks=0)
 

@@ -85,6 +85,7 @@ def test_path_planned_before_is_tracked_from_its_file(prepared, model_file, tmp_
     assert followed.e_rms_percent() < 0.1
 
 
+@pytest.mark.usefixtures("short_search")
 def test_marks_come_with_their_places_from_the_first_period_on(prepared, model_file):
     run = prepared("composite")
     once, period = (np.frombuffer(part, np.uint8) for part in run.marks)

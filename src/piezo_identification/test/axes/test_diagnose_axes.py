@@ -73,6 +73,8 @@ CASES = {
                             {"driven": ((1, 0), (-CROSSTALK, 1))}),
     "delay[x]": (3.3e-4, {"LATE": (3.6, 1.6)}, {}),
     "delay[y]": (5e-5, {"LATE": (0.3, 2.1)}, {})}
+SHOWN_BELOW = ("gain[x]", "delay[y]")
+"""By the command, and by two effects together."""
 OF_THE_OTHER_AXIS = ("gain[y]", "cross_coupling[y,x]", "delay[x]")
 
 
@@ -83,7 +85,7 @@ def label(entry):
 
 
 @pytest.mark.parametrize("name", [
-    pytest.param(name, marks=[pytest.mark.long] if name in OF_THE_OTHER_AXIS else [])
+    pytest.param(name, marks=[pytest.mark.long] if name in OF_THE_OTHER_AXIS + SHOWN_BELOW else [])
     for name in CASES])
 def test_effect_is_named_with_its_axis_and_the_extended_model_predicts(
         identified, monkeypatch, name):

@@ -104,7 +104,7 @@ def controller_of(rate, model):
     return design_at_sample_rate(model, effort=EFFORT)
 
 
-@pytest.mark.parametrize("rate", ["sample", "tick"])
+@pytest.mark.parametrize("rate", ["sample", pytest.param("tick", marks=pytest.mark.long)])
 @pytest.mark.parametrize("seed", STAGES)
 def test_a_law_begins_gently_and_ends_on_its_reference_without_a_settled_stage(seed, rate):
     random = np.random.default_rng([seed, 77])

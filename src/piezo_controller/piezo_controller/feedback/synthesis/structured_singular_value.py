@@ -35,8 +35,10 @@ def structured_singular_values(responses: ComplexArray,
     blocks = [1] * scalars + [size - scalars]
     kinds = [COMPLEX] * len(blocks)
     mu, scalings = np.empty(frequencies), np.empty((frequencies, scalars))
+    found = None
     for index, matrix in enumerate(square):
-        mu[index], d, *_ = ab13md(matrix, blocks, kinds)
+        # Where the bound of one frequency was found, the next one begins.
+        mu[index], d, _, found = ab13md(matrix, blocks, kinds, found)
         scalings[index] = d[:scalars] / d[-1]
     return mu, scalings
 
