@@ -249,8 +249,7 @@ def _screen(problem: WholeModel, best: WholeFit, listed: Sequence[Structure],
 
     def fit(structure: Structure) -> None:
         steps = SETTINGS.steps if is_wrong or structure.is_far else SETTINGS.screening_steps
-        screened.append((structure.change, problem.fit(
-            structure.model, structure.delay_s, steps, best.density_changes)))
+        screened.append((structure.change, _raced(problem, structure, best, steps)))
 
     def reported(number: int) -> None:
         report(listed[number].change, number / len(listed))
@@ -258,6 +257,18 @@ def _screen(problem: WholeModel, best: WholeFit, listed: Sequence[Structure],
     # The first fit computes what the others share.
     side_by_side(fit, listed[:1], reported)
     side_by_side(fit, listed[1:], lambda number: reported(number + 1))
+
+
+def _raced(problem: WholeModel, structure: Structure, best: WholeFit, steps: int) -> WholeFit:
+    """Fit a structure, but end if it would not come near the best fit with gains as the last."""
+    fit = problem.fit(structure.model, structure.delay_s, min(steps, SETTINGS.screening_steps),
+                      best.density_changes)
+    for left in range(steps - SETTINGS.screening_steps, 0, -SETTINGS.screening_steps):
+        behind = -fit.evidence_over(best)
+        if fit.has_converged or behind > SETTINGS.promise + left * fit.gain:
+            break
+        fit = problem.again(fit, min(left, SETTINGS.screening_steps))
+    return fit
 
 
 def _of_round(report: Callable[[str, float], object], turn: int) -> Callable[[str, float], object]:

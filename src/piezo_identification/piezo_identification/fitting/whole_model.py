@@ -74,6 +74,8 @@ class WholeFit:
     """Number of independent errors counted in each recording, (R,): the largest number that any fit
     of the problem has reached so far."""
     has_converged: bool = False
+    gain: float = 0.0
+    """Gain of the minimised function by the last step."""
 
     free_changes: int = 0
     """Number of changes of the hysteresis with a wide prior."""
@@ -302,7 +304,7 @@ class WholeModel:
         return WholeFit(
             replace(fitted, effects=tuple(each for each in found if type(each) is not Delay)),
             delays_s[0] if delays_s else None, residual_um, errors.accuracy_um, errors,
-            descent.vector, self._counts, descent.has_converged,
+            descent.vector, self._counts, descent.has_converged, descent.gain,
             errors.count - begun.size if self._hysteresis_width >= 1.0 else 0)
 
     def over_noise(self, fit: WholeFit) -> FloatArray:

@@ -28,7 +28,7 @@ BATCH = 512
 KEPT = 64
 """Systems whose matrices are cached, 0.1 MB each; a fit uses some dozens for its recordings."""
 
-LONG = 256
+LONG = 128
 """Samples of a block if few outputs are needed, which makes the states the main cost."""
 
 
