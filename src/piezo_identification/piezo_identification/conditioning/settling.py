@@ -194,8 +194,10 @@ def first_settled(dynamics: ElectricVibrationDynamics, time_s: FloatArray,
     time_s : (N,) array
         Time since the start.
     effects : sequence of Effect
-        Effects, of which lags have to settle, too.
+        Effects, of which parallel modes and lags have to settle, too.
     """
+    if not isinstance(dynamics, SlowDynamics):
+        dynamics = slow_dynamics(dynamics, effects)
     longest_lag_s = max((effect.time_constant_s for effect in effects
                          if isinstance(effect, Lag)), default=0.0)
     settled = int(np.searchsorted(

@@ -191,7 +191,7 @@ def _hysteresis(check: RecordingCheck) -> Suitability:
         return Suitability("no", "the voltage takes two levels only: give slow cycles")
     rows = waveform.branch_s / check.sample_period_s
     if waveform.branch_s <= waveforms.SETTINGS.slow_branch_s and (
-            waveform.kind.has_cycles and rows >= NEEDS.rows_per_branch):
+            rows >= NEEDS.rows_per_branch and _has_loops(check)):
         return Suitability("partly", f"{waveform.branch_s:.3g} s between reversals are fast: give "
                            "--dynamics, too, or vibrations and lags count as hysteresis")
     if waveform.branch_s <= waveforms.SETTINGS.slow_branch_s:
@@ -206,6 +206,16 @@ def _hysteresis(check: RecordingCheck) -> Suitability:
         return Suitability("partly", f"{100.0 * share:.0f} % of the Preisach plane visited, the "
                            "rest would be guessed: let amplitudes rise in small steps")
     return Suitability("yes", f"slow, {100.0 * share:.0f} % of the Preisach plane visited")
+
+
+def _has_loops(check: RecordingCheck) -> bool:
+    """Return whether a voltage has cycles, or is a chirp that visits much of the Preisach plane.
+
+    A chirp of one amplitude shows one loop, but decaying cycles of rising frequency show many.
+    """
+    kind = check.waveform.kind
+    return kind.has_cycles or (
+        kind is Kind.CHIRP and check.visited_fraction >= NEEDS.well_visited)
 
 
 def _creep(check: RecordingCheck) -> Suitability:

@@ -54,6 +54,17 @@ def test_a_mode_that_rings_for_long_leaves_most_of_a_recording():
     assert first_settled(ElectricVibrationDynamics(0.0, (1e4,), (1e-5,)), time_s) == 1000
 
 
+def test_a_parallel_mode_that_is_the_whole_displacement_is_waited_for_as_one_in_series():
+    time_s = np.arange(4000) * 25e-6
+    in_series = ElectricVibrationDynamics(0.0, (1e4,), (0.1,))
+    alone = ElectricVibrationDynamics()
+    count = first_settled(in_series, time_s)
+    assert count > 100
+    assert first_settled(alone, time_s, (VibrationMode(1e4, 0.1, 1.0),)) == count
+    assert first_settled(slow_dynamics(alone, (VibrationMode(1e4, 0.1, 1.0),)), time_s) == count
+    assert first_settled(alone, time_s, (VibrationMode(1e4, 0.1, 1e-3),)) == 0
+
+
 def test_a_mode_that_an_antiresonance_cancels_is_not_waited_for():
     beside = ElectricVibrationDynamics(0.0, (1e3, 1e4), (1e-5, 0.1), (1.0001e3,), (1e-5,))
     assert settling_time_s(beside) == pytest.approx(

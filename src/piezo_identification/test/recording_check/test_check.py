@@ -262,6 +262,21 @@ def test_points_of_a_static_loop_visit_the_plane_and_fast_cycles_ask_for_dynamic
     assert fit.verdict == "partly" and "--dynamics" in fit.reason
 
 
+def test_decaying_cycles_of_rising_frequency_show_loops_but_a_chirp_of_one_amplitude_does_not(read):
+    period_s, cycles_v = 5e-4, []
+    for frequency_hz in (1.0, 20.0, 40.0):
+        cycles = frequency_hz * np.arange(0.0, 10.0 / frequency_hz, period_s)
+        cycles_v.append(10.0 + (cycles - 10.0) * np.cos(2.0 * np.pi * cycles))
+    decaying_v = np.concatenate(cycles_v)
+    fit = suitability_for(check_recording(
+        read(decaying_v, 0.2 * decaying_v, period_s)), "hysteresis")
+    assert fit.verdict == "partly" and "--dynamics" in fit.reason
+    time_s = period_s * np.arange(19000)
+    steady_v = 10.0 + 8.0 * chirp(time_s, 1.0, 9.5, 40.0)
+    fit = suitability_for(check_recording(read(steady_v, 0.2 * steady_v, period_s)), "hysteresis")
+    assert fit.verdict == "no"
+
+
 def test_verdict_on_one_experiment_measures_nothing_for_the_others(read, monkeypatch):
     period_s = 1e-4
     voltage_v = np.where((np.arange(20_000) // 1000) % 2 == 0, 20.0, 80.0)

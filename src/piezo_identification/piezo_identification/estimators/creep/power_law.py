@@ -26,6 +26,9 @@ RATIO = 4.0
 """Ratio of neighbouring rates: the response of their sum differs from a power of time by less than
 1e-5 of the step."""
 
+LARGEST_PART = 0.5
+"""Largest part of the immediate gain that exponentials faster than the rows may take."""
+
 
 def rates_of_law(bounds: FloatArray) -> FloatArray:
     """Return logarithms of rates that cover those which the rows show, and two slower ones.
@@ -49,6 +52,8 @@ def of_level_and_exponent(rates: FloatArray, centre: float) -> FloatArray:
 def continued(point: FloatArray, end_rad_per_s: float) -> tuple[FloatArray, FloatArray]:
     """Continue a power law from the rates that the rows show to a faster one.
 
+    A law whose gains increase with the rates ends earlier, before it takes the immediate gain.
+
     Parameters
     ----------
     point : (P,) array
@@ -67,7 +72,10 @@ def continued(point: FloatArray, end_rad_per_s: float) -> tuple[FloatArray, Floa
     wider = np.append(rates, faster)
     all_gains = np.polyval(np.polyfit(rates, gains, 1), wider)
     # The faster exponentials were a part of the immediate gain.
-    all_gains -= np.log1p(-np.exp(all_gains[rates.size :]).sum())
+    parts = np.cumsum(np.exp(all_gains[rates.size :]))
+    parts = parts[parts <= LARGEST_PART]
+    wider, all_gains = (each[: rates.size + parts.size] for each in (wider, all_gains))
+    all_gains = all_gains - np.log1p(-parts[-1] if parts.size else 0.0)
     return np.concatenate([wider, all_gains]), of_level_and_exponent(wider, rates.mean())
 
 

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from piezo_identification.estimators.creep.power_law import POWER_LAW, RATIO
+from piezo_identification.estimators.creep.power_law import POWER_LAW, RATIO, continued
 from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
@@ -71,3 +71,17 @@ def test_law_goes_on_into_the_band_of_fast_recordings_if_no_mode_is_known(record
     found = estimate_creep(recording, highest_rad_per_s=MODE_RAD_PER_S)
     assert found.order == POWER_LAW
     assert max(found.model.poles_rad_per_s) > 0.2 * MODE_RAD_PER_S / RATIO
+
+
+def test_a_law_whose_gains_increase_with_the_rates_leaves_an_immediate_gain():
+    rates = np.log(0.1 * RATIO ** np.arange(5.0))
+    for exponent in (-0.2, 0.0, 0.3, 0.8):
+        gains = np.log(0.02) + exponent * (rates - rates[0])
+        point, free = continued(np.concatenate([rates, gains]), 1e4)
+        wider, all_gains = np.split(point, 2)
+        assert np.isfinite(point).all() and free.shape == (point.size, 2)
+        np.testing.assert_allclose(np.diff(wider), np.log(RATIO))
+        # Relative to the slow ones, the immediate gain is what the faster ones have left.
+        faster = np.exp(all_gains[rates.size :]).sum()
+        np.testing.assert_allclose(np.exp(all_gains[: rates.size] - gains), 1.0 + faster)
+        assert faster <= 1.0 + 1e-9
