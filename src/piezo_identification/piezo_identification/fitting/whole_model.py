@@ -36,7 +36,8 @@ from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_recorder.reading.recording import Recording
 
 EARLIEST = 1.0
-"""Largest negative delay, in sample periods, that can be fitted: the rows are then read late."""
+"""Largest negative delay, in sample periods, that can be fitted to rows that were not found to be
+read later: the rows are then read late."""
 
 BEFORE_DELAY = ("voltage", "modes")
 """Places of the effects of a model that act before its delay."""
@@ -166,6 +167,8 @@ class WholeModel:
         Recordings with the sign of the model and with marked outliers.
     read_late_s : sequence of float
         Time by which each recording reads its rows after the voltage.
+    later_s : float
+        Further time by which the rows may be read late, as a negative delay.
 
     Raises
     ------
@@ -174,13 +177,14 @@ class WholeModel:
     """
 
     def __init__(self, model: StageModel, recordings: Sequence[Recording],
-                 read_late_s: Sequence[float]) -> None:
+                 read_late_s: Sequence[float], later_s: float = 0.0) -> None:
         self._given, self._hysteresis_width = model, WIDE_PRIOR
         simulated = _simulated(model, recordings, read_late_s)
         self.sample_period_s = min(part.sample_period_s for part in simulated)
         # Rows of means cannot be read at another time.
         self.is_sampled = all(part.samples_per_mean == 1 for part in simulated)
-        self._earliest_s = EARLIEST * self.sample_period_s if self.is_sampled else 0.0
+        self._earliest_s = max(
+            EARLIEST * self.sample_period_s, later_s) if self.is_sampled else 0.0
         self._dataset = dataset_of(simulated, recordings, lambda _, rows: np.zeros((rows.size, 0)))
         self.noise = estimate_noise(self._dataset, model.effects)
         good = ~self._dataset.at_rows(self.noise.outliers)

@@ -239,17 +239,18 @@ def fitted_together(
         note("the model is that of the separate steps: a generator that runs freely changes its "
              "voltage between the rows, which only the steps consider")
         return fitted, dict(read_at)
-    # Rows read within their hold are a negative delay, which the search may remove.
-    within_s = _within_hold_s(read_at, parts)
+    # Rows read late are a negative delay, which the search may remove: a lag that belongs in front
+    # of the hysteresis is often taken for them.
+    late_s = _late_s(read_at, parts)
     read_late_s = {
-        name: max(read_at[name] * played(data).sample_period_s - within_s, 0.0)
+        name: max(read_at[name] * played(data).sample_period_s - late_s, 0.0)
         for name, data in samples.items()}
     delay_s = sum(effect.delay_s for effect in fitted.model.effects
-                  if type(effect) is Delay) - within_s
+                  if type(effect) is Delay) - late_s
     try:
         problem = WholeModel(
             fitted.model, list(used.values()),
-            [read_late_s[name] for name in parts])
+            [read_late_s[name] for name in parts], late_s)
     except ValueError as error:
         note(f"the model is that of the separate steps, as {error}")
         return fitted, dict(read_at)
@@ -280,10 +281,10 @@ def read_later(read_late_s: Mapping[str, float], fit: WholeFit) -> dict[str, flo
     return {name: late_s + later_s for name, late_s in read_late_s.items()}
 
 
-def _within_hold_s(read_at: Mapping[str, float], parts: Mapping[str, Recording]) -> float:
-    """Return when within its hold the fastest recording reads its rows, in s; 0 for the end."""
+def _late_s(read_at: Mapping[str, float], parts: Mapping[str, Recording]) -> float:
+    """Return how late the fastest recording reads its rows, in s."""
     fastest = min(parts, key=lambda name: parts[name].sample_period_s)
-    return (read_at[fastest] % 1.0) * parts[fastest].sample_period_s
+    return read_at[fastest] * parts[fastest].sample_period_s
 
 
 def _has_order(order: ResponseOrder, model: StageModel) -> bool:
