@@ -18,7 +18,11 @@ from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.row_alignment import rows_read_at_start
 from piezo_identification.conditioning.sensor_noise import repeated_period
 from piezo_identification.conditioning.settled_periods import first_settled_step
-from piezo_identification.conditioning.settling import first_settled, slow_dynamics
+from piezo_identification.conditioning.settling import (
+    first_settled,
+    rings_unresolved,
+    slow_dynamics,
+)
 from piezo_identification.conditioning.waveforms import (
     SquareWave,
     played,
@@ -204,9 +208,13 @@ def _of_any_wave(free_gain: bool, model: StageModel, data: Recording) -> Compone
              *(np.exp(-rate * time_s) for rate in model.creep.poles_rad_per_s)])
         simulated_um = columns @ np.linalg.lstsq(
             columns[run.good], measured_um[run.good], rcond=1e-12)[0]
-    voltage_v = np.asarray(run.part.voltage_v)[run.settled]
+    whole_v = np.asarray(run.part.voltage_v, dtype=float)
+    rings = rings_unresolved(
+        slow_dynamics(model.dynamics, model.effects), whole_v, run.part.sample_period_s)
+    voltage_v = whole_v[run.settled]
     return ComponentResidual(
-        str(data.path), time_s, voltage_v, measured_um, measured_um - simulated_um, run.good,
+        str(data.path), time_s, voltage_v, measured_um, measured_um - simulated_um,
+        run.good & ~rings[run.settled],
         repeated_period(voltage_v), np.empty(0, dtype=np.intp))
 
 

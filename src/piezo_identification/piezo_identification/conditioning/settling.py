@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
+from piezo_identification.conditioning.outlier_samples import JUMP_SHARE
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect
 from piezo_models.effects.lag import Lag
@@ -18,6 +19,9 @@ from piezo_models.linear.dynamics import ElectricVibrationDynamics, zoh
 
 NEGLIGIBLE = 1e-5
 """Fraction of a step below which its ringing is negligible."""
+
+UNRESOLVED = 0.01
+"""The same in rows too slow for it, which show it with an error of about a hundredth."""
 
 SMALL_PART = 0.01
 """Participation below which the ringing of a mode is not waited for, as its mean is correct."""
@@ -181,6 +185,39 @@ def _stand_out(poles: ComplexArray, shares: FloatArray) -> BoolArray:
     found: BoolArray = (
         (frequencies >= slowest) | (heights >= STANDS_OUT * heights.max()) | is_lag)
     return found
+
+
+def rings_unresolved(dynamics: ElectricVibrationDynamics, voltage_v: FloatArray,
+                     sample_period_s: float) -> BoolArray:
+    """Mark the rows in which a mode rings after a jump that is too fast for the rows.
+
+    Its phase in such a row depends on what a slow recording cannot show, such as the shape of a
+    lag in front of the hysteresis.
+
+    Parameters
+    ----------
+    dynamics : ElectricVibrationDynamics
+        Dynamics, with all modes that have to settle.
+    voltage_v : (N,) array
+
+    Returns
+    -------
+    (N,) array of bool
+        False everywhere if the rows resolve the modes. At most `MOST_OF_RECORDING` of the longest
+        run between two jumps is marked after each of them.
+    """
+    rows = np.arange(voltage_v.size)
+    frequencies = [*dynamics.mode_frequencies_rad_per_s, *(
+        mode.frequency_rad_per_s for mode in getattr(dynamics, "parallel_modes", ()))]
+    jumps = rows[np.abs(np.diff(voltage_v, prepend=voltage_v[0]))
+                 > JUMP_SHARE * np.ptp(voltage_v)]
+    if not frequencies or not jumps.size or sample_period_s * min(frequencies) < 1.0:
+        return np.zeros(rows.size, dtype=bool)
+    longest = np.diff(np.concatenate([[0], jumps, [rows.size]])).max()
+    settling_s = settling_time_s(dynamics) * np.log(UNRESOLVED) / np.log(NEGLIGIBLE)
+    settled = min(settling_s / sample_period_s, MOST_OF_RECORDING * longest)
+    last = np.concatenate([[-np.inf], jumps])[np.searchsorted(jumps, rows, side="right")]
+    return np.asarray((rows > last) & (rows - last <= settled))
 
 
 def first_settled(dynamics: ElectricVibrationDynamics, time_s: FloatArray,

@@ -49,6 +49,9 @@ class SearchSettings:
     above_noise: float = 1.05
     """Smallest residual of a recording, relative to its noise, for which further parts are
     tried."""
+    surely_at_noise: float = 1.01
+    """Residual of each recording, relative to its noise, below which no other start is tried. A lag
+    at the wrong place may leave hardly more, and be far off on other motion."""
     wrong: float = 3.0
     """Residual of the fastest recording, relative to its noise, above which every structure gets as
     many steps as the first fit."""
@@ -139,7 +142,8 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
         listed = [*starts(problem, given, delay_s, with_new_loops is not None), *between]
         for number, structure in enumerate(listed, 1):
             check_cancelled()
-            if not is_asked_for(structure.model) or is_at_noise(problem, best):
+            if not is_asked_for(structure.model) or is_at_noise(
+                    problem, best, SETTINGS.surely_at_noise):
                 continue
             if structure in between and problem.fastest_over_noise(best) <= SETTINGS.wrong:
                 continue
@@ -469,9 +473,16 @@ def _rings(problem: WholeModel, mode: VibrationMode) -> bool:
             and SETTINGS.slowest * fastest <= mode.frequency_rad_per_s <= fastest)
 
 
-def is_at_noise(problem: WholeModel, fit: WholeFit) -> bool:
-    """Return whether the residual of each recording is explained by noise and model accuracy."""
-    return bool(np.all(problem.over_noise(fit) < SETTINGS.above_noise))
+def is_at_noise(problem: WholeModel, fit: WholeFit,
+                above: float = SETTINGS.above_noise) -> bool:
+    """Return whether the residual of each recording is explained by noise and model accuracy.
+
+    Parameters
+    ----------
+    above : float
+        Residual, relative to the noise, that is not explained.
+    """
+    return bool(np.all(problem.over_noise(fit) < above))
 
 
 def is_better(fit: WholeFit, other: WholeFit) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_common.side_by_side import side_by_side
+from piezo_identification.conditioning.settling import rings_unresolved, slow_dynamics
 from piezo_identification.fitting.dataset import dataset_of
 from piezo_identification.fitting.evidence import independent_errors, log_evidence
 from piezo_identification.fitting.free_parameters import (
@@ -187,7 +188,9 @@ class WholeModel:
             EARLIEST * self.sample_period_s, later_s) if self.is_sampled else 0.0
         self._dataset = dataset_of(simulated, recordings, lambda _, rows: np.zeros((rows.size, 0)))
         self.noise = estimate_noise(self._dataset, model.effects)
-        good = ~self._dataset.at_rows(self.noise.outliers)
+        slow = slow_dynamics(model.dynamics, model.effects)
+        good = ~self._dataset.at_rows(self.noise.outliers) & ~self._dataset.at_rows([
+            rings_unresolved(slow, part.voltage_v, part.sample_period_s) for part in simulated])
         self._fitted, self._good = self._dataset.for_estimation & good, good
         # Shared with all fits, and with copies of the problem that have another hysteresis.
         self._counts = np.zeros(len(simulated))

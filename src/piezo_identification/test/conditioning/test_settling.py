@@ -8,6 +8,7 @@ from piezo_identification.conditioning.settling import (
     first_settled,
     held_delay_s,
     low_frequency_delay_s,
+    rings_unresolved,
     settling_time_s,
     slow_delay_s,
     slow_dynamics,
@@ -128,3 +129,21 @@ def test_a_faint_slow_mode_is_waited_for_as_long_as_usual():
                           for modes in ((fast, slow), (fast,)))
     assert alone_s < 1e-3
     assert settled_s == USUAL_SETTLING_S
+
+
+RINGING = ElectricVibrationDynamics(0.0, (1948.0,), (0.015,))
+PARALLEL = slow_dynamics(ElectricVibrationDynamics(), (VibrationMode(1948.0, 0.015, 0.9),))
+
+
+@pytest.mark.parametrize("dynamics, period_s, rows", [
+    (RINGING, 0.02, 7), (PARALLEL, 0.02, 7), (RINGING, 1e-4, 0), (RINGING, 0.001, 125),
+    (ElectricVibrationDynamics(), 0.02, 0)])
+def test_rows_that_cannot_resolve_the_ringing_after_a_jump_are_marked(dynamics, period_s, rows):
+    voltage_v = np.repeat([0.0, 80.0, 0.0], 500)
+    marked = np.flatnonzero(rings_unresolved(dynamics, voltage_v, period_s))
+    expected = np.concatenate([jump + 1 + np.arange(rows) for jump in (500, 1000)])
+    np.testing.assert_array_equal(marked, expected)
+
+
+def test_a_smooth_voltage_marks_no_rows():
+    assert not rings_unresolved(RINGING, np.linspace(0.0, 90.0, 1000), 0.02).any()

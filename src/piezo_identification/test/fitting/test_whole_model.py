@@ -248,6 +248,18 @@ def test_the_amplifier_that_a_search_cannot_find_comes_first_if_it_is_alike(
     assert [has_amplifier(fit) for _, fit in promising] == order
 
 
+@pytest.mark.parametrize("over_noise, are_tried", [(1.005, False), (1.03, True)])
+def test_other_starts_are_tried_unless_all_is_surely_noise(wrong, over_noise, are_tried):
+    def fit(model, delay_s, steps, changes=None):
+        return FitOfEvidence(model=model, numbers=1, evidence=0.0)
+
+    problem = SimpleNamespace(sample_period_s=1e-4, is_sampled=True, fit=fit,
+                              over_noise=lambda fit: np.array([over_noise]),
+                              fastest_over_noise=lambda fit: over_noise)
+    _, tried = begun(problem, wrong, None, with_new_loops=lambda start: problem)
+    assert (len(tried) > 2) == are_tried
+
+
 @pytest.mark.parametrize("zeros, continued", [
     ((0.11, 1.1), True), ((0.11, 0.99), False), ((0.099, 1.1), True)])
 def test_a_start_continues_the_creep_unless_its_last_pair_has_the_other_sign(
