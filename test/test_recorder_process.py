@@ -51,7 +51,9 @@ class FedRecorder(Client):
         self.diagnostics = []
         self.node.create_subscription(
             DiagnosticArray, "/diagnostics",
-            lambda message: self.diagnostics.append(message.status[0]), 10)
+            lambda message: self.diagnostics.extend(  # not those of other nodes in this domain
+                status for status in message.status
+                if status.name.startswith(f"{NAMESPACE}/recorder:")), 10)
         self.until(lambda: all(publisher.get_subscription_count() for publisher in (
             self._samples, self._ground_truth, self._feedback)))
 
