@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.conditioning.waveforms import jumps_of
 from piezo_models.effects.isolated_samples import (
     JUMP,
     isolated,
@@ -20,9 +21,6 @@ from piezo_recorder.reading.recording import Recording
 OUTLIER = "outlier_um"
 """Column of a recording with the error of the displacement at outliers, zero elsewhere. A column of
 this name in a CSV file is used unchanged."""
-
-JUMP_SHARE = 0.02
-"""Change within a sample, relative to the voltage range, that counts as a jump."""
 
 MOST_JUMPS = 0.1
 """Largest part of the rows that begin a jump between holds."""
@@ -76,8 +74,8 @@ def with_jump_rows_marked(recording: Recording) -> Recording:
         are points that were measured at rest.
     """
     voltage_v = np.asarray(recording.voltage_v, dtype=float)
-    change_v = np.abs(np.diff(voltage_v[:-1], prepend=voltage_v[0]))
-    rows = np.flatnonzero(change_v > JUMP_SHARE * np.ptp(voltage_v))
+    rows = jumps_of(voltage_v)
+    rows = rows[rows < voltage_v.size - 1]
     if rows.size > MOST_JUMPS * voltage_v.size:
         return recording
     off_um, displacement_um = recording.columns[OUTLIER].copy(), recording.displacement_um.copy()

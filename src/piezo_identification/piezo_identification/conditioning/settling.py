@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
-from piezo_identification.conditioning.outlier_samples import JUMP_SHARE
+from piezo_identification.conditioning.waveforms import jumps_of
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect
 from piezo_models.effects.lag import Lag
@@ -209,8 +209,7 @@ def rings_unresolved(dynamics: ElectricVibrationDynamics, voltage_v: FloatArray,
     rows = np.arange(voltage_v.size)
     frequencies = [*dynamics.mode_frequencies_rad_per_s, *(
         mode.frequency_rad_per_s for mode in getattr(dynamics, "parallel_modes", ()))]
-    jumps = rows[np.abs(np.diff(voltage_v, prepend=voltage_v[0]))
-                 > JUMP_SHARE * np.ptp(voltage_v)]
+    jumps = jumps_of(voltage_v)
     if not frequencies or not jumps.size or sample_period_s * min(frequencies) < 1.0:
         return np.zeros(rows.size, dtype=bool)
     longest = np.diff(np.concatenate([[0], jumps, [rows.size]])).max()

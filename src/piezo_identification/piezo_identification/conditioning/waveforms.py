@@ -33,6 +33,9 @@ class WaveformSettings:
 
 SETTINGS = WaveformSettings()
 
+JUMP_SHARE = 0.02
+"""Change within a sample, relative to the voltage range, that counts as a jump."""
+
 SAMPLES_WHILE_FAST = 10.0
 """Fewest samples in `WaveformSettings.slow_branch_s`, in which the fast dynamics settle."""
 
@@ -98,6 +101,20 @@ def two_levels(recording: Recording) -> SquareWave | None:
     if swing_v == 0.0 or off_v > SETTINGS.level_tolerance * swing_v:
         return None
     return SquareWave(level, np.flatnonzero(np.diff(level)) + 1)
+
+
+def jumps_of(voltage_v: FloatArray, range_v: float | None = None) -> NDArray[np.intp]:
+    """Return the first sample of each jump.
+
+    Parameters
+    ----------
+    voltage_v : (N,) array
+    range_v : float, optional
+        Range of the voltage; by default that of these samples.
+    """
+    change_v = np.abs(np.diff(voltage_v, prepend=voltage_v[0]))
+    return np.flatnonzero(
+        change_v > JUMP_SHARE * (np.ptp(voltage_v) if range_v is None else range_v))
 
 
 def has_holds(recording: Recording) -> bool:

@@ -22,9 +22,9 @@ from piezo_common.arrays import FloatArray
 from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.conditioning.creep_removal import inverse_of_creep
-from piezo_identification.conditioning.outlier_samples import JUMP_SHARE, good_samples
+from piezo_identification.conditioning.outlier_samples import good_samples
 from piezo_identification.conditioning.segments import Recordings, played_segments
-from piezo_identification.conditioning.waveforms import samples_per_mean
+from piezo_identification.conditioning.waveforms import jumps_of, samples_per_mean
 from piezo_identification.estimators.creep.power_law import (
     POWER_LAW,
     continued,
@@ -501,7 +501,7 @@ def _used(voltage_v: FloatArray, range_v: float, skipped: int) -> NDArray[np.boo
 
     The last one is excluded because a logger that reads late sees the response to the jump there.
     """
-    jumps = _jumps(voltage_v, range_v)
+    jumps = jumps_of(voltage_v, range_v)
     since = np.arange(voltage_v.size)
     last = np.full(voltage_v.size, -skipped - 1)
     last[jumps] = jumps
@@ -510,16 +510,10 @@ def _used(voltage_v: FloatArray, range_v: float, skipped: int) -> NDArray[np.boo
     return used
 
 
-def _jumps(voltage_v: FloatArray, range_v: float) -> NDArray[np.intp]:
-    """Return the first sample of each jump."""
-    change_v = np.abs(np.diff(voltage_v, prepend=voltage_v[0]))
-    return np.flatnonzero(change_v > JUMP_SHARE * range_v)
-
-
 def _longest_run_s(part: Recording) -> float:
     """Return the longest time between two jumps of a recording."""
     voltage_v = np.asarray(part.voltage_v, dtype=float)
-    edges = [0, *_jumps(voltage_v, float(np.ptp(voltage_v))), voltage_v.size]
+    edges = [0, *jumps_of(voltage_v), voltage_v.size]
     return float(np.max(np.diff(edges))) * part.sample_period_s
 
 
