@@ -10,6 +10,9 @@ import pytest
 from piezo_client.client import GoalFailed
 from piezo_client.references import harmonic
 from piezo_client.stage import Stage
+from piezo_controller.feedback.controller_file import save_controller
+from piezo_models.identified_model import IdentifiedModel
+from piezo_models.model_file import save_model
 from piezo_recorder.reading.reader import read_recording
 
 ENOUGH = "the other run has ended"
@@ -20,13 +23,23 @@ GOES_ON_S = 3600.0
 
 
 @pytest.fixture(scope="module")
+def files(near_model, near_controller, tmp_path_factory):
+    """Directory of a model and its law: the other stage moves on while a run is prepared."""
+    directory = tmp_path_factory.mktemp("files")
+    save_model(directory / "model.json", IdentifiedModel(near_model, (-20.0, 120.0)))
+    save_controller(directory / "law.json", near_controller)
+    return directory
+
+
+@pytest.fixture(scope="module")
 def right(nodes):
     """Client of a second stage, with a noise of its own."""
     return nodes.start("recorder", "controller", namespace="/right", seed=2)
 
 
-def test_two_stages_track_different_references_at_the_same_time(suite, right, model, tmp_path):
+def test_two_stages_track_different_references_at_the_same_time(suite, right, files, tmp_path):
     moves, ended = Event(), Event()
+    model, law = str(files / "model.json"), str(files / "law.json")
 
     def track_right(stage):
         def tell(feedback):
@@ -37,7 +50,7 @@ def test_two_stages_track_different_references_at_the_same_time(suite, right, mo
             with pytest.raises(GoalFailed, match=ENOUGH) as failure:
                 stage.client.track(
                     harmonic(200.0, 20.0, 50.0), model, "composite", GOES_ON_S, tmp_path / "right",
-                    on_feedback=tell, why_stop=lambda: ENOUGH if ended.is_set() else "")
+                    controller=law, on_feedback=tell, why_stop=lambda: ENOUGH if ended.is_set() else "")
         finally:
             moves.set()  # else the other waits for ever
         return failure.value.result
@@ -46,7 +59,8 @@ def test_two_stages_track_different_references_at_the_same_time(suite, right, mo
         try:
             moves.wait()
             return stage.client.track(
-                harmonic(100.0, 20.0, 50.0), model, "composite", 0.25, tmp_path / "left")
+                harmonic(100.0, 20.0, 50.0), model, "composite", 0.25, tmp_path / "left",
+                controller=law)
         finally:
             ended.set()
 
