@@ -100,7 +100,7 @@ twins: setup ## decide between effects that resemble each other, by one recordin
 calibration: extras ## diagnose 100 short recordings of a seed; writes docs/studies/diagnosis_rates.md
 	@$(in_environment) .venv/bin/python -m piezo_studies.diagnosis_calibration --cases 100 --seed 901 --page docs/studies/diagnosis_rates.md
 
-tables: setup ## write the tables and the picture in docs that are made from the sources
+tables: setup ## write the tables and the list of rooms in docs that are made from the sources
 	@$(in_environment) .venv/bin/python tools/error_table.py
 	@$(in_environment) .venv/bin/python tools/stage_table.py
 	@$(in_environment) .venv/bin/python tools/import_graph.py
