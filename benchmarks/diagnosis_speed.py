@@ -60,17 +60,7 @@ CASES = {
 
 
 def recorded(model, samples, seed, is_heated=False):
-    """Random levels on a stage with noise.
-
-    Parameters
-    ----------
-    model : StageModel
-        Of the stage.
-
-    Returns
-    -------
-    Recording
-    """
+    """Random levels on a stage with noise."""
     generator = np.random.default_rng(seed)
     held = round(LEVEL_S * SAMPLE_RATE_HZ)
     voltage_v = np.repeat(generator.uniform(*LEVELS_V, -(-samples // held)), held)[:samples]
@@ -98,8 +88,6 @@ def diagnosis_times_s(name, samples=SAMPLES, recordings=RECORDINGS):
     ----------
     name : str
         Of one of the `CASES`.
-    samples : int
-        Of all recordings together.
 
     Returns
     -------

@@ -22,8 +22,6 @@ def closed_loop(directory, simulated_s, executables=None, modules=None):
 
     Parameters
     ----------
-    directory : pathlib.Path
-        For logs and recordings.
     simulated_s : float
         How long to track, in time of the stage (s).
     executables, modules : dict of str to dict

@@ -17,7 +17,7 @@ from bare_timer import PRIORITY
 from paced_onboard import onboard_run
 
 from piezo_studies.kept_results import KeptResults
-from piezo_studies.marked_sections import with_sections
+from piezo_studies.marked_sections import write_sections
 
 SECTION = "paced loop on board"
 """Mark of the table in the page."""
@@ -120,8 +120,7 @@ def main():
                 pieces[number] = piece_of(onboard_run(Path(directory), piece_s, busy))
             file.add(number, pieces[number])
         totals[busy] = total([pieces[number] for number in range(wanted)], piece_s)
-    text = options.page.read_text(encoding="utf-8")
-    options.page.write_text(with_sections(text, {SECTION: table(totals)}), encoding="utf-8")
+    write_sections(options.page, {SECTION: table(totals)})
     print(table(totals))
 
 

@@ -73,15 +73,8 @@ def recording(path, played, behind=as_it_was, seed=0):
 
     Parameters
     ----------
-    played : Played
     behind : callable
         One of `CASES`.
-    seed : int
-        Of the noise.
-
-    Returns
-    -------
-    Recording
     """
     displacement_um = behind(played.voltage_v, displacement_of_stage(
         play_stage(), played.voltage_v, played.period_s))
@@ -95,12 +88,7 @@ def recording(path, played, behind=as_it_was, seed=0):
 
 
 def identified(folder):
-    """Return the model of the stage, identified from short recordings unless the folder has it.
-
-    Returns
-    -------
-    StageModel
-    """
+    """Return the model of the stage, identified from short recordings unless the folder has it."""
     path = folder / "model.json"
     if not path.exists():
         given = [

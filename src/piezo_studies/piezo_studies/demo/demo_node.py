@@ -120,22 +120,14 @@ def run_demo(plant, directory, command, progress, show_summary, has_second_part=
 
     Parameters
     ----------
-    plant : DemoPlant
     directory : Path
         Directory for the recordings, ``model.json``, ``summary.json``, ``report.html``, the figure
         ``tracking.png`` and the logs.
-    command : str
-        Command line of the user.
     progress : ProgressLine
     show_summary : callable
         Called with the summary of the first part after its report was written.
     has_second_part : bool
         Whether to run the second part; see `operation` and `diagnosed_scan`.
-
-    Returns
-    -------
-    summary : dict
-        Results of the demo.
 
     Raises
     ------

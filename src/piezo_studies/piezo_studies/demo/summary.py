@@ -54,10 +54,6 @@ def summarise(runs, identification, directory):
 def summarise_run(run, directory):
     """Return the errors of one run.
 
-    Parameters
-    ----------
-    run : TrackedRun
-
     Returns
     -------
     dict

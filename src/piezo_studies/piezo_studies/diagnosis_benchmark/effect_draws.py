@@ -301,8 +301,6 @@ def draw_effect(
         Sample period, rest voltage and seed with which the record will be played.
     noise_multiple : float
         RMS of the contribution, its mean removed, over the RMS of the sensor's noise.
-    seed : int
-        Seed of the effect's shape.
     clock_samples : int
         Samples of the stage's clock for each sample of the record; see `respond`.
 

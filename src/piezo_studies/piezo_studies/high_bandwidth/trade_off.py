@@ -59,8 +59,6 @@ def compare(model: StageModel, take: Callable[[Compared], None], kept: Path,
 
     Parameters
     ----------
-    take : callable
-        Called with every design.
     kept : pathlib.Path
         Directory of controller files; a saved design for the same demands is used again.
     effort : float

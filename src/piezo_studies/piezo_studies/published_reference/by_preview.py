@@ -61,17 +61,7 @@ class _Publisher:
 
 
 def compare(model: StageModel, seed: int = 11, duration_s: float = DURATION_S) -> list[Followed]:
-    """Follow one reference with every preview, without and with feedback.
-
-    Parameters
-    ----------
-    model : StageModel
-        Model of the simulated stage.
-    seed : int
-        Seed of the reference.
-    duration_s : float
-        Duration of the reference.
-    """
+    """Follow one reference with every preview, without and with feedback."""
     reference = trajectory(Reference(
         "random", (BAND_HZ,), (AMPLITUDE_UM,), (), CENTRE_UM, seed=seed))
     samples = round(duration_s * CLOCK.sample_rate_hz)

@@ -29,8 +29,6 @@ def record_stage(name, voltage_v, before_v=(), held=1, clock_hz=CLOCK_HZ, seed=1
         Voltages of a ramp from rest, which are played first.
     held : int
         Clock samples for which each voltage is held; the displacement is their mean.
-    seed : int
-        Seed of the sensor's noise.
     """
     stage = SimulatedStage(seed=seed, sample_rate_hz=clock_hz)
     stage.open()
