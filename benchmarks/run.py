@@ -52,9 +52,6 @@ LOOPS = {
     "loop, stage and controller": dict(executables={"stage": LOCKSTEP, "controller": ANSWERED}),
     "loop, stage, controller and recorder": dict(
         executables={"stage": LOCKSTEP, "controller": ANSWERED, "recorder": {}}),
-    "loop over the model, stage and controller": dict(
-        executables={"controller": ANSWERED}, modules={"model_stage_node": LOCKSTEP}),
-    "loop over the model, both in one process": dict(modules={"one_process_node": LOCKSTEP}),
 }
 
 
@@ -79,10 +76,9 @@ def loops(rows):
               for name, loop in LOOPS.items()}
     for name, speed in speeds.items():
         rows[name, SPEED].append(speed)
-    onboard, recorded, answered, *_, apart, together = speeds.values()
+    onboard, recorded, answered, _ = speeds.values()
     rows["loop on board over loop by messages", "times"].append(onboard / answered)
     rows["loop on board and recorded over loop by messages", "times"].append(recorded / answered)
-    rows["loop over the model: one process over two", "times"].append(together / apart)
 
 
 def round_trips(rows):

@@ -25,10 +25,6 @@ def repair(path: str | PathLike[str], output: str | PathLike[str]) -> int:
     output : str or Path
         Directory to create.
 
-    Returns
-    -------
-    messages : int
-
     Raises
     ------
     RecordingError
