@@ -64,10 +64,10 @@ DATA ?= ../shared/data
 measured: ## identify from measured data in DATA, compare with its published figures; in runs/measured
 	@./run piezo_studies measured --data "$(DATA)" --output runs/measured
 
-reproduce: setup ## run the studies of the thesis' chapters 2 to 5; writes docs/reproduction.md
+reproduce: setup ## run the studies of the thesis' chapters 2 to 5; writes the table of docs/reproduction.md
 	@$(in_environment) .venv/bin/python -m piezo_studies.thesis
 
-high-bandwidth: setup ## design feedbacks beyond the first mode; writes docs/high_bandwidth.md
+high-bandwidth: setup ## design feedbacks beyond the first mode; writes the tables of docs/high_bandwidth.md
 	@$(in_environment) .venv/bin/python -m piezo_studies.high_bandwidth
 
 recipe: setup ## record the simulated stage in shorter ways; writes the tables of docs/recipe.md
@@ -83,7 +83,7 @@ MAKES_SEED ?= 0
 other-makes: setup ## identify six stages of other makes from files, drawn from MAKES_SEED; in runs/other-makes
 	@$(in_environment) .venv/bin/python -m piezo_studies.other_makes --seed $(MAKES_SEED)
 
-published-reference: setup ## follow a published reference by its preview; writes docs/published_reference.md
+published-reference: setup ## follow a published reference by its preview; writes the table of docs/published_reference.md
 	@$(in_environment) .venv/bin/python -m piezo_studies.published_reference
 
 changes: setup ## change the stage while a model watches it; writes the table of docs/monitor.md

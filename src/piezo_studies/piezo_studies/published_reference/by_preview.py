@@ -131,4 +131,4 @@ def table(rows: Sequence[Followed]) -> str:
             f"| {known} | {'H-infinity, 1 kHz' if row.composite else 'none'} | "
             f"{row.e_rms_percent:.3f} % | {1e3 * row.largest_error_um:.0f} nm | "
             f"{row.model_e_rms_percent:.4f} % | {1e3 * row.delay_s:.1f} ms |")
-    return "\n".join(lines)
+    return "\n".join(lines) + "\n"
