@@ -64,10 +64,10 @@ DATA ?= ../shared/data
 measured: ## identify from measured data in DATA, compare with its published figures; in runs/measured
 	@./run piezo_studies measured --data "$(DATA)" --output runs/measured
 
-reproduce: setup ## run the studies of the thesis' chapters 2 to 5; writes docs/reproduction.md
+reproduce: setup ## run the studies of the thesis' chapters 2 to 5; writes the table of docs/reproduction.md
 	@$(in_environment) .venv/bin/python -m piezo_studies.thesis
 
-high-bandwidth: setup ## design feedbacks beyond the first mode; writes docs/high_bandwidth.md
+high-bandwidth: setup ## design feedbacks beyond the first mode; writes the tables of docs/high_bandwidth.md
 	@$(in_environment) .venv/bin/python -m piezo_studies.high_bandwidth
 
 recipe: setup ## record the simulated stage in shorter ways; writes the tables of docs/recipe.md
@@ -83,7 +83,7 @@ MAKES_SEED ?= 0
 other-makes: setup ## identify six stages of other makes from files, drawn from MAKES_SEED; in runs/other-makes
 	@$(in_environment) .venv/bin/python -m piezo_studies.other_makes --seed $(MAKES_SEED)
 
-published-reference: setup ## follow a published reference by its preview; writes docs/published_reference.md
+published-reference: setup ## follow a published reference by its preview; writes the table of docs/published_reference.md
 	@$(in_environment) .venv/bin/python -m piezo_studies.published_reference
 
 changes: setup ## change the stage while a model watches it; writes the table of docs/monitor.md
@@ -100,7 +100,7 @@ twins: setup ## decide between effects that resemble each other, by one recordin
 calibration: extras ## diagnose 100 short recordings of a seed; writes docs/studies/diagnosis_rates.md
 	@$(in_environment) .venv/bin/python -m piezo_studies.diagnosis_calibration --cases 100 --seed 901 --page docs/studies/diagnosis_rates.md
 
-tables: setup ## write the tables and the picture in docs that are made from the sources
+tables: setup ## write the tables and the list of rooms in docs that are made from the sources
 	@$(in_environment) .venv/bin/python tools/error_table.py
 	@$(in_environment) .venv/bin/python tools/stage_table.py
 	@$(in_environment) .venv/bin/python tools/import_graph.py

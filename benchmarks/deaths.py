@@ -127,8 +127,6 @@ class Session:
             One of `VICTIMS`.
         number : int
             Signal that it gets.
-        mode : str
-            Of tracking.
         after_s : float
             After the first samples were recorded (s).
 

@@ -20,8 +20,7 @@ from piezo_models.effects import Effect
 from piezo_models.effects.rate_dependent_hysteresis import RateDependentHysteresis
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.effects.voltage_clipping import VoltageClipping
-from piezo_recorder.reading.recording import Recording
-from piezo_recorder.sample_block import Flag
+from piezo_studies.thesis.laboratory import recording
 
 SAMPLES, MANY_SAMPLES, RECORDINGS = 400_000, 1_000_000, 2
 IDENTIFIED_FROM_SAMPLES = 50_000
@@ -33,20 +32,14 @@ HEATING_S, HEATING_PER_V = 0.2, 2e-4
 
 @dataclass(frozen=True)
 class Case:
-    """What a stage has and its model lacks, and the verdict it must come to.
-
-    Attributes
-    ----------
-    named : str or None
-        Effect that must be named first.
-    is_heated : bool
-        The gain follows the mean change of the voltage.
-    """
+    """What a stage has and its model lacks, and the verdict it must come to."""
 
     effects: tuple[Effect, ...]
     verdict: str
     named: str | None = None
+    """Effect that must be named first."""
     is_heated: bool = False
+    """Whether the gain follows the mean change of the voltage."""
 
 
 CASES = {
@@ -60,17 +53,7 @@ CASES = {
 
 
 def recorded(model, samples, seed, is_heated=False):
-    """Random levels on a stage with noise.
-
-    Parameters
-    ----------
-    model : StageModel
-        Of the stage.
-
-    Returns
-    -------
-    Recording
-    """
+    """Random levels on a stage with noise."""
     generator = np.random.default_rng(seed)
     held = round(LEVEL_S * SAMPLE_RATE_HZ)
     voltage_v = np.repeat(generator.uniform(*LEVELS_V, -(-samples // held)), held)[:samples]
@@ -82,13 +65,9 @@ def recorded(model, samples, seed, is_heated=False):
         for n in range(1, changes_v.size):
             heat_v[n] = decay * heat_v[n - 1] + (1.0 - decay) * changes_v[n]
         displacement_um *= 1.0 + HEATING_PER_V * np.repeat(heat_v, held)[:samples]
-    return Recording(
-        path=f"random levels {seed}", sample_rate_hz=SAMPLE_RATE_HZ,
-        sample_index=np.arange(samples), sample_periods_s=np.full(samples, 1.0 / SAMPLE_RATE_HZ),
-        voltage_v=voltage_v,
-        displacement_um=displacement_um + generator.normal(scale=NOISE_UM, size=samples),
-        flags=np.full(samples, Flag.PLAYING, dtype=np.uint32),
-    )
+    noise_um = generator.normal(scale=NOISE_UM, size=samples)
+    return recording(
+        f"random levels {seed}", voltage_v, displacement_um + noise_um, SAMPLE_RATE_HZ)
 
 
 def diagnosis_times_s(name, samples=SAMPLES, recordings=RECORDINGS):
@@ -98,8 +77,6 @@ def diagnosis_times_s(name, samples=SAMPLES, recordings=RECORDINGS):
     ----------
     name : str
         Of one of the `CASES`.
-    samples : int
-        Of all recordings together.
 
     Returns
     -------
@@ -117,8 +94,8 @@ def diagnosis_times_s(name, samples=SAMPLES, recordings=RECORDINGS):
     # The effect came after the identification.
     known = IdentificationRecordings((recorded(model, IDENTIFIED_FROM_SAMPLES, recordings),), ())
     times_s = [time.perf_counter()]
-    for recording in given:
-        model.simulate(recording.voltage_v, 1.0 / SAMPLE_RATE_HZ)
+    for each in given:
+        model.simulate(each.voltage_v, 1.0 / SAMPLE_RATE_HZ)
     times_s.append(time.perf_counter())
     found = diagnose(model, given, identified_from=known)
     times_s.append(time.perf_counter())

@@ -17,17 +17,15 @@ WARM_UP_ROUND_TRIPS = 500
 PING_PONG_TIMEOUT_S = 120.0
 
 
-def closed_loop(directory, simulated_s, executables=None, modules=None):
+def closed_loop(directory, simulated_s, executables):
     """Speed of the loop in lockstep.
 
     Parameters
     ----------
-    directory : pathlib.Path
-        For logs and recordings.
     simulated_s : float
         How long to track, in time of the stage (s).
-    executables, modules : dict of str to dict
-        The processes of the loop with their parameters: the suite's, and those of this directory.
+    executables : dict of str to dict
+        The processes of the loop with their parameters.
 
     Returns
     -------
@@ -39,7 +37,7 @@ def closed_loop(directory, simulated_s, executables=None, modules=None):
     ValueError
         If it tracked for too short a time to tell.
     """
-    progress = _track(directory, simulated_s, executables or {}, modules or {})
+    progress = _track(directory, simulated_s, executables)
     if len(progress) < 2:
         raise ValueError(f"the stage tells once a second where it is, and {simulated_s:g} s of its "
                          "own were over before it had told twice: track for longer")
@@ -56,7 +54,7 @@ def tick_round_trips(directory, duration_s):
     # However late an answer is, it shall be timed.
     paced = {"autostart": True, "max_missed_feedback": 10000, "round_trips_file": file}
     answering = {"feedback": "remote", "max_late_percent": 100.0}
-    _track(directory, duration_s, {"controller": answering}, {"model_stage_node": paced})
+    _track(directory, duration_s, {"controller": answering}, paced)
     return np.load(file)[WARM_UP_ROUND_TRIPS:]
 
 
@@ -71,8 +69,11 @@ def ping_pong_round_trips(directory, count):
     return np.load(file)[WARM_UP_ROUND_TRIPS:]
 
 
-def _track(directory, duration_s, executables, modules):
-    """Track in composite mode; return the progress, see `_watch_progress`."""
+def _track(directory, duration_s, executables, stage=None):
+    """Track in composite mode; return the progress, see `_watch_progress`.
+
+    With parameters for it, the stage over the model is started as well.
+    """
     directory.mkdir(parents=True, exist_ok=True)
     write_model(directory / "model.json")
     with BenchmarkProcesses(directory, data_root=directory) as processes, \
@@ -82,8 +83,8 @@ def _track(directory, duration_s, executables, modules):
         progress = _watch_progress(client.node)
         for name, parameters in executables.items():
             processes.start(name, parameters)
-        for name, parameters in modules.items():
-            processes.start_module(name, parameters)
+        if stage is not None:
+            processes.start_module("model_stage_node", stage)
         client.track(REFERENCE, directory / "model.json", "composite", duration_s, directory)
     return progress
 

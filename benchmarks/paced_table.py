@@ -6,7 +6,6 @@ goes on with the pieces that are missing. Those of another commit or machine do 
 """
 
 import argparse
-import json
 import math
 import os
 import platform
@@ -17,7 +16,8 @@ from pathlib import Path
 from bare_timer import PRIORITY
 from paced_onboard import onboard_run
 
-from piezo_studies.marked_sections import with_sections
+from piezo_studies.kept_results import KeptResults
+from piezo_studies.marked_sections import write_sections
 
 SECTION = "paced loop on board"
 """Mark of the table in the page."""
@@ -28,9 +28,9 @@ SUMMED = ("ticks", "lost_samples", "missed_feedback", "without_feedback", "misse
           "counted_ticks", "bare_wakes", "bare_late")
 
 
-def piece_of(run, conditions):
-    """Return what a run of some conditions leaves in the file."""
-    return {**conditions, "ticks": run.ticks, "lost_samples": run.lost_samples,
+def piece_of(run):
+    """Return what a run leaves in the file."""
+    return {"ticks": run.ticks, "lost_samples": run.lost_samples,
             "missed_feedback": run.missed_feedback,
             "without_feedback": run.ticks - run.fed_back_ticks,
             "missed_deadlines": run.missed_deadlines, "counted_ticks": run.counted_ticks,
@@ -48,15 +48,7 @@ def conditions_of(busy, piece_s):
             "machine": f"{platform.node()} {platform.machine()}", "cores": os.cpu_count()}
 
 
-def kept(path, conditions):
-    """Return the pieces of a file that were run under some conditions."""
-    if not path.exists():
-        return []
-    pieces = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    return [piece for piece in pieces if conditions.items() <= piece.items()]
-
-
-def total(pieces):
+def total(pieces, piece_s):
     """Return the sum of pieces: of their counts, of their histograms; the largest of the rest."""
     summed = {name: sum(piece[name] for piece in pieces) for name in SUMMED}
     histogram = {bound: sum(piece["histogram"].get(bound, 0) for piece in pieces)
@@ -66,7 +58,7 @@ def total(pieces):
         "longest_wait_ms": max(piece["longest_wait_ms"] for piece in pieces),
         "bare_latest_ms": max(piece["bare_latest_ms"] for piece in pieces),
         "real_time": "; ".join(sorted({piece["real_time"] for piece in pieces})),
-        "seconds": sum(piece["piece_s"] for piece in pieces), "cores": pieces[0]["cores"]}
+        "seconds": piece_s * len(pieces), "cores": os.cpu_count()}
 
 
 def table(totals):
@@ -114,23 +106,21 @@ def main():
                         help="page whose table is written anew; its text stays")
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
-    path = options.output / "pieces.jsonl"
     piece_s = min(options.piece, options.seconds)
     wanted = max(1, math.ceil(options.seconds / piece_s))
     totals = {}
     for busy in LOADS:
-        conditions = conditions_of(busy, piece_s)
-        pieces = kept(path, conditions)[:wanted]
-        while len(pieces) < wanted:
-            print(f"{LOADS[busy]}: piece {len(pieces) + 1} of {wanted} ...", flush=True)
+        file = KeptResults(options.output / "pieces.jsonl", conditions_of(busy, piece_s))
+        pieces = file.results()
+        for number in range(wanted):
+            if number in pieces:
+                continue
+            print(f"{LOADS[busy]}: piece {number + 1} of {wanted} ...", flush=True)
             with tempfile.TemporaryDirectory() as directory:
-                run = onboard_run(Path(directory), piece_s, busy)
-            pieces.append(piece_of(run, conditions))
-            with path.open("a", encoding="utf-8") as file:
-                print(json.dumps(pieces[-1]), file=file)
-        totals[busy] = total(pieces)
-    text = options.page.read_text(encoding="utf-8")
-    options.page.write_text(with_sections(text, {SECTION: table(totals)}), encoding="utf-8")
+                pieces[number] = piece_of(onboard_run(Path(directory), piece_s, busy))
+            file.add(number, pieces[number])
+        totals[busy] = total([pieces[number] for number in range(wanted)], piece_s)
+    write_sections(options.page, {SECTION: table(totals)})
     print(table(totals))
 
 

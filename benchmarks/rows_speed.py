@@ -23,8 +23,7 @@ from piezo_identification.identification.identify import identify
 from piezo_identification.recording_check.check import check_recording
 from piezo_identification.recording_check.suitability import suitability
 from piezo_models.effects.vibration_mode import VibrationMode
-from piezo_recorder.reading.recording import Recording
-from piezo_recorder.sample_block import Flag
+from piezo_studies.thesis.laboratory import recording
 
 ROWS = (100_000, 1_000_000, 10_000_000)
 NOISE_UM = 0.009
@@ -50,12 +49,8 @@ def recorded(experiment, stage, seed):
     period_s = experiment.sample_period_s
     displacement_um = stage.simulate(voltage_v, period_s)
     displacement_um += NOISE_UM * np.random.default_rng(seed).normal(size=voltage_v.size)
-    return Recording(
-        path=f"{experiment.name} {seed}", sample_rate_hz=1.0 / period_s,
-        sample_index=np.arange(voltage_v.size),
-        sample_periods_s=np.full(voltage_v.size, period_s), voltage_v=voltage_v,
-        displacement_um=displacement_um,
-        flags=np.full(voltage_v.size, Flag.PLAYING, dtype=np.uint32), sha256=f"{seed:064x}")
+    return replace(recording(f"{experiment.name} {seed}", voltage_v, displacement_um,
+                             1.0 / period_s), sha256=f"{seed:064x}")
 
 
 def experiments(rows):

@@ -17,7 +17,6 @@ from command_speed import TARGETS as ANSWER_TARGETS
 from command_speed import answer_times_s
 from computing_time import computing_times_s
 from diagnosis_speed import CASES, MANY_SAMPLES, SAMPLES, diagnosis_times_s
-from history import HISTORY, PAGE, keep, page_of
 from hysteresis_speed import look_up_error_percent, samples_per_s
 from loop_speed import LOCKSTEP, closed_loop, ping_pong_round_trips, tick_round_trips
 from paced import paced_run
@@ -53,9 +52,6 @@ LOOPS = {
     "loop, stage and controller": dict(executables={"stage": LOCKSTEP, "controller": ANSWERED}),
     "loop, stage, controller and recorder": dict(
         executables={"stage": LOCKSTEP, "controller": ANSWERED, "recorder": {}}),
-    "loop over the model, stage and controller": dict(
-        executables={"controller": ANSWERED}, modules={"model_stage_node": LOCKSTEP}),
-    "loop over the model, both in one process": dict(modules={"one_process_node": LOCKSTEP}),
 }
 
 
@@ -80,10 +76,9 @@ def loops(rows):
               for name, loop in LOOPS.items()}
     for name, speed in speeds.items():
         rows[name, SPEED].append(speed)
-    onboard, recorded, answered, *_, apart, together = speeds.values()
+    onboard, recorded, answered, _ = speeds.values()
     rows["loop on board over loop by messages", "times"].append(onboard / answered)
     rows["loop on board and recorded over loop by messages", "times"].append(recorded / answered)
-    rows["loop over the model: one process over two", "times"].append(together / apart)
 
 
 def round_trips(rows):
@@ -191,9 +186,7 @@ def main():
         TARGETS | ANSWER_TARGETS | START_TARGETS | STREAM_TARGETS | ROWS_TARGETS)
     show(rows)
     write(rows, OUTPUT / "table.json")
-    keep(rows)
-    PAGE.write_text(page_of(), encoding="utf-8")
-    print(f"written: {OUTPUT / 'table.json'}, {HISTORY}, {PAGE}")
+    print(f"written: {OUTPUT / 'table.json'}")
 
 
 if __name__ == "__main__":

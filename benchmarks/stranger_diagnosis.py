@@ -18,12 +18,11 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
 )
 from piezo_models.model_file import load_model
-from piezo_recorder.reading.recording import Recording
-from piezo_recorder.sample_block import Flag
 from piezo_studies.recording_kinds.stages import displacement_um as displacement_of_stage
 from piezo_studies.recording_kinds.stages import play_stage
 from piezo_studies.recording_kinds.trials import NOISE, recorded
 from piezo_studies.recording_kinds.waveforms import KINDS, Played, validation
+from piezo_studies.thesis.laboratory import recording
 
 WAVEFORMS = {"creep": KINDS["creep"]["square wave"], "dynamics": KINDS["dynamics"]["steps"],
              "hysteresis": KINDS["hysteresis"]["nested triangles"], "validation": validation}
@@ -68,39 +67,17 @@ CASES = {"none": as_it_was, "play": with_play, "wandering gain": with_wandering_
          "clipped": as_it_was}
 
 
-def recording(path, played, behind=as_it_was, seed=0):
-    """Record the stage under a voltage, with noise.
-
-    Parameters
-    ----------
-    played : Played
-    behind : callable
-        One of `CASES`.
-    seed : int
-        Of the noise.
-
-    Returns
-    -------
-    Recording
-    """
+def recorded_motion(path, played, behind=as_it_was, seed=0):
+    """Record the stage under a voltage, with noise, and with one of `CASES` behind it."""
     displacement_um = behind(played.voltage_v, displacement_of_stage(
         play_stage(), played.voltage_v, played.period_s))
-    count = displacement_um.size
-    noise_um = NOISE * np.ptp(displacement_um) * np.random.default_rng(seed).normal(size=count)
-    return Recording(
-        path=path, sample_rate_hz=1.0 / played.period_s, sample_index=np.arange(count),
-        sample_periods_s=np.full(count, played.period_s), voltage_v=played.voltage_v,
-        displacement_um=displacement_um + noise_um,
-        flags=np.full(count, Flag.PLAYING, dtype=np.uint32))
+    noise = np.random.default_rng(seed).normal(size=displacement_um.size)
+    noise_um = NOISE * np.ptp(displacement_um) * noise
+    return recording(path, played.voltage_v, displacement_um + noise_um, 1.0 / played.period_s)
 
 
 def identified(folder):
-    """Return the model of the stage, identified from short recordings unless the folder has it.
-
-    Returns
-    -------
-    StageModel
-    """
+    """Return the model of the stage, identified from short recordings unless the folder has it."""
     path = folder / "model.json"
     if not path.exists():
         given = [
@@ -117,7 +94,7 @@ def old_recordings():
     for seed, (name, waveform) in enumerate(WAVEFORMS.items()):
         played, repeats = waveform(), REPEATS[name]
         longer = Played(played.period_s / repeats, np.repeat(played.voltage_v, repeats))
-        found.append(recording(name, longer, seed=seed))
+        found.append(recorded_motion(name, longer, seed=seed))
     return found
 
 
@@ -136,7 +113,7 @@ def main():
         levels_v = np.random.default_rng(100).uniform(*LEVELS_V, -(-options.samples // rows))
         voltage_v = np.repeat(levels_v, rows)[: options.samples]
         reached_v = np.clip(voltage_v, *CLIPPED_V) if case == "clipped" else voltage_v
-        new = recording(case, Played(PERIOD_S, reached_v), CASES[case], 50)
+        new = recorded_motion(case, Played(PERIOD_S, reached_v), CASES[case], 50)
         new.voltage_v[:] = voltage_v
         begun_s, used_s = time.perf_counter(), time.process_time()
         found = diagnose(model, [new], identified_from=known)

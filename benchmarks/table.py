@@ -11,21 +11,15 @@ COLUMNS = "{:84}{:>12}{:>12}{:>12}  {}"
 
 @dataclass
 class Row:
-    """One figure, measured once in every round.
-
-    Attributes
-    ----------
-    values : list of float
-        One of each round; none of what could not be measured.
-    at_least, at_most : float, optional
-        What the median is to reach.
-    """
+    """One figure, measured once in every round."""
 
     name: str
     unit: str
     values: list
+    """One of each round; none of what could not be measured."""
     at_least: float | None = None
     at_most: float | None = None
+    """What the median is to reach."""
     remark: str = ""
 
     @property

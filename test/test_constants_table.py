@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """docs/constants.md lists the numbers that identification and diagnosis decide by."""
 
-import importlib.util
 from pathlib import Path
 
-import pytest
+import constants_table
 
 ROOT = Path(__file__).parents[1]
 
@@ -30,20 +29,11 @@ class FitSettings:
 '''
 
 
-@pytest.fixture(scope="module")
-def constants_table():
-    specification = importlib.util.spec_from_file_location(
-        "constants_table", ROOT / "tools" / "constants_table.py")
-    module = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(module)
-    return module
-
-
-def test_page_in_the_docs_is_that_of_the_sources(constants_table):
+def test_page_in_the_docs_is_that_of_the_sources():
     assert constants_table.main(["--check"]) == 0
 
 
-def test_numbers_of_modules_and_settings_are_listed_with_unit_and_source(constants_table):
+def test_numbers_of_modules_and_settings_are_listed_with_unit_and_source():
     meaning, source = "How long it lasts, and by how much.", "Set on 40 drawn stages."
     assert list(map(tuple, constants_table.constants(MODULE))) == [
         ("LONGEST_S", "`2.5`", "s", meaning, source),

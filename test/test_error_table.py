@@ -2,29 +2,20 @@
 """docs/errors.md tells every refusal and trip with what to do, from the sources."""
 
 import ast
-import importlib.util
 from pathlib import Path
 
+import error_table
 import pytest
 
 ROOT = Path(__file__).parents[1]
 
 
 @pytest.fixture(scope="module")
-def error_table():
-    specification = importlib.util.spec_from_file_location(
-        "error_table", ROOT / "tools" / "error_table.py")
-    module = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(module)
-    return module
-
-
-@pytest.fixture(scope="module")
-def page(error_table):
+def page():
     return error_table.page()
 
 
-def refused(error_table, code):
+def refused(code):
     return [error_table.refusal(node) for node in error_table.statements(ast.parse(code))
             if error_table.refusal(node)]
 
@@ -36,8 +27,8 @@ def refused(error_table, code):
     ("self.refuse('format', 'is old', 'identify again')", "format is old; identify again"),
     ("response.message = 'Nothing runs: start it.'", "Nothing runs: start it."),
 ])
-def test_refusal_is_found_with_its_text(error_table, code, text):
-    assert refused(error_table, code) == [text]
+def test_refusal_is_found_with_its_text(code, text):
+    assert refused(code) == [text]
 
 
 def test_trips_of_the_guards_and_of_the_feedback_are_told(page):

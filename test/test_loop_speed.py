@@ -25,7 +25,7 @@ def loop_speed(monkeypatch):
 def speed_of(loop_speed, monkeypatch, tmp_path):
     def speed_of(progress):
         monkeypatch.setattr(loop_speed, "_track", lambda *arguments: progress)
-        return loop_speed.closed_loop(tmp_path, 20.0)
+        return loop_speed.closed_loop(tmp_path, 20.0, {})
 
     return speed_of
 
@@ -41,9 +41,9 @@ def test_a_loop_that_is_over_before_the_stage_told_twice_is_refused(speed_of, pr
 
 
 def test_round_trips_are_timed_however_many_answers_are_late(loop_speed, monkeypatch, tmp_path):
-    def track(directory, duration_s, executables, modules):
+    def track(directory, duration_s, executables, stage):
         assert executables["controller"]["max_late_percent"] == 100.0
-        np.save(modules["model_stage_node"]["round_trips_file"], np.arange(502.0))
+        np.save(stage["round_trips_file"], np.arange(502.0))
 
     monkeypatch.setattr(loop_speed, "_track", track)
     assert loop_speed.tick_round_trips(tmp_path, 5.0).tolist() == [500.0, 501.0]

@@ -85,5 +85,6 @@ def test_pieces_of_another_commit_do_not_count(of_runs):
     of_runs("10")
     pieces = [json.loads(line) for line in of_runs.pieces.read_text().splitlines()]
     of_runs.pieces.write_text("".join(
-        json.dumps(piece | {"commit": "of yesterday"}) + "\n" for piece in pieces))
+        json.dumps(piece | {"conditions": piece["conditions"] | {"commit": "of yesterday"}}) + "\n"
+        for piece in pieces))
     assert "33 of 1100" in of_runs("10")

@@ -1,26 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """docs/stage_states.md is what the supervisor goes by, and the table leaves nothing open."""
 
-import importlib.util
 from pathlib import Path
 
-import pytest
+import stage_table
 
 from piezo_stage_driver.safety.transitions import COMMANDS, STATES, TRANSITIONS, Event, State
 
 ROOT = Path(__file__).parents[1]
 
 
-@pytest.fixture(scope="module")
-def stage_table():
-    specification = importlib.util.spec_from_file_location(
-        "stage_table", ROOT / "tools" / "stage_table.py")
-    module = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(module)
-    return module
-
-
-def test_page_in_the_docs_is_the_table_of_the_supervisor(stage_table):
+def test_page_in_the_docs_is_the_table_of_the_supervisor():
     assert (ROOT / "docs" / "stage_states.md").read_text() == stage_table.page()
     assert stage_table.main(["--check"]) == 0
 

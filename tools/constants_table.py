@@ -7,15 +7,14 @@ Those are the numeric constants of modules, and the numeric defaults of settings
 not run.
 """
 
-import argparse
 import ast
 import re
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import NamedTuple
 
-ROOT = Path(__file__).parents[1]
+from generated_page import ROOT, write_or_check
+
 PAGE = ROOT / "docs" / "constants.md"
 PACKAGE = ROOT / "src" / "piezo_identification" / "piezo_identification"
 OTHERS = {"commands", "node", "report", "experiments"}
@@ -51,16 +50,7 @@ class Constant(NamedTuple):
 
 def main(arguments: list[str] | None = None) -> int:
     """Write the page, or with ``--check`` only say whether it is up to date."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--check", action="store_true", help="write nothing; status 1 if outdated")
-    options = parser.parse_args(arguments)
-    text = page()
-    if not options.check:
-        PAGE.write_text(text, encoding="utf-8")
-    elif PAGE.read_text(encoding="utf-8") != text:
-        print("constants_table: docs/constants.md is outdated: run make tables", file=sys.stderr)
-        return 1
-    return 0
+    return write_or_check(PAGE, page, __doc__, arguments)
 
 
 def page() -> str:

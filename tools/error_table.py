@@ -7,13 +7,12 @@ Texts are read, not run: what is filled in at run time stands in angle brackets.
 wrong, then what to do, and the table parts it there.
 """
 
-import argparse
 import ast
 import re
 import sys
-from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
+from generated_page import ROOT, write_or_check
+
 PAGE = ROOT / "docs" / "errors.md"
 # Calls that put the path, the field, the problem and the cure together themselves.
 REFUSERS = {"refuse", "_refuse"}
@@ -51,16 +50,7 @@ REFUSAL_HEAD = """\
 
 def main(arguments=None):
     """Write the page, or with ``--check`` only say whether it is up to date."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--check", action="store_true", help="write nothing; status 1 if outdated")
-    options = parser.parse_args(arguments)
-    text = page()
-    if not options.check:
-        PAGE.write_text(text, encoding="utf-8")
-    elif PAGE.read_text(encoding="utf-8") != text:
-        print("error_table: docs/errors.md is outdated: run make tables", file=sys.stderr)
-        return 1
-    return 0
+    return write_or_check(PAGE, page, __doc__, arguments)
 
 
 def page():

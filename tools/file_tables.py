@@ -7,19 +7,18 @@ A table stands between two comments, `fields of NAME` and `end`; the text around
 hand and stays.
 """
 
-import argparse
 import sys
 from collections.abc import Iterator
 from importlib import import_module
-from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
+from generated_page import ROOT, write_or_check
 from pydantic.fields import FieldInfo
 
 from piezo_common.schema.fields import Document, NumberOrNumbers, NumberTree, Part
 from piezo_studies.marked_sections import with_sections
 
-PAGE = Path(__file__).parents[1] / "docs" / "files.md"
+PAGE = ROOT / "docs" / "files.md"
 DOCUMENTS = {
     "model": "piezo_models.model_document:ModelDocument",
     "axes_model": "piezo_models.axes_model_file:AxesDocument",
@@ -49,20 +48,10 @@ NAMES = {float: "number", int: "whole number", str: "text", bool: "true or false
 
 def main(arguments: list[str] | None = None) -> int:
     """Write the page, or with ``--check`` only say whether it is up to date."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--check", action="store_true", help="write nothing; status 1 if outdated")
-    options = parser.parse_args(arguments)
-    before = PAGE.read_text(encoding="utf-8")
-    after = page(before)
-    if not options.check:
-        PAGE.write_text(after, encoding="utf-8")
-    elif before != after:
-        print("file_tables: docs/files.md is outdated: run make tables", file=sys.stderr)
-        return 1
-    return 0
+    return write_or_check(PAGE, page, __doc__, arguments)
 
 
-def page(text: str) -> str:
+def page() -> str:
     """Return the text of the page with its tables written anew.
 
     Raises
@@ -70,7 +59,8 @@ def page(text: str) -> str:
     ValueError
         If the page lacks the section of a document, or has one too many.
     """
-    return with_sections(text, {SECTIONS + name: table_of(name) for name in DOCUMENTS}, SECTIONS)
+    return with_sections(PAGE.read_text(encoding="utf-8"),
+                         {SECTIONS + name: table_of(name) for name in DOCUMENTS}, SECTIONS)
 
 
 def table_of(name: str) -> str:

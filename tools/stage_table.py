@@ -4,11 +4,10 @@
 python tools/stage_table.py [--check]
 """
 
-import argparse
 import sys
-from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
+from generated_page import ROOT, write_or_check
+
 PAGE = ROOT / "docs" / "stage_states.md"
 sys.path.insert(0, str(ROOT / "src" / "piezo_stage_driver"))
 
@@ -31,16 +30,7 @@ what was asked before it and has not acted yet never acts.
 
 def main(arguments: list[str] | None = None) -> int:
     """Write the page, or with ``--check`` only say whether it is up to date."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--check", action="store_true", help="write nothing; status 1 if outdated")
-    options = parser.parse_args(arguments)
-    text = page()
-    if not options.check:
-        PAGE.write_text(text, encoding="utf-8")
-    elif PAGE.read_text(encoding="utf-8") != text:
-        print("stage_table: docs/stage_states.md is outdated: run make tables", file=sys.stderr)
-        return 1
-    return 0
+    return write_or_check(PAGE, page, __doc__, arguments)
 
 
 def page() -> str:

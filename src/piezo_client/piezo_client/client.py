@@ -82,10 +82,6 @@ class Client:
 
     Parameters
     ----------
-    namespace : str
-        Namespace of the stage.
-    name : str
-        Name of the node.
     wait_s : float
         Time to look for any node in the namespace in s; if there is one, a server has
         `SERVER_TIMEOUT_S` to appear.

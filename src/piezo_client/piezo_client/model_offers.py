@@ -43,18 +43,7 @@ def monitor_follows(client: Client, from_s: float, to_s: float, wait_s: float) -
 
 
 def offered_model(client: Client, wait_s: float = LATCHED_S) -> OfferedModel | None:
-    """Return the last model that the monitor has offered.
-
-    Parameters
-    ----------
-    wait_s : float
-        Time to wait for an offer in s.
-
-    Returns
-    -------
-    OfferedModel or None
-        None if there is no offer.
-    """
+    """Return the last model that the monitor has offered; see `Stage.offered_model`."""
     heard: list[ExtendedModel] = []
     subscription = client.node.create_subscription(
         ExtendedModel, "monitor/extended_model", heard.append, DESCRIPTION)
@@ -70,19 +59,7 @@ def offered_model(client: Client, wait_s: float = LATCHED_S) -> OfferedModel | N
 
 
 def accept_extended_model(client: Client, model: AnyPath, extended_model: AnyPath) -> str:
-    """Make the controller use an extended model in place of a model, from now on.
-
-    Parameters
-    ----------
-    model : path-like
-        Model that goals name.
-    extended_model : path-like
-        Extended model; empty to use the model itself again.
-
-    Returns
-    -------
-    str
-        Description of what is used from now on.
+    """Make the controller use an extended model; see `Stage.accept_extended_model`.
 
     Raises
     ------

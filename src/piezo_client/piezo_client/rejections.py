@@ -18,8 +18,6 @@ def why_rejected(node: Node, spin_until: Callable[[Callable[[], bool], float], b
 
     Parameters
     ----------
-    node : rclpy.node.Node
-        Node of the client.
     spin_until : callable
         Function ``spin_until(condition, timeout_s)`` that spins the node.
     topic : str

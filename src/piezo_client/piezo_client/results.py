@@ -31,6 +31,7 @@ class _ModelFile(_AtPath):
 @dataclass(frozen=True)
 class _Run(_AtPath):
     path: Path
+    """Path of the recording."""
 
     def recording(self) -> Recording:
         """Read the samples; return a `piezo_recorder.reading.recording.Recording`."""
@@ -39,51 +40,29 @@ class _Run(_AtPath):
 
 @dataclass(frozen=True)
 class Played(_Run):
-    """A waveform that was played.
-
-    Attributes
-    ----------
-    path : Path
-        Path of the recording.
-    """
+    """A waveform that was played."""
 
 
 @dataclass(frozen=True)
 class Experiment(_Run):
-    """An experiment that was run.
-
-    Attributes
-    ----------
-    path : Path
-        Path of the recording.
-    summary : str
-        What was played and, for a relay experiment, its result.
-    """
+    """An experiment that was run."""
 
     summary: str
+    """What was played and, for a relay experiment, its result."""
 
 
 @dataclass(frozen=True)
 class Tracking(_Run):
-    """A reference that was tracked.
-
-    Attributes
-    ----------
-    path : Path
-        Path of the recording.
-    e_rms_percent : float
-        RMS error by the sensor, in percent of the reference's peak-to-peak value (2.32).
-    missed_feedback : int
-        Responses of the controller that came too late.
-    message : str
-        Remarks on the run, for example what the feedforward does not compensate, or that an
-        extended model was used; empty if there are none.
-    """
+    """A reference that was tracked."""
 
     e_rms_percent: float
+    """RMS error by the sensor, in percent of the reference's peak-to-peak value (2.32)."""
     largest_error_um: float
     missed_feedback: int
+    """Responses of the controller that came too late."""
     message: str
+    """Remarks on the run, for example what the feedforward does not compensate, or that an
+    extended model was used; empty if there are none."""
 
 
 @dataclass(frozen=True)

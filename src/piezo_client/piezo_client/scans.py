@@ -45,21 +45,13 @@ def images_of(run: "Scanned", name: str, signal: str = "") -> "dict[str, ScanIma
 
 @dataclass(frozen=True)
 class Scanned(Played):
-    """A path that was played.
-
-    Attributes
-    ----------
-    path : Path
-        Path of the recording.
-    displacement_um : (N, n) array
-        Displacement measured in the last period.
-    before_samples : int
-        Samples of the run before the first period.
-    """
+    """A path that was played."""
 
     scan: StoredScan
     displacement_um: FloatArray
+    """Displacement measured in the last period, (N, n)."""
     before_samples: int = 0
+    """Samples of the run before the first period."""
 
     @property
     def offset_um(self) -> FloatArray:

@@ -51,8 +51,6 @@ class Stage:
 
     Parameters
     ----------
-    namespace : str
-        Namespace of the stage's nodes.
     progress : callable, optional
         Called as ``progress(step, fraction, seconds_left)`` while something runs; for example
         ``ProgressLine().show``.

@@ -40,8 +40,6 @@ class SampleCount:
 
     Parameters
     ----------
-    sample_rate_hz : float
-        Rate of the stage's sample clock.
     axes : int
         Number of the stage's axes; a sample has one value per axis.
 

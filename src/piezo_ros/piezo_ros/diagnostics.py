@@ -13,12 +13,8 @@ def diagnostic(node: Node, name: str, level: bytes, message: str, values: Mappin
 
     Parameters
     ----------
-    name : str
-        Name of the part.
     level : bytes
         Level from ``DiagnosticStatus``.
-    message : str
-        Message of one line.
     """
     status = DiagnosticStatus(
         name=f"{node.get_fully_qualified_name()}: {name}", hardware_id=hardware_id, level=level,

@@ -22,8 +22,6 @@ class Presence:
 
     Parameters
     ----------
-    node : rclpy.node.Node
-        Node that watches.
     name : str
         Full name of the watched node; with an empty name, nothing is ever gone.
     """
@@ -62,13 +60,7 @@ class Presence:
 
 
 class ClientWatch:
-    """Determine whether the present client of a node is gone.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Node that watches.
-    """
+    """Determine whether the present client of a node is gone."""
 
     def __init__(self, node: Node) -> None:
         self._node = node

@@ -30,11 +30,6 @@ def sent_again(send: Send) -> Send:
     ----------
     send : callable
         Function like `rclpy.service.Service.send_response`.
-
-    Returns
-    -------
-    callable
-        Replacement for it.
     """
     @functools.wraps(send)
     def patient(service: Service, response: Message, header: Message) -> None:
@@ -60,11 +55,6 @@ def answered_again(send: Callable[..., None]) -> Callable[..., None]:
     ----------
     send : callable
         A ``send_..._response`` of the action servers underlying those of rclpy.
-
-    Returns
-    -------
-    callable
-        Replacement for it.
     """
     @functools.wraps(send)
     def patient(server: object, header: Message, response: Message) -> None:

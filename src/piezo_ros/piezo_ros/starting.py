@@ -65,13 +65,6 @@ def arguments_set(name: str, value: str, arguments: Sequence[str]) -> bool:
     """Return True if arguments, or a parameter file that they name, set a parameter to this value.
 
     This is for parameters that are needed before there is a node. The name of the node is ignored.
-
-    Parameters
-    ----------
-    name, value : str
-        Name and value of the parameter.
-    arguments : sequence of str
-        Arguments of the command line.
     """
     files = [Path(file) for option, file in pairwise(arguments) if option == "--params-file"]
     texts = [file.read_text("utf-8", "replace") for file in files if file.is_file()]

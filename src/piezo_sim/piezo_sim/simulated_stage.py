@@ -34,8 +34,6 @@ class SimulatedStage:
         default the stage of thesis chapter 4.
     seed : int
         Seed of all random numbers, not negative.
-    sample_rate_hz : float
-        Sample rate in Hz.
     rest_voltage_v : float or sequence of float
         Voltage in V at which the stage has rested; for all axes, or for each.
     specimen : Field, optional
@@ -43,8 +41,6 @@ class SimulatedStage:
 
     Attributes
     ----------
-    sample_rate_hz : float
-        Sample rate in Hz.
     axes : tuple of str
         Names of several axes; empty for one.
     true_displacement_um : ndarray, shape (N,) or (N, axes)

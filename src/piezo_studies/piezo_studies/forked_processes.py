@@ -46,13 +46,7 @@ class ForkedProcesses(Processes):
 
 
 class ForkedNode:
-    """A forked process with the interface of `NodeProcess`.
-
-    Parameters
-    ----------
-    process : multiprocessing.Process
-        Started process.
-    """
+    """A forked process with the interface of `NodeProcess`."""
 
     def __init__(self, process: BaseProcess) -> None:
         self._process = process

@@ -3,6 +3,7 @@
 
 import re
 from collections.abc import Mapping
+from pathlib import Path
 
 
 def with_sections(page: str, sections: Mapping[str, str], kind: str = "") -> str:
@@ -30,3 +31,9 @@ def with_sections(page: str, sections: Mapping[str, str], kind: str = "") -> str
         raise ValueError(f"the page has the sections {', '.join(found) or 'none'}; "
                          f"give it one for each of {', '.join(sections)}")
     return marked.sub(lambda match: match[1] + sections[match[2]] + match[3], page)
+
+
+def write_sections(page: Path, sections: Mapping[str, str], kind: str = "") -> None:
+    """Replace marked sections in the file of a page; see `with_sections`."""
+    text = page.read_text(encoding="utf-8")
+    page.write_text(with_sections(text, sections, kind), encoding="utf-8")

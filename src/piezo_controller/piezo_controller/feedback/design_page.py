@@ -34,8 +34,6 @@ def design_page(report: Mapping[str, Any], rows: Sequence[tuple[str, str]],
 
     Parameters
     ----------
-    report : dict
-        Report of the controller.
     rows : sequence of (str, str)
         Rows that the command prints: rates, rules and measures.
     figures : dict of str to matplotlib.figure.Figure

@@ -28,8 +28,6 @@ class FeedbackBeforeInverse:
         Designed for the nominal gain of the hysteresis, which is divided out.
     model : piezo_models.cascade.StageModel
         Model whose hysteresis is inverted.
-    plan : FeedforwardPlan
-        Feedforward that is played.
     max_feedback_v : float
         Largest voltage of the feedback, of either sign (V).
     rest_voltage_v : float

@@ -20,11 +20,6 @@ def design_integral_feedback(model: StageModel, tick_s: float = 1e-3, clock_peri
     A fast feedback amplifies errors near its bandwidth, where its response to a correction also
     depends on the hysteresis' gain. A slow one passes errors and corrections almost unchanged.
 
-    Parameters
-    ----------
-    model_sha256 : str
-        Hash of the model's file.
-
     Raises
     ------
     UnstableLoop

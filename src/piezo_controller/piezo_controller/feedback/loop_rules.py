@@ -7,6 +7,9 @@ from dataclasses import dataclass
 # The thesis lies on the bound itself, and the ultimate frequency is no more accurate than this.
 ON_THE_BOUND = 0.05
 
+SUPPRESSION = 2.0
+"""Least ratio of the feedback's bandwidth to that of the disturbances, ``gamma``."""
+
 
 @dataclass(frozen=True)
 class LoopRules:
@@ -26,8 +29,7 @@ class LoopRules:
 
 
 def choose_rates(ultimate_hz: float, clock_hz: float, computing_s: float,
-                 usual_samples_per_tick: int, disturbance_hz: float = 20.0,
-                 suppression: float = 2.0) -> LoopRules:
+                 usual_samples_per_tick: int, disturbance_hz: float = 20.0) -> LoopRules:
     """Return the bounds of bandwidth and rate, and the rate to use.
 
     The rate is the usual one if it is within its bounds; otherwise the slowest that is, since a
@@ -43,20 +45,18 @@ def choose_rates(ultimate_hz: float, clock_hz: float, computing_s: float,
         Computing time of one answer of the feedback, T_FB.
     disturbance_hz : float
         Bandwidth of the disturbances, ``omega_d``.
-    suppression : float
-        Least ratio of the feedback's bandwidth to that of the disturbances, ``gamma``.
 
     Raises
     ------
     ValueError
         If no rate or no bandwidth is within the bounds.
     """
-    performance_hz = suppression * disturbance_hz
+    performance_hz = SUPPRESSION * disturbance_hz
     highest_bandwidth_hz = min(clock_hz / 2, 1 / computing_s, ultimate_hz)
     if performance_hz >= highest_bandwidth_hz:
         raise ValueError(f"disturbances up to {disturbance_hz:g} Hz need a bandwidth of "
                          f"{performance_hz:g} Hz, but {highest_bandwidth_hz:.4g} Hz is the most: "
-                         "lower the suppression or the bandwidth of the disturbances")
+                         "lower the bandwidth of the disturbances")
     lowest_rate_hz = 2 * max(performance_hz, ultimate_hz, disturbance_hz)
     highest_rate_hz = min(clock_hz, 1 / computing_s)
     if lowest_rate_hz > highest_rate_hz:

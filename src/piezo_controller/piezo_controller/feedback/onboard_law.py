@@ -36,8 +36,6 @@ def onboard_law(controller: FeedbackController, model: StageModel, plan: Feedfor
         Controller with the period of the tick or of the sample clock.
     model : piezo_models.cascade.StageModel
         Model that it was designed for.
-    plan : FeedforwardPlan
-        Feedforward that is played.
     max_feedback_v : float
         Largest voltage of the feedback, of either sign (V).
     before_inverse : bool

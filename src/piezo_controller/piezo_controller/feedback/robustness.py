@@ -67,8 +67,6 @@ def robustness_of(plant_of: Callable[[FloatArray], control.StateSpace], count: i
     ----------
     plant_of : callable
         Takes errors between -1 and 1; returns a plant (um/V) of as many axes as the controller.
-    count : int
-        Number of errors.
     """
     frequency_hz = np.geomspace(0.1, 0.5 / controller.dt, FREQUENCIES)
     points = np.exp(2j * np.pi * frequency_hz * controller.dt)
@@ -106,8 +104,6 @@ def drawn_plants(model: StageModel, tick_s: float, clock_period_s: float, gain_s
 
     Parameters
     ----------
-    samples : int
-        Number of plants.
     delay_ticks : int
         Ticks of computing time, see `design_plant`.
     """

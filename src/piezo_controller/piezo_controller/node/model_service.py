@@ -42,11 +42,6 @@ class ModelService:
     def model_for(self, path: str) -> tuple[ModelText, ModelText, str]:
         """Return the model that a run uses, and publish it.
 
-        Parameters
-        ----------
-        path : str
-            Path of the model that the goal names.
-
         Returns
         -------
         named, model : ModelText

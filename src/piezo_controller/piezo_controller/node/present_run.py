@@ -21,14 +21,8 @@ class PresentRun:
 
     Parameters
     ----------
-    named : ModelText
-        The model that the goal names.
-    prepared : PreparedRun
-        Run that is played.
     prepare : callable
         Prepares the same request for another model; raises ValueError if that is impossible.
-    tracker : StageTracker
-        Plays the run.
 
     Attributes
     ----------

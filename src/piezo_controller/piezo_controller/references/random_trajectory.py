@@ -39,8 +39,6 @@ class RandomTrajectory(Trajectory):
 
     Parameters
     ----------
-    low_hz, high_hz : float
-        Edges of the band.
     amplitude_um : float
         Peak-to-peak range that is used and never exceeded.
     """

@@ -91,8 +91,6 @@ class Feedbacks:
 
         Parameters
         ----------
-        model_sha256 : str
-            Hash of the model's file.
         plan : TrackingPlan
             Feedforward that acts together with it.
 
@@ -134,11 +132,6 @@ class Feedbacks:
     def law_of_axes(self, model: CoupledModel, model_sha256: str) -> AxesLaw:
         """Return the feedback of the mode composite for several axes, designed or from its file.
 
-        Parameters
-        ----------
-        model_sha256 : str
-            Hash of the model's file.
-
         Raises
         ------
         ValueError
@@ -160,8 +153,6 @@ class Feedbacks:
         ----------
         mode : str
             ``open_loop``, ``pid`` or ``pi``.
-        model_sha256 : str
-            Hash of the model's file.
         """
         stage = self._stage
         if mode not in FEEDBACK_METHODS:
@@ -181,13 +172,6 @@ class Feedbacks:
         """Raise if the composite feedback for a model is unstable with it or the present model.
 
         A stage that has changed lies near both. The design is cached for the next run.
-
-        Parameters
-        ----------
-        model_sha256 : str
-            Hash of the model's file.
-        present : StageModel
-            Model that is to be replaced.
 
         Raises
         ------

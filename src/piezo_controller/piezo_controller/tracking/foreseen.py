@@ -64,8 +64,6 @@ def check_reach(period_um: FloatArray, sensitivity: Sensitivity, reference: Refe
     ----------
     period_um : ndarray, shape (m,)
         One period of the reference.
-    sensitivity : callable
-        Sensitivity of the mode.
     reference, model, stage, duration_s, watch
         See `plan_mode`.
 

@@ -134,8 +134,6 @@ def prepare_path(request: TrackRequest, clock: StageClock, stage: AxesStage, fee
     request : TrackRequest
         Of one reference, whose frequency is the rate of the path, and whose amplitudes are its
         sizes along the fast and the slow axis, or one for both.
-    steps : Steps
-        Observer of the planning and the design.
     window_s : float
         Window of the running error (s).
 

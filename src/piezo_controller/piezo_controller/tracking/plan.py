@@ -11,30 +11,6 @@ class TrackingPlan(Protocol):
     """Voltages that the stage plays and displacements to expect, from the run's first sample on.
 
     `FeedforwardPlan`, `StreamPlan`, `LivePlan` and `LearningFeedforward` fulfil it.
-
-    Attributes
-    ----------
-    once_voltage_v : ndarray, shape (n,)
-        Voltages that are played first (V).
-    period_voltage_v : ndarray, shape (m,)
-        Voltages that are repeated after those (V); empty if the plan is streamed.
-    streamed : bool
-        Whether further voltages come from `continuation` while the stage plays.
-    open_ended : bool
-        Whether the length of the run becomes known only while it is played.
-    begin_sample : int
-        Sample from which on the error counts; for an open-ended plan the latest possible, until it
-        is known.
-    feedback_start_sample : int
-        Sample from which on feedback may act; before it the stage's past differs from the model's.
-    iteration : int
-        Present iteration of the learning; 0 without learning.
-    uncompensated : tuple of str
-        Effects of the model that remain in the error.
-    note : str
-        Remark to report at the end of the run; may be empty.
-    degraded : str
-        Why the run does not count, although it was played to its end; empty if it does.
     """
 
     # Properties, because a run only reads them.
@@ -44,11 +20,11 @@ class TrackingPlan(Protocol):
 
     @property
     def period_voltage_v(self) -> FloatArray:
-        """Return the voltages that are repeated from then on (V), shape (m,)."""
+        """Return the voltages that are repeated from then on (V), shape (m,); empty if streamed."""
 
     @property
     def streamed(self) -> bool:
-        """Return whether further voltages come from `continuation`."""
+        """Return whether further voltages come from `continuation` while the stage plays."""
 
     @property
     def open_ended(self) -> bool:
@@ -56,27 +32,33 @@ class TrackingPlan(Protocol):
 
     @property
     def begin_sample(self) -> int:
-        """Return the sample from which on the error counts."""
+        """Return the sample from which on the error counts.
+
+        For an open-ended plan it is the latest possible, until it is known.
+        """
 
     @property
     def feedback_start_sample(self) -> int:
-        """Return the sample from which on feedback may act."""
+        """Return the sample from which on feedback may act.
+
+        Before it the stage's past differs from the model's.
+        """
 
     @property
     def iteration(self) -> int:
-        """Return the present iteration of the learning."""
+        """Return the present iteration of the learning; 0 without learning."""
 
     @property
     def uncompensated(self) -> tuple[str, ...]:
-        """Return the names of the effects that remain in the error."""
+        """Return the names of the effects of the model that remain in the error."""
 
     @property
     def note(self) -> str:
-        """Return a remark to report at the end of the run."""
+        """Return a remark to report at the end of the run; may be empty."""
 
     @property
     def degraded(self) -> str:
-        """Return why the run does not count; empty if it does."""
+        """Return why the run does not count, although it was played to its end; may be empty."""
 
     def expected_um(self, first_sample: int, count: int) -> FloatArray:
         """Return the displacements to expect (um), shape (count,)."""

@@ -154,8 +154,6 @@ def prepare(request: TrackRequest, stage: StageClock, feedbacks: Feedbacks, step
 
     Parameters
     ----------
-    steps : Steps
-        Observer of the planning and the design.
     writable : callable
         Returns the path under which a file may be written; raises ValueError if it may not.
     window_s : float

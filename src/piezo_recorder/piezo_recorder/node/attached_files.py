@@ -24,8 +24,6 @@ def read_attachments(request: StartRecording.Request, readable: Callable[[str], 
 
     Returns
     -------
-    contents : dict of str to bytes
-        Contents by name.
     unread : list of str
         Names whose files cannot be read, or have changed since the request.
     refusal : str

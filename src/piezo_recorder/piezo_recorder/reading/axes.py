@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Recordings of two or three axes: of a stage, of tables with columns for each, and of arrays."""
 
-import hashlib
 import json
 import re
 import zipfile
@@ -17,7 +16,7 @@ from numpy.typing import ArrayLike
 from piezo_common.schema import Document, Number, Part, Positive, SchemaError, entry, load_document
 from piezo_recorder.reading.columns import ColumnsDocument, SignalColumn
 from piezo_recorder.reading.detected import marks_in, signals_in
-from piezo_recorder.reading.memory import IN_MEMORY, recordings_in
+from piezo_recorder.reading.memory import IN_MEMORY, hash_of, recordings_in
 from piezo_recorder.reading.reader import (
     axes_of_messages,
     holds_messages,
@@ -414,7 +413,4 @@ def _joined_notes(axes: Sequence[str], parts: Sequence[Recording]) -> tuple[str,
 
 
 def _with_hash(recording: AxesRecording) -> AxesRecording:
-    digest = hashlib.sha256()
-    for values in (recording.voltage_v, recording.displacement_um):
-        digest.update(np.ascontiguousarray(values).tobytes())
-    return replace(recording, sha256=digest.hexdigest())
+    return replace(recording, sha256=hash_of(recording.voltage_v, recording.displacement_um))

@@ -136,8 +136,14 @@ def _with_flags(recording: Recording) -> Recording:
 
 
 def _identified_by_hash(recording: Recording) -> Recording:
+    return replace(recording, sha256=hash_of(
+        recording.sample_index, recording.sample_periods_s, recording.voltage_v,
+        recording.displacement_um))
+
+
+def hash_of(*arrays: np.ndarray) -> str:
+    """Return the SHA-256 of arrays, in place of that of a file."""
     digest = hashlib.sha256()
-    for values in (recording.sample_index, recording.sample_periods_s, recording.voltage_v,
-                   recording.displacement_um):
+    for values in arrays:
         digest.update(np.ascontiguousarray(values).tobytes())
-    return replace(recording, sha256=digest.hexdigest())
+    return digest.hexdigest()

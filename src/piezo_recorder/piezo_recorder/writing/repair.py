@@ -16,7 +16,7 @@ from piezo_recorder.writing.writer import STAGE_METADATA, RecordingWriter
 
 
 def repair(path: str | PathLike[str], output: str | PathLike[str]) -> int:
-    """Copy every complete message of a recording into a new one with an index.
+    """Copy every complete message into a new recording with an index; return their number.
 
     Parameters
     ----------
@@ -24,10 +24,6 @@ def repair(path: str | PathLike[str], output: str | PathLike[str]) -> int:
         Directory of a recording, or an MCAP file.
     output : str or Path
         Directory to create.
-
-    Returns
-    -------
-    messages : int
 
     Raises
     ------

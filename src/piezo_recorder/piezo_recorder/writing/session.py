@@ -19,14 +19,6 @@ class RecordingSession:
 
     Parameters
     ----------
-    definitions : dict of str to MessageDefinition
-        Definitions by topic.
-    sample_rate_hz : float
-        Rate of the sample clock.
-    axes : int
-        Number of the stage's axes.
-    client : Presence
-        Presence of the node that requested the recording.
     quality_profiles : dict of str to sequence of dict
         Profiles that the publishers of each topic offer.
     """

@@ -61,13 +61,7 @@ class NoAnswer(CallFailed):
 
 
 class GoalAborted(CallFailed):
-    """A goal ended without success.
-
-    Parameters
-    ----------
-    result : message
-        Result of the action in spite of that.
-    """
+    """A goal ended without success."""
 
     def __init__(self, result: Message) -> None:
         super().__init__(result.message)
@@ -118,8 +112,6 @@ def call_service(node: Node, client: Client, request: Message, timeout_s: float 
     ----------
     node : rclpy.node.Node
         Node of the client, which logs the wait.
-    client : rclpy.client.Client
-        Client of this node.
     timeout_s : float
         Time to wait for the response in s.
     appearance_s : float

@@ -42,8 +42,6 @@ class Progress:
 
     Parameters
     ----------
-    client : Presence
-        Presence of the client's node.
     why_ending : callable
         Returns why the server ends its goals; empty if it does not.
     """

@@ -14,8 +14,6 @@ class Waiting:
 
     Parameters
     ----------
-    node : rclpy.node.Node
-        Node that waits.
     service : str
         Name of the service or action.
     """
@@ -54,8 +52,6 @@ def server_of(node: Node, service: str) -> str:
 
     Parameters
     ----------
-    node : rclpy.node.Node
-        Node that looks for it.
     service : str
         Name of the service or action, relative to the node's namespace or full.
     """

@@ -11,12 +11,7 @@ import piezo_interfaces.msg as messages
 
 
 def message_of(law: Any) -> messages.FeedbackLaw:
-    """Return the message of a law.
-
-    Parameters
-    ----------
-    law : piezo_models.feedback_law.feedback_law.FeedbackLaw
-    """
+    """Return the message of a law."""
     message = messages.FeedbackLaw(
         tick=_block(law.tick), observer=_floats(law.observer), delay_ticks=law.delay_ticks,
         sample=_block(law.sample), max_feedback_v=float(law.max_feedback_v),

@@ -30,8 +30,6 @@ class RunRecording:
 
     Parameters
     ----------
-    recorder : Presence
-        Presence of the recorder's node.
     unrecorded : bool
         True if the run may continue after its recording has ended.
     stop : callable, optional

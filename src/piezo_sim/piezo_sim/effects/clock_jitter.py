@@ -13,7 +13,7 @@ from typing import ClassVar
 from numba import njit
 
 from piezo_common.arrays import FloatArray
-from piezo_sim.plant.plant_effect import Effect, Surroundings, parameter, require
+from piezo_sim.plant.plant_effect import Surroundings, parameter, require
 from piezo_sim.plant.random_stream import NormalStream, bits_for
 
 
@@ -29,42 +29,38 @@ def _deviate(samples: FloatArray, normals: FloatArray, previous: float,
 
 
 @dataclass(frozen=True)
-class UpdateJitter:
+class Jitter:
+    """Deviations from the ticks at random."""
+
+    name: ClassVar[str]
+
+    jitter_rms_s: float = parameter("s")
+
+    def __post_init__(self) -> None:
+        require(self.jitter_rms_s >= 0.0, self, "jitter_rms_s must not be negative.")
+
+    def start(self, surroundings: Surroundings) -> "JitterRunner":
+        """Start the deviations from the seed."""
+        return JitterRunner(self, surroundings)
+
+
+class UpdateJitter(Jitter):
     """Updates of the voltage that are late at random."""
 
-    name: ClassVar[str] = "update_jitter"
-
-    jitter_rms_s: float = parameter("s")
-
-    def __post_init__(self) -> None:
-        require(self.jitter_rms_s >= 0.0, self, "jitter_rms_s must not be negative.")
-
-    def start(self, surroundings: Surroundings) -> "JitterRunner":
-        """Start the deviations from the seed."""
-        return JitterRunner(self, self.jitter_rms_s, surroundings)
+    name = "update_jitter"
 
 
-@dataclass(frozen=True)
-class SamplingJitter:
+class SamplingJitter(Jitter):
     """Readings of the displacement that are early at random."""
 
-    name: ClassVar[str] = "sampling_jitter"
-
-    jitter_rms_s: float = parameter("s")
-
-    def __post_init__(self) -> None:
-        require(self.jitter_rms_s >= 0.0, self, "jitter_rms_s must not be negative.")
-
-    def start(self, surroundings: Surroundings) -> "JitterRunner":
-        """Start the deviations from the seed."""
-        return JitterRunner(self, self.jitter_rms_s, surroundings)
+    name = "sampling_jitter"
 
 
 class JitterRunner:
     """Jitter with the previous sample as its state."""
 
-    def __init__(self, effect: Effect, jitter_rms_s: float, surroundings: Surroundings) -> None:
-        self._rms_share = jitter_rms_s / surroundings.sample_period_s
+    def __init__(self, effect: Jitter, surroundings: Surroundings) -> None:
+        self._rms_share = effect.jitter_rms_s / surroundings.sample_period_s
         self._normals = NormalStream(bits_for(effect.name, surroundings.seed))
         self._previous = 0.0
 

@@ -34,8 +34,6 @@ def add_effect(plant: PlantConfig, effect: Effect) -> PlantConfig:
     ----------
     plant : PlantConfig
         Plant with at least the effects of the default plant.
-    effect : piezo_sim.plant.plant_effect.Effect
-        Any effect of this package.
     """
     stage = list(plant.stage)
     linear = [i for i, other in enumerate(stage) if hasattr(other, "state_space")]

@@ -1,33 +1,45 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The time window of a fault."""
+"""Faults that act from one time to another."""
 
 from abc import ABC, abstractmethod
-from typing import Generic, Protocol, TypeVar
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar
 
 from piezo_common.arrays import FloatArray
-from piezo_sim.plant.plant_effect import StartedEffect, Surroundings, require
+from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+
+Spoil = Callable[[FloatArray], None]
+"""Replaces samples within the window, in place."""
 
 
-class Fault(StartedEffect, Protocol):
-    """An effect that acts from one time to another."""
+@dataclass(frozen=True)
+class Fault(ABC):
+    """An effect from ``begin_s`` to ``end_s`` of stage time."""
 
-    @property
-    def begin_s(self) -> float:
-        """Return the beginning (s of stage time)."""
+    name: ClassVar[str]
 
-    @property
-    def end_s(self) -> float:
-        """Return the end (s of stage time)."""
+    begin_s: float = parameter("s")
+    end_s: float = parameter("s")
+
+    def __post_init__(self) -> None:
+        require(0.0 <= self.begin_s < self.end_s, self,
+                "begin_s must be at least 0 and below end_s.")
+
+    def start(self, surroundings: Surroundings) -> "FaultWindow":
+        """Wait for the beginning."""
+        return FaultWindow(self, surroundings)
+
+    @abstractmethod
+    def spoiling(self, surroundings: Surroundings) -> Spoil:
+        """Return what is done to the samples of the window, stretch by stretch."""
 
 
-F = TypeVar("F", bound=Fault)
+class FaultWindow:
+    """The runner of a fault."""
 
-
-class FaultWindow(ABC, Generic[F]):
-    """A fault from ``begin_s`` to ``end_s`` of stage time; the base of its runners."""
-
-    def __init__(self, effect: F, surroundings: Surroundings) -> None:
-        self.effect = effect
+    def __init__(self, effect: Fault, surroundings: Surroundings) -> None:
+        self._spoil = effect.spoiling(surroundings)
         self._begin, self._end = (
             round(time_s / surroundings.sample_period_s)
             for time_s in (effect.begin_s, effect.end_s))
@@ -42,15 +54,5 @@ class FaultWindow(ABC, Generic[F]):
         first, last = (min(max(edge - self._at, 0), samples.size)
                        for edge in (self._begin, self._end))
         if first < last:
-            self.spoil(samples, first, last)
+            self._spoil(samples[first:last])
         self._at += samples.size
-
-    @abstractmethod
-    def spoil(self, samples: FloatArray, first: int, last: int) -> None:
-        """Replace the samples from `first` to `last`, the latter excluded."""
-
-
-def require_window(effect: Fault) -> None:
-    """Reject a window that is empty or begins before the stage starts."""
-    require(0.0 <= effect.begin_s < effect.end_s, effect,
-            "begin_s must be at least 0 and below end_s.")

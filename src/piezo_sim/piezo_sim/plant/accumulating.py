@@ -14,8 +14,6 @@ class AccumulatingRunner:
     replace : callable
         Called as ``replace(samples, last, gathered, *constants)``; replaces the inputs by the
         outputs and returns the new state ``last, gathered``.
-    constants : float
-        Parameters of the effect.
     """
 
     def __init__(self, replace: Callable[..., tuple[float, float]], *constants: float) -> None:

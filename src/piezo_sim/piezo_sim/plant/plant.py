@@ -26,8 +26,6 @@ class Plant:
 
     Parameters
     ----------
-    config : PlantConfig
-        Effects of the plant.
     surroundings : Surroundings
         Sample period, rest voltage and seed.
 
@@ -69,13 +67,6 @@ class AxesPlant:
     """The simulated stage of several axes: a chain of effects for each, and common mechanics.
 
     It starts at rest like a `Plant`.
-
-    Parameters
-    ----------
-    config : AxesPlantConfig
-        Effects of each axis, and the mechanics.
-    surroundings : Surroundings
-        Surroundings of each axis.
     """
 
     def __init__(self, config: AxesPlantConfig, surroundings: Sequence[Surroundings]) -> None:

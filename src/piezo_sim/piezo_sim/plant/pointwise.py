@@ -15,8 +15,6 @@ class PointwiseRunner:
     ----------
     replace : callable
         Called as ``replace(samples, *constants)``; replaces the inputs by the outputs.
-    constants : float
-        Parameters of the effect.
     """
 
     def __init__(self, replace: Callable[..., None], *constants: float) -> None:

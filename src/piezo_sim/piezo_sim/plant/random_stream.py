@@ -15,13 +15,7 @@ def bits_for(name: str, seed: int) -> np.random.PCG64:
 
 
 class NormalStream:
-    """Standard normal numbers, one for each sample.
-
-    Parameters
-    ----------
-    bits : numpy.random.BitGenerator
-        Source of the numbers.
-    """
+    """Standard normal numbers, one for each sample."""
 
     def __init__(self, bits: np.random.BitGenerator) -> None:
         self._generator = np.random.Generator(bits)

@@ -14,8 +14,6 @@ class BackendFault(RuntimeError):
 
     Parameters
     ----------
-    text : str
-        Description of the failure.
     at_rest : bool
         False if the amplifier could not be brought to rest, or that is unknown; users are then
         advised to cut its supply.

@@ -261,8 +261,6 @@ def settings_of(backend: str, one: type[One], several: type[Several],
 
     Parameters
     ----------
-    backend : str
-        Name of the backend.
     one, several : type
         Classes of the document for one axis and for several.
 

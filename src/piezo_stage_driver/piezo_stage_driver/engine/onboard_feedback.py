@@ -47,8 +47,6 @@ class OnboardFeedback:
 
     Parameters
     ----------
-    first_tick : int
-        Tick in which tracking began.
     lead_ticks : int
         Delay of the measurement in ticks, because the hardware is written ahead.
 

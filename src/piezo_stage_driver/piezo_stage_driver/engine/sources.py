@@ -199,11 +199,6 @@ class FadeOver:
 
     Both sources advance during the transition. It begins and ends without a step in voltage, slew
     or acceleration, so that no mode of the stage is excited.
-
-    Parameters
-    ----------
-    samples : int
-        Duration of the transition.
     """
 
     def __init__(self, old: Source, new: Source, samples: int):

@@ -224,14 +224,10 @@ class StageCommands:
         return Replacement(feedforward, None if law is None else self.checked(law))
 
     def replace_feedforward(self, replacement: Replacement) -> int:
-        """Switch to another feedforward and its law between two ticks of a run.
+        """Switch to another feedforward and its law between two ticks; return the first tick.
 
         The law acts from the next tick on, in a state that continues the output of the previous
         law. The planned voltage is faded over within `FADE_S`.
-
-        Returns
-        -------
-        first_tick : int
 
         Raises
         ------
@@ -264,7 +260,7 @@ class StageCommands:
 
     def start_tracking(self, feedback: bool, ticks: int = 0, client: str = "",
                        onboard: bool = False, feedforward_id: int = 0) -> int:
-        """Play the loaded feedforward.
+        """Play the loaded feedforward; return the first tick.
 
         Parameters
         ----------
@@ -278,10 +274,6 @@ class StageCommands:
             Whether to add the output of the loaded law, instead of answers.
         feedforward_id : int
             Number of the feedforward to play; 0 for the loaded one.
-
-        Returns
-        -------
-        first_tick : int
 
         Raises
         ------

@@ -230,13 +230,7 @@ class StageEngine:
             feedback.answer(tick, voltage_v, self.tick)
 
     def fade_over(self, source: Source, samples: int) -> None:
-        """Fade the present phase over to another source, from the next tick on.
-
-        Parameters
-        ----------
-        samples : int
-            Duration of the transition.
-        """
+        """Fade the present phase over to another source, from the next tick on."""
         self._program.fade_over(source, samples)
 
     def return_to_rest(self) -> None:

@@ -23,8 +23,6 @@ class StageLoop:
 
     Parameters
     ----------
-    backend : StageBackend
-        Backend that the supervisor drives.
     publish : callable
         Takes each `Block`.
     report_stop, settle : callable

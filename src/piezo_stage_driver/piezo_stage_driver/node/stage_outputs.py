@@ -166,8 +166,6 @@ class StageOutputs:
         ----------
         level : bytes
             Level of ``DiagnosticStatus``.
-        message : str
-            One line of text.
         """
         self._diagnostics.publish(diagnostic(
             self._node, "stage", level, message, values, self._settings.joint_name))

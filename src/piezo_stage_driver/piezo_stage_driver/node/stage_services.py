@@ -30,10 +30,6 @@ class StageServices:
 
     Parameters
     ----------
-    node : rclpy.node.Node
-        Node that offers the services.
-    router : CommandRouter
-        Accepts the commands and the stops.
     emergency_stop_timeout_s : float
         Time that a stop may take in addition to the ramp to rest (s).
     """

@@ -28,8 +28,6 @@ class RequestMemory:
         ----------
         number : int
             Number that the client gave the request; 0 if it gave none.
-        late : LateResponse
-            Response of this call.
         """
         if number == WITHOUT_NUMBER:
             return False

@@ -6,9 +6,9 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 
 
-def projection(rows: FloatArray, output: FloatArray, gain: float = 0.5, floor: float = 1.0,
-               start: FloatArray | None = None) -> FloatArray:
-    """Update the estimate with each sample by a step along its row, eq. (2.27).
+def projection(rows: FloatArray, output: FloatArray, gain: float = 0.5,
+               floor: float = 1.0) -> FloatArray:
+    """Update an estimate, which begins at zero, with each sample by a step along its row (2.27).
 
     Parameters
     ----------
@@ -18,8 +18,6 @@ def projection(rows: FloatArray, output: FloatArray, gain: float = 0.5, floor: f
         Gain gamma_L, between 0 and 1.
     floor : float
         Constant theta, above 0.
-    start : ndarray, shape (n,), optional
-        Initial estimate; zero by default.
 
     Returns
     -------
@@ -35,7 +33,7 @@ def projection(rows: FloatArray, output: FloatArray, gain: float = 0.5, floor: f
             f"the projection has gain {gain:g} and floor {floor:g}: "
             "give a gain between 0 and 1 and a floor above 0"
         )
-    estimate = np.zeros(rows.shape[1]) if start is None else np.array(start, dtype=float)
+    estimate = np.zeros(rows.shape[1])
     for row, measured in zip(rows, output, strict=True):
         estimate -= gain * (row @ estimate - measured) / (floor + row @ row) * row
     return estimate

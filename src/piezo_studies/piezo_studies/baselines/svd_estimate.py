@@ -106,8 +106,8 @@ class SvdEstimate(DensityEstimate):
     """Number of kept singular values."""
 
 
-def density_by_svd(decomposition: TruncatedSvd, voltage_v: FloatArray, levels_v: FloatArray,
-                   offset_um: float = 0.0) -> SvdEstimate:
+def density_by_svd(decomposition: TruncatedSvd, voltage_v: FloatArray,
+                   levels_v: FloatArray) -> SvdEstimate:
     """Return the density of the decomposition in the common form of all estimators.
 
     Parameters
@@ -117,32 +117,15 @@ def density_by_svd(decomposition: TruncatedSvd, voltage_v: FloatArray, levels_v:
     voltage_v : ndarray, shape (N,)
         Voltage of the samples used, which gives the visited cells.
     levels_v : ndarray, shape (L + 1,)
-    offset_um : float
-        Output with all relays off, which was removed from the outputs.
 
     Returns
     -------
     SvdEstimate
         Density; the part not determined by any sample has minimum norm.
     """
-    return SvdEstimate(
-        **vars(density_of_weights("truncated SVD", decomposition.solution(), voltage_v, levels_v,
-                                  offset_um)),
-        singular_values=decomposition.all_singular_values, rank=decomposition.rank)
-
-
-def density_of_weights(method: str, weights_um: FloatArray, voltage_v: FloatArray,
-                       levels_v: FloatArray, offset_um: float = 0.0) -> DensityEstimate:
-    """Convert an estimate X of the relay weights mu * s, (2.3), into a density.
-
-    Parameters
-    ----------
-    weights_um : ndarray, shape (L (L + 1) / 2,)
-    voltage_v : ndarray, shape (N,)
-    levels_v : ndarray, shape (L + 1,)
-    """
     size = levels_v.size - 1
     area_v2 = (levels_v[1] - levels_v[0]) ** 2 * (np.ones((size, size)) - 0.5 * np.eye(size))
-    return DensityEstimate(
-        method, levels_v, lower_triangle(weights_um, size) / area_v2, offset_um,
-        visited_cells(voltage_v, levels_v), np.zeros(size))
+    return SvdEstimate(
+        "truncated SVD", levels_v, lower_triangle(decomposition.solution(), size) / area_v2, 0.0,
+        visited_cells(voltage_v, levels_v), np.zeros(size),
+        singular_values=decomposition.all_singular_values, rank=decomposition.rank)

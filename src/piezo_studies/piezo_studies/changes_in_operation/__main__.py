@@ -9,7 +9,7 @@ from piezo_studies.changes_in_operation.doubled import CHANGES, table, watch_dou
 from piezo_studies.changes_in_operation.identified_beam import PLANT, identified_beam
 from piezo_studies.changes_in_operation.references import KINDS
 from piezo_studies.changes_in_operation.watched import WatchedStage, watch_unchanged
-from piezo_studies.marked_sections import with_sections
+from piezo_studies.marked_sections import write_sections
 
 SECTION = "changes in operation"
 """Mark of the table in the page."""
@@ -37,8 +37,7 @@ def main(arguments: list[str] | None = None) -> None:
         rows.append((change, later, first))
     lines = (f"Suspicions in {options.hours:g} h in which nothing changed: {len(reports)}.\n\n"
              + table(rows))
-    text = options.page.read_text(encoding="utf-8")
-    options.page.write_text(with_sections(text, {SECTION: lines}), encoding="utf-8")
+    write_sections(options.page, {SECTION: lines})
     print(lines)
 
 

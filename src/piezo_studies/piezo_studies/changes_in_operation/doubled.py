@@ -64,8 +64,6 @@ def watch_doubling(watched: WatchedStage, kind: str, change: str) -> Doubling:
     ----------
     watched : WatchedStage
         Stage; it is copied and not modified.
-    kind : str
-        Kind of the reference.
     change : str
         Key of `CHANGES`.
     """

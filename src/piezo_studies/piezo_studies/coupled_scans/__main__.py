@@ -12,22 +12,15 @@ from piezo_studies.coupled_scans.images import image_table, images_figure, image
 from piezo_studies.coupled_scans.marks import mark_table, rasters_marked
 from piezo_studies.coupled_scans.trials import TABLES, Row
 from piezo_studies.coupled_scans.xy_stage import identified
-from piezo_studies.marked_sections import with_sections
+from piezo_studies.marked_sections import write_sections
 
 PICTURE_DOTS_PER_INCH, COLOURS = 110, 64
-IMAGES = "images"
 SECTIONS = "scans: "
 """How the marks of the tables in the page begin."""
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command.
-
-    Parameters
-    ----------
-    arguments : list of str, optional
-        Those of the command line by default.
-    """
+    """Run the command."""
     parser = argparse.ArgumentParser(prog="coupled_scans", description=__doc__)
     parser.add_argument("--picture", type=Path, default=Path("docs/pictures/scan.png"),
                         help="picture of images to draw anew")
@@ -37,19 +30,19 @@ def main(arguments: list[str] | None = None) -> None:
     model = identified()
     print(model.summary(), file=sys.stderr, flush=True)
     tables = {}
+
+    def keep(name: str, text: str) -> None:
+        tables[SECTIONS + name] = text
+        print(text, file=sys.stderr, flush=True)
+
     for name, (_, _, trials) in TABLES.items():
-        tables[SECTIONS + name] = table(name, trials(model))
-        print(tables[SECTIONS + name], file=sys.stderr, flush=True)
-    tables[SECTIONS + "feedback"] = feedback_table(rasters_with_feedback(model))
-    print(tables[SECTIONS + "feedback"], file=sys.stderr, flush=True)
-    tables[SECTIONS + "marks"] = mark_table(rasters_marked(model))
-    print(tables[SECTIONS + "marks"], file=sys.stderr, flush=True)
+        keep(name, table(name, trials(model)))
+    keep("feedback", feedback_table(rasters_with_feedback(model)))
+    keep("marks", mark_table(rasters_marked(model)))
     images, specimen = images_of_grating(model)
-    tables[SECTIONS + IMAGES] = image_table(images, specimen)
-    print(tables[SECTIONS + IMAGES], file=sys.stderr, flush=True)
+    keep("images", image_table(images, specimen))
     options.picture.write_bytes(to_png(images_figure(images), PICTURE_DOTS_PER_INCH, COLOURS))
-    options.page.write_text(with_sections(
-        options.page.read_text(encoding="utf-8"), tables, SECTIONS), encoding="utf-8")
+    write_sections(options.page, tables, SECTIONS)
     print(f"{len(tables)} tables: {options.page}; drawn {options.picture}")
 
 

@@ -43,27 +43,20 @@ BEYOND = 1.5
 
 @dataclass(frozen=True)
 class Row:
-    """One path or frequency.
-
-    Attributes
-    ----------
-    asked : str
-    none, inverse, learned, noise : float
-        Error of the worse axis in percent of its travel, or motion of y over that of x in dB:
-        without an inverse, by the coupled inverse of the model, by learned voltages, and what the
-        noise of the sensors makes of it alone.
-    wanted : float
-    runs : int
-        Played to learn.
-    """
+    """One path or frequency."""
 
     asked: str
+
     none: float
     inverse: float
     learned: float
     noise: float
+    """Error of the worse axis in percent of its travel, or motion of y over that of x in dB:
+    without an inverse, by the coupled inverse of the model, by learned voltages, and what the
+    noise of the sensors makes of it alone."""
     wanted: float
     runs: int
+    """Runs that were played to learn."""
 
 
 def paths(model: IdentifiedAxes) -> list[Row]:

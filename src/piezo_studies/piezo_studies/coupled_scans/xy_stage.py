@@ -35,6 +35,9 @@ APPROACH_S, SETTLING_S = 0.1, 0.2
 SAMPLES_AT_ONCE = 400_000
 """Clock samples that are simulated together."""
 
+SEED = 21
+"""Seed of the noise while a path is followed."""
+
 LINEAR = ("electric_lag",)
 """Effects of an actuator without hysteresis and creep, as if it was driven by charge."""
 
@@ -97,7 +100,7 @@ def identified() -> IdentifiedAxes:
         hysteresis=recorded("hysteresis", 3))
 
 
-def followed(scan: StoredScan, periods: int, mean_of: int = 1, seed: int = 21) -> Scanned:
+def followed(scan: StoredScan, periods: int, mean_of: int = 1) -> Scanned:
     """Play a path on the stage, fresh from rest, and return how it was followed.
 
     Parameters
@@ -107,15 +110,15 @@ def followed(scan: StoredScan, periods: int, mean_of: int = 1, seed: int = 21) -
     mean_of : int
         Periods whose mean counts, which has less noise.
     """
-    stage = moving(scan, periods, SimulatedStage(plant_of_study(), seed))
+    stage = moving(scan, periods, SimulatedStage(plant_of_study(), SEED))
     displacement_um = np.mean([stage.exchange(scan.voltage_v) for _ in range(mean_of)], axis=0)
     return Scanned(Path(PLANT), scan, displacement_um)
 
 
-def imaged(scan: StoredScan, specimen: Field, plant: AxesPlantConfig | None = None,
-           seed: int = 21) -> AxesRecording:
+def imaged(scan: StoredScan, specimen: Field,
+           plant: AxesPlantConfig | None = None) -> AxesRecording:
     """Play two periods of a scan over a specimen; return the recording of the second."""
-    stage = moving(scan, 1, SimulatedStage(plant or plant_of_study(), seed, specimen=specimen))
+    stage = moving(scan, 1, SimulatedStage(plant or plant_of_study(), SEED, specimen=specimen))
     displacement_um = stage.exchange(scan.voltage_v)
     signals = dict(zip(stage.signals, stage.read_signals().T, strict=True))
     return AxesRecording(

@@ -64,7 +64,6 @@ def write_plant(content, path):
 
     Parameters
     ----------
-    content : dict
     path : Path
         Path of the file; its folder is created if it is missing.
     """

@@ -40,11 +40,12 @@ from piezo_studies.demo.operation_section import format_operation, operation_sec
 from piezo_studies.demo.run_directory import claim_directory
 from piezo_studies.demo.session import RunningGoal, Session, rest
 from piezo_studies.demo.summary import (
-    format_model_errors,
-    format_table,
-    format_tracking_errors,
+    aligned,
+    model_error_rows,
     summarise,
     summarise_run,
+    table_rows,
+    tracking_error_rows,
 )
 from piezo_studies.demo.tracked_run import read_tracked_run
 from piezo_studies.demo.tracking_pictures import draw_errors
@@ -120,22 +121,14 @@ def run_demo(plant, directory, command, progress, show_summary, has_second_part=
 
     Parameters
     ----------
-    plant : DemoPlant
     directory : Path
         Directory for the recordings, ``model.json``, ``summary.json``, ``report.html``, the figure
         ``tracking.png`` and the logs.
-    command : str
-        Command line of the user.
     progress : ProgressLine
     show_summary : callable
         Called with the summary of the first part after its report was written.
     has_second_part : bool
         Whether to run the second part; see `operation` and `diagnosed_scan`.
-
-    Returns
-    -------
-    summary : dict
-        Results of the demo.
 
     Raises
     ------
@@ -358,14 +351,14 @@ def run_given(options):
 
 
 def _print_results(summary):
-    print(format_table(summary))
+    print(aligned(table_rows(summary)))
     errors = ", ".join(f"{name.removesuffix('_percent').replace('_', ' ')} {value:.3f} %"
                        for name, value in summary["identification"].items())
     print(f"model on unseen data: {errors}")
     effects = " and ".join(entry["name"] for entry in summary["diagnosis"]["effects"])
     print(f"\ndiagnosis: {summary['diagnosis']['verdict']}"
           f"{', the model lacks ' + effects if effects else ''}\n")
-    print(f"{format_model_errors(summary)}\n\n{format_tracking_errors(summary)}\n")
+    print(f"{aligned(model_error_rows(summary))}\n\n{aligned(tracking_error_rows(summary))}\n")
     print(f"closed loop: {summary['lockstep_ratio']:.1f} simulated seconds a second; "
           f"the demo took {summary['wall_s']['all']:.0f} s", flush=True)
 

@@ -29,9 +29,6 @@ def render_report(plant, command, sections):
 
     Parameters
     ----------
-    plant : DemoPlant
-    command : str
-        Command line of the demo.
     sections : sequence of Section
     """
     return render_page(TITLE, _introduction(plant, command), sections)
@@ -52,8 +49,6 @@ def draw_runs(errors, model, recordings, tracks, directory):
 
     Parameters
     ----------
-    errors : dict of str to float
-        Errors of the model on unseen data, by name.
     recordings : sequence of path-like
         Recordings of `SHOWN_EXPERIMENTS`, in this order.
     tracks : sequence of path-like
@@ -84,8 +79,6 @@ def report_sections(summary, drawn, extended):
     summary : dict
         Summary from `summary.summarise`.
     drawn : DrawnRuns
-    extended : ExtendedModel
-        Result of the diagnosis.
     """
     return [
         _errors_section(summary), *drawn.sections,

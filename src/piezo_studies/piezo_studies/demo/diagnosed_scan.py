@@ -54,8 +54,6 @@ def diagnosed_scan(directory: Path, lines: int = LINES) -> DiagnosedScan:
     ----------
     directory : Path
         Folder for the models, the verdict, the images and their page.
-    lines : int
-        Lines of the images.
     """
     plant = linear_plant()
     identified = identify_several_axes(recorded("multisine", 1, plant))

@@ -60,8 +60,6 @@ def extended_model_sections(summary, runs, extended):
     ----------
     summary : dict
         Summary with the keys ``diagnosis`` and ``tracking_after``.
-    runs : list of TrackedRun
-        Runs with the original model.
     extended : ExtendedModel
     """
     return (_effects_section(extended.sentence, extended.verdict["effects"]),

@@ -71,7 +71,6 @@ def start_changing_stage(session, plant, directory):
 
     Parameters
     ----------
-    session : Session
     directory : Path
         Directory of the second part; the plant file is written to its folder ``monitor``.
 
@@ -101,8 +100,6 @@ def monitor_a_change(session, change_s, model, directory):
         Time returned by `start_changing_stage`.
     model : path-like
         Model that is monitored.
-    directory : Path
-        Directory for the recordings.
 
     Raises
     ------
@@ -125,14 +122,7 @@ def monitor_a_change(session, change_s, model, directory):
 
 
 def decide_a_cause(session, plant, model, directory):
-    """Scan a stage with a sensor lag, and decide with one recording what the model lacks.
-
-    Parameters
-    ----------
-    session : Session
-    directory : Path
-        Directory for plant file, recordings and diagnosis.
-    """
+    """Scan a stage with a sensor lag, and decide with one recording what the model lacks."""
     directory.mkdir(parents=True, exist_ok=True)
     session.start_stage(write_plant(with_sensor_lag(plant, LAG_S), directory / "plant.yaml"))
     session.wait_for_stage()
@@ -157,7 +147,6 @@ def second_part(session, plant, change_s, model, directory):
 
     Parameters
     ----------
-    session : Session
     change_s : float or None
         Time from `start_changing_stage`.
     model : path-like

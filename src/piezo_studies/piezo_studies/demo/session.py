@@ -22,12 +22,8 @@ class RunningGoal:
 
     Parameters
     ----------
-    name : str
-        Name of the action.
     show : callable
         Called with each feedback message while this goal is waited for.
-    **fields
-        Fields of the goal.
 
     Attributes
     ----------
@@ -80,10 +76,6 @@ class Session:
         Parameters of the stage node except its plant.
     rest_v : sequence of float
         Voltages before each run, for a second each.
-    is_active : callable
-        Returns whether the stage is active.
-    show : callable
-        Called with a description of each step.
     """
 
     def __init__(self, client, processes, stage_parameters, rest_v, is_active, show):

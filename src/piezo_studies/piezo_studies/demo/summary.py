@@ -54,10 +54,6 @@ def summarise(runs, identification, directory):
 def summarise_run(run, directory):
     """Return the errors of one run.
 
-    Parameters
-    ----------
-    run : TrackedRun
-
     Returns
     -------
     dict
@@ -96,22 +92,12 @@ def table_rows(summary):
               for entry in summary["tracking"])]
 
 
-def format_table(summary):
-    """Return the table of tracking errors as text."""
-    return _aligned(table_rows(summary))
-
-
 def model_error_rows(summary):
     """Return the table of the model's error before and after its extension."""
     before, after = summary["diagnosis"]["before"], summary["diagnosis"]["after"]
     return [["model error on unseen data", "before", "after"],
             ["RMS nm", *(f"{1e3 * errors['rms_um']:.1f}" for errors in (before, after))],
             ["e_y %", *(f"{errors['e_y_percent']:.3f}" for errors in (before, after))]]
-
-
-def format_model_errors(summary):
-    """Return the table of `model_error_rows` as text."""
-    return _aligned(model_error_rows(summary))
 
 
 def tracking_error_rows(summary):
@@ -129,12 +115,8 @@ def tracking_error_rows(summary):
     return rows
 
 
-def format_tracking_errors(summary):
-    """Return the table of `tracking_error_rows` as text."""
-    return _aligned(tracking_error_rows(summary))
-
-
-def _aligned(rows):
+def aligned(rows):
+    """Return a table as text, whose first row has the heads."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(text.rjust(width) for text, width in zip(row, widths, strict=True))
              for row in rows]

@@ -99,8 +99,6 @@ def draw_voltages(feedforward_v, feedback_v, run):
     Parameters
     ----------
     feedforward_v, feedback_v : ndarray, shape (N,)
-    run : TrackedRun
-        Run that gives the time.
     """
     shown, time_ms = _last_periods(run)
     figure = new_figure(4.4)

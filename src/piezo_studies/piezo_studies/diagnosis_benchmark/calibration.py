@@ -53,21 +53,29 @@ class Reliability:
                 f"{self.calibrated_most:.3f}")
 
 
-def bin_table(calibration):
-    """Return the table of how often statements came true, from a `Reliability.document`."""
-    return ["| probability of the first statement | cases | mean | true |", "|---|---|---|---|",
-            *(f"| {each['from']:.1f} to {each['to']:.1f} | {each['cases']} | "
-              f"{each['stated']:.2f} | {each['true']:.2f} |"
-              for each in calibration["bins"] if each["cases"])]
+def section_lines(head, calibration, outcomes, *rows):
+    """Return the lines of a section of docs/studies/diagnosis_rates.md.
 
-
-def error_rows(calibration):
-    """Return the rows of the error and of a calibrated program's, from a `Reliability.document`."""
+    Parameters
+    ----------
+    calibration : dict
+        Result of `Reliability.document`.
+    outcomes : iterable of (str, str, int)
+        Group, what came out, and how often.
+    rows : str
+        Further rows of the table of figures.
+    """
     calibrated = calibration["of_a_calibrated_program"]
     return [
+        head, "",
+        "| probability of the first statement | cases | mean | true |", "|---|---|---|---|",
+        *(f"| {each['from']:.1f} to {each['to']:.1f} | {each['cases']} | {each['stated']:.2f} | "
+          f"{each['true']:.2f} |" for each in calibration["bins"] if each["cases"]),
+        "", "| figure | value |", "|---|---|",
+        *(f"| {group}: {what} | {count} |" for group, what, count in outcomes),
         f"| expected calibration error | {calibration['expected_calibration_error']:.3f} |",
         f"| the same of a calibrated program, mean | {calibrated['mean']:.3f} |",
-        f"| in 95 of 100 of its runs at most | {calibrated['most']:.3f} |"]
+        f"| in 95 of 100 of its runs at most | {calibrated['most']:.3f} |", *rows, ""]
 
 
 def is_true(result, label, strict=False):
@@ -109,7 +117,6 @@ def first_statements(results, strict=False):
 
     Parameters
     ----------
-    results : list of dict
     strict : bool
         Passed to `is_true`.
 
@@ -162,13 +169,7 @@ def _means(sums, counts):
 
 
 def draw_reliability(axes, found):
-    """Draw the reliability diagram: fraction of true statements over their probability.
-
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-    found : Reliability
-    """
+    """Draw the reliability diagram: fraction of true statements over their probability."""
     shown = [(stated, true, count) for stated, true, count in zip(
         found.stated, found.true, found.counts, strict=True) if count]
     stated, true, counts = (np.array(part) for part in zip(*shown, strict=True))
@@ -188,8 +189,6 @@ def calibrate(results, strict=False):
 
     Parameters
     ----------
-    results : list of dict
-        Results of `run_case`.
     strict : bool
         Passed to `is_true`.
     """

@@ -30,10 +30,6 @@ def estimates(cause, effect, entries, nearest=None):
 
     Parameters
     ----------
-    effect : object
-        Effect of the plant.
-    entries : list of dict
-        Effects of a verdict.
     nearest : dict of str to float, optional
         Parameters of the named effect that approximate the hidden one best, if the forms differ;
         see `nearest_effect`.

@@ -52,8 +52,6 @@ class DrawnEffect:
     """The effect with its parameters."""
     contribution_rms_um: float
     """RMS of its contribution to the measured displacement, without the mean."""
-    beyond_gain_rms_um: float
-    """RMS of the part of the contribution that a change of the gain cannot explain."""
     plant: PlantConfig
     """The plant with the effect."""
 
@@ -301,8 +299,6 @@ def draw_effect(
         Sample period, rest voltage and seed with which the record will be played.
     noise_multiple : float
         RMS of the contribution, its mean removed, over the RMS of the sensor's noise.
-    seed : int
-        Seed of the effect's shape.
     clock_samples : int
         Samples of the stage's clock for each sample of the record; see `respond`.
 
@@ -330,17 +326,13 @@ def draw_effect(
     noise_um = next(e.noise_rms_um for e in plant.sensor if isinstance(e, DisplacementSensor))
     wanted_um = noise_multiple * noise_um
 
-    varying_um = without_um - without_um.mean()
-
     @cache
     def drawn(log_strength):
         effect = family(math.exp(log_strength))
         with_it = add_effect(plant, effect)
         added_um = response_um(with_it, voltage_v, surroundings, clock_samples) - without_um
         added_um -= added_um.mean()
-        gain = added_um @ varying_um / max(varying_um @ varying_um, 1e-300)
-        beyond_um = added_um - gain * varying_um
-        return DrawnEffect(cause, effect, _rms(added_um), _rms(beyond_um), with_it)
+        return DrawnEffect(cause, effect, _rms(added_um), with_it)
 
     def excess(log_strength):
         return math.log(max(drawn(log_strength).contribution_rms_um, 1e-12) / wanted_um)

@@ -41,13 +41,7 @@ def strongest(result):
 
 
 def refused(case, error):
-    """Return the result of a case that could not be diagnosed.
-
-    Parameters
-    ----------
-    case : Case
-    error : Exception
-    """
+    """Return the result of a case that could not be diagnosed."""
     return {"number": case.number, "plant": case.plant, "kind": case.kind,
             "causes": list(case.causes), "verdict": "refused", "error": str(error)}
 
@@ -88,13 +82,7 @@ def outcome(result):
 
 
 def summary(results):
-    """Return the figures with their targets, the confusion table and the outcomes.
-
-    Parameters
-    ----------
-    results : list of dict
-        Results of `run_case`.
-    """
+    """Return the figures with their targets, the confusion table and the outcomes."""
     counted: dict[str, Counter[str]] = {
         group: Counter() for group in ("clear", "weak", "clean", "outside")}
     confusion: dict[str, Counter[str]] = {}

@@ -119,15 +119,7 @@ def clock_samples(experiment):
 
 
 def record(plant, experiment, seed):
-    """Play an experiment from rest, and return the recording.
-
-    Parameters
-    ----------
-    plant : PlantConfig
-    experiment : piezo_identification.experiments.catalogue.Experiment
-    seed : int
-        Seed of everything random in the plant.
-    """
+    """Play an experiment from rest, and return the recording."""
     voltage_v, flags = commanded(experiment)
     measured_um = respond(
         plant, voltage_v, surroundings(experiment, seed), clock_samples(experiment))
@@ -141,15 +133,7 @@ def record(plant, experiment, seed):
 
 
 def play_proposed(plant, experiment, seed):
-    """Play a proposed experiment like the stage: at its clock, with means over held values.
-
-    Parameters
-    ----------
-    plant : PlantConfig
-    experiment : piezo_identification.experiments.catalogue.Experiment
-    seed : int
-        Seed of everything random in the plant.
-    """
+    """Play a proposed experiment like the stage: at its clock, with means over held values."""
     clock_hz = STAGE_LIMITS.sample_rate_hz
     held = round(experiment.sample_period_s * clock_hz)
     voltage_v, flags = commanded(experiment)
@@ -166,7 +150,6 @@ def player_of_proposals(plant, seed):
 
     Parameters
     ----------
-    plant : PlantConfig
     seed : int
         Seed of the previous recording; each further recording uses the next one.
     """

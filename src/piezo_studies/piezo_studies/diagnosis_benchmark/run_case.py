@@ -42,10 +42,6 @@ WEAKEST_MULTIPLE = 1e-2
 def identified_model(plant, seed):
     """Identify a model of a plant, including its effects, from designed experiments.
 
-    Parameters
-    ----------
-    plant : PlantConfig
-
     Returns
     -------
     IdentifiedModel
@@ -82,7 +78,6 @@ def run_case(case, clean, experiments=0):
 
     Parameters
     ----------
-    case : Case
     clean : (IdentifiedModel, tuple of Recording)
         Model and recordings of the plant without effects; see `identified_model`.
     experiments : int

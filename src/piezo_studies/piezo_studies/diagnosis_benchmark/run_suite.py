@@ -27,7 +27,6 @@ def run_suite(client, count, seed, progress=None, all_along=False, experiments=0
 
     Parameters
     ----------
-    client : distributed.Client
     count, seed : int
         Number of cases, and the seed of everything random.
     progress : callable, optional

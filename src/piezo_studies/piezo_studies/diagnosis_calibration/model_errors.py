@@ -21,8 +21,6 @@ def errors_over_stated(seed, plant, identified):
     ----------
     seed, plant : int
         Seed and number of the plant.
-    identified : IdentifiedModel
-        Model of this plant.
 
     Returns
     -------

@@ -5,15 +5,14 @@ from collections import Counter
 
 from piezo_common.picture_style import new_figure, to_png
 from piezo_studies.diagnosis_benchmark.calibration import (
-    bin_table,
     calibrate,
     draw_reliability,
-    error_rows,
+    section_lines,
 )
 from piezo_studies.diagnosis_benchmark.coverage import KNOWN, coverage
 from piezo_studies.diagnosis_benchmark.outcome import outcome
 from piezo_studies.diagnosis_calibration.study import figures
-from piezo_studies.marked_sections import with_sections
+from piezo_studies.marked_sections import write_sections
 
 SECTION = "small cases"
 """Mark of the section in the page."""
@@ -21,37 +20,25 @@ PICTURE = "diagnosis_calibration.png"
 
 
 def section(seed, results):
-    """Return the text of the section.
-
-    Parameters
-    ----------
-    results : list of dict
-        Results of `run_small_case`.
-    """
+    """Return the text of the section."""
     reliability, intervals = figures(results)
-    calibration = reliability.document()
-    lines = [f"{len(results)} cases of seed {seed}:", "", *bin_table(calibration), "",
-             "| figure | value |", "|---|---|"]
     counts = Counter(outcome(result) for result in results)
-    lines += [f"| {group}: {what} | {count} |" for (group, what), count in sorted(counts.items())]
     strict = calibrate(results, strict=True).expected_calibration_error
     explained = coverage([each for each in results if each["verdict"] == "explained"])
     level = f"{100 * intervals['level']:.0f} % intervals"
-    lines += [
-        *error_rows(calibration),
-        f"| expected calibration error, strict | {strict:.3f} |",
-        f"| {level} that contain the parameter | "
-        f"{_right_of(intervals)} |",
-        f"| the same, where it is explained | {_right_of(explained)} |",
-        f"| the same, of the parameter that was drawn | {_right_of(coverage(results, 'drawn'))} |"]
-    lines += [
-        f"| {level} of `{cause}` | {_right_of(found)} |"
-        for cause in KNOWN if (found := coverage(_with_cause(results, cause)))["intervals"]]
-    lines += [
-        "",
+    return "\n".join([
+        *section_lines(
+            f"{len(results)} cases of seed {seed}:", reliability.document(),
+            ((*what, count) for what, count in sorted(counts.items())),
+            f"| expected calibration error, strict | {strict:.3f} |",
+            f"| {level} that contain the parameter | {_right_of(intervals)} |",
+            f"| the same, where it is explained | {_right_of(explained)} |",
+            "| the same, of the parameter that was drawn | "
+            f"{_right_of(coverage(results, 'drawn'))} |",
+            *(f"| {level} of `{cause}` | {_right_of(found)} |" for cause in KNOWN
+              if (found := coverage(_with_cause(results, cause)))["intervals"])),
         f"![How often statements come true, over their probability](pictures/{PICTURE})", "",
-        "Table and picture are made by `make calibration`.", ""]
-    return "\n".join(lines)
+        "Table and picture are made by `make calibration`.", ""])
 
 
 def _right_of(found):
@@ -66,18 +53,12 @@ def _with_cause(results, cause):
 def write_page(page, seed, results):
     """Replace the section of a page and its figure; the other text of the page is unchanged.
 
-    Parameters
-    ----------
-    results : list of dict
-
     Raises
     ------
     ValueError
         If the page has no such section.
     """
-    text = page.read_text(encoding="utf-8")
-    page.write_text(
-        with_sections(text, {SECTION: section(seed, results)}), encoding="utf-8")
+    write_sections(page, {SECTION: section(seed, results)})
     figure = new_figure()
     draw_reliability(figure.subplots(), figures(results)[0])
     picture = page.parent / "pictures" / PICTURE

@@ -68,10 +68,6 @@ def draw_case(number, seed):
 def waveform(case):
     """Return the experiment of a case.
 
-    Parameters
-    ----------
-    case : SmallCase
-
     Returns
     -------
     Experiment

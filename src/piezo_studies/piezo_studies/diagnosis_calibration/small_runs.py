@@ -24,7 +24,6 @@ def run_small_case(case, identified):
 
     Parameters
     ----------
-    case : SmallCase
     identified : IdentifiedModel
         Model of the plant without effects.
 

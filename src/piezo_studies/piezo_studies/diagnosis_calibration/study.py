@@ -17,19 +17,8 @@ def run_study(seed, count, directory, seconds, report):
 
     Parameters
     ----------
-    seed, count : int
-        Seed and number of the cases.
-    directory : Path
-        Directory of models and results.
     seconds : float
         Processor time after which no further case is started.
-    report : callable
-        Called with the number of cases done.
-
-    Returns
-    -------
-    list of dict
-        Results of the completed cases.
     """
     directory.mkdir(parents=True, exist_ok=True)
     file, models = KeptResults(directory / f"cases_{seed}.jsonl"), {}
@@ -50,10 +39,6 @@ def run_study(seed, count, directory, seconds, report):
 
 def figures(results):
     """Return the calibration and the coverage of results.
-
-    Parameters
-    ----------
-    results : list of dict
 
     Returns
     -------

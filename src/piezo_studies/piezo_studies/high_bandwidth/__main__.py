@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Design feedbacks beyond the first mode by every method, and write the page that compares them."""
+"""Design feedbacks beyond the first mode by every method, and write tables that compare them."""
 
 import argparse
 import json
 import sys
 from pathlib import Path
 
-from piezo_studies.high_bandwidth.page import draw, page
+from piezo_studies.high_bandwidth.page import draw, sections
 from piezo_studies.high_bandwidth.trade_off import TITLES, Compared, compare
+from piezo_studies.marked_sections import write_sections
 from piezo_studies.thesis.identified_stage import identified_stage
 from piezo_studies.thesis.pictures import small_png
 
@@ -19,7 +20,8 @@ def main(arguments: list[str] | None = None) -> None:
                         help="directory of the controller files, from which a run goes on, and of "
                              "what searches found")
     parser.add_argument("--page", type=Path, default=Path("docs/high_bandwidth.md"),
-                        help="page; its picture goes to pictures next to it")
+                        help="page whose tables are written again; its picture goes to pictures "
+                             "next to it")
     parser.add_argument("--effort", type=float, default=1.0,
                         help="multiplies the number of controllers that are tried")
     options = parser.parse_args(arguments)
@@ -42,7 +44,7 @@ def main(arguments: list[str] | None = None) -> None:
               flush=True)
         # Write the row of each design at once, so that an interrupted run is not lost.
         (pictures / "high_bandwidth.png").write_bytes(small_png(draw(compared)))
-        options.page.write_text(page(model, compared, searches), encoding="utf-8")
+        write_sections(options.page, sections(compared, searches))
 
     compare(model, take, options.output, options.effort)
     print(f"{len(compared)} designs: {options.page}")

@@ -1,84 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The page and the figure of the study."""
+"""The tables and the figure of the study."""
 
 from itertools import cycle
 
 import numpy as np
 
 from piezo_common.picture_style import CURVES, LIMIT, label, new_figure
-from piezo_controller.feedback.sample_rate.demands import Demands
-from piezo_controller.feedback.sample_rate.perturbed_loops import light_mode
-from piezo_studies.high_bandwidth.trade_off import DEMANDS, LIGHT_MODE_ERRORS, TITLES
-
-TABLES = ((False, "The model itself"), (True, "Every stage"))
+from piezo_studies.high_bandwidth.trade_off import LIGHT_MODE_ERRORS, TITLES
 
 HEADER = ("method", "light mode off by", "worst peak", "margin", "bandwidth", "lowest bandwidth",
           "at 50 Hz", "least", "at 100 Hz", "least", "added noise", "noise of the voltage", "order")
-
-INTRODUCTION = """\
-# Feedback beyond the first mode
-
-Written by `make high-bandwidth`; do not edit.
-
-A law that runs at the sample clock (40 kHz) can have a bandwidth beyond the first mode of the
-stage. The function `piezo_controller.feedback.sample_rate.fast_design.design_at_sample_rate` takes
-an identified model and returns a controller at the clock's period. `save_controller` writes it to
-a [controller file](files.md#controller). This page compares its methods on the identified model of
-the simulated stage, whose dynamics are those that the thesis identified.
-
-**The loop.** The stage evaluates the law itself: the measured displacement of a sample acts on the
-voltage of the next one. `track` uploads such a controller file like one of the tick's rate. The
-modes lie at {modes_hz}.
-
-**The demands.** The -3 dB bandwidth of the closed loop is at least {ratio:g} times the first mode
-({bandwidth_hz:.0f} Hz). A disturbance of the displacement is attenuated by {attenuation}, for any
-frequency within {tolerance:g} % of these. The *margin* is the smallest amount by which the demands
-are exceeded: in the first table for the model itself, in the second for the worst of all stages.
-
-**The bounds, equal for all methods.** The loop is stable, and its sensitivity stays below
-{peak:g}, for every stage of a set: both ends of the gain of the hysteresis, every parameter off
-by {parameter:.0f} %, and the lightly damped mode off by the error of the row. The noise of the
-sensor is {noise_nm:.0f} nm. According to the thesis it is white and sampled at 40 kHz (section
-1.2), and the simulator draws it for every sample of the 40 kHz clock. It is therefore white up to
-20 kHz, with {density:.3f} nm per root Hz. It may add {added_nm:.0f} nm to the displacement and
-{voltage:g} V to the voltage, both RMS. By default `design_at_sample_rate` allows
-{default_voltage:g} V, because the guards of the stage interpret more as an oscillation. By
-default, no stage of the set may amplify an error that is slower than half the lowest disturbance
-either.
-
-**The methods.** A controller of *fixed order* consists of an integrator, seven pairs of poles,
-six pairs of zeros, and some real poles and zeros. It is tuned for all stages at once by
-sequential linear programming, with the derivatives of every loop at every frequency and many
-restarts. `piezo_studies.high_bandwidth.search` searches for initial values, see below. The tuning
-ends at a margin of 3 dB, which is the decrease of the closed loop at the edge of its band. Its
-*resonances* attenuate the disturbances in a narrow band and need no gain elsewhere: between the
-two frequencies the attenuation is that of a slow loop. This is the method of
-`design_at_sample_rate`. The other methods have few parameters, are searched by trial, and serve
-for comparison (`piezo_controller.feedback.sample_rate.searched_designs`). H-infinity has the
-weights of a four-block problem and constant scalings D of two uncertainties: the gain and the
-square of the frequency of the lightly damped mode, which it treats as complex. Its rows are
-results of the search, not the best possible with the method. A row in brackets exceeds a bound,
-because the search found nothing within the bounds.
-
-![Margin to the demands against the error of the light mode](pictures/high_bandwidth.png)
-
-Where a line lies above zero, all demands are met. A point is missing if the search found
-nothing within the bounds.
-
-**Why the lightly damped mode limits the loop.** The phase of a mode below and above its resonance
-differs by 180 degrees. With an error of 20 %, the resonance lies anywhere from {low_hz:.0f} Hz to
-{high_hz:.0f} Hz. In this band the phase of the loop is uncertain by 180 degrees, and its gain by
-the {peak_db:.0f} dB of the resonance.
-"""
-
-
-SEARCHES = """\
-## From drawn starts
-
-`python -m piezo_studies.high_bandwidth.search` draws the parameters of a controller of fixed order
-from a seed, tunes them for increasing errors of the lightly damped mode, and varies the best at
-random. A search proves no bound: better controllers may exist.
-"""
 
 SEARCH_HEADER = "light mode off by", "to reach the demands", "seed", "starts, trials", "margin"
 
@@ -126,32 +57,12 @@ def _row(row):
     return cells if row.keeps_bounds else [cells[0], *(f"({cell})" for cell in cells[1:])]
 
 
-def page(model, compared, searches=()):
-    """Return the page on designs and search results as Markdown."""
-    demands = DEMANDS
-    modes_hz = np.array(model.dynamics.mode_frequencies_rad_per_s) / (2 * np.pi)
-    light_hz = modes_hz[light_mode(model)]
-    parts = [INTRODUCTION.format(
-        modes_hz=" and ".join(f"{mode_hz:.0f} Hz (damping ratio {damping:.2f})" for mode_hz, damping
-                              in zip(modes_hz, model.dynamics.damping_ratios, strict=True)),
-        ratio=demands.bandwidth_ratio, bandwidth_hz=demands.bandwidth_ratio * modes_hz.min(),
-        attenuation=" and ".join(f"{db:g} dB at {hz:g} Hz" for hz, db in zip(
-            demands.disturbance_hz, demands.attenuation_db, strict=True)),
-        parameter=100 * demands.errors.parameter, noise_nm=1e3 * demands.sensor_noise_um,
-        density=1e3 * demands.sensor_noise_um / np.sqrt(20e3),
-        tolerance=100 * demands.disturbance_tolerance, peak=demands.worst_peak_sensitivity,
-        low_hz=0.8 * light_hz, high_hz=1.2 * light_hz,
-        peak_db=-20 * np.log10(2 * min(model.dynamics.damping_ratios)),
-        added_nm=1e3 * demands.added_noise_um, voltage=demands.noise_voltage_v,
-        default_voltage=Demands().noise_voltage_v)]
-    for every_stage, title in TABLES:
-        rows = [HEADER, ["---"] * len(HEADER),
-                *(_row(row) for row in compared if row.of_every_stage == every_stage)]
-        parts.append(f"## {title}\n\n" + _table(rows))
+def sections(compared, searches=()):
+    """Return the tables of designs and of search results, by their marks in the page."""
+    tables = {name: [HEADER, ["---"] * len(HEADER),
+                     *(_row(row) for row in compared if row.of_every_stage == every_stage)]
+              for every_stage, name in ((False, "the model itself"), (True, "every stage"))}
     if searches:
-        parts.append(SEARCHES + "\n" + _table(searched_table(searches)))
-    return "\n".join(parts)
-
-
-def _table(rows):
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in rows) + "\n"
+        tables["searches"] = searched_table(searches)
+    return {f"designs: {name}": "".join("| " + " | ".join(cells) + " |\n" for cells in rows)
+            for name, rows in tables.items()}

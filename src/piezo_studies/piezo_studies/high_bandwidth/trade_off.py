@@ -18,7 +18,8 @@ from piezo_controller.feedback.synthesis.generalised_plant import nominal_hyster
 from piezo_models.cascade import StageModel
 
 DEMANDS = Demands(noise_voltage_v=3.3, slow_sensitivity=4.0)
-"""Demands of the comparison, with weaker bounds than the defaults of `design_at_sample_rate`."""
+"""Demands of the comparison, with weaker bounds than the defaults of `design_at_sample_rate`.
+docs/high_bandwidth.md states them."""
 
 LIGHT_MODE_ERRORS = (0.05, 0.10, 0.15, 0.20)
 
@@ -59,8 +60,6 @@ def compare(model: StageModel, take: Callable[[Compared], None], kept: Path,
 
     Parameters
     ----------
-    take : callable
-        Called with every design.
     kept : pathlib.Path
         Directory of controller files; a saved design for the same demands is used again.
     effort : float

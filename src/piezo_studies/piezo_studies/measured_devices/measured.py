@@ -108,11 +108,6 @@ def scanner(directory):
     The recordings are slow and have no time base. Only the hysteresis is fitted, so that the creep
     is part of the error.
 
-    Parameters
-    ----------
-    directory : path-like
-        Directory of the measured data.
-
     Returns
     -------
     figures : list of Figure
@@ -142,11 +137,6 @@ def scanner(directory):
 
 def cantilever(directory):
     """Fit ringing and first cycles of the cantilever, and test on the following ones.
-
-    Parameters
-    ----------
-    directory : path-like
-        Directory of the measured data.
 
     Returns
     -------
@@ -181,11 +171,6 @@ def cantilever(directory):
 
 def nanopositioner(directory):
     """Fit the frequency response of the nanopositioner, and predict omitted frequencies.
-
-    Parameters
-    ----------
-    directory : path-like
-        Directory of the measured data.
 
     Returns
     -------

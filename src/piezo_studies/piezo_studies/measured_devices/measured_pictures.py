@@ -21,15 +21,7 @@ POINTS = MEASURED | {"linestyle": "none", "marker": "o", "markersize": 4}
 
 
 def draw_loops_and_difference(path, title, prediction):
-    """Draw displacement over voltage, and the difference sample by sample.
-
-    Parameters
-    ----------
-    path : path-like
-        Picture to write.
-    title : str
-    prediction : Prediction
-    """
+    """Draw displacement over voltage, and the difference sample by sample."""
     figure = new_figure(4.0, WIDE_IN)
     left, right = figure.subplots(1, 2)
     left.plot(prediction.voltage_v, prediction.measured_um, **MEASURED)
@@ -48,10 +40,6 @@ def draw_ringing(path, title, ringing, fitted_s):
 
     Parameters
     ----------
-    path : path-like
-        Picture to write.
-    title : str
-    ringing : Ringing
     fitted_s : float
         Time after the jump up to which the dynamics were fitted.
     """
@@ -77,9 +65,6 @@ def draw_frequency_response(path, title, frequency_hz, measured, modelled, predi
 
     Parameters
     ----------
-    path : path-like
-        Picture to write.
-    title : str
     frequency_hz : ndarray, shape (N,)
     measured : ndarray of complex, shape (N,)
     modelled, predicted : ndarray of complex, shape (N,)

@@ -38,13 +38,7 @@ FILES = tuple(f"{FOLDER}/{signal}_{level}mV_{part}.npy" for level in LEVELS_MV
 
 
 def mirror(directory: Path) -> tuple[list[Figure], IdentifiedAxes]:
-    """Identify one model from the training data of all levels, and predict their test data.
-
-    Parameters
-    ----------
-    directory : path-like
-        Directory of the measured data.
-    """
+    """Identify one model from the training data of all levels, and predict their test data."""
     fitted = [each for level in LEVELS_MV for each in _recordings(directory, level, "train")]
     identified = identify_several_axes(fitted, pairs=PAIRS, note=print)
     figures = []

@@ -47,13 +47,7 @@ class Benchmark:
 
 
 def circuit(directory: Path) -> Benchmark:
-    """Identify the circuit on multisines, diagnose it, and predict further ones and the arrow.
-
-    Parameters
-    ----------
-    directory : path-like
-        Directory of the measured data.
-    """
+    """Identify the circuit on multisines, diagnose it, and predict further ones and the arrow."""
     multisine, arrow = (read_recording(Path(directory) / name) for name in (CIRCUIT, ARROW))
     fitted, unseen = divided(multisine)
     identified = identify(dynamics=fitted)
@@ -77,11 +71,6 @@ def bouc_wen(directory: Path) -> Benchmark:
     """Identify the hysteretic oscillator on noisy multisines, diagnose it, and predict unseen data.
 
     The training data have no noise; the benchmark's rules add `NOISE_UM` RMS.
-
-    Parameters
-    ----------
-    directory : path-like
-        Directory of the measured data.
     """
     train, multisine, sweep = (
         read_recording(Path(directory) / name)

@@ -88,8 +88,6 @@ def coupled_flexures(mass: FloatArray, damping: FloatArray, stiffness: FloatArra
     mass, damping, stiffness : ndarray, shape (B, B)
     force, reading : ndarray, shape (B,)
         Weights of the force on the bodies, and of the bodies in the sensor's reading.
-    direct : float
-        Direct part of the gain.
     """
     bodies = len(mass)
     a = np.block([[np.zeros((bodies, bodies)), np.eye(bodies)],
@@ -160,8 +158,6 @@ def knots_s(period_s: float, fastest_per_s: float, read_s: float) -> FloatArray:
 
     Parameters
     ----------
-    period_s : float
-        Period of the rows.
     fastest_per_s : float
         Magnitude of the fastest pole before the hysteresis; 0 if there is none.
     read_s : float

@@ -62,13 +62,7 @@ class Known:
 
 
 def record(make: Make, folder: Path, seed: int) -> None:
-    """Write the tables of a make and their true values, unless the folder already has them.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the noise.
-    """
+    """Write the tables of a make and their true values, unless the folder already has them."""
     if (folder / KNOWN).exists():
         return
     folder.mkdir(parents=True, exist_ok=True)

@@ -61,17 +61,7 @@ class _Publisher:
 
 
 def compare(model: StageModel, seed: int = 11, duration_s: float = DURATION_S) -> list[Followed]:
-    """Follow one reference with every preview, without and with feedback.
-
-    Parameters
-    ----------
-    model : StageModel
-        Model of the simulated stage.
-    seed : int
-        Seed of the reference.
-    duration_s : float
-        Duration of the reference.
-    """
+    """Follow one reference with every preview, without and with feedback."""
     reference = trajectory(Reference(
         "random", (BAND_HZ,), (AMPLITUDE_UM,), (), CENTRE_UM, seed=seed))
     samples = round(duration_s * CLOCK.sample_rate_hz)
@@ -141,4 +131,4 @@ def table(rows: Sequence[Followed]) -> str:
             f"| {known} | {'H-infinity, 1 kHz' if row.composite else 'none'} | "
             f"{row.e_rms_percent:.3f} % | {1e3 * row.largest_error_um:.0f} nm | "
             f"{row.model_e_rms_percent:.4f} % | {1e3 * row.delay_s:.1f} ms |")
-    return "\n".join(lines)
+    return "\n".join(lines) + "\n"

@@ -41,8 +41,6 @@ def displacement_um(stage: Stage, voltage_v: FloatArray, period_s: float) -> Flo
     Parameters
     ----------
     voltage_v : ndarray, shape (N,)
-    period_s : float
-        Period of the rows.
 
     Returns
     -------

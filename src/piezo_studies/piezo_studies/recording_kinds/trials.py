@@ -144,8 +144,6 @@ def recorded(stage: str, name: str, played: Played, variant: str, folder: Path) 
     ----------
     stage : str
         Key of `STAGES`.
-    name : str
-        Name in that of the file.
     variant : str
         One of `VARIANTS` except the last.
     """

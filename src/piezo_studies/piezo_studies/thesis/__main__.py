@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Run all studies: print the table, and write it as JSON and as a page with pictures."""
+"""Run all studies: print the table, and write it as JSON and, with pictures, into a page."""
 
 import argparse
 import sys
 import time
 from pathlib import Path
 
-from piezo_studies.thesis.page import page
+from piezo_studies.marked_sections import write_sections
 from piezo_studies.thesis.pictures import small_png
 from piezo_studies.thesis.studies import STUDIES
-from piezo_studies.thesis.table import as_json, as_text
+from piezo_studies.thesis.table import as_json, as_markdown, as_text
+
+SECTION = "reproduced figures"
+"""Mark of the table in the page."""
 
 
 def main(arguments=None):
@@ -18,7 +21,8 @@ def main(arguments=None):
     parser.add_argument("--output", type=Path, default=Path("runs/reproduce"),
                         help="directory of table.json")
     parser.add_argument("--page", type=Path, default=Path("docs/reproduction.md"),
-                        help="page; its pictures go to pictures/reproduction next to it")
+                        help="page whose table is written again; its pictures go to "
+                             "pictures/reproduction next to it")
     options = parser.parse_args(arguments)
     pictures = options.page.parent / "pictures" / "reproduction"
     for directory in (options.output, pictures):
@@ -33,7 +37,7 @@ def main(arguments=None):
         (options.output / "table.json").write_text(as_json(rows), encoding="utf-8")
         for figure, drawing in result.pictures.items():
             (pictures / f"figure_{figure}.png").write_bytes(small_png(drawing))
-    options.page.write_text(page(rows), encoding="utf-8")
+    write_sections(options.page, {SECTION: as_markdown(rows) + "\n"})
     print(as_text(rows))
     print(f"{len(rows)} rows in {time.monotonic() - begin_s:.0f} s: "
           f"{options.output / 'table.json'}, {options.page}")

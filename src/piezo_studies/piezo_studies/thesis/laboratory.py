@@ -19,7 +19,7 @@ SAMPLES_AT_ONCE = 400_000
 """Number of clock samples simulated at once."""
 
 
-def record_stage(name, voltage_v, before_v=(), held=1, clock_hz=CLOCK_HZ, seed=1):
+def record_stage(name, voltage_v, before_v=(), held=1, clock_hz=CLOCK_HZ, seed=1, plant=None):
     """Play voltages on the simulated stage, which has rested at 0 V, and record them.
 
     Parameters
@@ -29,10 +29,10 @@ def record_stage(name, voltage_v, before_v=(), held=1, clock_hz=CLOCK_HZ, seed=1
         Voltages of a ramp from rest, which are played first.
     held : int
         Clock samples for which each voltage is held; the displacement is their mean.
-    seed : int
-        Seed of the sensor's noise.
+    plant : str, optional
+        Name of the plant; the default one by default.
     """
-    stage = SimulatedStage(seed=seed, sample_rate_hz=clock_hz)
+    stage = SimulatedStage(plant, seed, clock_hz)
     stage.open()
     played_v = np.concatenate([before_v, voltage_v])
     displacement_um = np.empty(played_v.size)
@@ -44,13 +44,13 @@ def record_stage(name, voltage_v, before_v=(), held=1, clock_hz=CLOCK_HZ, seed=1
     return recording(name, played_v, displacement_um, clock_hz, held, len(before_v))
 
 
-def record_experiment(experiment, clock_hz=CLOCK_HZ, seed=1):
+def record_experiment(experiment, clock_hz=CLOCK_HZ, seed=1, plant=None):
     """Record an experiment on the simulated stage after a quick ramp from rest."""
     held = round(experiment.sample_period_s * clock_hz)
     count = max(1, round(0.1 * clock_hz / held))
     before_v = np.linspace(0.0, experiment.voltage_v[0], count)
     voltage_v = np.tile(experiment.voltage_v, experiment.repeats)
-    return record_stage(experiment.name, voltage_v, before_v, held, clock_hz, seed)
+    return record_stage(experiment.name, voltage_v, before_v, held, clock_hz, seed, plant)
 
 
 def record_model(name, model, voltage_v, sample_period_s, noise_um, seed=1):

@@ -31,8 +31,6 @@ def play_run(run: TrackingRun, plan: FeedforwardPlan,
 
     Parameters
     ----------
-    plan : FeedforwardPlan
-        Plan of the run.
     exchange : callable
         Plays voltages, shape (n,), and returns the displacements measured at their start, like the
         backend of a stage.

@@ -13,7 +13,7 @@ from piezo_models.axes.coupled import CoupledModel
 from piezo_models.feedback_law.axes_law import AxesLaw
 from piezo_models.feedback_law.feedback_law import DeclaredPlant, LinearBlock
 from piezo_studies.coupled_scans import feedback_trials, xy_stage
-from piezo_studies.coupled_scans.__main__ import IMAGES, SECTIONS, table
+from piezo_studies.coupled_scans.__main__ import SECTIONS, table
 from piezo_studies.coupled_scans.feedback_trials import FeedbackRow, feedback_table
 from piezo_studies.coupled_scans.images import image_table, images_figure, images_of_grating
 from piezo_studies.coupled_scans.marks import MarkRow, mark_table
@@ -28,7 +28,7 @@ def test_page_has_a_table_of_every_trial():
     before = PAGE.read_text(encoding="utf-8")
     sections = {SECTIONS + name: table(name, [ROW]) for name in TABLES}
     after = with_sections(before, sections | {
-        SECTIONS + IMAGES: image_table({}, None),
+        SECTIONS + "images": image_table({}, None),
         SECTIONS + "marks": mark_table(iter(())),
         SECTIONS + "feedback": feedback_table(iter(()))}, SECTIONS)
     assert image_table({}, None) in before, "run make coupled-scans"

@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 
 from piezo_studies.demo.summary import (
-    format_model_errors,
-    format_table,
-    format_tracking_errors,
+    aligned,
+    model_error_rows,
     summarise,
     summarise_run,
+    table_rows,
+    tracking_error_rows,
 )
 from piezo_studies.demo.tracked_run import read_tracked_run
 
@@ -70,7 +71,7 @@ def test_the_table_sets_the_thesis_beside_ours_and_a_dash_where_it_has_none(
         tracking_recordings, tmp_path):
     runs = [read_tracked_run(tracking_recordings.write(
         tmp_path / mode, mode=mode, error_um=0.2)) for mode in ("feedforward", "composite")]
-    head, rule, *rows = format_table(summarise(runs, {}, tmp_path)).splitlines()
+    head, rule, *rows = aligned(table_rows(summarise(runs, {}, tmp_path))).splitlines()
     assert [row.split()[:5] for row in rows] == [
         ["100", "40", "feedforward", "0.500", "-"], ["100", "40", "composite", "0.500", "1.21"]]
     assert len({len(line) for line in (head, rule, *rows)}) == 1
@@ -85,9 +86,9 @@ def test_errors_before_and_after_stand_side_by_side(tracking_recordings, tmp_pat
         "tracking_after": [summarise_run(after, tmp_path)],
         "diagnosis": {"before": {"rms_um": 0.03, "e_y_percent": 0.1},
                       "after": {"rms_um": 0.0111, "e_y_percent": 0.04}}}
-    *_, row = format_tracking_errors(summary).splitlines()
+    *_, row = aligned(tracking_error_rows(summary)).splitlines()
     assert row.split() == ["100", "40", "composite", "0.500", "0.050", "1.21"]
-    *_, rms, e_y = format_model_errors(summary).splitlines()
+    *_, rms, e_y = aligned(model_error_rows(summary)).splitlines()
     assert rms.split()[-2:] == ["30.0", "11.1"] and e_y.split()[-2:] == ["0.100", "0.040"]
 
 

@@ -3,10 +3,7 @@ import numpy as np
 import pytest
 
 from piezo_controller.feedback.feedback_design import FeedbackController
-from piezo_models.cascade import StageModel
-from piezo_models.hysteresis.preisach import PreisachModel
-from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
-from piezo_studies.high_bandwidth.page import draw, page, searched_table
+from piezo_studies.high_bandwidth.page import draw, searched_table, sections
 from piezo_studies.high_bandwidth.trade_off import LIGHT_MODE_ERRORS, TITLES, Compared
 
 
@@ -31,16 +28,12 @@ def compared():
 
 
 def test_what_exceeds_a_bound_stands_in_brackets(compared):
-    model = StageModel(PreisachModel(-20.0, 120.0, np.eye(2)), CreepDynamics(),
-                       ElectricVibrationDynamics(0.0005, (2846.0, 4909.0), (0.68535, 0.081992)))
-    text = page(model, compared)
+    text = sections(compared)["designs: the model itself"]
     assert ("| H-infinity | 5 % | 3.99 | +1.2 dB | 750 Hz | 607 Hz | 33.1 dB | 31.9 dB | "
             "21.2 dB | 19.8 dB | 3.6 nm | 3.00 V | 7 |") in text
     assert "| notch + PI | (5 %) | (4.60) |" in text
     assert "(5.00 V)" in text
     assert "| not stable |" in text
-    assert "781 Hz (damping ratio 0.08)" in text
-    assert "(544 Hz)" in text
 
 
 def test_what_searches_found_is_told_beside_their_seeds():

@@ -36,8 +36,6 @@ def design_at_sample_rate(model: StageModel, demands: Demands | None = None,
         Model with a mode, and without antiresonances.
     effort : float
         Factor on the number of controllers that are tried.
-    seed : int
-        Seed of the search.
     delay_ticks : int
         Computing time in samples: 0 if the stage evaluates the feedback by itself, so that a
         sample is answered by the next one; 1 if it is answered one sample later.
@@ -77,8 +75,6 @@ def measured_design(controller: control.StateSpace, model: StageModel, demands: 
 
     Parameters
     ----------
-    loops : PerturbedLoops
-        Stages that it is evaluated with.
     own : dict
         Entries of the report that are specific to the method.
 

@@ -52,8 +52,6 @@ def lower_largest(linearise: Callable[[FloatArray], Linearised], numbers: FloatA
     numbers : ndarray, shape (n,)
         Initial parameters; admissible.
     low, high : ndarray, shape (n,)
-    steps : int
-        Largest number of steps.
 
     Returns
     -------

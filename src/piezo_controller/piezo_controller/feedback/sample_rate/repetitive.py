@@ -38,12 +38,9 @@ class Repetitive:
     frequency_hz : float
         Fundamental frequency. Multiples above the first mode are omitted, as there the model's
         errors change the phase too much.
-    delay_ticks : int
-        Ticks of computing time, see `design_plant`.
     """
 
-    def __init__(self, model: StageModel, frequency_hz: float, clock_period_s: float,
-                 delay_ticks: int = 0) -> None:
+    def __init__(self, model: StageModel, frequency_hz: float, clock_period_s: float) -> None:
         first_mode_hz = min(model.dynamics.mode_frequencies_rad_per_s) / (2.0 * np.pi)
         count = min(MOST_MULTIPLES, int(first_mode_hz / frequency_hz))
         if not count:
@@ -52,7 +49,7 @@ class Repetitive:
         self.frequencies_hz = frequency_hz * np.arange(1, count + 1)
         self._model, self._clock_period_s = model, clock_period_s
         self._angles = 2.0 * np.pi * self.frequencies_hz * clock_period_s
-        plant, _ = design_plant(model, clock_period_s, clock_period_s, delay_ticks=delay_ticks)
+        plant, _ = design_plant(model, clock_period_s, clock_period_s, delay_ticks=0)
         self._points = np.exp(1j * self._angles)
         gain_um_per_v = nominal_hysteresis_gain(model)
         self._responses = gain_um_per_v * plant(self._points, squeeze=False)[0, 0]

@@ -58,12 +58,12 @@ STEPS = (0.05, 0.15, 0.4)
 
 
 def design_by(method: str, model: StageModel, demands: Demands, clock_period_s: float = 25e-6,
-              effort: float = 1.0, seed: int = 0, delay_ticks: int = 0) -> FeedbackController:
-    """Design a feedback that answers every sample by a method of `METHODS`.
+              effort: float = 1.0) -> FeedbackController:
+    """Design a feedback that the stage evaluates at every sample by a method of `METHODS`.
 
     Parameters
     ----------
-    clock_period_s, effort, seed, delay_ticks
+    clock_period_s, effort
         See `design_at_sample_rate`.
 
     Returns
@@ -78,25 +78,24 @@ def design_by(method: str, model: StageModel, demands: Demands, clock_period_s: 
         See `design_at_sample_rate`.
     """
     if method == METHOD:
-        return design_at_sample_rate(model, demands, clock_period_s=clock_period_s, effort=effort,
-                                     seed=seed, delay_ticks=delay_ticks)
+        return design_at_sample_rate(model, demands, clock_period_s, effort)
     check_modes(model)
-    loops = demands.loops(model, clock_period_s, delay_ticks)
+    loops = demands.loops(model, clock_period_s)
     first_mode_hz = min(model.dynamics.mode_frequencies_rad_per_s) / (2 * np.pi)
     family: _Family
     if method == H_INFINITY:
-        family = _HInfinityFamily(model, clock_period_s, delay_ticks)
+        family = _HInfinityFamily(model, clock_period_s)
     elif method == REPETITIVE:
-        family = _RepetitiveFamily(model, min(demands.disturbance_hz), clock_period_s, delay_ticks)
+        family = _RepetitiveFamily(model, min(demands.disturbance_hz), clock_period_s)
     else:
         family = _ClassicalFamily(model, method, clock_period_s)
-    numbers = _search_by_trial(family, loops, demands, first_mode_hz, effort, seed)
+    numbers = _search_by_trial(family, loops, demands, first_mode_hz, effort)
     return measured_design(family.controller(numbers), model, demands, loops, method,
-                           family.report(numbers), delay_ticks=delay_ticks)
+                           family.report(numbers))
 
 
 def _search_by_trial(family: "_Family", loops: PerturbedLoops, demands: Demands,
-                     first_mode_hz: float, effort: float, seed: int) -> FloatArray:
+                     first_mode_hz: float, effort: float) -> FloatArray:
     """Return the parameters with the largest margin that was found."""
     def cost(logarithms: FloatArray) -> float:
         try:
@@ -110,7 +109,7 @@ def _search_by_trial(family: "_Family", loops: PerturbedLoops, demands: Demands,
         margin_db = demands.margin_db(figures, first_mode_hz)
         return VIOLATION * demands.violation_db(figures) - margin_db
 
-    return np.asarray(np.exp(_search(cost, family, effort, seed)))
+    return np.asarray(np.exp(_search(cost, family, effort)))
 
 
 class _ClassicalFamily:
@@ -138,9 +137,8 @@ class _RepetitiveFamily:
     ANYWHERE, NEARBY, SIMPLEX = 60, 60, 150
     start, bounds = repetitive.START, repetitive.BOUNDS
 
-    def __init__(self, model: StageModel, frequency_hz: float, clock_period_s: float,
-                 delay_ticks: int) -> None:
-        self._made = repetitive.Repetitive(model, frequency_hz, clock_period_s, delay_ticks)
+    def __init__(self, model: StageModel, frequency_hz: float, clock_period_s: float) -> None:
+        self._made = repetitive.Repetitive(model, frequency_hz, clock_period_s)
 
     def controller(self, numbers: FloatArray) -> control.StateSpace:
         """Return the controller for given parameters."""
@@ -164,9 +162,8 @@ class _HInfinityFamily:
     bounds = ((0.3, 10.0), (0.02, 0.6), (1.2, 8.0), (0.5, 8.0), (1.0, 15.0), (1e-4, 0.3),
               (0.05, 0.6), (0.01, 0.5), (0.05, 50.0), (0.05, 50.0))
 
-    def __init__(self, model: StageModel, clock_period_s: float, delay_ticks: int) -> None:
+    def __init__(self, model: StageModel, clock_period_s: float) -> None:
         self._model, self._clock_period_s = model, clock_period_s
-        self._delay_ticks = delay_ticks
         self._mode_hz = (model.dynamics.mode_frequencies_rad_per_s[light_mode(model)]
                          / (2 * np.pi))
         self._gain_um_per_v = nominal_hysteresis_gain(model)
@@ -178,8 +175,7 @@ class _HInfinityFamily:
         weights = SampleRateWeights(
             crossover * self._mode_hz, corner * self._mode_hz, peak, control_gain,
             roll_off * self._mode_hz, noise, of_gain, of_mode)
-        problem = light_mode_problem(
-            self._model, weights, self._clock_period_s, self._delay_ticks)
+        problem = light_mode_problem(self._model, weights, self._clock_period_s, delay_ticks=0)
         controller, gamma = synthesise(scale(problem, scalings), SLACK, tolerance=COARSE)
         return weights, problem, controller, gamma
 
@@ -202,10 +198,9 @@ class _HInfinityFamily:
 _Family = _ClassicalFamily | _RepetitiveFamily | _HInfinityFamily
 
 
-def _search(cost: Callable[[FloatArray], float], family: _Family, effort: float,
-            seed: int) -> FloatArray:
+def _search(cost: Callable[[FloatArray], float], family: _Family, effort: float) -> FloatArray:
     """Return the logarithms of the best parameters: global search, local search, simplex."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     low, high = np.log(family.bounds).T
     best = np.log(family.start)
     least = cost(best)
