@@ -17,6 +17,7 @@ from command_speed import TARGETS as ANSWER_TARGETS
 from command_speed import answer_times_s
 from computing_time import computing_times_s
 from diagnosis_speed import CASES, MANY_SAMPLES, SAMPLES, diagnosis_times_s
+from history import HISTORY, PAGE, keep, page_of
 from hysteresis_speed import look_up_error_percent, samples_per_s
 from loop_speed import LOCKSTEP, closed_loop, ping_pong_round_trips, tick_round_trips
 from paced import paced_run
@@ -186,7 +187,9 @@ def main():
         TARGETS | ANSWER_TARGETS | START_TARGETS | STREAM_TARGETS | ROWS_TARGETS)
     show(rows)
     write(rows, OUTPUT / "table.json")
-    print(f"written: {OUTPUT / 'table.json'}")
+    keep(rows)
+    PAGE.write_text(page_of(), encoding="utf-8")
+    print(f"written: {OUTPUT / 'table.json'}, {HISTORY}, {PAGE}")
 
 
 if __name__ == "__main__":

@@ -50,7 +50,8 @@ def test_two_stages_track_different_references_at_the_same_time(suite, right, fi
             with pytest.raises(GoalFailed, match=ENOUGH) as failure:
                 stage.client.track(
                     harmonic(200.0, 20.0, 50.0), model, "composite", GOES_ON_S, tmp_path / "right",
-                    controller=law, on_feedback=tell, why_stop=lambda: ENOUGH if ended.is_set() else "")
+                    controller=law, on_feedback=tell,
+                    why_stop=lambda: ENOUGH if ended.is_set() else "")
         finally:
             moves.set()  # else the other waits for ever
         return failure.value.result
