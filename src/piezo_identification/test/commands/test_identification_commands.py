@@ -176,7 +176,7 @@ def assert_same_creep(found, truth):
 def test_identify_takes_the_dynamics_from_a_frequency_response(
         files, response_file, tmp_path, plant):
     identified = identified_with(
-        files, tmp_path, response_file, "--modes", 2, "--antiresonances", 0)
+        files, tmp_path, response_file, "--creep-pairs", 4, "--modes", 2, "--antiresonances", 0)
     model = identified.model
     assert model.dynamics.mode_frequencies_rad_per_s == pytest.approx((2846.0, 4909.0), rel=2e-3)
     assert model.effects[0].delay_s == pytest.approx(120e-6, rel=0.01)
