@@ -1,6 +1,4 @@
 # SPDX-License-Identifier: BSD-3-Clause
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,7 @@ from piezo_models.effects import known_effects
 
 @pytest.fixture(scope="module")
 def evidence(plant, play):
-    experiment = replace(named_experiment("diagnostic"), repeats=2)
+    experiment = named_experiment("diagnostic")
     regression = first_regression(simulate_recordings(plant, [play(experiment)]))
     return recording_evidence(regression)[0]
 
