@@ -300,11 +300,13 @@ def label_faults(figure):
 
 @pytest.fixture(scope="session", autouse=True)
 def coarse_pictures():
-    """Draw pictures of few pixels, whose labels may overlap: their layout takes half the time."""
+    """Draw pictures of few pixels and ticks, whose labels may overlap, in a third of the time."""
     save = Figure.savefig
 
     def save_coarsely(figure, *given, **options):
-        figure.set_layout_engine("none")
+        figure._layout_engine = None  # the placeholder of "none" draws every figure twice
+        for axes in figure.axes:
+            axes.minorticks_off()
         save(figure, *given, **options | {"dpi": COARSE_DOTS_PER_INCH})
 
     with pytest.MonkeyPatch.context() as patch:

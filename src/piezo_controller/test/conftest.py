@@ -40,7 +40,8 @@ def controller(stage_model):
 def short_search():
     """Search few scalings: for tests that take a design as given, not for those of its quality."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(dk_iteration, "SEARCHED", 3)
+        patch.setattr(dk_iteration, "SEARCHED", 1)
+        patch.setattr(dk_iteration, "ITERATIONS", 2)
         yield
 
 

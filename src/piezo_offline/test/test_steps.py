@@ -187,7 +187,8 @@ def test_diagnosis_asks_what_the_model_was_identified_from(measured_um, tmp_path
     assert [len(given[4].recordings) for given in asked] == [1, 0, 3, 0]
 
 
-@pytest.mark.parametrize("grid", [12, 16, 30])
+@pytest.mark.parametrize("grid", [
+    12, *(pytest.param(grid, marks=pytest.mark.long) for grid in (16, 30))])
 def test_exact_data_give_the_line_that_they_are(measured_um, grid):
     model = identify(hysteresis=arrays(measured_um), grid=grid).model
     np.testing.assert_allclose(

@@ -25,8 +25,8 @@ def model_path(stage_model, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def designed(model_path, tmp_path_factory, picture_faults):
-    """Run the command as it stands; return the path of its controller, and what it prints."""
+def designed(model_path, tmp_path_factory, picture_faults, short_search):
+    """Run the command; return the path of its controller, and what it prints."""
     output = tmp_path_factory.mktemp("designed") / "controller.json"
     with redirect_stdout(StringIO()) as printed:
         faults = picture_faults(main, ["--model", str(model_path), "--output", str(output)])

@@ -207,7 +207,8 @@ class Ended(Exception):
     """What a cancelled goal raises."""
 
 
-@pytest.mark.parametrize("amplitude_um", [30.0, 90.0])
+@pytest.mark.parametrize("amplitude_um", [
+    pytest.param(30.0, marks=pytest.mark.long), 90.0])
 def test_planning_can_be_cancelled_also_while_the_amplitude_within_reach_is_sought(
         stage_model, amplitude_um):
     watched = []

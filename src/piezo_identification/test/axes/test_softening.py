@@ -76,7 +76,8 @@ def test_the_model_interpolates_between_levels(identified):
 
 def test_of_one_level_no_softening_is_sought(fitted):
     notes = []
-    identified = identify_several_axes(levels_of(fitted)[0], note=notes.append)
+    identified = identify_several_axes(
+        levels_of(fitted)[0], pairs=len(flexure.FREQUENCY_RAD_PER_S), note=notes.append)
     assert identified.model.latency_samples.any()
     assert identified.model.softening is None
     assert not any("amplitude" in note for note in notes)

@@ -19,7 +19,7 @@ from piezo_recorder.reading.reader import read_recording, sha256_of
 HEADER = "time_s,voltage_v,displacement_um"
 NAMES = ("creep", "dynamics", "hysteresis", "validation")
 GRID = ("--grid", 40, "--smoothing", 1e-10, "--translation-weight", 1e-10)
-FINE_GRID = ("--grid", 120, "--smoothing", 1e-13, "--translation-weight", 1e-12)
+FINE_GRID = ("--grid", 80, "--smoothing", 1e-13, "--translation-weight", 1e-12)
 
 
 @pytest.fixture(scope="module")
@@ -176,7 +176,7 @@ def assert_same_creep(found, truth):
 def test_identify_takes_the_dynamics_from_a_frequency_response(
         files, response_file, tmp_path, plant):
     identified = identified_with(
-        files, tmp_path, response_file, "--modes", 2, "--antiresonances", 0)
+        files, tmp_path, response_file, "--creep-pairs", 4, "--modes", 2, "--antiresonances", 0)
     model = identified.model
     assert model.dynamics.mode_frequencies_rad_per_s == pytest.approx((2846.0, 4909.0), rel=2e-3)
     assert model.effects[0].delay_s == pytest.approx(120e-6, rel=0.01)
@@ -228,8 +228,8 @@ def test_identify_takes_the_dynamics_from_a_multisine(files, play, csv_of, tmp_p
     (["--band", 1, 10], "--band has nothing to act on"),
     (["--antiresonances", 1], "--antiresonances has nothing to act on"),
 ])
-def test_identify_refuses_options_without_use(more, said, files, tmp_path, capsys):
-    arguments = [*options(files), "--output", tmp_path / "model.json", *more]
+def test_identify_refuses_options_without_use(more, said, short_files, tmp_path, capsys):
+    arguments = [*options(short_files), "--output", tmp_path / "model.json", *more]
     assert said in refusal(identify_main, arguments, capsys)
 
 

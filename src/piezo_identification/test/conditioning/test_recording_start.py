@@ -60,7 +60,8 @@ def test_a_square_wave_may_come_from_rest_anywhere_and_end_there(independent_sta
     assert estimate_creep(recording).model.poles_rad_per_s == pytest.approx((0.125, 2.0), rel=0.02)
 
 
-@pytest.mark.parametrize("first", [0, 1], ids=["lower", "upper"])
+@pytest.mark.parametrize("first", [
+    pytest.param(0, marks=pytest.mark.long, id="lower"), pytest.param(1, id="upper")])
 def test_dynamics_may_begin_at_either_level_and_in_motion(independent_stage, recorded, first):
     stage = independent_stage((0.125,), (0.04,), 5e-4, 2500.0, 0.1)
     creep = CreepDynamics((0.125,), (0.125 * 1.04,))

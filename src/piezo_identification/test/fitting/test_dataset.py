@@ -21,7 +21,8 @@ def test_the_beginning_of_a_long_recording_is_fitted(plant, recorded):
         assert dataset.for_estimation[mask][beginning].all()
 
 
-@pytest.mark.parametrize("second", [0.5, 0.501, 0.508])
+@pytest.mark.parametrize("second", [
+    0.501, *(pytest.param(second, marks=pytest.mark.long) for second in (0.5, 0.508))])
 def test_rows_after_rare_steps_are_fitted(plant, recorded, second):
     """They alone show the first seconds of the creep."""
     count = 10 * SPLIT.most_rows

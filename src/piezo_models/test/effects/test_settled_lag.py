@@ -57,7 +57,8 @@ def test_what_rings_within_a_row_has_the_phase_of_the_lag(effect):
     assert np.abs(at_once_um - true_um).max() > 0.9 * ringing_um
 
 
-@pytest.mark.parametrize("rows", [0.1, 0.2, 0.5])
+@pytest.mark.parametrize("rows", [
+    0.2, *(pytest.param(rows, marks=pytest.mark.long) for rows in (0.1, 0.5))])
 def test_a_lag_of_a_part_of_a_row_is_followed_within_it(rows):
     """A mode rings half a period in a row."""
     rate, effect, voltage_v = np.pi / ROW_S, AmplifierLag(rows * ROW_S), staircase_v()

@@ -27,7 +27,7 @@ from piezo_stage_driver.safety.guards import (
 from piezo_stage_driver.safety.limits import FeedbackLimits, VoltageLimits
 from piezo_studies.diagnosis_benchmark.plants import draw_plant
 
-SHORT, ALL = 1, 20
+ALL = 20
 CLOCK, CELLS, MODEL_ERROR = StageClock(), 100, 0.02
 EFFORT = 0.1
 RUN_S, LAST_S = 0.5, 0.2
@@ -42,10 +42,6 @@ LARGEST_ERROR_PERCENT = 1.0
 ATTENUATED_HZ = {"sample": (50.0, 100.0), "tick": (20.0, 50.0)}
 OFFSET_LEFT, SENSOR_UM = 0.15, 0.01
 """Part of the first error that may be left as an offset after the run: some loops are slow."""
-
-STAGES = [pytest.param(seed, marks=[pytest.mark.long] if seed >= SHORT else [])
-          for seed in range(ALL)]
-
 
 def identified(plant, random):
     """Return the model of a plant, every parameter of lag, modes and gain off by up to 2 %."""
@@ -104,8 +100,9 @@ def controller_of(rate, model):
     return design_at_sample_rate(model, effort=EFFORT)
 
 
-@pytest.mark.parametrize("rate", ["sample", pytest.param("tick", marks=pytest.mark.long)])
-@pytest.mark.parametrize("seed", STAGES)
+@pytest.mark.long
+@pytest.mark.parametrize("rate", ["sample", "tick"])
+@pytest.mark.parametrize("seed", range(ALL))
 def test_a_law_begins_gently_and_ends_on_its_reference_without_a_settled_stage(seed, rate):
     random = np.random.default_rng([seed, 77])
     plant = draw_plant([seed])

@@ -14,8 +14,8 @@ SEEDS = range(3)
 
 
 @pytest.mark.parametrize(("frequency_hz", "amplitude_um", "largest_percent"), [
-    (40.0, 40.0, 0.02), pytest.param(100.0, 40.0, 0.02, marks=pytest.mark.long),
-    pytest.param(500.0, 21.0, 0.04, marks=pytest.mark.long), (1000.0, 10.25, 0.1)])
+    *(pytest.param(*each, marks=pytest.mark.long) for each in (
+        (40.0, 40.0, 0.02), (100.0, 40.0, 0.02), (500.0, 21.0, 0.04))), (1000.0, 10.25, 0.1)])
 def test_ten_iterations_bring_the_true_error_below_its_limit(
         frequency_hz, amplitude_um, largest_percent):
     runs = [learn(frequency_hz, amplitude_um, seed) for seed in SEEDS]

@@ -36,7 +36,8 @@ def recording(fast_rad_per_s, fast_part=PART):
         np.full(voltage_v.size, Flag.PLAYING, dtype=np.uint32))
 
 
-@pytest.mark.parametrize("estimate", [estimate_creep, estimate_slow_creep])
+@pytest.mark.parametrize("estimate", [
+    estimate_creep, pytest.param(estimate_slow_creep, marks=pytest.mark.long)])
 @pytest.mark.parametrize("rows", [
     *(pytest.param(rows, marks=pytest.mark.long) for rows in (1.3, 0.9)), 0.4])
 def test_no_pole_is_faster_than_the_rows_tell(estimate, rows):

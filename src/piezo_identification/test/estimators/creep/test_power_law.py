@@ -31,7 +31,8 @@ def recording(recorded):
     return recorded("power of time", voltage_v, displacement_um, PERIOD_S, NOISE_UM)
 
 
-@pytest.fixture(scope="module", params=[estimate_creep, estimate_slow_creep])
+@pytest.fixture(scope="module", params=[
+    estimate_creep, pytest.param(estimate_slow_creep, marks=pytest.mark.long)])
 def estimate(request, recording):
     mode = ElectricVibrationDynamics(0.0, (MODE_RAD_PER_S,), (0.02,))
     return request.param(recording, mode)

@@ -40,9 +40,9 @@ def test_a_mode_is_found_however_few_rows_are_fitted(most_rows):
 
 def test_the_poles_of_a_record_are_sought_once_and_as_if_for_the_first_time():
     asked_twice, asked_once = record(), record()
-    first = list(free_fits(asked_twice.thinned(500), 0))
-    again = list(free_fits(asked_twice.thinned(500), 1))
+    first = list(free_fits(asked_twice.thinned(200), 0))
+    again = list(free_fits(asked_twice.thinned(200), 1))
     assert again[0] is first[0]
-    for found, fresh in zip(again, free_fits(asked_once.thinned(500), 1), strict=True):
+    for found, fresh in zip(again, free_fits(asked_once.thinned(200), 1), strict=True):
         np.testing.assert_array_equal(found.vector, fresh.vector)
     assert np.exp(again[1].vector[1]) == pytest.approx(MODE_RAD_PER_S, rel=1e-3)

@@ -32,7 +32,8 @@ def growing_sine():
 
 
 @pytest.mark.parametrize("low_hz, damping, needs_waves", [
-    (5.0, 0.5, True), (7.0, 0.1, True), (5.0, 1e-5, True), (400.0, 0.5, False)])
+    (5.0, 0.5, True), pytest.param(7.0, 0.1, True, marks=pytest.mark.long),
+    pytest.param(5.0, 1e-5, True, marks=pytest.mark.long), (400.0, 0.5, False)])
 def test_a_record_may_hold_slow_motion_where_slow_poles_are_no_vibration(
         monkeypatch, low_hz, damping, needs_waves):
     record = growing_sine()

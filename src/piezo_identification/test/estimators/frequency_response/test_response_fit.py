@@ -112,7 +112,7 @@ def test_a_given_order_is_kept_and_an_impossible_one_refused():
 
 
 @pytest.mark.parametrize("seed", [
-    0, 1, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 20))])
+    0, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(1, 20))])
 def test_any_rational_response_is_left_at_its_noise_and_written_as_the_table_says(seed):
     """Modes of any residue, some close together, with a direct part, a lag, creep and a delay."""
     draw = np.random.default_rng(seed)

@@ -36,11 +36,11 @@ def kind_of(cell: str, decimal: str, grouped: bool = False) -> str:
         Whether a single mark before three digits is a thousands separator, as in 1,570. If the
         file does not show its decimal mark elsewhere, it may be the decimal mark.
     """
+    if not math.isnan(number_of(cell, decimal, grouped)):  # first, as most cells are numbers
+        return "number"
     if cell.lower() in MISSING:
         return "empty"
-    if _CLOCK.fullmatch(cell):
-        return "clock"
-    return "text" if math.isnan(number_of(cell, decimal, grouped)) else "number"
+    return "clock" if _CLOCK.fullmatch(cell) else "text"
 
 
 def number_of(cell: str, decimal: str, grouped: bool = False) -> float:

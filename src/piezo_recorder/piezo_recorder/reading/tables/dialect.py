@@ -156,10 +156,11 @@ def _rows(lines: Sequence[str], delimiter: str | None, decimal: str, text_allowe
         if is_comment(line):
             continue
         cells = split_cells(line, delimiter)
+        if len(cells) < 2:
+            continue
         kinds = tuple(kind_of(cell, decimal, grouped) for cell in cells)
         numbers = kinds.count("number")
-        fits = (numbers >= 2 if text_allowed else numbers >= 1 and "text" not in kinds)
-        if len(cells) >= 2 and fits:
+        if numbers >= 2 if text_allowed else numbers >= 1 and "text" not in kinds:
             found[number] = kinds
     return found
 
