@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("xdist")
 SHARING = ["test/test_examples.py::test_a", "test/test_examples.py::test_b",
-           "test/test_two_stages.py::test_c"]
+           "test/test_stage_faults.py::test_c"]
 ALONE = ["test/test_kernels.py::test_d", "src/piezo_models/test/test_x.py::test_e"]
 
 
