@@ -14,7 +14,12 @@ from numpy.typing import ArrayLike
 
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_common.summary_table import SummaryTable
-from piezo_models.effects.amplifier_lag import SettledLag, as_rows_show, parts_of_rows
+from piezo_models.effects.amplifier_lag import (
+    SettledLag,
+    as_rows_show,
+    parts_of_rows,
+    with_overshoot,
+)
 from piezo_models.effects.effect import Effect
 from piezo_models.hysteresis.first_rise import CYCLED, FirstRise
 from piezo_models.hysteresis.hysteretic_creep import HystereticCreep, HystereticCreepMemory
@@ -232,7 +237,9 @@ class StageModel:
         system = zoh(linear, part_s)
         applied_v = acting.amplified(
             np.repeat(np.asarray(voltage_v, dtype=float), parts), part_s, memory)
-        hysteresis = self.hysteresis.simulate(applied_v, memory.hysteresis)
+        extremes_v, count = with_overshoot(
+            applied_v, memory.hysteresis.voltage_v, acting.effects)
+        hysteresis = self.hysteresis.simulate(extremes_v, memory.hysteresis)[count - 1 :: count]
         hysteresis += self.hysteresis.line_beyond_um(applied_v)
         if self.hysteretic_creep is not None:
             if memory.hysteretic_creep is None:

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Identify a stage model from recordings, by a sequence of estimators and a joint fit.
 
-recordings -> conditioned -> linear dynamics -> hysteresis -> model -> one fit of all -> errors
--> adequacy -> result
+recordings -> conditioned -> linear dynamics -> hysteresis -> model (-> without hum, again) -> one
+fit of all -> errors -> adequacy -> result
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from piezo_common.budget import Budget, spending
+from piezo_common.budget import Budget, spending, while_time_lasts
 from piezo_common.cancellation import checking
 from piezo_identification.adequacy.component_adequacy import (
     ADEQUATE,
@@ -48,8 +48,13 @@ from piezo_identification.identification.given_hysteresis import (
     DensityOptions,
 )
 from piezo_identification.identification.linear_dynamics import (
+    SECOND_PASS,
     LinearDynamics,
     estimate_linear_dynamics,
+)
+from piezo_identification.identification.mains_hum import (
+    hum_of_each,
+    without_hum,
 )
 from piezo_identification.identification.notes import Detail, Implausible
 from piezo_identification.identification.one_fit import fitted_together, reliable
@@ -94,6 +99,7 @@ def identify(
 
     First the creep is estimated, then the fast dynamics with the creep removed. Both are estimated
     again, because each was disturbed by the other. The hysteresis follows with both removed.
+    Mains hum is then subtracted from recordings that have it, and these steps are repeated.
     Finally, all parameters are fitted together. Components that no recording shows are omitted: the
     model then has no creep, or static dynamics. Without a recording of the hysteresis, it is
     estimated from the others; from a frequency response or a two-level voltage it is a line.
@@ -167,23 +173,21 @@ def identify(
                  "at the end, by their output error")
         conditioned = conditioned_data(given, note, read_at_samples)
         report_implausible(implausible_data(conditioned), note)
-        fast = of_kind(conditioned, "dynamics")
-        linear = estimate_linear_dynamics(
-            of_kind(conditioned, "creep"),
-            fast[0] if fast and isinstance(fast[0], FrequencyResponse) else fast,
-            of_kind(conditioned, "hysteresis"), order, stages.part(0.0, 0.15))
-        stages.begin("hysteresis", 0.15)
-        read_at = found_readings(conditioned, linear)
-        recordings = aligned(conditioned, read_at)
-        for loops in of_kind(recordings, "hysteresis"):
-            report_implausible(refuse_impossible_loops(
-                loops, linear.creep, linear.slow_dynamics, linear.slow_delay_s), note)
-        estimate, first_rise, cycled = estimate_loops(recordings, linear, density)
+        steps = _step_by_step(conditioned, order, density, stages, 0.0, 0.15)
+        humming = hum_of_each(
+            conditioned, steps.fitted.model, delays_of_rows_s(conditioned, steps.read_at))
+        if humming:
+            for name, hum in humming.items():
+                note(f"{name}: {hum.sentence}")
+            conditioned = without_hum(conditioned, humming)
+            with while_time_lasts("the separate steps without the hum", SECOND_PASS):
+                steps = _step_by_step(conditioned, order, density, stages, 0.2, 0.05)
+        linear, estimate, first_rise = steps.linear, steps.estimate, steps.first_rise
+        report_implausible(steps.impossible, note)
         report_estimates(linear, estimate, note)
-        report_starts(recordings, cycled, linear, first_rise, note)
-        fitted = fitted_model(linear, estimate, first_rise)
+        report_starts(steps.recordings, steps.cycled, linear, first_rise, note)
         fitted, read_at = fitted_together(
-            fitted, conditioned, read_at,
+            steps.fitted, conditioned, steps.read_at,
             partial(new_loops, conditioned, density, estimate) if of_kind(conditioned, "hysteresis")
             and linear.estimates and not first_rise else None, order, stages.part(0.3, 0.65), note)
         recordings, read_at = validation_as_read(
@@ -208,6 +212,46 @@ def identify(
             unfinished=budget.sentence())
         stages.begin("done", 1.0)
     return identified
+
+
+@dataclass(frozen=True, eq=False)
+class _Steps:
+    """Results of the separate steps."""
+
+    linear: LinearDynamics
+    read_at: dict[str, float]
+    """When the rows of each recording are read; see `found_readings`."""
+    recordings: dict[str, Data]
+    """Aligned recordings."""
+    impossible: list[str]
+    """Why loops are implausible."""
+    estimate: DensityEstimate
+    first_rise: FirstRise | None
+    cycled: Mapping[str, Data]
+    """Density, first rise, and recordings, as returned by `estimate_loops`."""
+
+    @property
+    def fitted(self) -> FittedModel:
+        """The model of the separate steps."""
+        return fitted_model(self.linear, self.estimate, self.first_rise)
+
+
+def _step_by_step(conditioned: Mapping[str, Data], order: ResponseOrder, density: DensityOptions,
+                  stages: Stages, begin: float, share: float) -> _Steps:
+    """Estimate creep, dynamics and hysteresis one after the other; see `Stages.part`."""
+    fast = of_kind(conditioned, "dynamics")
+    linear = estimate_linear_dynamics(
+        of_kind(conditioned, "creep"),
+        fast[0] if fast and isinstance(fast[0], FrequencyResponse) else fast,
+        of_kind(conditioned, "hysteresis"), order, stages.part(begin, share))
+    stages.begin("hysteresis", begin + share)
+    read_at = found_readings(conditioned, linear)
+    recordings = aligned(conditioned, read_at)
+    impossible = [text for loops in of_kind(recordings, "hysteresis")
+                  for text in refuse_impossible_loops(
+                      loops, linear.creep, linear.slow_dynamics, linear.slow_delay_s)]
+    return _Steps(linear, read_at, recordings, impossible,
+                  *estimate_loops(recordings, linear, density))
 
 
 def report_estimates(linear: LinearDynamics, density: DensityEstimate,

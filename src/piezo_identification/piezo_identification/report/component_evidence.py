@@ -15,6 +15,7 @@ from piezo_identification.conditioning.row_alignment import read_as
 from piezo_identification.conditioning.segments import experiment_of, testable
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.identification.given_data import Data, conditioned_data
+from piezo_identification.identification.mains_hum import hum_of_each, without_hum
 from piezo_identification.identification.row_delays import delays_of_rows_s
 from piezo_identification.report.waveform_view import WaveformView, view_of
 from piezo_models.identified_model import IdentifiedModel
@@ -28,6 +29,8 @@ class ComponentEvidence:
     """Name of the recording: creep, dynamics or hysteresis, numbered if there are several."""
     residual: ComponentResidual
     fit: LackOfFit
+    hum: str = ""
+    """Sentence on the hum that was subtracted; empty if there was none."""
 
     @property
     def component(self) -> str:
@@ -83,11 +86,14 @@ def component_evidence(identified: IdentifiedModel, given: Mapping[str, Data],
                for name, data in conditioned.items()
                if name in identified.rows and not isinstance(data, FrequencyResponse)}
     delays_s = delays_of_rows_s(conditioned, read_at)
+    humming = hum_of_each(conditioned, identified.model, delays_s)
+    conditioned = without_hum(conditioned, humming)
     found = []
     for component in COMPONENTS:
         for name, data in testable(conditioned).items():
             if experiment_of(name) == component:
                 residual = component_residual(
                     component, identified.model, data, delays_s.get(name, 0.0))
-                found.append(ComponentEvidence(name, residual, lack_of_fit(residual)))
+                hum = humming[name].sentence if name in humming else ""
+                found.append(ComponentEvidence(name, residual, lack_of_fit(residual), hum))
     return found

@@ -24,6 +24,7 @@ from piezo_identification.simulation.sampled_response import (
     respond,
 )
 from piezo_models.cascade import StageModel
+from piezo_models.effects.amplifier_lag import with_overshoot
 from piezo_models.hysteresis.first_rise import CYCLED
 from piezo_recorder.reading.recording import Recording
 
@@ -236,9 +237,11 @@ class ModelRun:
         """Return the displacement after a past, without offset and initial creep."""
         model, part = self.model, self.part
         memory = model.hysteresis.memory()
-        model.hysteresis.simulate([*past_v, *self._before_v], memory)
+        before_v, _ = with_overshoot(self._before_v, self._before_v[0], model.effects)
+        model.hysteresis.simulate([*past_v, *before_v], memory)
         extremes_v = memory.extremes_v[: memory.top + 1].copy()
-        hysteresis_um = model.hysteresis.simulate(self._voltage_v, memory)
+        within_v, count = with_overshoot(self._voltage_v, self._before_v[-1], model.effects)
+        hysteresis_um = model.hysteresis.simulate(within_v, memory)[count - 1 :: count]
         hysteresis_um += model.hysteresis.line_beyond_um(self._voltage_v)
         parts = self._voltage_v.size // part.time_s.size
         if model.hysteretic_creep is not None:

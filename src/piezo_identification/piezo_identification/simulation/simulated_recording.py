@@ -31,7 +31,7 @@ from piezo_identification.simulation.sampled_response import (
 )
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
-from piezo_models.effects.amplifier_lag import as_rows_show
+from piezo_models.effects.amplifier_lag import as_rows_show, overshooting, with_overshoot
 from piezo_models.hysteresis.first_rise import CYCLED
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_recorder.reading.recording import Recording
@@ -131,7 +131,8 @@ class SimulatedRecording:
         other.model = model = model.as_rows_show(self.sample_period_s)
         if not (model.hysteresis is given.hysteresis and model.first_rise is given.first_rise
                 and model.hysteretic_creep is given.hysteretic_creep
-                and model.effects_at("voltage") == given.effects_at("voltage")):
+                and model.effects_at("voltage") == given.effects_at("voltage")
+                and overshooting(model.effects) == overshooting(given.effects)):
             other._simulate_hysteresis()
         other._simulate_linear()
         return other
@@ -160,7 +161,8 @@ class SimulatedRecording:
         (N,) or (n,) array
         """
         effects = as_rows_show(effects, self.sample_period_s)
-        on_voltage = tuple(effect for effect in effects if effect.place == "voltage")
+        on_voltage = (*(effect for effect in effects if effect.place == "voltage"),
+                      *overshooting(effects))
         in_series = tuple(
             effect for effect in effects
             if effect.place == "modes" or effect.place == "linear" and effect not in quick
@@ -253,10 +255,10 @@ class SimulatedRecording:
         without_modes = replace(self.model, dynamics=lag, effects=self.model.effects_at("linear"))
         return self.respond(without_modes.linear(), self.input_um)
 
-    def _hysteresis(self, hysteresis: PreisachModel,
-                    amplified_v: FloatArray) -> tuple[FloatArray, float]:
+    def _hysteresis(self, hysteresis: PreisachModel, amplified_v: FloatArray,
+                    effects: Sequence[Effect] = ()) -> tuple[FloatArray, float]:
         """Return the output during the waveform, and that at the first sample of the recording."""
-        output_um = self._cycled_um(hysteresis, amplified_v)
+        output_um = self._cycled_um(hysteresis, amplified_v, effects)
         if self.model.first_rise is not None:
             output_um += self.model.first_rise.simulate(amplified_v, self._highest_v)
         return output_um[self._before(output_um) :], output_um[0]
@@ -276,14 +278,19 @@ class SimulatedRecording:
         period_s = self.sample_period_s / parts
         voltage_v = self.model.amplified(voltage_v, period_s)
         for effect in effects:
-            voltage_v = effect.apply(voltage_v, period_s)
+            if effect.place == "voltage":
+                voltage_v = effect.apply(voltage_v, period_s)
         return voltage_v
 
-    def _cycled_um(self, hysteresis: PreisachModel, amplified_v: FloatArray) -> FloatArray:
+    def _cycled_um(self, hysteresis: PreisachModel, amplified_v: FloatArray,
+                   effects: Sequence[Effect] = ()) -> FloatArray:
         """Return the output of the hysteresis without a first rise, for the whole recording."""
         memory = hysteresis.memory()
         hysteresis.simulate(self.past_v, memory)
-        return hysteresis.simulate(amplified_v, memory) + hysteresis.line_beyond_um(amplified_v)
+        within_v, count = with_overshoot(
+            amplified_v, amplified_v[0], (*self.model.effects, *effects))
+        return (hysteresis.simulate(within_v, memory)[count - 1 :: count]
+                + hysteresis.line_beyond_um(amplified_v))
 
     def _with_creep(self, hysteresis_um: FloatArray, amplified_v: FloatArray) -> FloatArray:
         """Return the input of the linear part: the output of the hysteresis with its creep."""
@@ -341,7 +348,8 @@ class SimulatedRecording:
         input_um = self._inputs.get(on_voltage)
         if input_um is None:
             amplified_v = self._amplified(on_voltage)
-            hysteresis_um, _ = self._hysteresis(self.model.hysteresis, amplified_v)
+            hysteresis_um, _ = self._hysteresis(
+                self.model.hysteresis, amplified_v, on_voltage)
             input_um = self._with_creep(hysteresis_um, amplified_v)
             # A fit changes one parameter and then returns to the previous value.
             for old in list(self._inputs)[: 1 - SETTINGS.kept_inputs]:

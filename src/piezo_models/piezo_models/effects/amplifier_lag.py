@@ -6,7 +6,9 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import control
+import numpy as np
 
+from piezo_common.arrays import FloatArray
 from piezo_models.effects.effect import Effect
 from piezo_models.effects.filtering import slowed
 from piezo_models.effects.lag import Lag
@@ -16,6 +18,9 @@ SETTLED, LONGEST = 0.087, 5.0
 """Limits of lags in front of the hysteresis, in rows. A lag below the first has settled within
 the row up to 1e-5 and acts behind the hysteresis (`as_rows_show`). Between them, a row is simulated
 in parts; a longer lag hardly moves within a row."""
+
+LEAST_OVERSHOOT = 1e-3
+"""Smallest overshoot, relative to a step, that the hysteresis is given."""
 
 PARTS = 8
 """Parts of a row in which a lag moves the voltage. A mode with half a period in a row then rings
@@ -46,7 +51,7 @@ class AmplifierLag(Lag):
 class SettledLag(Lag):
     """A lag of the voltage that acts as a linear system behind the hysteresis.
 
-    The hysteresis does not store overshoot within the row.
+    The hysteresis still remembers its overshoot; see `with_overshoot`.
     """
 
     name: ClassVar[str] = "settled_lag"
@@ -63,6 +68,50 @@ class SettledLag(Lag):
         system = self.of.lag()
         assert system is not None
         return system
+
+    @property
+    def overshoots(self) -> tuple[float, ...]:
+        """Extremes after a step, beyond its end and relative to it; empty without overshoot."""
+        damping = 0.5 / max(getattr(self.of, "quality_factor", 0.0), 0.5)
+        if damping >= 1.0:
+            return ()
+        decay = -np.pi * damping / np.sqrt(1.0 - damping**2)
+        numbers = np.arange(1, 1 + int(np.log(LEAST_OVERSHOOT) / decay))
+        return tuple((-np.exp(decay * numbers) * (-1.0) ** numbers).tolist())
+
+
+def overshooting(effects: Iterable[Effect]) -> tuple[SettledLag, ...]:
+    """Return the settled lags that overshoot."""
+    return tuple(each for each in effects if isinstance(each, SettledLag) and each.overshoots)
+
+
+def with_overshoot(voltage_v: FloatArray, before_v: float,
+                   effects: Iterable[Effect]) -> tuple[FloatArray, int]:
+    """Return the extremes of the voltage within each row, followed by the voltage of the row.
+
+    A hysteresis that does not depend on rate needs no more of a lag that settles within the row.
+
+    Parameters
+    ----------
+    voltage_v : (N,) array
+        Voltages of the rows.
+    before_v : float
+        Voltage before the first row.
+    effects : iterable of Effect
+        Effects, of which `overshooting` ones matter.
+
+    Returns
+    -------
+    voltages_v : (N count,) array
+    count : int
+        Number of voltages of each row; 1 without overshoot.
+    """
+    extremes = [size for lag in overshooting(effects) for size in lag.overshoots]
+    if not extremes:
+        return voltage_v, 1
+    steps_v = np.diff(voltage_v, prepend=before_v)
+    return np.column_stack([
+        *(voltage_v + size * steps_v for size in extremes), voltage_v]).ravel(), 1 + len(extremes)
 
 
 def as_rows_show(effects: Iterable[Effect], sample_period_s: float) -> tuple[Effect, ...]:
