@@ -179,7 +179,8 @@ def estimate_linear_dynamics(
     square wave between two voltages, or from any other slow recordings. Fast dynamics are estimated
     from a periodic square wave between two voltages, from any other fast recordings, or from a
     measured frequency response. For other fast recordings, the hysteresis is estimated before, or
-    together with the dynamics if it was not recorded.
+    together with the dynamics if it was not recorded. If their sample periods differ, those with
+    the shortest are used here, and all in the fit of the whole model.
 
     Parameters
     ----------
@@ -196,7 +197,7 @@ def estimate_linear_dynamics(
         If a recording does not fit its purpose.
     """
     found = LinearDynamics()
-    fast = [] if isinstance(dynamics, FrequencyResponse) else dynamics
+    fast = [] if isinstance(dynamics, FrequencyResponse) else of_the_fastest_clock(dynamics)
     given = isinstance(dynamics, FrequencyResponse) or len(fast) > 0
     needs_hysteresis = len(hysteresis) > 0 and not all(map(is_square_wave, fast))
     # A second pass has no effect if only one of them is recorded.
@@ -381,6 +382,12 @@ def _is_periodic(recording: Recording) -> bool:
         return False
     steps = wave.steps[wave.steps >= WARM_UP_S / played(recording).sample_period_s]
     return steps.size >= 3 and bool(np.all(steps[2:] - steps[:-2] == steps[2] - steps[0]))
+
+
+def of_the_fastest_clock(recordings: Sequence[Recording]) -> list[Recording]:
+    """Return the recordings with the shortest sample period, which show the highest modes."""
+    shortest_s = min((each.sample_period_s for each in recordings), default=0.0)
+    return [each for each in recordings if np.isclose(each.sample_period_s, shortest_s, 1e-6, 0.0)]
 
 
 def is_square_wave(recording: Recording) -> bool:

@@ -95,10 +95,6 @@ def estimate_dynamics_any(
         If a recording has gaps, is averaged, leaves the hysteresis' range, or is too short.
     """
     parts = [played_at_the_clock(recording) for recording in recordings]
-    if len({round(part.sample_period_s, 12) for part in parts}) > 1:
-        raise ValueError(
-            f"{parts[0].path} and {parts[1].path} differ in their sample periods: give recordings "
-            "of the dynamics of one sample period")
     squares = [square_part(part) for part in parts]
     waves = [wave for square in squares if (wave := two_levels(square)) is not None]
     if len(waves) == len(parts):

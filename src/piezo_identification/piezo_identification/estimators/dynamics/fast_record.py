@@ -160,6 +160,8 @@ class FastRecord:
     """Full record, if this one is a thinned copy; by default itself."""
     phase_room: float = 0.0
     """Fraction of a sample period by which the whole input may be earlier or later."""
+    slowest_rad_per_s: float = 0.0
+    """Frequency below which lines of the spectrum are left out."""
     _span: FloatArray = field(init=False, repr=False)
     _target: FloatArray = field(init=False, repr=False)
     _thinned: "dict[int, FastRecord]" = field(init=False, repr=False, default_factory=dict)
@@ -205,7 +207,7 @@ class FastRecord:
             return self
         if step not in self._thinned:
             self._thinned[step] = (
-                self.at_lines(most_rows // 2) if self._is_long() else FastRecord(
+                self.at_lines(most_rows // 2) if self.is_long else FastRecord(
                     self.input, self.kept[::step], self.measured_um[::step], self.fixed[::step],
                     self.every_row or self, self.phase_room))
         return self._thinned[step]
@@ -215,7 +217,9 @@ class FastRecord:
         """Return whether the input changes at its samples only."""
         return not isinstance(self.input, HeldInput) or self.input.early is None
 
-    def _is_long(self) -> bool:
+    @property
+    def is_long(self) -> bool:
+        """Return whether lines of its spectrum represent the record where it is thinned."""
         return (isinstance(self.input, HeldInput) and not self.input.is_periodic
                 and self.is_on_the_clock and self.kept.size > LONG)
 
@@ -240,7 +244,8 @@ class FastRecord:
             stretches = tuple(
                 slice(each.start, each.start + prev_fast_len(each.stop - each.start, real=True))
                 for each in stretches)
-        lines = SpectralLines.excited_by(given.samples, stretches, count)
+        lines = SpectralLines.excited_by(
+            given.samples, stretches, count, self.slowest_rad_per_s * given.sample_period_s)
 
         def rows(values: FloatArray) -> FloatArray:
             signal = np.zeros(size)

@@ -29,27 +29,32 @@ MOST_OF_THE_MOTION = 0.95
 
 
 def project_out_slow_error(record: FastRecord) -> FastRecord:
-    """Add slow cosines to the further signals of a record, if it needs them.
+    """Remove slow errors from a record if it has them.
 
     It does if its loops are far slower than the ringing modes, and free poles form slow oscillating
-    pairs, which neither a lag nor creep has. The cosines then describe the slow errors.
+    pairs, which neither a lag nor creep has. Slow cosines among the further signals then describe
+    the errors; of a long record, slow lines are left out.
 
     Returns
     -------
     FastRecord
-        The same record if it does not need them.
+        The same record if it has none.
     """
     poles = best_free_fit(record).poles
     frequencies, dampings = np.abs(poles), -poles.real / np.abs(poles)
     period_s = record.input.sample_period_s
     far_above = loop_rad_per_s(record.input.samples, period_s) / FAR_BELOW
-    rings = (dampings >= LEAST_DAMPING) & (dampings < HEAVY_DAMPING) & (frequencies > far_above)
+    # Superfluous poles may be faster than half the sample rate, which no row shows.
+    rings = ((dampings >= LEAST_DAMPING) & (dampings < HEAVY_DAMPING)
+             & (frequencies > far_above) & (frequencies < np.pi / period_s))
     if not rings.any():
         return record
     fastest = FAR_BELOW * frequencies[rings].min()
     waves = min(int(fastest * np.ptp(record.kept) * period_s / np.pi), MOST_WAVES)
     if not waves or not np.any((poles.imag != 0.0) & (frequencies < fastest)):
         return record
+    if record.is_long:
+        return replace(record, slowest_rad_per_s=fastest)
     return replace(record, fixed=np.column_stack([record.fixed, slow_waves(record.kept, waves)]))
 
 

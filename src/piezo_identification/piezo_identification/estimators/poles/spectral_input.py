@@ -18,8 +18,10 @@ from piezo_identification.estimators.poles.pole_responses import PoleResponses
 DELAYED = 3
 """Number of sample periods of delay for which the ends of a stretch are free."""
 
-EXCITED = 1e-3
-"""Strength of a line, relative to the strongest of the input, from which it shows the response."""
+EXCITED, MOVED = 1e-3, 0.1
+"""Strength of a line, relative to the strongest of the input, and its speed, relative to the
+fastest, from which it shows the response. The strength of rare steps falls with frequency, their
+speed does not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +35,7 @@ class SpectralLines:
 
     @classmethod
     def excited_by(cls, samples: FloatArray, stretches: tuple[slice, ...],
-                   most: int) -> "SpectralLines":
+                   most: int, slowest: float = 0.0) -> "SpectralLines":
         """Choose lines that an input excites, dense at low frequencies and spread over all.
 
         Parameters
@@ -41,12 +43,16 @@ class SpectralLines:
         samples : ndarray, shape (N,)
         most : int
             Approximate number of lines in all stretches together.
+        slowest : float
+            Smallest phase by which a line advances in a sample, in rad.
         """
         chosen = []
         for stretch in stretches:
             strength = np.abs(_spectrum(samples[stretch] - samples[stretch].mean()))
-            strength[0] = 0.0
-            excited = np.flatnonzero(strength > EXCITED * strength.max())
+            strength[: max(1, int(slowest * (stretch.stop - stretch.start) / (2.0 * np.pi)))] = 0.0
+            speed = strength * np.arange(strength.size)
+            excited = np.flatnonzero(
+                (strength > EXCITED * strength.max()) | (speed > MOVED * speed.max()))
             share = most // len(stretches)
             if excited.size > share:
                 ranks = np.concatenate([

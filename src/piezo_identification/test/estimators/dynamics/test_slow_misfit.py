@@ -19,32 +19,48 @@ PERIOD_S = 1e-4
 MODE_RAD_PER_S = 2.0 * np.pi * 740.0
 
 
-def growing_sine():
+def growing_sine(rows=15_000):
     """Record of a sine whose amplitude grows, with noise on top, as laboratories play it."""
     random = np.random.default_rng(5)
-    time_s = np.arange(15_000) * PERIOD_S
+    time_s = np.arange(rows) * PERIOD_S
     voltage_v = 60.0 * time_s / 1.5 * np.sin(2.0 * np.pi * 5.0 * time_s)
-    voltage_v += 4.0 * np.repeat(random.normal(size=3000), 5)
+    voltage_v += 4.0 * np.repeat(random.normal(size=rows // 5), 5)
     stage = IndependentStage(1.6e-4, ((MODE_RAD_PER_S, 0.02, 1.0),), gains_um_per_v=(0.8,),
                              half_widths_v=(0.0,))
     recording = stage.record(voltage_v, PERIOD_S, 0.002, 5)
     return joined_signals([recording], [voltage_v], [0], CreepDynamics()).record()
 
 
-@pytest.mark.parametrize("low_hz, damping, needs_waves", [
-    (5.0, 0.5, True), pytest.param(7.0, 0.1, True, marks=pytest.mark.long),
-    pytest.param(5.0, 1e-5, True, marks=pytest.mark.long), (400.0, 0.5, False)])
-def test_a_record_may_hold_slow_motion_where_slow_poles_are_no_vibration(
-        monkeypatch, low_hz, damping, needs_waves):
-    record = growing_sine()
+def give_poles(monkeypatch, *modes):
+    """Let the free fit of any record find these modes, by frequency (rad/s) and damping ratio."""
     poles = [-5e3]
-    for frequency, its_damping in ((2.0 * np.pi * low_hz, damping), (MODE_RAD_PER_S, 0.02)):
-        pole = frequency * (-its_damping + 1j * np.sqrt(1.0 - its_damping**2))
+    for frequency, damping in modes:
+        pole = frequency * (-damping + 1j * np.sqrt(1.0 - damping**2))
         poles += [pole, np.conj(pole)]
     monkeypatch.setattr(slow_misfit, "best_free_fit",
                         lambda coarse: SimpleNamespace(poles=np.array(poles)))
+
+
+@pytest.mark.parametrize("low_hz, damping, mode_rad_per_s, needs_waves", [
+    (5.0, 0.5, MODE_RAD_PER_S, True), (7.0, 0.1, MODE_RAD_PER_S, True),
+    (5.0, 1e-5, MODE_RAD_PER_S, True), (400.0, 0.5, MODE_RAD_PER_S, False),
+    (5.0, 0.5, 1.6 * np.pi / PERIOD_S, False)])
+def test_a_record_may_hold_slow_motion_where_slow_poles_are_no_vibration(
+        monkeypatch, low_hz, damping, mode_rad_per_s, needs_waves):
+    record = growing_sine()
+    give_poles(monkeypatch, (2.0 * np.pi * low_hz, damping), (mode_rad_per_s, 0.02))
     projected = slow_misfit.project_out_slow_error(record)
     assert (projected.fixed.shape[1] > record.fixed.shape[1]) == needs_waves
+
+
+def test_slow_lines_of_a_long_record_are_left_out(monkeypatch):
+    record = growing_sine(25_000)
+    give_poles(monkeypatch, (2.0 * np.pi * 5.0, 0.5), (MODE_RAD_PER_S, 0.02))
+    projected = slow_misfit.project_out_slow_error(record)
+    assert projected.fixed is record.fixed
+    slowest = [each.at_lines(600).input.phases.min() for each in (record, projected)]
+    assert slowest[0] < 0.01 * MODE_RAD_PER_S * PERIOD_S < 0.04 * MODE_RAD_PER_S * PERIOD_S
+    assert slowest[1] > 0.04 * MODE_RAD_PER_S * PERIOD_S
 
 
 def test_loops_are_as_fast_as_nearly_all_of_their_power():

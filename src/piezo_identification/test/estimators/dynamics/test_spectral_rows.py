@@ -58,3 +58,13 @@ def test_the_dynamics_of_a_long_record_are_found_to_the_noise(record):
     mode = estimate.effects[0]
     assert mode.frequency_rad_per_s == pytest.approx(np.abs(POLES[1]), rel=1e-5)
     assert estimate.delay.samples == pytest.approx(DELAY, abs=0.01)
+
+
+def test_rare_steps_show_a_resonance_far_above_their_own_frequency():
+    steps = np.repeat([0, 1, 2, 3, 4, 5, 4, 3, 2, 1, 0.0], 10_000)
+    held = HeldInput(steps, PERIOD_S, False)
+    rows = np.arange(steps.size - 2)
+    measured = (held.responses(POLES, 0.0, rows).value @ RESIDUES).real
+    lines = FastRecord(held, rows, measured, np.ones((rows.size, 1))).thinned(600).input
+    assert np.any(np.abs(lines.phases / (np.abs(POLES[1]) * PERIOD_S) - 1.0) < 0.05)
+    assert lines.phases.max() > 0.9 * np.pi
