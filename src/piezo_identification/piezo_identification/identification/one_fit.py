@@ -56,10 +56,9 @@ LOOPS = 2
 last one reduced the error."""
 
 
-NewLoops = Callable[..., DensityEstimate]
-"""Estimates the hysteresis again with a model. The second argument is the time in s by which each
-recording reads its rows late. The keyword `near` is an estimate whose smoothing is kept, by default
-that of the separate steps; None to choose it."""
+NewLoops = Callable[[StageModel, Mapping[str, float], DensityEstimate | None], DensityEstimate]
+"""Estimates the hysteresis again with a fitted model. Further arguments are the time in s by which
+each recording reads its rows late, and an estimate whose smoothing is kept; None to choose it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,27 +160,25 @@ class _Search:
             begin + RENEWED * length, (1.0 - 2.0 * RENEWED) * length), self.is_asked_for)
         self.tried.extend(changed)
         state = replace(state, best=best)
-        for turn in range(LOOPS):
-            before, state = state, self._with_renewed_loops(
-                state, end, NARROW_PRIOR, self.loops[-1] if turn else None)
+        for _ in range(LOOPS):
+            before, state = state, self._with_renewed_loops(state, end, NARROW_PRIOR)
             if not state.best.is_closer_than(before.best):
                 break
         return state
 
     def _with_renewed_loops(self, before: _State, fraction: float,
-                            width: float = WIDE_PRIOR,
-                            near: DensityEstimate | None = None) -> _State:
+                            width: float = WIDE_PRIOR) -> _State:
         """Estimate the loops again with the fitted model, and refit.
 
-        The prior width limits how far the fit changes the loops. The smoothing is that of an
-        estimate `near`, or chosen.
+        The prior width limits how far the fit changes the loops.
         """
         if self.new_loops is None or is_at_noise(before.problem, before.best):
             return before
         self.report("hysteresis, given the fit", fraction)
         with while_time_lasts("second estimate of the hysteresis, given the fit"):
             check_cancelled()
-            density = self._newly_estimated(before.best, near=near)
+            density = self._newly_estimated(
+                before.best, self.loops[-1] if width == NARROW_PRIOR and self.loops else None)
             model = replace(before.best.delayed_model, hysteresis=density.model())
             problem = before.problem.with_hysteresis(model, width)
             again = problem.fit(model, before.best.delay_s, SETTINGS.steps)
@@ -190,10 +187,11 @@ class _Search:
                 return _State(replace(before.fitted, visited=density.visited), again, problem)
         return before
 
-    def _newly_estimated(self, fit: WholeFit, **near: DensityEstimate | None) -> DensityEstimate:
+    def _newly_estimated(self, fit: WholeFit,
+                         near: DensityEstimate | None = None) -> DensityEstimate:
         assert self.new_loops is not None
         self.loops.append(self.new_loops(
-            fit.delayed_model, read_later(self.read_late_s, fit), **near))
+            fit.delayed_model, read_later(self.read_late_s, fit), near))
         return self.loops[-1]
 
     def _part(self, begin: float, length: float) -> Callable[[str, float], object]:
