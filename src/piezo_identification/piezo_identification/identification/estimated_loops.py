@@ -147,8 +147,8 @@ def new_loops(
     read_late_s : dict of str to float
         Time by which each recording reads its rows after the voltage.
     near : DensityEstimate, optional
-        Estimate from the same recordings with nearly the same model, whose smoothing is kept;
-        None to choose it.
+        Estimate from the same recordings with another model, whose smoothing is kept; by default
+        the smoothing is chosen.
     """
     names = keys_of_kind(recordings, "hysteresis")
     parts = [played(recordings[name]) for name in names]

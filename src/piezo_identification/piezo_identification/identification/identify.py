@@ -185,8 +185,9 @@ def identify(
         fitted = fitted_model(linear, estimate, first_rise)
         fitted, read_at = fitted_together(
             fitted, conditioned, read_at,
-            partial(new_loops, conditioned, density) if of_kind(conditioned, "hysteresis")
-            and linear.estimates and not first_rise else None, order, stages.part(0.3, 0.65), note)
+            partial(new_loops, conditioned, density, near=estimate)
+            if of_kind(conditioned, "hysteresis") and linear.estimates and not first_rise else None,
+            order, stages.part(0.3, 0.65), note)
         recordings, read_at = validation_as_read(
             fitted.model, conditioned, aligned(conditioned, read_at), read_at)
         rows = row_delays(fitted.model, recordings, read_at, read_at_samples, linear)

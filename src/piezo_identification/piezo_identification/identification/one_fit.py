@@ -56,11 +56,6 @@ LOOPS = 2
 last one reduced the error."""
 
 
-NewLoops = Callable[[StageModel, Mapping[str, float], DensityEstimate | None], DensityEstimate]
-"""Estimates the hysteresis again with a fitted model. Further arguments are the time in s by which
-each recording reads its rows late, and an estimate whose smoothing is kept; None to choose it."""
-
-
 @dataclass(frozen=True, eq=False)
 class _State:
     """A model, its best fit, and the fitting problem with its hysteresis."""
@@ -77,7 +72,7 @@ class _Search:
     problem: WholeModel
     given: FittedModel
     read_late_s: Mapping[str, float]
-    new_loops: NewLoops | None
+    new_loops: Callable[..., DensityEstimate] | None
     is_asked_for: Callable[[StageModel], bool]
     report: Callable[[str, float], object]
     tried: list[tuple[str, WholeFit]] = field(default_factory=list)
@@ -177,8 +172,9 @@ class _Search:
         self.report("hysteresis, given the fit", fraction)
         with while_time_lasts("second estimate of the hysteresis, given the fit"):
             check_cancelled()
+            # Only loops of a fitted model show how smooth they are.
             density = self._newly_estimated(
-                before.best, self.loops[-1] if width == NARROW_PRIOR and self.loops else None)
+                before.best, near=None if width == WIDE_PRIOR else self.loops[-1])
             model = replace(before.best.delayed_model, hysteresis=density.model())
             problem = before.problem.with_hysteresis(model, width)
             again = problem.fit(model, before.best.delay_s, SETTINGS.steps)
@@ -187,11 +183,10 @@ class _Search:
                 return _State(replace(before.fitted, visited=density.visited), again, problem)
         return before
 
-    def _newly_estimated(self, fit: WholeFit,
-                         near: DensityEstimate | None = None) -> DensityEstimate:
+    def _newly_estimated(self, fit: WholeFit, **near: DensityEstimate | None) -> DensityEstimate:
         assert self.new_loops is not None
         self.loops.append(self.new_loops(
-            fit.delayed_model, read_later(self.read_late_s, fit), near))
+            fit.delayed_model, read_later(self.read_late_s, fit), **near))
         return self.loops[-1]
 
     def _part(self, begin: float, length: float) -> Callable[[str, float], object]:
@@ -204,7 +199,8 @@ def _is_promising(start: WholeFit, best: WholeFit) -> bool:
 
 def fitted_together(
     fitted: FittedModel, recordings: Mapping[str, Data], read_at: Mapping[str, float],
-    new_loops: NewLoops | None, order: ResponseOrder,
+    new_loops: Callable[..., DensityEstimate] | None,
+    order: ResponseOrder,
     report: Callable[[str, float], object], note: Callable[[str], object],
 ) -> tuple[FittedModel, dict[str, float]]:
     """Fit all parameters of a model together, and choose its structure by the evidence.
@@ -218,7 +214,10 @@ def fitted_together(
     read_at : dict of str to float
         Instants at which their rows are read, in sample periods after the voltage.
     new_loops : callable, optional
-        See `NewLoops`; None if no recording of loops was given.
+        Estimates the hysteresis again with a fitted model; its second argument is the time in s by
+        which each recording reads its rows late. Its keyword `near` is an estimate whose smoothing
+        is kept, by default that of the initial model; None to choose the smoothing. None if no
+        recording of loops was given.
     order : ResponseOrder
         Requested orders, which the search keeps.
     report : callable
