@@ -31,7 +31,9 @@ MOST_ROWS = 20_000
 
 
 def estimate_actuators(model: CoupledModel, creep: Sequence[AxesRecording],
-                       hysteresis: Sequence[AxesRecording], levels: int) -> tuple[Actuator, ...]:
+                       hysteresis: Sequence[AxesRecording], levels: int,
+                       near: Sequence[DensityEstimate | None] = (),
+                       ) -> tuple[tuple[Actuator, ...], tuple[DensityEstimate | None, ...]]:
     """Estimate hysteresis and creep of each axis, with all other parts of a model given.
 
     Parameters
@@ -42,15 +44,21 @@ def estimate_actuators(model: CoupledModel, creep: Sequence[AxesRecording],
         Recordings that show them.
     levels : int
         Largest number of levels of the voltage, with two cells of the hysteresis between levels.
+    near : sequence of DensityEstimate or None, optional
+        Earlier estimate of each axis, with a model that explained less.
 
     Returns
     -------
-    tuple of Actuator
+    actuators : tuple of Actuator
         Without hysteresis where a line is as good.
+    densities : tuple of DensityEstimate or None
+        None where an axis does not move.
     """
-    return tuple(
-        _estimated(model, axis, _moving(axis, creep), _moving(axis, hysteresis), levels)
-        for axis in range(len(model.axes)))
+    found = [_estimated(model, axis, _moving(axis, creep), _moving(axis, hysteresis), levels,
+                        near[axis] if near else None)
+             for axis in range(len(model.axes))]
+    actuators, densities = zip(*found, strict=True)
+    return actuators, densities
 
 
 def _moving(axis: int, recordings: Sequence[AxesRecording]) -> list[AxesRecording]:
@@ -58,9 +66,10 @@ def _moving(axis: int, recordings: Sequence[AxesRecording]) -> list[AxesRecordin
 
 
 def _estimated(model: CoupledModel, axis: int, steps: Sequence[AxesRecording],
-               loops: Sequence[AxesRecording], levels: int) -> Actuator:
+               loops: Sequence[AxesRecording], levels: int, near: DensityEstimate | None,
+               ) -> tuple[Actuator, DensityEstimate | None]:
     if not loops or not steps:
-        return Actuator()
+        return Actuator(), None
     ringing = None
     if not model.actuators:
         ringing = _ringing(model)
@@ -70,8 +79,10 @@ def _estimated(model: CoupledModel, axis: int, steps: Sequence[AxesRecording],
         model = _with_actuator(model, axis, Actuator(rough.model()))
     creep = _creep([_alone(model, axis, each) for each in steps], ringing)
     model = _with_actuator(model, axis, replace(model.actuators[axis], creep=creep))
-    density = _density(model, axis, loops, levels)
-    return Actuator(None if density.is_line else density.model(), creep)
+    if near is not None and near.plays is None:
+        near = None  # cells of the first round are too few to choose by
+    density = _density(model, axis, loops, levels, near)
+    return Actuator(None if density.is_line else density.model(), creep), density
 
 
 def _with_actuator(model: CoupledModel, axis: int, actuator: Actuator) -> CoupledModel:
@@ -99,10 +110,11 @@ def _creep(steps: Sequence[Recording],
 
 
 def _density(model: CoupledModel, axis: int, loops: Sequence[AxesRecording], levels: int,
-             smoothing: float | None = None) -> DensityEstimate:
+             near: DensityEstimate | None = None, smoothing: float | None = None,
+             ) -> DensityEstimate:
     return estimate_density(
         [_alone(model, axis, each) for each in loops], model.actuators[axis].creep,
-        ElectricVibrationDynamics(), most_levels=levels, smoothing_weight=smoothing,
+        ElectricVibrationDynamics(), most_levels=levels, smoothing_weight=smoothing, near=near,
         most_rows=MOST_ROWS)
 
 

@@ -24,6 +24,7 @@ from piezo_identification.axes.predict_axes import (
     simulated_um,
 )
 from piezo_identification.axes.spectra import Spectrum, played_lines, spectra_of_levels
+from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
 from piezo_models.axes.coupled import CoupledModel
 from piezo_recorder.reading.axes import AxesRecording
 
@@ -102,11 +103,12 @@ def start_of_actuators(
     steps = by_experiment["creep"] or slow
     model = coupled_model(without_slow_poles(fit.numbers), late, fast)
     found: list[StartedStage] = []
+    densities: Sequence[DensityEstimate | None] = ()
     for number, levels in enumerate(LEVELS):
         if number and not has_time_for(SECOND_ESTIMATE, FIRST):
             break
         progress(f"hysteresis and creep, estimate {number + 1}", 0.6 + 0.1 * number)
-        actuators = estimate_actuators(model, steps, loops, levels)
+        actuators, densities = estimate_actuators(model, steps, loops, levels, densities)
         if not any(each.hysteresis or each.creep.poles_rad_per_s for each in actuators):
             return None
         found.append(_behind(replace(model, actuators=actuators), fast, pairs))

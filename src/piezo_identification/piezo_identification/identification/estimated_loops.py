@@ -130,8 +130,8 @@ def _as_cycled(
 
 
 def new_loops(
-    recordings: Mapping[str, Any], options: DensityOptions,
-    model: StageModel, read_late_s: Mapping[str, float], near: DensityEstimate | None,
+    recordings: Mapping[str, Any], options: DensityOptions, near: DensityEstimate,
+    model: StageModel, read_late_s: Mapping[str, float],
 ) -> DensityEstimate:
     """Estimate the hysteresis again from the residuals of a fitted model.
 
@@ -142,13 +142,12 @@ def new_loops(
     ----------
     recordings : dict of str to Recording or FrequencyResponse
         Recordings with their rows as given, not aligned.
+    near : DensityEstimate
+        Estimate from the same recordings with nearly the same creep and dynamics.
     model : StageModel
         Model with all of its effects.
     read_late_s : dict of str to float
         Time by which each recording reads its rows after the voltage.
-    near : DensityEstimate, optional
-        Estimate from the same recordings with another model, whose smoothing is kept; by default
-        the smoothing is chosen.
     """
     names = keys_of_kind(recordings, "hysteresis")
     parts = [played(recordings[name]) for name in names]

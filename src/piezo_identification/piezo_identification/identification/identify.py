@@ -93,8 +93,7 @@ def identify(
     """Identify a stage model from recordings (thesis 4.5).
 
     First the creep is estimated, then the fast dynamics with the creep removed. Both are estimated
-    again, because each was disturbed by the other, unless the last fit is sure to correct that.
-    The hysteresis follows with both removed.
+    again, because each was disturbed by the other. The hysteresis follows with both removed.
     Finally, all parameters are fitted together. Components that no recording shows are omitted: the
     model then has no creep, or static dynamics. Without a recording of the hysteresis, it is
     estimated from the others; from a frequency response or a two-level voltage it is a line.
@@ -185,9 +184,8 @@ def identify(
         fitted = fitted_model(linear, estimate, first_rise)
         fitted, read_at = fitted_together(
             fitted, conditioned, read_at,
-            partial(new_loops, conditioned, density, near=estimate)
-            if of_kind(conditioned, "hysteresis") and linear.estimates and not first_rise else None,
-            order, stages.part(0.3, 0.65), note)
+            partial(new_loops, conditioned, density, estimate) if of_kind(conditioned, "hysteresis")
+            and linear.estimates and not first_rise else None, order, stages.part(0.3, 0.65), note)
         recordings, read_at = validation_as_read(
             fitted.model, conditioned, aligned(conditioned, read_at), read_at)
         rows = row_delays(fitted.model, recordings, read_at, read_at_samples, linear)

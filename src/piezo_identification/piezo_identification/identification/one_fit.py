@@ -72,22 +72,22 @@ class _Search:
     problem: WholeModel
     given: FittedModel
     read_late_s: Mapping[str, float]
-    new_loops: Callable[..., DensityEstimate] | None
+    new_loops: Callable[[StageModel, Mapping[str, float]], DensityEstimate] | None
     is_asked_for: Callable[[StageModel], bool]
     report: Callable[[str, float], object]
     tried: list[tuple[str, WholeFit]] = field(default_factory=list)
-    loops: list[DensityEstimate] = field(default_factory=list)
-    """All new estimates of the loops."""
 
     def best(self, delay_s: float | None, rival: WholeFit | None = None) -> _State:
         """Return the best model that the search finds from the promising starts.
 
         If all starts are far behind a rival, it is the best of them.
         """
+        renewed = list[DensityEstimate]()
+
         def with_new_loops(start: Structure) -> WholeModel:
-            density = self._newly_estimated(self.problem.fit(start.model, start.delay_s, 0))
+            renewed.append(self._newly_estimated(self.problem.fit(start.model, start.delay_s, 0)))
             return self.problem.with_hysteresis(
-                replace(start.model, hysteresis=density.model()), WIDE_PRIOR)
+                replace(start.model, hysteresis=renewed[0].model()), WIDE_PRIOR)
 
         promising, tried = begun(
             self.problem, self.given.model, delay_s, self._part(0.0, BEGUN), self.is_asked_for,
@@ -95,7 +95,7 @@ class _Search:
         self.tried.extend(tried)
         length = (1.0 - BEGUN) / len(promising)
         states = [_State(self.given if problem is self.problem else replace(
-            self.given, visited=self.loops[0].visited), fit, problem) for problem, fit in promising]
+            self.given, visited=renewed[0].visited), fit, problem) for problem, fit in promising]
         if rival is not None and not _is_promising(states[0].best, rival):
             return states[0]
         state = self._from(states[0], BEGUN, length)
@@ -172,9 +172,7 @@ class _Search:
         self.report("hysteresis, given the fit", fraction)
         with while_time_lasts("second estimate of the hysteresis, given the fit"):
             check_cancelled()
-            # Only loops of a fitted model show how smooth they are.
-            density = self._newly_estimated(
-                before.best, near=None if width == WIDE_PRIOR else self.loops[-1])
+            density = self._newly_estimated(before.best)
             model = replace(before.best.delayed_model, hysteresis=density.model())
             problem = before.problem.with_hysteresis(model, width)
             again = problem.fit(model, before.best.delay_s, SETTINGS.steps)
@@ -183,11 +181,9 @@ class _Search:
                 return _State(replace(before.fitted, visited=density.visited), again, problem)
         return before
 
-    def _newly_estimated(self, fit: WholeFit, **near: DensityEstimate | None) -> DensityEstimate:
+    def _newly_estimated(self, fit: WholeFit) -> DensityEstimate:
         assert self.new_loops is not None
-        self.loops.append(self.new_loops(
-            fit.delayed_model, read_later(self.read_late_s, fit), **near))
-        return self.loops[-1]
+        return self.new_loops(fit.delayed_model, read_later(self.read_late_s, fit))
 
     def _part(self, begin: float, length: float) -> Callable[[str, float], object]:
         return lambda what, fraction: self.report(what, begin + length * fraction)
@@ -199,7 +195,7 @@ def _is_promising(start: WholeFit, best: WholeFit) -> bool:
 
 def fitted_together(
     fitted: FittedModel, recordings: Mapping[str, Data], read_at: Mapping[str, float],
-    new_loops: Callable[..., DensityEstimate] | None,
+    new_loops: Callable[[StageModel, Mapping[str, float]], DensityEstimate] | None,
     order: ResponseOrder,
     report: Callable[[str, float], object], note: Callable[[str], object],
 ) -> tuple[FittedModel, dict[str, float]]:
@@ -215,9 +211,7 @@ def fitted_together(
         Instants at which their rows are read, in sample periods after the voltage.
     new_loops : callable, optional
         Estimates the hysteresis again with a fitted model; its second argument is the time in s by
-        which each recording reads its rows late. Its keyword `near` is an estimate whose smoothing
-        is kept, by default that of the initial model; None to choose the smoothing. None if no
-        recording of loops was given.
+        which each recording reads its rows late. None if no recording of loops was given.
     order : ResponseOrder
         Requested orders, which the search keeps.
     report : callable

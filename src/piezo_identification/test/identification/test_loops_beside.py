@@ -32,7 +32,7 @@ def test_loops_that_are_estimated_anew_do_not_depend_on_those_of_the_model(plant
         density_um_per_v2=density * (1.0 + np.linspace(-0.1, 0.1, len(density))[:, None])))
     near = estimate_hysteresis_of(
         recordings, LinearDynamics(stage.creep, stage.dynamics, effects=stage.effects), ASKED)
-    again = new_loops(recordings, ASKED, bent, {"hysteresis": 0.0}, near)
+    again = new_loops(recordings, ASKED, near, bent, {"hysteresis": 0.0})
     voltage_v = played(recordings["hysteresis"]).voltage_v
 
     def error_um(hysteresis):

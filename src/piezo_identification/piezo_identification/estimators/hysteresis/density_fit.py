@@ -42,7 +42,8 @@ def estimate_density(
     recording: Recordings, creep: CreepDynamics, dynamics: ElectricVibrationDynamics,
     level_count: int | None = None, cells_per_level: int = 2,
     smoothing_weight: float | None = None, translation_weight: float | None = None,
-    delay_s: float = 0.0, most_levels: int = LEVELS, most_rows: int | None = None,
+    delay_s: float = 0.0, most_levels: int = LEVELS, near: DensityEstimate | None = None,
+    most_rows: int | None = None,
 ) -> DensityEstimate:
     """Estimate the Preisach density on a uniform grid over the voltages played.
 
@@ -66,6 +67,9 @@ def estimate_density(
         Weights of `smoothed_density`; by default chosen on held-out branches.
     delay_s : float
         Delay of the measurement in addition to the dynamics.
+    near : DensityEstimate, optional
+        Estimate from the same recordings with nearly the same dynamics, whose weights are the
+        starting point of the choice.
     most_rows : int, optional
         Number of samples that are fitted, spaced evenly; all by default.
 
@@ -97,7 +101,7 @@ def estimate_density(
         segments = [replace(segment, samples=segment.samples[::every]) for segment in segments]
     _check_sign(parts[0].path, segments)
     return density_of_parts(parts, segments, level_count, cells_per_level, smoothing_weight,
-                            translation_weight, most_levels)
+                            translation_weight, most_levels, near)
 
 
 def density_of_parts(
@@ -114,11 +118,8 @@ def density_of_parts(
         Recordings without gaps.
     segments : sequence of HysteresisSegment
         Segment of each part.
-    level_count, cells_per_level, smoothing_weight, translation_weight, most_levels
+    level_count, cells_per_level, smoothing_weight, translation_weight, most_levels, near
         As in `estimate_density`.
-    near : DensityEstimate, optional
-        Estimate from the same recordings with nearly the same dynamics, whose weights, and curves
-        of the plays, are kept.
 
     Raises
     ------

@@ -112,7 +112,7 @@ def fit_plays(segments: Sequence[HysteresisSegment], levels_v: FloatArray,
     levels_v : (n + 1,) array
         Uniform and increasing; their ends define the range.
     near : PlaySum, optional
-        Fit to nearly the same loops, whose curves are kept.
+        Fit to nearly the same loops, whose curves are the starting point.
 
     Returns
     -------
@@ -122,17 +122,18 @@ def fit_plays(segments: Sequence[HysteresisSegment], levels_v: FloatArray,
     regression = _PlayRegression(segments, levels_v)
     if regression.count < ROWS_PER_NUMBER * (WIDTHS.size + SLOPE_KNOTS):
         return None
-    if near is not None:
-        return regression.plays(np.append(near.rising, near.falling))
     straight = np.zeros(5)
     bent = least_squares(
-        regression.residual_um, straight, bounds=(-MOST_BENT, MOST_BENT), diff_step=STEP,
-        x_scale=0.1, ftol=WORTHWHILE, max_nfev=MOST_EVALUATIONS)
+        regression.residual_um, straight if near is None else np.append(near.rising, near.falling),
+        bounds=(-MOST_BENT, MOST_BENT), diff_step=STEP, x_scale=0.1, ftol=WORTHWHILE,
+        max_nfev=MOST_EVALUATIONS)
     curves = bent.x
     if np.sum(regression.residual_um(straight) ** 2) < LARGEST_GAIN * 2.0 * bent.cost:
         # A few loops may be compatible with many curves.
         curves = straight
-    return regression.plays(curves)
+    weights, residual_um = regression.weights(curves)
+    return PlaySum(curves[:2], curves[2:], weights[SLOPE_KNOTS:], weights[:SLOPE_KNOTS],
+                   float(np.std(np.diff(residual_um)) / np.sqrt(2.0)))
 
 
 class _PlayRegression:
@@ -173,12 +174,6 @@ class _PlayRegression:
     def _without(self, columns: FloatArray) -> FloatArray:
         """Project out the offsets and transients."""
         return columns - self._nuisance @ (self._nuisance.T @ columns)
-
-    def plays(self, curves: FloatArray) -> PlaySum:
-        """Return the best plays for two curves."""
-        weights, residual_um = self.weights(curves)
-        return PlaySum(curves[:2], curves[2:], weights[SLOPE_KNOTS:], weights[:SLOPE_KNOTS],
-                       float(np.std(np.diff(residual_um)) / np.sqrt(2.0)))
 
     def weights(self, curves: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the best slopes and weights for two curves, and the residual (um)."""

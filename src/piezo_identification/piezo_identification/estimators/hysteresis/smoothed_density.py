@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piezo_common.arrays import FloatArray
-from piezo_common.budget import has_time_for, while_time_lasts
+from piezo_common.budget import SEARCH, has_time_for, while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.estimators.hysteresis.density_estimate import (
     LINE,
@@ -130,7 +130,7 @@ def density_of_segments(
     is_line : bool
         True if the voltage shows only a line.
     near : DensityEstimate, optional
-        Estimate from nearly the same segments, whose weights, and curves of the plays, are kept.
+        Estimate from nearly the same segments, whose weights are the starting point of the choice.
 
     Returns
     -------
@@ -149,20 +149,15 @@ def density_of_segments(
     if is_line:
         penalties = Penalties(0.0)
     elif smoothing_weight is None:
-        if near is None or not near.smoothing_weight:
-            near = None
-            choice, plays, segments, parts = _choice_for(segments, levels_v, translation_weight)
-        else:
-            translation_weight = near.translation_weight
-            choice, plays, segments, parts = _kept_choice(segments, levels_v, near)
+        choice, plays, segments, parts = _choice_for(
+            segments, levels_v, translation_weight, near)
         is_fine = plays is None and (whole_plane or _many(segments, size))
         if size % 2 == 0 and size >= 2 * CELLS_FOR_THE_WEIGHT and not (
                 is_fine and has_time_for("a density of more cells", WEIGHTS)):
             # A smooth density needs fewer cells.
             levels_v, size = levels_v[::2], size // 2
             parts = parts if plays is None else 2 * parts
-        choice = _on_finer_grids(
-            segments, levels_v, choice, whole_plane, plays, is_kept=near is not None)
+        choice = _on_finer_grids(segments, levels_v, choice, whole_plane, plays)
         penalties, multiplier, is_enough = choice.penalties, choice.forces, choice.is_enough
     else:
         penalties = Penalties(smoothing_weight, translation_weight or 0.0)
@@ -247,62 +242,36 @@ def _added(more: FloatArray, of_plays: FloatArray, mean_in_cell: FloatArray) -> 
 
 def _choice_for(
     segments: Sequence[HysteresisSegment], levels_v: FloatArray, translation: float | None,
+    near: DensityEstimate | None,
 ) -> tuple[PenaltyChoice, PlaySum | None, Sequence[HysteresisSegment], int]:
     """Choose the weights, and whether the density is smoothed about a sum of plays.
 
     It is if that predicts held-out branches better. The output of the plays is then subtracted, and
     the cells are divided to represent them.
     """
-    coarse_v = _for_the_weight(levels_v)
-    choice = choose_penalties(segments, coarse_v, translation)
-    if choice.is_enough:
-        return choice, None, segments, 1
+    size = levels_v.size - 1
+    coarse_v = np.linspace(levels_v[0], levels_v[-1], min(size, CELLS_FOR_THE_WEIGHT) + 1)
+    first = known = choice = None
+    if near is not None and near.smoothing_weight:
+        first, known = Penalties(near.smoothing_weight, near.translation_weight), near.plays
+    if known is None:
+        choice = choose_penalties(segments, coarse_v, translation, near=first)
+        if choice.is_enough:
+            return choice, None, segments, 1
     plays = None
-    with while_time_lasts("a density about a sum of plays", WEIGHTS):
+    with while_time_lasts("a density about a sum of plays", WEIGHTS if choice else SEARCH):
         check_cancelled()
-        plays = fit_plays(segments, levels_v)
+        plays = fit_plays(segments, levels_v, known)
     if plays is None:
-        return choice, None, segments, 1
-    relieved, parts = _relieved(segments, levels_v, plays)
+        return choice or choose_penalties(segments, coarse_v, translation), None, segments, 1
+    parts = _parts_for(size, plays)
+    relieved = [replace(segment, output_um=segment.output_um - _output_um(
+        segment, levels_v, plays, parts)) for segment in segments]
     with_plays = choose_penalties(
-        relieved, coarse_v, translation, plays.unknowns(coarse_v.size - 1))
-    if LEAST_GAIN * with_plays.misfit < choice.misfit:
+        relieved, coarse_v, translation, plays.unknowns(coarse_v.size - 1), first)
+    if choice is None or LEAST_GAIN * with_plays.misfit < choice.misfit:
         return with_plays, plays, relieved, parts
     return choice, None, segments, 1
-
-
-def _kept_choice(
-    segments: Sequence[HysteresisSegment], levels_v: FloatArray, near: DensityEstimate,
-) -> tuple[PenaltyChoice, PlaySum | None, Sequence[HysteresisSegment], int]:
-    """Return the weights, and the curves of the plays, of an estimate from nearly these segments.
-
-    Only the active bounds are sought.
-    """
-    assert near.smoothing_weight is not None
-    penalties = Penalties(near.smoothing_weight, near.translation_weight)
-    coarse_v, about, parts = _for_the_weight(levels_v), None, 1
-    plays = None if near.plays is None else fit_plays(segments, levels_v, near.plays)
-    if plays is not None:
-        segments, parts = _relieved(segments, levels_v, plays)
-        about = plays.unknowns(coarse_v.size - 1)
-    [equations] = equations_of_folds(segments, coarse_v, about=about)
-    *_, forces = equations.solve(penalties)
-    return PenaltyChoice(penalties, penalties, forces, 0.0, False), plays, segments, parts
-
-
-def _for_the_weight(levels_v: FloatArray) -> FloatArray:
-    """Return the levels of the grid on which the weights are chosen."""
-    return np.linspace(
-        levels_v[0], levels_v[-1], min(levels_v.size - 1, CELLS_FOR_THE_WEIGHT) + 1)
-
-
-def _relieved(
-    segments: Sequence[HysteresisSegment], levels_v: FloatArray, plays: PlaySum,
-) -> tuple[list[HysteresisSegment], int]:
-    """Return segments without the output of plays, and the divisions of a cell for these."""
-    parts = _parts_for(levels_v.size - 1, plays)
-    return [replace(segment, output_um=segment.output_um - _output_um(
-        segment, levels_v, plays, parts)) for segment in segments], parts
 
 
 def _parts_for(size: int, plays: PlaySum) -> int:
@@ -342,9 +311,9 @@ def _output_um(segment: HysteresisSegment, levels_v: FloatArray, plays: PlaySum,
 
 def _on_finer_grids(
     segments: Sequence[HysteresisSegment], levels_v: FloatArray, choice: PenaltyChoice,
-    whole_plane: bool, plays: PlaySum | None, is_kept: bool,
+    whole_plane: bool, plays: PlaySum | None,
 ) -> PenaltyChoice:
-    """Choose the smoothing again on twice as many cells if the data allow, unless it is kept.
+    """Choose the smoothing again on twice as many cells if the data allow.
 
     They do if the whole plane is visited, or there are several samples per cell. Then the active
     bounds are found on grids twice as fine each time, which costs little.
@@ -357,8 +326,7 @@ def _on_finer_grids(
             finer_v = np.linspace(levels_v[0], levels_v[-1], 2 * cells + 1)
             about = None if plays is None else plays.unknowns(2 * cells)
             forces = _on_finer_grid(choice.forces, cells, 2 * cells)
-            if not is_kept and cells == CELLS_FOR_THE_WEIGHT and (
-                    whole_plane or _many(segments, 2 * cells)):
+            if (whole_plane or _many(segments, 2 * cells)) and cells == CELLS_FOR_THE_WEIGHT:
                 choice = refine_smoothing(segments, finer_v, choice, forces, about)
             else:
                 [equations] = equations_of_folds(segments, finer_v, about=about)

@@ -94,7 +94,7 @@ def _branches(segment: HysteresisSegment) -> NDArray[np.intp]:
 
 def choose_penalties(
     segments: Sequence[HysteresisSegment], levels_v: FloatArray, translation: float | None = None,
-    about: FloatArray | None = None,
+    about: FloatArray | None = None, near: Penalties | None = None,
 ) -> PenaltyChoice:
     """Choose the weights that predict held-out branches as well as any.
 
@@ -110,19 +110,26 @@ def choose_penalties(
         Weight of the change along the diagonal; by default it is chosen.
     about : ndarray, optional
         See `Equations`.
+    near : Penalties, optional
+        Weights chosen from nearly the same segments: the starting point of the smoothing.
     """
     trials = _Trials(equations_of_folds(segments, levels_v, branch_folds(segments), about))
-    if has_time_for(FURTHER_WEIGHTS, WEIGHTS):
+    if near is None and not has_time_for(FURTHER_WEIGHTS, WEIGHTS):
+        near = Penalties(USUAL, translation or 0.0)
+    if near is not None:
+        penalties = trials.best_near(near)
+        # With plays, there is no translation weight to choose.
+        free = penalties if about is not None else trials.best_near(
+            replace(near, translation=translation or 0.0))
+    else:
         penalties = free = trials.best(
             Penalties(weight, translation or 0.0) for weight in SMOOTHING_WEIGHTS)
-        if translation is None:
-            penalties = trials.best(
-                replace(penalties, translation=weight)
-                for weight in (0.0, *reversed(TRANSLATION_WEIGHTS)))
-            penalties = trials.best(
-                replace(penalties, smoothing=weight) for weight in SMOOTHING_WEIGHTS)
-    else:
-        penalties = free = trials.best_near(Penalties(USUAL, translation or 0.0))
+    if translation is None and near is None:
+        penalties = trials.best(
+            replace(penalties, translation=weight)
+            for weight in (0.0, *reversed(TRANSLATION_WEIGHTS)))
+        penalties = trials.best(
+            replace(penalties, smoothing=weight) for weight in SMOOTHING_WEIGHTS)
     return PenaltyChoice(
         penalties, free, trials.forces(penalties), float(trials.misfits(penalties).sum()),
         trials.nothing_more_predicts(penalties))

@@ -51,7 +51,7 @@ def test_plays_are_found_and_predict_loops_that_they_were_not_fitted_to(bent):
 
 
 @pytest.mark.long
-def test_the_curves_of_nearly_the_same_loops_are_kept():
+def test_from_the_curves_of_nearly_the_same_loops_a_search_takes_fewer_steps_to_the_same():
     voltage_v = loops_v([0.0, 100.0, *np.ravel([(5.0 * k, 100.0) for k in range(1, 19)]), 0.0])
     noise_um = 1e-3 * np.random.default_rng(0).standard_normal(voltage_v.size)
     output_um, steps = followed_um(voltage_v, 0.05), list[int]()
@@ -65,7 +65,7 @@ def test_the_curves_of_nearly_the_same_loops_are_kept():
             return fit_plays([segment(voltage_v, measured_um)], LEVELS_V, near)
     near, afresh = found(output_um), found(output_um + noise_um)
     from_there = found(output_um + noise_um, near)
-    assert steps[2] == 0 < steps[1]
+    assert steps[2] < 0.8 * steps[1]
     assert from_there.unknowns(40) == pytest.approx(afresh.unknowns(40), abs=1e-3)
 
 

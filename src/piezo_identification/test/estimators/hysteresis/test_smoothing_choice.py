@@ -86,7 +86,7 @@ def test_without_time_to_choose_the_smoothing_is_the_usual_one(measured_um, erro
 
 
 @pytest.mark.long
-def test_of_the_same_loops_the_choice_is_kept(measured_um):
+def test_of_the_same_loops_the_choice_is_confirmed_in_fewer_steps(measured_um):
     size, steps = VOLTAGE_V.size, list[int]()
     segment = HysteresisSegment(VOLTAGE_V, measured_um, np.arange(size), np.empty((size, 0)))
 
@@ -99,7 +99,7 @@ def test_of_the_same_loops_the_choice_is_kept(measured_um):
             return density_of_segments([segment], LEVELS_V, LEVELS, near=near)
     first = found()
     again = found(first)
-    assert steps[1] < 0.2 * steps[0]
+    assert steps[1] < 0.5 * steps[0]
     assert again.smoothing_weight == first.smoothing_weight
     assert again.density_um_per_v2 == pytest.approx(
         first.density_um_per_v2, abs=1e-3 * first.density_um_per_v2.max())
