@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from piezo_common.arrays import FloatArray
 from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_common.side_by_side import side_by_side
@@ -154,8 +153,8 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
             where = problem if structure in between else with_loops
             # A delay compensates for an amplifier that is yet to be found.
             is_delayed_later = structure.delay_s is None and (delay_s or 0.0) > 0.0
-            fit = _raced(where, structure, best, SETTINGS.promise_of_start,
-                         SETTINGS.followed_steps if is_delayed_later else SETTINGS.steps)
+            fit = where.fit(structure.model, structure.delay_s,
+                            SETTINGS.followed_steps if is_delayed_later else SETTINGS.steps)
             here = [(structure.change, fit)]
             if is_delayed_later:
                 here.append((f"{structure.change}, and a delay", where.fit(
@@ -235,6 +234,10 @@ def searched(problem: WholeModel, best: WholeFit,
             is_simpler = all(
                 fit.numbers < best.numbers for fit in _better(problem, screened, best))
             best = max(better, key=lambda fit: fit.evidence_over(best))
+        problem.about_here()
+        last = problem.again(best, SETTINGS.steps)
+        tried.append(("the same, on from there", last))
+        best = last if is_better(last, best) else best
     if search.was_cut:
         tried += [entry for entry in screened if entry not in tried]
         best = max([best, *_better(problem, screened, best)],
@@ -250,8 +253,7 @@ def _screen(problem: WholeModel, best: WholeFit, listed: Sequence[Structure],
 
     def fit(structure: Structure) -> None:
         steps = SETTINGS.steps if is_wrong or structure.is_far else SETTINGS.screening_steps
-        screened.append((structure.change, _raced(
-            problem, structure, best, SETTINGS.promise, steps, best.density_changes)))
+        screened.append((structure.change, _raced(problem, structure, best, steps)))
 
     def reported(number: int) -> None:
         report(listed[number].change, number / len(listed))
@@ -261,14 +263,13 @@ def _screen(problem: WholeModel, best: WholeFit, listed: Sequence[Structure],
     side_by_side(fit, listed[1:], lambda number: reported(number + 1))
 
 
-def _raced(problem: WholeModel, structure: Structure, best: WholeFit, promise: float, steps: int,
-           density_changes: FloatArray | None = None) -> WholeFit:
+def _raced(problem: WholeModel, structure: Structure, best: WholeFit, steps: int) -> WholeFit:
     """Fit a structure, but end if it would not come near the best fit with gains as the last."""
     fit = problem.fit(structure.model, structure.delay_s, min(steps, SETTINGS.screening_steps),
-                      density_changes)
+                      best.density_changes)
     for left in range(steps - SETTINGS.screening_steps, 0, -SETTINGS.screening_steps):
         behind = -fit.evidence_over(best)
-        if fit.has_converged or behind > promise + left * fit.gain:
+        if fit.has_converged or behind > SETTINGS.promise + left * fit.gain:
             break
         fit = problem.again(fit, min(left, SETTINGS.screening_steps))
     return fit

@@ -223,8 +223,6 @@ def test_numbers_that_cannot_be_simulated_are_worse_than_all_others(
 
 
 class FitOfEvidence(SimpleNamespace):
-    has_converged = True
-
     def evidence_over(self, other):
         return self.evidence - other.evidence
 
