@@ -5,6 +5,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from piezo_common.side_by_side import side_by_side
 from piezo_identification.adequacy.component_residual import component_residual
 from piezo_identification.adequacy.lack_of_fit import lack_of_fit
 from piezo_identification.adequacy.residual_location import ResidualLocation, residual_location
@@ -71,13 +72,12 @@ def adequacy_of(
     dict of str to ComponentAdequacy
         Adequacy by name of the recording; short stretches are omitted.
     """
-    delays_s = delays_s or {}
-    return {
-        name: _component_adequacy(component, model, data, delays_s.get(name, 0.0), recordings,
-                                  component in asked_for)
-        for component in COMPONENTS for name, data in testable(recordings).items()
-        if experiment_of(name) == component
-    }
+    delays_s, tested = delays_s or {}, testable(recordings)
+    names = [name for component in COMPONENTS for name in tested
+             if experiment_of(name) == component]
+    return dict(zip(names, side_by_side(lambda name: _component_adequacy(
+        experiment_of(name), model, tested[name], delays_s.get(name, 0.0), recordings,
+        experiment_of(name) in asked_for), names), strict=True))
 
 
 def unseen_errors_beyond_noise(

@@ -360,12 +360,19 @@ class JointErrors:
         """Return the derivatives of the displacement of each recording by the unknowns."""
         key = vector.tobytes()
         if self._columns[0] != key and not self._columns_are_given:
-            point = self._at(vector)
-            self._columns = key, side_by_side(
-                lambda index: self._of_recording(point, index, vector), range(len(point.nuisance)))
+            point, recordings = self._at(vector), range(len(self.dataset.rows))
+            # The longest recording may take most of the time: its columns are items of their own.
+            items = [(index, number) for number in (None, *range(self.count, vector.size))
+                     for index in recordings]
+            columns = dict(zip(items, side_by_side(
+                lambda item: self._of_model(point, item[0]) if item[1] is None
+                else self._of_effects(point, *item, vector), items), strict=True))
+            self._columns = key, [np.column_stack([
+                columns[item] for item in items if item[0] == index]) for index in recordings]
         return self._columns[1]
 
-    def _of_recording(self, point: _Point, index: int, vector: FloatArray) -> FloatArray:
+    def _of_model(self, point: _Point, index: int) -> FloatArray:
+        """Return the derivatives by the changes of the model."""
         dataset, rows = point.dataset, point.dataset.rows[index]
         given, part = self.dataset.model, dataset.simulated[index]
         there = part.there(point.effects) if isinstance(part, RecordingBefore) else point.effects
@@ -377,18 +384,21 @@ class JointErrors:
             self._of_pieces_um.setdefault(index, changes[:, physical_count(given) :])
         decays = decay_sensitivities(part, rows, point.sizes[index], given)
         changes[:, : decays.shape[1]] += decays
-        unmoved_um, columns = part.simulate(point.effects, rows=rows), []
-        for number in range(self.count, vector.size):
-            step = SETTINGS.derivative_step * max(1.0, abs(vector[number]))
-            moved = vector.copy()
-            moved[number] += step if moved[number] + step <= self.high[number] else -step
-            effects = self.effects_at(moved)
-            moved_um = part.simulate(effects, rows=rows) - unmoved_um
-            nuisance = point.nuisance[index].regressors
-            if nuisance.shape[1] > self._own_count[index]:
-                moved_um += (_projected_out(part, rows, effects) - nuisance) @ point.sizes[index]
-            columns.append(moved_um / (moved[number] - vector[number]))
-        return np.column_stack([changes, *columns])
+        return changes
+
+    def _of_effects(self, point: _Point, index: int, number: int,
+                    vector: FloatArray) -> FloatArray:
+        """Return the derivative by one parameter of the effects, numerically."""
+        part, rows = point.dataset.simulated[index], point.dataset.rows[index]
+        step = SETTINGS.derivative_step * max(1.0, abs(vector[number]))
+        moved = vector.copy()
+        moved[number] += step if moved[number] + step <= self.high[number] else -step
+        effects = self.effects_at(moved)
+        moved_um = part.simulate(effects, rows=rows) - part.simulate(point.effects, rows=rows)
+        nuisance = point.nuisance[index].regressors
+        if nuisance.shape[1] > self._own_count[index]:
+            moved_um += (_projected_out(part, rows, effects) - nuisance) @ point.sizes[index]
+        return moved_um / (moved[number] - vector[number])
 
     def _moved_with_rates(self, point: _Point, index: int) -> FloatArray:
         """Return the part of the derivatives by which decay coefficients follow decay rates.

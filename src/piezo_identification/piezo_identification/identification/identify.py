@@ -98,8 +98,9 @@ def identify(
     """Identify a stage model from recordings (thesis 4.5).
 
     First the creep is estimated, then the fast dynamics with the creep removed. Both are estimated
-    again, because each was disturbed by the other. The hysteresis follows with both removed.
-    Mains hum is then subtracted from recordings that have it, and these steps are repeated.
+    again, because each was disturbed by the other, unless the last fit is sure to correct that.
+    The hysteresis follows with both removed. Mains hum is then subtracted from recordings that have
+    it, and these steps are repeated.
     Finally, all parameters are fitted together. Components that no recording shows are omitted: the
     model then has no creep, or static dynamics. Without a recording of the hysteresis, it is
     estimated from the others; from a frequency response or a two-level voltage it is a line.

@@ -173,7 +173,7 @@ def estimate_linear_dynamics(
     order: ResponseOrder = ANY_ORDER,
     begin: Callable[[str, float], object] = lambda *_: None,
 ) -> LinearDynamics:
-    """Estimate creep, then the fast dynamics with the creep removed, then both again.
+    """Estimate creep, then the fast dynamics with the creep removed, and both again if needed.
 
     The second pass reduces the error that each causes in the other. Creep is estimated from a
     square wave between two voltages, or from any other slow recordings. Fast dynamics are estimated
@@ -200,8 +200,6 @@ def estimate_linear_dynamics(
     fast = [] if isinstance(dynamics, FrequencyResponse) else of_the_fastest_clock(dynamics)
     given = isinstance(dynamics, FrequencyResponse) or len(fast) > 0
     needs_hysteresis = len(hysteresis) > 0 and not all(map(is_square_wave, fast))
-    # A second pass has no effect if only one of them is recorded.
-    passes = 2 if given and (creep or needs_hysteresis) else 1
     driving: DensityEstimate | None = None
     # Only loops of another speed tell creep from the hysteresis if the voltage never stands.
     slow = creep if any(has_holds(played(each)) for each in creep) else [*creep, *hysteresis]
@@ -228,10 +226,14 @@ def estimate_linear_dynamics(
         return found.with_dynamics(estimate), driving
 
     found, driving = estimated(found, driving, 0)
-    with while_time_lasts("second estimates of creep and dynamics", SECOND_PASS):
-        for turn in range(1, passes):
+    # A second pass has no effect if only one of them is recorded. Where loops are recorded for fast
+    # motion of many voltages, the one fit of all parameters replaces it, but does not find when
+    # rows are read.
+    read_at = _creep_readings(slow, found) | loop_readings(hysteresis, found)
+    if given and (not needs_hysteresis or read_at != {0.0}) and (creep or needs_hysteresis):
+        with while_time_lasts("second estimates of creep and dynamics", SECOND_PASS):
             check_cancelled()
-            found, driving = estimated(found, driving, turn)
+            found, driving = estimated(found, driving, 1)
     return found
 
 

@@ -105,7 +105,7 @@ def test_what_is_expensive_is_asked_for_seldom(monkeypatch):
     counted(simulated_recording, "starting_past_v",
             lambda model, part: pasts.append(part.path))
     counted(JointProblem, "fit", lambda *arguments, **options: fits.append("held" in options))
-    counted(JointErrors, "_of_recording", lambda *arguments: derivatives.append(arguments))
+    counted(JointErrors, "_of_model", lambda *arguments: derivatives.append(arguments))
     new, old = (recording(seed, with_steps_of_its_own) for seed in (1, 2))
     diagnosis = diagnose(MODEL, [new], identified_from=IdentificationRecordings((old,), ()))
     assert diagnosis.verdict == "unexplained"
