@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Properties of the voltage of a recording that the estimators need before fitting."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -153,6 +154,21 @@ def turning_points(voltage_v: FloatArray, threshold_v: float) -> NDArray[np.intp
         Smallest change back that is a reversal.
     """
     return np.flatnonzero(_turns(np.ascontiguousarray(voltage_v, dtype=float), threshold_v))
+
+
+def turns_inside(voltages_v: Sequence[FloatArray]) -> bool:
+    """Return whether a voltage also reverses elsewhere than at the ends of the range of all.
+
+    Parameters
+    ----------
+    voltages_v : sequence of ndarray
+        Voltages of the recordings, (N,) each.
+    """
+    low_v, high_v = min(map(np.min, voltages_v)), max(map(np.max, voltages_v))
+    near_v = SETTINGS.level_tolerance * (high_v - low_v)
+    turns_v = np.concatenate([voltage_v[turning_points(voltage_v, near_v)[1:-1]]
+                              for voltage_v in voltages_v])
+    return bool(np.any((turns_v > low_v + near_v) & (turns_v < high_v - near_v)))
 
 
 @njit(cache=True, nogil=True)

@@ -24,7 +24,7 @@ from piezo_identification.adequacy.model_plausibility import implausible_data, i
 from piezo_identification.conditioning.recording_start import motion_um_per_s
 from piezo_identification.conditioning.row_alignment import RowDelay
 from piezo_identification.conditioning.segments import Recordings
-from piezo_identification.conditioning.waveforms import played
+from piezo_identification.conditioning.waveforms import played, turns_inside
 from piezo_identification.estimators.estimate import unidentified_parameters
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_model import (
@@ -186,6 +186,7 @@ def identify(
         linear, estimate, first_rise = steps.linear, steps.estimate, steps.first_rise
         report_implausible(steps.impossible, note)
         report_estimates(linear, estimate, note)
+        report_single_loop(of_kind(steps.recordings, "hysteresis"), estimate, note)
         report_starts(steps.recordings, steps.cycled, linear, first_rise, note)
         fitted, read_at = fitted_together(
             steps.fitted, conditioned, steps.read_at,
@@ -266,6 +267,17 @@ def report_estimates(linear: LinearDynamics, density: DensityEstimate,
             note(f"the displacement falls as the voltage rises: the sign of the {name} is changed")
     report = f"hysteresis: {density.report()}"
     note(report if density.is_line else Detail(report))
+
+
+def report_single_loop(loops: Sequence[Recording], density: DensityEstimate,
+                       note: Callable[[str], object]) -> None:
+    """Report that loops of other sizes are a continuation, if the voltage runs a single loop."""
+    voltages_v = [played(each).voltage_v for each in loops]
+    if density.is_line or not loops or turns_inside(voltages_v):
+        return
+    note(f"the voltage of {' and '.join(each.path for each in loops)} turns at the ends of its "
+         "range only: smaller loops of the model are a continuation of this loop, and may be far "
+         "off; add loops of several sizes to --hysteresis")
 
 
 def report_starts(recordings: Mapping[str, Data], cycled: Mapping[str, Data],

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What a file makes of an identification that shows something else than it was given for."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -38,3 +41,16 @@ def test_a_failure_of_linear_algebra_names_stage_and_recordings(creep, monkeypat
                                          ".*: a recording does not show") as raised:
         identify(creep=creep)
     assert not isinstance(raised.value, np.linalg.LinAlgError)
+
+
+@pytest.mark.parametrize("levels_v, is_line, notes", [
+    ([0.0, 100.0, 0.0], False, 1), ([0.0, 100.0, 0.0], True, 0),
+    ([0.0, 100.0, 50.0, 80.0], False, 0)])
+def test_a_hysteresis_of_a_single_loop_is_named_as_such(creep, levels_v, is_line, notes):
+    voltage_v = np.interp(np.linspace(0.0, len(levels_v) - 1.0, creep.voltage_v.size),
+                          range(len(levels_v)), levels_v)
+    told = []
+    module.report_single_loop(
+        [replace(creep, voltage_v=voltage_v)], SimpleNamespace(is_line=is_line), told.append)
+    assert len(told) == notes
+    assert all("creep.csv turns at the ends of its range only" in text for text in told)
