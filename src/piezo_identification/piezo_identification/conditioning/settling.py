@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
-from piezo_identification.conditioning.waveforms import jumps_of
+from piezo_identification.conditioning.waveforms import jumps_of, longest_run
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect
 from piezo_models.effects.lag import Lag
@@ -212,9 +212,8 @@ def rings_unresolved(dynamics: ElectricVibrationDynamics, voltage_v: FloatArray,
     jumps = jumps_of(voltage_v)
     if not frequencies or not jumps.size or sample_period_s * min(frequencies) < 1.0:
         return np.zeros(rows.size, dtype=bool)
-    longest = np.diff(np.concatenate([[0], jumps, [rows.size]])).max()
     settling_s = settling_time_s(dynamics) * np.log(UNRESOLVED) / np.log(NEGLIGIBLE)
-    settled = min(settling_s / sample_period_s, MOST_OF_RECORDING * longest)
+    settled = min(settling_s / sample_period_s, MOST_OF_RECORDING * longest_run(voltage_v))
     last = np.concatenate([[-np.inf], jumps])[np.searchsorted(jumps, rows, side="right")]
     return np.asarray((rows > last) & (rows - last <= settled))
 

@@ -118,6 +118,11 @@ def jumps_of(voltage_v: FloatArray, range_v: float | None = None) -> NDArray[np.
         change_v > JUMP_SHARE * (np.ptp(voltage_v) if range_v is None else range_v))
 
 
+def longest_run(voltage_v: FloatArray) -> int:
+    """Return the largest number of samples between two jumps, or between one and an end."""
+    return int(np.diff(np.concatenate([[0], jumps_of(voltage_v), [voltage_v.size]])).max())
+
+
 def has_holds(recording: Recording) -> bool:
     """Return whether the voltage stands for much of a recording, in which creep alone moves."""
     voltage_v = np.asarray(recording.voltage_v, dtype=float)

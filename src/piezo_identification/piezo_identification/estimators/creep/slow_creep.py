@@ -24,7 +24,11 @@ from piezo_common.cancellation import check_cancelled
 from piezo_identification.conditioning.creep_removal import inverse_of_creep
 from piezo_identification.conditioning.outlier_samples import good_samples
 from piezo_identification.conditioning.segments import Recordings, played_segments
-from piezo_identification.conditioning.waveforms import jumps_of, samples_per_mean
+from piezo_identification.conditioning.waveforms import (
+    jumps_of,
+    longest_run,
+    samples_per_mean,
+)
 from piezo_identification.estimators.creep.power_law import (
     POWER_LAW,
     continued,
@@ -130,7 +134,9 @@ def estimate_slow_creep(
         requested number of pairs.
     """
     parts = played_segments(recordings)
-    settling_s = left_out_s(dynamics, step_s=max(map(_longest_run_s, parts)))
+    settling_s = left_out_s(dynamics, step_s=max(
+        longest_run(np.asarray(part.voltage_v, dtype=float)) * part.sample_period_s
+        for part in parts))
     problem = _Problem(parts, settling_s)
     found = _search(problem, pair_count)
     residual = problem.residual(found.point)
@@ -508,13 +514,6 @@ def _used(voltage_v: FloatArray, range_v: float, skipped: int) -> NDArray[np.boo
     used = since - np.maximum.accumulate(last) >= skipped
     used[jumps - 1] = False
     return used
-
-
-def _longest_run_s(part: Recording) -> float:
-    """Return the longest time between two jumps of a recording."""
-    voltage_v = np.asarray(part.voltage_v, dtype=float)
-    edges = [0, *jumps_of(voltage_v), voltage_v.size]
-    return float(np.max(np.diff(edges))) * part.sample_period_s
 
 
 def _bins(
