@@ -39,7 +39,7 @@ ROWS_PER_NUMBER = 10
 MOST_BENT = 2.0
 """Bound of each coefficient of the logarithm of a curve's slope, over voltages from -1 to 1."""
 
-STEP, MOST_EVALUATIONS = 1e-3, 15
+STEP, MOST_EVALUATIONS = 1e-5, 15
 """Step of the derivatives by the curves' coefficients, and largest number of steps."""
 
 WORTHWHILE = 1e-5
@@ -125,7 +125,7 @@ def fit_plays(segments: Sequence[HysteresisSegment], levels_v: FloatArray,
     straight = np.zeros(5)
     bent = least_squares(
         regression.residual_um, straight if near is None else np.append(near.rising, near.falling),
-        bounds=(-MOST_BENT, MOST_BENT), diff_step=STEP, x_scale=0.1, ftol=WORTHWHILE,
+        regression.derivatives_um, bounds=(-MOST_BENT, MOST_BENT), x_scale=0.1, ftol=WORTHWHILE,
         max_nfev=MOST_EVALUATIONS)
     curves = bent.x
     if np.sum(regression.residual_um(straight) ** 2) < LARGEST_GAIN * 2.0 * bent.cost:
@@ -176,27 +176,59 @@ class _PlayRegression:
         return columns - self._nuisance @ (self._nuisance.T @ columns)
 
     def weights(self, curves: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the best slopes and weights for two curves, and the residual (um)."""
-        rising, falling = np.append(0.0, curves[:2]), curves[2:]
-        ways = _curve(rising, self._pairs[:, 0]) - _curve(falling, self._pairs[:, 1])
-        plays = _play_columns(self._row_of_pair, self._pairs[:, 2], ways,
-                              _widths(rising, falling), self.count)
-        columns = self._without(np.hstack([self._reversible, plays]))
-        triangle = triangle_of(np.column_stack([columns, self._output_um]))
-        weights, residual = nnls(triangle[:, :-1], triangle[:, -1], maxiter=30 * columns.shape[1])
-        # Try to omit the reversible part and the play of zero width, or only the reversible part.
+        """Return slopes and weights for two curves, and the residual (um).
+
+        The reversible part and the play of zero width, or only the reversible part, are omitted if
+        the others explain nearly as much.
+        """
+        columns, triangle = self._regression(curves)
+        weights, residual = _nonnegative(triangle)
         for first in (SLOPE_KNOTS + 1, SLOPE_KNOTS):
-            fewer, without = nnls(
-                triangle[:, first:-1], triangle[:, -1], maxiter=30 * columns.shape[1])
+            fewer, without = _nonnegative(triangle[:, first:])
             if without**2 < LARGEST_GAIN * residual**2:
                 weights = np.concatenate([np.zeros(first), fewer])
                 break
         return weights, self._output_um - columns @ weights
 
     def residual_um(self, curves: FloatArray) -> FloatArray:
-        """Return the residual of the best plays for two curves, in um."""
+        """Return the residual of the best slopes and weights for two curves, in um."""
         check_cancelled()
-        return self.weights(curves)[1]
+        columns, triangle = self._regression(curves)
+        self._weights, _ = _nonnegative(triangle)
+        self._used = columns[:, self._weights > 0.0]
+        return self._output_um - columns @ self._weights
+
+    def derivatives_um(self, curves: FloatArray) -> FloatArray:
+        """Return the derivatives of the last residual by the curves, (N, 5).
+
+        Weights that are not zero follow the curves: what they can explain of the change is
+        projected out (Kaufman 1975).
+        """
+        weights = self._weights[SLOPE_KNOTS:]
+        unmoved_um = self._plays(curves) @ weights
+        changes = self._without(np.column_stack([
+            (self._plays(curves + STEP * direction) @ weights - unmoved_um) / STEP
+            for direction in np.eye(curves.size)]))
+        used = np.linalg.qr(self._used)[0]
+        return used @ (used.T @ changes) - changes
+
+    def _regression(self, curves: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the columns of the regression, and the triangle of them with the output."""
+        columns = self._without(np.hstack([self._reversible, self._plays(curves)]))
+        return columns, triangle_of(np.column_stack([columns, self._output_um]))
+
+    def _plays(self, curves: FloatArray) -> FloatArray:
+        """Return the output of each play between two curves, for unit weight, (N, K)."""
+        rising, falling = np.append(0.0, curves[:2]), curves[2:]
+        ways = _curve(rising, self._pairs[:, 0]) - _curve(falling, self._pairs[:, 1])
+        return _play_columns(self._row_of_pair, self._pairs[:, 2], ways,
+                             _widths(rising, falling), self.count)
+
+
+def _nonnegative(triangle: FloatArray) -> tuple[FloatArray, float]:
+    """Return the non-negative solution of a regression, and the norm of its residual."""
+    solution, norm = nnls(triangle[:, :-1], triangle[:, -1], maxiter=30 * (triangle.shape[1] - 1))
+    return solution, float(norm)
 
 
 def _curve(coefficients: FloatArray, voltage: FloatArray) -> FloatArray:

@@ -4,10 +4,9 @@
 import numpy as np
 import pytest
 
-from piezo_common.cancellation import checking
 from piezo_identification.estimators.hysteresis.equations import HysteresisSegment
 from piezo_identification.estimators.hysteresis.everett_regression import everett_regression
-from piezo_identification.estimators.hysteresis.play_fit import fit_plays
+from piezo_identification.estimators.hysteresis.play_fit import _PlayRegression, fit_plays
 from piezo_identification.estimators.hysteresis.smoothed_density import density_of_segments
 
 LEVELS_V = np.linspace(0.0, 100.0, 201)
@@ -51,22 +50,28 @@ def test_plays_are_found_and_predict_loops_that_they_were_not_fitted_to(bent):
 
 
 @pytest.mark.long
-def test_from_the_curves_of_nearly_the_same_loops_a_search_takes_fewer_steps_to_the_same():
+def test_a_search_from_the_curves_of_nearly_the_same_loops_comes_to_the_same():
     voltage_v = loops_v([0.0, 100.0, *np.ravel([(5.0 * k, 100.0) for k in range(1, 19)]), 0.0])
     noise_um = 1e-3 * np.random.default_rng(0).standard_normal(voltage_v.size)
-    output_um, steps = followed_um(voltage_v, 0.05), list[int]()
+    exact, noisy = (segment(voltage_v, followed_um(voltage_v, 0.05) + each)
+                    for each in (0.0, noise_um))
+    afresh = fit_plays([noisy], LEVELS_V)
+    from_there = fit_plays([noisy], LEVELS_V, fit_plays([exact], LEVELS_V))
+    assert from_there.unknowns(40) == pytest.approx(afresh.unknowns(40), abs=1e-4)
 
-    def found(measured_um, near=None):
-        steps.append(0)
 
-        def count():
-            steps[-1] += 1
-        with checking(count):
-            return fit_plays([segment(voltage_v, measured_um)], LEVELS_V, near)
-    near, afresh = found(output_um), found(output_um + noise_um)
-    from_there = found(output_um + noise_um, near)
-    assert steps[2] < 0.8 * steps[1]
-    assert from_there.unknowns(40) == pytest.approx(afresh.unknowns(40), abs=1e-3)
+def test_derivatives_are_those_of_the_squares_of_the_best_plays():
+    voltage_v = loops_v([0.0, 100.0, *np.ravel([(9.0 * k, 100.0) for k in range(1, 11)]), 0.0])
+    regression = _PlayRegression([segment(voltage_v, followed_um(voltage_v, 0.2))], LEVELS_V)
+    curves, step = np.array([0.05, -0.03, 0.1, 0.04, -0.02]), 1e-5
+
+    def squares(moved):
+        return 0.5 * np.sum(regression.residual_um(moved) ** 2)
+    slopes = [(squares(curves + step * each) - squares(curves - step * each)) / (2.0 * step)
+              for each in np.eye(5)]
+    residual_um = regression.residual_um(curves)
+    found = regression.derivatives_um(curves).T @ residual_um
+    assert found == pytest.approx(np.array(slopes), rel=0.02, abs=0.02 * np.abs(slopes).max())
 
 
 def test_too_few_samples_are_not_fitted():
