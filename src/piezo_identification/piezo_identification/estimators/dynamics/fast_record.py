@@ -15,6 +15,7 @@ from piezo_identification.estimators.dynamics.fast_dynamics import (
     STEP,
     ModeOrder,
     differentiated,
+    fast_dynamics_of,
     poles_and_residues,
     with_lags_apart,
 )
@@ -26,6 +27,7 @@ from piezo_identification.estimators.poles.spectral_input import (
 )
 from piezo_identification.fitting.evidence import INDEPENDENT, independent_errors, log_evidence
 from piezo_identification.fitting.regression import SETTINGS as FIT
+from piezo_models.effects.vibration_mode import VibrationMode
 
 LEAST_INDEPENDENT = 0.5
 """Smallest fraction of the rows that counts as independent, because correlated errors may come from
@@ -379,10 +381,17 @@ class FastRecord:
         slopes = _without(slopes, span)
         return residual, left @ (left.T @ slopes) - slopes, poles, residues
 
-    def has_endless_lag(self, fit: FastFit) -> bool:
-        """Return whether the lag of a fit is at its upper bound: it then represents drift."""
+    def slower_than_record(self, fit: FastFit) -> str:
+        """Return which part of a fit is too slow for the record; an empty text if none is."""
         longest = self._bounds(fit.order, fit.vector.size)[1][0]
-        return bool(fit.vector[0] > longest - NEIGHBOURS)
+        if fit.vector[0] > longest - NEIGHBOURS:
+            return "a lag as long as the record"
+        dynamics, effects = fast_dynamics_of(fit.vector, fit.order)
+        modes = [*dynamics.mode_frequencies_rad_per_s, *(
+            effect.frequency_rad_per_s for effect in effects if isinstance(effect, VibrationMode))]
+        period_s = 2.0 * np.pi / min(modes, default=np.inf)
+        is_longer = period_s > self.input.samples.size * self.input.sample_period_s
+        return "a mode whose period is longer than the record" if is_longer else ""
 
     def _bounds(self, order: ModeOrder, size: int) -> tuple[FloatArray, FloatArray]:
         """Return bounds of the vector and the delay, from what the samples can show."""

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete, dlsim
 
-from piezo_identification.estimators.dynamics.fast_record import FastRecord
+from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
+from piezo_identification.estimators.dynamics.fast_record import FastFit, FastRecord
 from piezo_identification.estimators.dynamics.pole_search import free_fits
 from piezo_identification.estimators.poles.pole_responses import HeldInput
 
@@ -46,3 +47,17 @@ def test_the_poles_of_a_record_are_sought_once_and_as_if_for_the_first_time():
     for found, fresh in zip(again, free_fits(asked_once.thinned(200), 1), strict=True):
         np.testing.assert_array_equal(found.vector, fresh.vector)
     assert np.exp(again[1].vector[1]) == pytest.approx(MODE_RAD_PER_S, rel=1e-3)
+
+
+@pytest.mark.parametrize("lag_s, mode_rad_per_s, beside_rad_per_s, part", [
+    (1e-3, MODE_RAD_PER_S, MODE_RAD_PER_S, ""),
+    (PERIOD_S * COUNT, MODE_RAD_PER_S, MODE_RAD_PER_S, "a lag as long as the record"),
+    (1e-3, 0.9 * 2.0 * np.pi / (PERIOD_S * COUNT), MODE_RAD_PER_S, "a mode whose period is longer"),
+    (1e-3, MODE_RAD_PER_S, 0.9 * 2.0 * np.pi / (PERIOD_S * COUNT), "a mode whose period is longer"),
+    (1e-3, MODE_RAD_PER_S, 1.1 * 2.0 * np.pi / (PERIOD_S * COUNT), "")])
+def test_parts_that_are_slower_than_a_record_are_named(
+        lag_s, mode_rad_per_s, beside_rad_per_s, part):
+    vector = np.append(np.log([lag_s, mode_rad_per_s, 0.01, beside_rad_per_s, 0.3]), 0.3)
+    fit = FastFit(ModeOrder(1, 0, 1), vector, 0.0, np.zeros(1), np.zeros((1, 1)))
+    assert record().slower_than_record(fit).startswith(part)
+    assert bool(record().slower_than_record(fit)) == bool(part)
