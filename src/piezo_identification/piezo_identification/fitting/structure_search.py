@@ -623,6 +623,7 @@ def _with_more(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
         if type(effect) is AmplifierLag:
             yield Structure("its amplifier of second order", _with(
                 _without(model, place), SecondOrderAmplifier(effect.time_constant_s)), delay_s)
+    yield from _with_damped_mode_in_front(model, delay_s)
     creep = _creep_as_far_as(model.creep, 1.0 / problem.sample_period_s, 1)
     if creep != model.creep:
         yield Structure("with faster creep", replace(model, creep=creep), delay_s)
@@ -634,6 +635,22 @@ def _with_more(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
         if any(type(effect) is CoupledMode for effect in model.effects):
             yield Structure(f"with a coupled mode of {mode.frequency_rad_per_s:.4g} rad/s", _with(
                 model, CoupledMode(*mode.parameters().values())), delay_s)
+
+
+def _with_damped_mode_in_front(model: StageModel, delay_s: float | None) -> Iterator[Structure]:
+    """Yield the model with its most damped mode in series as an amplifier of second order."""
+    dynamics = model.dynamics
+    damping = max(dynamics.damping_ratios, default=0.0)
+    if damping <= SETTINGS.most_uncoupled or dynamics.antiresonance_frequencies_rad_per_s:
+        return
+    place = dynamics.damping_ratios.index(damping)
+    amplifier = SecondOrderAmplifier(
+        2.0 * damping / dynamics.mode_frequencies_rad_per_s[place], 0.5 / damping)
+    others = tuple(effect for effect in model.effects if not isinstance(effect, AmplifierLag))
+    yield Structure("its damped mode as an amplifier of second order", replace(
+        model, effects=(amplifier, *others), dynamics=replace(
+            dynamics, mode_frequencies_rad_per_s=_but(dynamics.mode_frequencies_rad_per_s, place),
+            damping_ratios=_but(dynamics.damping_ratios, place))), delay_s, is_far=True)
 
 
 def _later(model: StageModel, delay_s: float | None,

@@ -154,6 +154,26 @@ def test_an_amplifier_of_second_order_takes_the_place_of_a_lag(plant, play):
     assert np.std(fit.residual_um[0][0]) < 1.1 * NOISE_UM < np.std(before.residual_um[0][0])
 
 
+def test_a_damped_mode_behind_the_hysteresis_becomes_the_amplifier_in_front_of_it(plant, play):
+    rings = ElectricVibrationDynamics(0.0, (4909.0,), (0.082,))
+    stage = replace(plant, dynamics=rings, effects=(SecondOrderAmplifier(LAG_S, 0.8),))
+    parts = [play(experiments.dynamics(duration_s=0.1), 1, stage=stage),
+             play(experiments.hysteresis(level_count=8, harmonic_period_s=1.0), 1, 1000.0,
+                  stage=stage)]
+    damping = 0.5 / 0.8
+    behind = replace(plant, dynamics=ElectricVibrationDynamics(
+        0.0, (2.0 * damping / LAG_S, 4909.0), (damping, 0.082)))
+    problem = WholeModel(behind, parts, [0.0, 0.0])
+    before = problem.fit(behind, None, 6)
+    tried = next(each for each in structures(problem, before)
+                 if each.change == "its damped mode as an amplifier of second order")
+    fit = problem.fit(tried.model, tried.delay_s, 12)
+    assert is_better(fit, before)
+    [amplifier] = fit.model.effects
+    assert amplifier.parameters() == pytest.approx(
+        {"time_constant_s": LAG_S, "quality_factor": 0.8}, rel=0.1)
+
+
 @pytest.mark.long
 def test_starts_have_the_loops_that_were_estimated_beside_them(plant, wrong, recordings):
     """A line that no prior bends into loops would keep every start from the truth."""
