@@ -40,6 +40,13 @@ def recordings(play):
         play(experiments.hysteresis(level_count=8, harmonic_period_s=1.0), 1, 1000.0))]
 
 
+def steps_and_loops(play, stage):
+    """Record the dynamics and the hysteresis of a stage."""
+    return [play(experiments.dynamics(duration_s=0.1), 1, stage=stage),
+            play(experiments.hysteresis(level_count=8, harmonic_period_s=1.0), 1, 1000.0,
+                 stage=stage)]
+
+
 @pytest.fixture(scope="module")
 def unseen(play):
     return play(experiments.validation(arc_s=0.05, tones_s=0.2), 2)
@@ -108,9 +115,7 @@ def test_a_model_that_is_right_is_not_replaced_by_a_worse_one(plant, recordings)
 @pytest.mark.long
 def test_a_lag_that_stands_behind_the_hysteresis_is_moved_to_the_front(plant, play):
     stage = replace(plant, effects=(AmplifierLag(LAG_S),))
-    parts = [play(experiments.dynamics(duration_s=0.1), 1, stage=stage),
-             play(experiments.hysteresis(level_count=8, harmonic_period_s=1.0), 1, 1000.0,
-                  stage=stage)]
+    parts = steps_and_loops(play, stage)
     behind = replace(plant, dynamics=replace(
         plant.dynamics, time_constant_s=plant.dynamics.time_constant_s + LAG_S))
     problem = WholeModel(behind, parts, [0.0, 0.0])
@@ -139,9 +144,7 @@ def test_a_mode_in_series_that_an_antiresonance_cancels_is_left_out_with_it(plan
 
 def test_an_amplifier_of_second_order_takes_the_place_of_a_lag(plant, play):
     stage = replace(plant, effects=(SecondOrderAmplifier(LAG_S, 0.8),))
-    parts = [play(experiments.dynamics(duration_s=0.1), 1, stage=stage),
-             play(experiments.hysteresis(level_count=8, harmonic_period_s=1.0), 1, 1000.0,
-                  stage=stage)]
+    parts = steps_and_loops(play, stage)
     with_lag = replace(plant, effects=(AmplifierLag(LAG_S),))
     problem = WholeModel(with_lag, parts, [0.0, 0.0])
     before = problem.fit(with_lag, None, 6)
@@ -157,9 +160,7 @@ def test_an_amplifier_of_second_order_takes_the_place_of_a_lag(plant, play):
 def test_a_damped_mode_behind_the_hysteresis_becomes_the_amplifier_in_front_of_it(plant, play):
     rings = ElectricVibrationDynamics(0.0, (4909.0,), (0.082,))
     stage = replace(plant, dynamics=rings, effects=(SecondOrderAmplifier(LAG_S, 0.8),))
-    parts = [play(experiments.dynamics(duration_s=0.1), 1, stage=stage),
-             play(experiments.hysteresis(level_count=8, harmonic_period_s=1.0), 1, 1000.0,
-                  stage=stage)]
+    parts = steps_and_loops(play, stage)
     damping = 0.5 / 0.8
     behind = replace(plant, dynamics=ElectricVibrationDynamics(
         0.0, (2.0 * damping / LAG_S, 4909.0), (damping, 0.082)))
