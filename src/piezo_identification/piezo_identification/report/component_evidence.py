@@ -15,7 +15,7 @@ from piezo_identification.conditioning.row_alignment import read_as
 from piezo_identification.conditioning.segments import experiment_of, testable
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.identification.given_data import Data, conditioned_data
-from piezo_identification.identification.mains_hum import hum_of_each, without_hum
+from piezo_identification.identification.recorded_hum import hum_of_each, without_hum
 from piezo_identification.identification.row_delays import delays_of_rows_s
 from piezo_identification.report.waveform_view import WaveformView, view_of
 from piezo_models.identified_model import IdentifiedModel

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from piezo_identification.identification.identify import identify
-from piezo_identification.identification.mains_hum import hum_of
+from piezo_identification.identification.recorded_hum import hum_of
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.effects.coupled_mode import CoupledMode
