@@ -361,12 +361,17 @@ class JointErrors:
         key = vector.tobytes()
         if self._columns[0] != key and not self._columns_are_given:
             point, recordings = self._at(vector), range(len(self.dataset.rows))
+            unmoved_um = side_by_side(
+                lambda index: point.dataset.simulated[index].simulate(
+                    point.effects, rows=point.dataset.rows[index]),
+                recordings if vector.size > self.count else ())
             # The longest recording may take most of the time: its columns are items of their own.
             items = [(index, number) for number in (None, *range(self.count, vector.size))
                      for index in recordings]
             columns = dict(zip(items, side_by_side(
                 lambda item: self._of_model(point, item[0]) if item[1] is None
-                else self._of_effects(point, *item, vector), items), strict=True))
+                else self._of_effects(point, *item, vector, unmoved_um[item[0]]), items),
+                strict=True))
             self._columns = key, [np.column_stack([
                 columns[item] for item in items if item[0] == index]) for index in recordings]
         return self._columns[1]
@@ -386,15 +391,15 @@ class JointErrors:
         changes[:, : decays.shape[1]] += decays
         return changes
 
-    def _of_effects(self, point: _Point, index: int, number: int,
-                    vector: FloatArray) -> FloatArray:
+    def _of_effects(self, point: _Point, index: int, number: int, vector: FloatArray,
+                    unmoved_um: FloatArray) -> FloatArray:
         """Return the derivative by one parameter of the effects, numerically."""
         part, rows = point.dataset.simulated[index], point.dataset.rows[index]
         step = SETTINGS.derivative_step * max(1.0, abs(vector[number]))
         moved = vector.copy()
         moved[number] += step if moved[number] + step <= self.high[number] else -step
         effects = self.effects_at(moved)
-        moved_um = part.simulate(effects, rows=rows) - part.simulate(point.effects, rows=rows)
+        moved_um = part.simulate(effects, rows=rows) - unmoved_um
         nuisance = point.nuisance[index].regressors
         if nuisance.shape[1] > self._own_count[index]:
             moved_um += (_projected_out(part, rows, effects) - nuisance) @ point.sizes[index]
