@@ -36,6 +36,24 @@ def test_a_sensor_that_clips_is_told(independent_stage, recorded, voltage_v, end
     assert f"value, {limit_um:.6g} um, in " in text
 
 
+def test_a_sensor_that_clips_at_a_single_held_level_is_told(recorded):
+    noisy_um = np.repeat([10.0, 70.0], 500) + 0.01 * np.random.default_rng(1).normal(size=1000)
+    (text,) = implausible_data({"creep": recorded(
+        "step", np.repeat([20.0, 80.0], 500), np.minimum(noisy_um, 60.0), 0.02)})
+    assert "value, 60 um, in 50 % of the samples" in text
+
+
+def test_a_sensor_that_clips_a_short_overshoot_is_told(recorded):
+    time_s = np.tile(np.arange(1000) * 1e-4, 4)
+    ringing_um = 60.0 - 40.0 * np.exp(-50.0 * time_s) * np.cos(600.0 * time_s)
+    noisy_um = ringing_um + 0.01 * np.random.default_rng(1).normal(size=time_s.size)
+    voltage_v = np.repeat(np.tile([20.0, 80.0], 2), 1000)
+    displacement_um = np.where(voltage_v < 50.0, 120.0 - noisy_um, noisy_um)
+    for clipped_um in (np.minimum(displacement_um, np.sort(displacement_um)[-6]), displacement_um):
+        said = implausible_data({"dynamics": recorded("rings", voltage_v, clipped_um, 1e-4)})
+        assert ("is clipped" in "".join(said)) == (clipped_um is not displacement_um)
+
+
 @pytest.mark.parametrize("quantum_um", [0.0, 0.02, 1.0])
 @pytest.mark.parametrize("noise_um", [0.0, 0.01])
 @pytest.mark.parametrize("voltage_v", [SINE_V, SQUARE_V], ids=["sine", "square"])
