@@ -62,8 +62,8 @@ def with_outliers_marked(recording: Recording) -> Recording:
         sample = np.clip(np.flatnonzero(wrong), good[0], good[-1])
         mended_um[wrong] = PchipInterpolator(good, measured_um[good])(sample)
         off_um[wrong] = measured_um[wrong] - mended_um[wrong]
-    for _, end_um, _ in clipped_ends(measured_um, recording.voltage_v):
-        off_um[measured_um == end_um] = np.nan
+    for _, end_um, _ in clipped_ends(mended_um, recording.voltage_v):
+        off_um[mended_um == end_um] = np.nan
     return replace(recording, displacement_um=mended_um,
                    columns=recording.columns | {OUTLIER: off_um})
 

@@ -30,6 +30,9 @@ class UsualStage:
     stuck_while: float = 0.03
     """A sensor is clipped if it stays at its end while the voltage moves by this part of its
     range."""
+    shortest_clip: int = 5
+    """Number of equal readings below which they may be a drop-out of the sensor, unless the voltage
+    moves as far as that."""
     stuck_ratio: float = 5.0
     """Largest ratio of the voltage that passes at one value at the end of a sensor's range to that
     elsewhere, and of the number of repetitions of a value at rest."""
@@ -180,8 +183,9 @@ def _is_stuck(voltage_v: FloatArray, starts: NDArray[np.intp], lengths: NDArray[
     shown_v[starts] = voltage_v[starts]
     moved_v = np.maximum.reduceat(shown_v, starts) - np.minimum.reduceat(shown_v, starts)
     elsewhere_v = max(float(moved_v[~at_end].max(initial=0.0)), quantum_v)
-    most_v = min(USUAL.stuck_while * float(np.ptp(voltage_v)), USUAL.stuck_ratio * elsewhere_v)
-    if np.any(moved_v[at_end] > most_v):
+    if np.any(moved_v[at_end] > USUAL.stuck_while * np.ptp(voltage_v)):
+        return True
+    if np.any(moved_v[at_end & (lengths >= USUAL.shortest_clip)] > USUAL.stuck_ratio * elsewhere_v):
         return True
     # A stage without noise may rest before it first moves; a clipped sensor does so again.
     at_rest = (moved_v == 0.0) & (starts > 0)
