@@ -10,6 +10,8 @@ import pytest
 from piezo_identification.adequacy.model_plausibility import implausible_data, implausible_model
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_models.cascade import StageModel
+from piezo_models.effects.amplifier_lag import AmplifierLag
+from piezo_models.effects.coupled_mode import CoupledMode
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
@@ -79,7 +81,7 @@ def test_dynamics_that_are_sampled_too_slowly_are_told(recorded):
 
 
 @pytest.mark.parametrize(("made", "said"), [
-    ({"time_constant_s": 2.7}, "a time constant of 2.7 s is too slow .* is dyn a recording"),
+    ({"time_constant_s": 2.7}, "a lag of 2.7 s is too slow .* is dyn a recording"),
     ({"mode_frequencies_rad_per_s": (3.0,), "damping_ratios": (0.5,)}, "a mode at 0.477 Hz"),
     ({"range_um": 0.133}, "a range of 0.133 um over 100 V is implausible"),
     ({"range_um": 3e4}, "a range of 3e.04 um"),
@@ -96,6 +98,15 @@ def test_an_implausible_model_is_told(recorded, made, said):
 def test_a_plausible_model_is_not_told_of(recorded, made):
     recordings = {"dynamics": recorded("dyn", SQUARE_V, SQUARE_V, 1e-3)}
     assert implausible_model(model(**made), recordings) == []
+
+
+def test_a_time_constant_that_coupled_modes_compensate_is_plausible(recorded):
+    coupled = replace(model(time_constant_s=0.06), effects=(
+        CoupledMode(2500.0, 0.02, 0.4, 90.0), CoupledMode(5600.0, 0.02, 0.6, 130.0)))
+    recordings = {"dynamics": recorded("dyn", SQUARE_V, SQUARE_V, 1e-3)}
+    assert implausible_model(coupled, recordings) == []
+    lagging = replace(model(), effects=(AmplifierLag(0.06),))
+    assert "a lag of 0.0605 s is too slow" in implausible_model(lagging, recordings)[0]
 
 
 @pytest.mark.parametrize(("gain", "said"), [(2.9, []), (2900.0, ["a gain of 2.9e+03 um/V is"])])
