@@ -28,7 +28,8 @@ from piezo_identification.fitting.levenberg_marquardt import descend
 from piezo_identification.fitting.noise_estimate import estimate_noise
 from piezo_identification.fitting.recording_evidence import recording_evidence
 from piezo_identification.fitting.regression import Regression
-from piezo_identification.simulation.simulated_recording import SimulatedRecording
+from piezo_identification.simulation.past_search import simulated_recording
+from piezo_identification.simulation.simulated_recording import PastVoltages, SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, Evidence, fitted_values, units_of_fitted
 from piezo_models.effects.band_limited_voltage import BandLimitedVoltage
@@ -226,8 +227,8 @@ class WholeModel:
         mask = [*self._dataset.masks()][index]
         rows = self._dataset.rows[index][self._good[mask]]
 
-        def after(past_v: tuple[float, ...] | None) -> SimulatedRecording:
-            return SimulatedRecording(
+        def after(past_v: PastVoltages | None) -> SimulatedRecording:
+            return simulated_recording(
                 model, self._dataset.recordings[index], past_v, before.read_late_s)
 
         found = after(None)
@@ -378,7 +379,7 @@ def _simulated(model: StageModel, recordings: Sequence[Recording],
     """Return the recordings, with the pasts that a model fits best, without its effects."""
     bare = replace(model, effects=())
     return side_by_side(
-        lambda index: SimulatedRecording(
+        lambda index: simulated_recording(
             model, recordings[index], read_late_s=read_late_s[index]).with_model(bare),
         range(len(recordings)))
 
