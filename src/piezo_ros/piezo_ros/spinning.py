@@ -19,11 +19,11 @@ from rclpy.signals import SignalHandlerOptions
 from piezo_ros.discovery import LONGEST_STANDSTILL_S, prepare_discovery
 from piezo_ros.executor import make_executor, spin_once
 from piezo_ros.heartbeat import Heartbeat
-from piezo_ros.memory import end_before_stage, limit_memory
+from piezo_ros.impossible_transitions import answer_impossible_transitions
+from piezo_ros.memory_limit import end_before_stage, limit_memory
 from piezo_ros.parameters import declare
 from piezo_ros.process_watch import ProcessWatch
 from piezo_ros.responses import answer_patiently
-from piezo_ros.transitions import answer_impossible_transitions
 
 RCLError = rclpy_implementation.RCLError
 SPIN_TIMEOUT_S = 0.2

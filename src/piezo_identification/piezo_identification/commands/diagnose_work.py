@@ -14,7 +14,7 @@ from piezo_identification.commands.response_options import (
 )
 from piezo_identification.diagnosis.evidence.stand_ins import name_of
 from piezo_identification.diagnosis.report.diagnosis_report import verdict_sentence
-from piezo_identification.diagnosis.report.results import diagnose_files
+from piezo_identification.diagnosis.report.diagnosis_results import diagnose_files
 from piezo_identification.diagnosis.response.response_results import (
     diagnose_response_file,
     response_sentence,

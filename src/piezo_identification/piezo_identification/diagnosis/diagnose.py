@@ -3,7 +3,7 @@
 
 `diagnose` reads from top to bottom. Each step uses the results of the steps before: recordings,
 conditioned, simulated, residual, candidates, fits, comparison, competition, decision, ceiling,
-verdict. The report is written by `piezo_identification.diagnosis.report.results`.
+verdict. The report is written by `piezo_identification.diagnosis.report.diagnosis_results`.
 """
 
 from collections.abc import Mapping, Sequence

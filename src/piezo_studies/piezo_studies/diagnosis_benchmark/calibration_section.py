@@ -2,8 +2,8 @@
 """The sections of docs/studies/diagnosis_rates.md on the suite, and their pictures."""
 
 from piezo_common.picture_style import new_figure, to_png
-from piezo_studies.diagnosis_benchmark.calibration import calibrate, draw_reliability
 from piezo_studies.diagnosis_benchmark.coverage import KNOWN, coverage
+from piezo_studies.diagnosis_benchmark.reliability import calibrate, draw_reliability
 from piezo_studies.marked_sections import write_sections
 
 

@@ -8,7 +8,7 @@ import argparse
 
 import numpy as np
 
-from piezo_identification.diagnosis.report.results import stated_error_um
+from piezo_identification.diagnosis.report.diagnosis_results import stated_error_um
 from piezo_identification.fitting.dataset import simulate_recordings
 from piezo_identification.fitting.regression import first_regression
 from piezo_studies.diagnosis_benchmark import records

@@ -7,7 +7,6 @@ from distributed import as_completed
 
 from piezo_common.progress_line import ProgressLine
 from piezo_identification.diagnosis.many.many_recordings import cluster_client
-from piezo_studies.diagnosis_benchmark.calibration import calibrate
 from piezo_studies.diagnosis_benchmark.calibration_section import write_section
 from piezo_studies.diagnosis_benchmark.cases import draw_cases, draw_cases_all_along
 from piezo_studies.diagnosis_benchmark.coverage import coverage
@@ -17,6 +16,7 @@ from piezo_studies.diagnosis_benchmark.outcome import (
     summary,
     without_experiments,
 )
+from piezo_studies.diagnosis_benchmark.reliability import calibrate
 from piezo_studies.diagnosis_benchmark.run_case import clean_model, run_case
 from piezo_studies.diagnosis_benchmark.short_case import run_short_case
 from piezo_studies.diagnosis_benchmark.short_cases import draw_short_cases

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import norm
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.diagnosis.experiment_design.alternatives import (
+from piezo_identification.diagnosis.experiment_design.alternative_explanations import (
     Alternatives,
     sensitivities,
 )

@@ -7,7 +7,7 @@ from typing import Any
 
 from piezo_common.progress_part import Progress, part_of
 from piezo_identification.diagnosis.diagnose import Diagnosis
-from piezo_identification.diagnosis.experiment_design.alternatives import (
+from piezo_identification.diagnosis.experiment_design.alternative_explanations import (
     LEAST_PROBABLE,
     find_alternatives,
 )

@@ -14,7 +14,7 @@ from piezo_identification.diagnosis.comparison.reasons import Reason, Undecided
 from piezo_identification.diagnosis.evidence.recording_faults import wrong_sign
 from piezo_identification.diagnosis.evidence.stand_ins import with_stand_ins
 from piezo_identification.diagnosis.response.response_candidates import fit_each_candidate
-from piezo_identification.diagnosis.response.response_fit import (
+from piezo_identification.diagnosis.response.response_effect_fit import (
     SETTINGS,
     ResponseFit,
     ResponseProblem,
