@@ -27,6 +27,7 @@ from piezo_identification.fitting.joint_fit import SETTINGS as JOINT
 from piezo_identification.fitting.levenberg_marquardt import descend
 from piezo_identification.fitting.noise_estimate import estimate_noise
 from piezo_identification.fitting.recording_evidence import recording_evidence
+from piezo_identification.fitting.regression import SETTINGS as FIT
 from piezo_identification.fitting.regression import Regression
 from piezo_identification.simulation.past_search import simulated_recording
 from piezo_identification.simulation.simulated_recording import PastVoltages, SimulatedRecording
@@ -43,10 +44,6 @@ read later: the rows are then read late."""
 
 BEFORE_DELAY = ("voltage", "modes")
 """Places of the effects of a model that act before its delay."""
-
-ADEQUATE = 0.2
-"""Error of an adequate model, relative to that of a good one: 2e-5 of the travel, as in
-`adequacy`."""
 
 LEAST_GAIN = 1e-9
 """Smallest gain of a line, in um/V, so that it is not negative."""
@@ -357,7 +354,8 @@ class WholeModel:
             pieces_um=self._pieces_um,
             hysteresis_width=self._hysteresis_width,
             of_pieces_um=self._of_pieces_um.setdefault(smooth, {}))
-        errors.accuracy_um = ADEQUATE * errors.accuracy_um
+        errors.accuracy_um = (
+            FIT.adequate_tolerance / FIT.model_tolerance * errors.accuracy_um)
         return errors
 
     @property
