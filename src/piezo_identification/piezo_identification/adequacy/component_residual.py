@@ -38,6 +38,7 @@ from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_hold import without_hold
 from piezo_identification.estimators.poles.pole_responses import HeldInput
+from piezo_identification.simulation.nuisance import offset_and_decays
 from piezo_identification.simulation.past_search import after_saturation, starting_past_v
 from piezo_identification.simulation.recorded_voltage import in_parts
 from piezo_identification.simulation.sampled_response import (
@@ -147,8 +148,7 @@ def _of_square_wave(
         # A free-running generator steps between two rows.
         good[wave.steps[wave.steps > first] - first - 1] = False
     measured_um = part.displacement_um[first:]
-    offset_and_creep = np.column_stack([
-        np.ones_like(time_s), *(np.exp(-rate * time_s) for rate in model.creep.poles_rad_per_s)])
+    offset_and_creep = offset_and_decays(model, time_s)
 
     def left_um(level: FloatArray) -> FloatArray:
         driving = _behind_amplifier(model, part, level) if component == "dynamics" else level
@@ -204,9 +204,7 @@ def _of_any_wave(free_gain: bool, model: StageModel, data: Recording) -> Compone
     time_s, measured_um = run.time_s[run.settled], run.measured_um[run.settled]
     good = ~run.outlier[run.settled]
     if free_gain:
-        columns = np.column_stack(
-            [simulated_um, np.ones_like(time_s),
-             *(np.exp(-rate * time_s) for rate in model.creep.poles_rad_per_s)])
+        columns = np.column_stack([simulated_um, offset_and_decays(model, time_s)])
         simulated_um = columns @ np.linalg.lstsq(
             columns[good], measured_um[good], rcond=1e-12)[0]
     rings = rings_unresolved(
