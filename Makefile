@@ -98,7 +98,7 @@ twins: setup ## decide between effects that resemble each other, by one recordin
 	@$(in_environment) .venv/bin/python -m piezo_studies.diagnosis_benchmark.twin_decisions --seed 91
 
 calibration: extras ## diagnose 100 short recordings of a seed; writes docs/studies/diagnosis_rates.md
-	@$(in_environment) .venv/bin/python -m piezo_studies.diagnosis_calibration --cases 100 --seed 901 --page docs/studies/diagnosis_rates.md
+	@./run piezo_studies diagnose_suite --short --cases 100 --seed 901 --output runs/diagnosis-calibration --page docs/studies/diagnosis_rates.md
 
 tables: setup ## write the tables and the list of rooms in docs that are made from the sources
 	@$(in_environment) .venv/bin/python tools/error_table.py

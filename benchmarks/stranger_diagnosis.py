@@ -18,10 +18,10 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
 )
 from piezo_models.model_file import load_model
+from piezo_studies.recording_kinds.laboratory_voltages import KINDS, Played, validation
 from piezo_studies.recording_kinds.stages import displacement_um as displacement_of_stage
 from piezo_studies.recording_kinds.stages import play_stage
 from piezo_studies.recording_kinds.trials import NOISE, recorded
-from piezo_studies.recording_kinds.waveforms import KINDS, Played, validation
 from piezo_studies.thesis.laboratory import recording
 
 WAVEFORMS = {"creep": KINDS["creep"]["square wave"], "dynamics": KINDS["dynamics"]["steps"],

@@ -22,12 +22,12 @@ from piezo_client import client as client_module
 from piezo_client.client import Client, GoalFailed, ServiceFailed
 from piezo_ros import deadlines
 from piezo_ros.deadlines import seconds_since, set_deadline, why_too_late
+from piezo_ros.impossible_transitions import answer_impossible_transitions
 from piezo_ros.late_responses import create_late_service
 from piezo_ros.requests import calls, servers
 from piezo_ros.requests.calls import ActionCaller, CallFailed, call_service, number_request
 from piezo_ros.requests.servers import Waiting, server_of
 from piezo_ros.stage_runs import described_stage
-from piezo_ros.transitions import answer_impossible_transitions
 
 TIMEOUT_S = 300.0
 

@@ -13,7 +13,7 @@ from piezo_client.client import GoalFailed
 from piezo_client.references import harmonic
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import save_model
-from piezo_ros.memory import machine_bytes
+from piezo_ros.memory_limit import machine_bytes
 
 ROOT = Path(__file__).parents[1]
 OUTSIDE = "is outside"

@@ -29,7 +29,7 @@ COVERED = {
     "make measured": "src/piezo_studies/test/measured_devices/test_measured_command.py",
     "make diagnose-suite": "src/piezo_studies/test/diagnosis_benchmark/test_diagnose_suite.py",
     "make twins": "src/piezo_studies/test/diagnosis_benchmark/test_twin_decisions.py",
-    "make calibration": "src/piezo_studies/test/diagnosis_calibration/test_small_cases.py",
+    "make calibration": "src/piezo_studies/test/diagnosis_benchmark/test_short_cases.py",
     "make tables": "test/test_error_table.py",
     "make gallery": "test/test_front_door.py",
     "make style": "test/test_package_manifests.py",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import stored_waveforms
+import stored_waveform_node
 from action_msgs.msg import GoalStatus
 
 from piezo_client.client import GoalFailed
@@ -31,7 +31,7 @@ def end(block):
 def stage(stage_client, tmp_path_factory):
     directory = tmp_path_factory.mktemp("stored")
     with ForkedProcesses(directory, data_root="/") as processes:
-        processes.start_main("stage", stored_waveforms.main, [
+        processes.start_main("stage", stored_waveform_node.main, [
             str(ROOT / "src/piezo_stage_driver/test"),
             str(ROOT / "src/piezo_stage_driver/config/pi_gcs_settings.yaml"),
             str(LONGEST_SAMPLES), "--ros-args", "-r", "__ns:=/stored", "-p", "autostart:=true",

@@ -58,7 +58,8 @@ def page() -> str:
     parts, everything = [], list[Constant]()
     for path in sorted(PACKAGE.rglob("*.py")):
         file = path.relative_to(PACKAGE)
-        found = [] if file.parts[0] in OTHERS else list(constants(path.read_text(encoding="utf-8")))
+        found = [] if OTHERS.intersection(file.parts) else list(
+            constants(path.read_text(encoding="utf-8")))
         if found:
             everything += found
             rows = [f"| `{name}` | {value} | {unit} | {meaning} | {source} |"

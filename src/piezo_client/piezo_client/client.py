@@ -21,6 +21,7 @@ from piezo_ros.discovery import LONGEST_STANDSTILL_S, prepare_discovery
 from piezo_ros.executor import make_executor, spin_once
 from piezo_ros.heartbeat import Heartbeat
 from piezo_ros.messages import Message, MessageType
+from piezo_ros.process_watch import ProcessWatch
 from piezo_ros.requests.calls import may_be_repeated
 from piezo_ros.requests.lost_answers import PatientActionClient
 from piezo_ros.requests.servers import WORD_AFTER_S, Waiting, described_server
@@ -99,6 +100,7 @@ class Client:
         self._executor = make_executor(self._context)
         self._executor.add_node(self.node)
         self._heartbeat = Heartbeat()
+        self._watch = ProcessWatch(self.node)
         self._actions = {
             name: PatientActionClient(self.node, action_type, topic)
             for name, (action_type, topic) in ACTIONS.items()}
@@ -114,6 +116,7 @@ class Client:
     def close(self) -> None:
         """Leave ROS, and end its threads and waits."""
         self._heartbeat.end()
+        self._watch.end()
         # Otherwise the executor keeps its wait set, and the stage a reader that does not respond.
         self._executor.remove_node(self.node)
         self._executor.shutdown()

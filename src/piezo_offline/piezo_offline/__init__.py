@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from piezo_controller.feedback.controller_file import load_controller, save_controller
     from piezo_offline.comparison import Comparison, compare
     from piezo_offline.files import load_model, save_model
-    from piezo_offline.given_data import DataWarning, read
+    from piezo_offline.python_data import DataWarning, read
     from piezo_offline.steps import (
         design,
         diagnose,

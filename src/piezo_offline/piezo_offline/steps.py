@@ -29,7 +29,7 @@ from piezo_identification.diagnosis.evidence.known_noise import noise_of_model
 from piezo_identification.diagnosis.joint.identification_recordings import (
     find_identification_recordings,
 )
-from piezo_identification.diagnosis.report.results import stated_error_um
+from piezo_identification.diagnosis.report.diagnosis_results import stated_error_um
 from piezo_identification.diagnosis.response.response_diagnosis import diagnose_response
 from piezo_identification.diagnosis.verdict import Verdict, extended_model
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
@@ -44,7 +44,7 @@ from piezo_models.cascade import StageModel
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import load_model
 from piezo_offline.files import load_model as load_any_model
-from piezo_offline.given_data import (
+from piezo_offline.python_data import (
     DataWarning,
     axes_data_of,
     axes_recordings_of,

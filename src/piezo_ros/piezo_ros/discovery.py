@@ -13,19 +13,21 @@ PUBLICATION_MODE = "RMW_FASTRTPS_PUBLICATION_MODE"
 # UDP on this machine only, and UDP on the network.
 LOOPBACK, NETWORK = (Path(__file__).with_name(f"{name}.xml")
                      for name in ("participant", "network"))
-# Values of both profiles: lease of liveliness, and period of its announcements.
-LEASE_S = 3.0
+# Lease of liveliness on this machine, where `ProcessWatch` detects a process that died, and in the
+# network; period of the announcements of both.
+LEASE_S = {LOOPBACK: 600.0, NETWORK: 3.0}
 ANNOUNCEMENT_S = 0.5
 # Time after which a reliable writer repeats lost messages.
 RESENT_AFTER_S = 0.1
 # The last announcement may be one period old already, and the next one late.
-LONGEST_STANDSTILL_S = LEASE_S - 2.0 * ANNOUNCEMENT_S
+LONGEST_STANDSTILL_S = LEASE_S[NETWORK] - 2.0 * ANNOUNCEMENT_S
 
 
 def prepare_discovery() -> None:
     """Limit discovery to this machine, and announce this process often; call it before ROS starts.
 
-    Other processes then detect within 3 s that this one was killed; by default only after 20 s.
+    In the network, other processes then detect within 3 s that this one was killed, by default only
+    after 20 s; on this machine, `ProcessWatch` detects it.
     What a busy reader lost of a reliable topic is repeated within 0.1 s; by default within 3 s.
     Messages use UDP, as a killed reader would occupy its part of the middleware's shared memory for
     ever.

@@ -19,10 +19,11 @@ from rclpy.signals import SignalHandlerOptions
 from piezo_ros.discovery import LONGEST_STANDSTILL_S, prepare_discovery
 from piezo_ros.executor import make_executor, spin_once
 from piezo_ros.heartbeat import Heartbeat
-from piezo_ros.memory import end_before_stage, limit_memory
+from piezo_ros.impossible_transitions import answer_impossible_transitions
+from piezo_ros.memory_limit import end_before_stage, limit_memory
 from piezo_ros.parameters import declare
+from piezo_ros.process_watch import ProcessWatch
 from piezo_ros.responses import answer_patiently
-from piezo_ros.transitions import answer_impossible_transitions
 
 RCLError = rclpy_implementation.RCLError
 SPIN_TIMEOUT_S = 0.2
@@ -118,6 +119,7 @@ def run_node(create_node: Callable[[], Node], args: list[str] | None = None,
     node = _start(create_node, args, expendable)
     executor = make_executor()
     executor.add_node(node)
+    watch = ProcessWatch(node)
     try:
         try:
             _spin(executor, getattr(node, "step", lambda: SPIN_TIMEOUT_S), ending)
@@ -129,6 +131,7 @@ def run_node(create_node: Callable[[], Node], args: list[str] | None = None,
             _wind_down(executor, getattr(node, "wind_down", lambda: True))
     finally:
         getattr(node, "close", lambda: None)()
+        watch.end()
         executor.remove_node(node)
         node.destroy_node()
         rclpy.try_shutdown()

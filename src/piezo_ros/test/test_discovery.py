@@ -35,7 +35,7 @@ def told_by_the_middleware(profiles, **changes):
 
 @pytest.mark.parametrize("profiles", FILES)
 def test_times_are_those_that_the_suite_counts_on(profiles):
-    assert seconds(profiles, "leaseDuration") == discovery.LEASE_S
+    assert seconds(profiles, "leaseDuration") == discovery.LEASE_S[profiles]
     assert seconds(profiles, "leaseAnnouncement") == discovery.ANNOUNCEMENT_S
     assert seconds(profiles, "heartbeatPeriod") == pytest.approx(discovery.RESENT_AFTER_S)
 

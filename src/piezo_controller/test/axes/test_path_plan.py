@@ -19,23 +19,23 @@ from piezo_models.axes.actuator import Actuator
 from piezo_models.hysteresis.preisach import PreisachModel
 
 sys.path.insert(0, str(Path(__file__).parent))
-import xy_flexure
+import two_axis_flexure
 
 SETTLED_S = 0.9
 """The lowest mode has decayed to a millionth."""
 
-FASTEST_HZ = 1.5 * xy_flexure.FREQUENCY_HZ.min()
+FASTEST_HZ = 1.5 * two_axis_flexure.FREQUENCY_HZ.min()
 
 
 @pytest.fixture(scope="module")
 def model():
-    return xy_flexure.model()
+    return two_axis_flexure.model()
 
 
 @pytest.fixture(scope="module")
 def model_with_errors():
     """Return the model with errors of 1 % of frequencies and pushes, 10 % of the damping."""
-    return xy_flexure.model((0.01, -0.01, 0.01), 0.1, 0.01)
+    return two_axis_flexure.model((0.01, -0.01, 0.01), 0.1, 0.01)
 
 
 def plan_of(model, kind, **fields):
@@ -44,9 +44,9 @@ def plan_of(model, kind, **fields):
 
 def done_um(plan):
     """Return one period of what the flexure does, once it has settled."""
-    again = round(SETTLED_S / xy_flexure.PERIOD_S / len(plan.voltage_v)) + 1
+    again = round(SETTLED_S / two_axis_flexure.PERIOD_S / len(plan.voltage_v)) + 1
     played_v = np.concatenate([plan.begin_voltage_v, *[plan.voltage_v] * (again + 1)])
-    return xy_flexure.played_um(played_v)[-len(plan.voltage_v):]
+    return two_axis_flexure.played_um(played_v)[-len(plan.voltage_v):]
 
 
 def errors_percent(plan):
@@ -139,7 +139,7 @@ def test_lag_of_the_amplifiers_is_no_delay_of_the_sensors():
     modes = [control.ss(0.2 * w**2 / ((s**2 + 0.02 * w * s + w**2) * (1.0 + 8e-5 * s)))
              for w in omega]
     lagging = CoupledModel.from_control(
-        control.sample_system(control.append(*modes), xy_flexure.PERIOD_S), ("x", "y"))
+        control.sample_system(control.append(*modes), two_axis_flexure.PERIOD_S), ("x", "y"))
     frequency_hz = np.geomspace(1.0, 1e4, 10)
     gain, poles = lagging.response(frequency_hz), lagging.poles_rad_per_s.size
     identified = IdentifiedAxes(
@@ -203,7 +203,7 @@ def test_axes_that_look_in_one_direction_are_refused(model):
 
 def test_an_axis_that_the_path_leaves_out_is_held(model):
     three = control.append(model.to_control(), control.ss([[0.5]], [[0.5]], [[0.1]], [[0.0]],
-                                                        xy_flexure.PERIOD_S))
+                                                        two_axis_flexure.PERIOD_S))
     of_three = CoupledModel.from_control(three, ("x", "y", "z"), np.full(3, 50.0), np.full(3, 5.0))
     plan = plan_of(of_three, "rosette", axes=("z", "x"), rate_hz=50.0, lines=4)
     assert plan.path.position_um[:, 1] == pytest.approx(5.0)
@@ -256,7 +256,7 @@ def test_a_path_is_followed_through_the_hysteresis_of_each_axis(model):
     for planned in (model, with_plays(model)):
         plan = plan_of(planned, "spiral", **fields)
         played_v = np.concatenate([plan.begin_voltage_v, *[plan.voltage_v] * 9])
-        left_um = (xy_flexure.played_um(behind_plays(played_v))[-len(plan.voltage_v):]
+        left_um = (two_axis_flexure.played_um(behind_plays(played_v))[-len(plan.voltage_v):]
                    - plan.path.position_um)
         errors.append(100.0 * np.std(left_um, axis=0) / np.ptp(plan.path.position_um, axis=0))
     without, inverted = errors

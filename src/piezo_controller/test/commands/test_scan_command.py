@@ -14,13 +14,13 @@ from piezo_models import save_axes_model
 from piezo_recorder.images.scan_frame import ScanFrame
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "axes"))
-import xy_flexure
+import two_axis_flexure
 
 
 @pytest.fixture(scope="module")
 def model_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("model") / "model.json"
-    save_axes_model(path, xy_flexure.identified(60.0))
+    save_axes_model(path, two_axis_flexure.identified(60.0))
     return path
 
 

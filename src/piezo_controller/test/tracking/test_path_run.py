@@ -21,10 +21,10 @@ from piezo_controller.tracking.tracking_modes import StageClock
 from piezo_models import save_axes_model
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "axes"))
-import xy_flexure
+import two_axis_flexure
 
 CLOCK = StageClock((-120.0, 120.0))
-STAGE = AxesStage(("x", "y"), xy_flexure.PERIOD_S, 40, np.array([[-120.0, 120.0]] * 2),
+STAGE = AxesStage(("x", "y"), two_axis_flexure.PERIOD_S, 40, np.array([[-120.0, 120.0]] * 2),
                   np.zeros(2), np.full(2, 2000.0))
 RASTER = Reference("raster", (100.0,), (10.0,), lines=6)
 
@@ -32,7 +32,7 @@ RASTER = Reference("raster", (100.0,), (10.0,), lines=6)
 @pytest.fixture(scope="module")
 def model_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("model") / "model.json"
-    save_axes_model(path, xy_flexure.identified(120.0))
+    save_axes_model(path, two_axis_flexure.identified(120.0))
     return path
 
 
@@ -51,7 +51,7 @@ def played(prepared):
     plan, ticks = prepared.plan, prepared.ticks(40)
     at = np.arange(40 * ticks - len(plan.once_voltage_v)) % len(plan.period_voltage_v)
     voltage_v = np.concatenate([plan.once_voltage_v, plan.period_voltage_v[at]])
-    found_um = xy_flexure.played_um(voltage_v)
+    found_um = two_axis_flexure.played_um(voltage_v)
     for block_um in np.split(found_um, ticks):
         assert not prepared.run.complete
         assert prepared.take(block_um.ravel()) == 0.0

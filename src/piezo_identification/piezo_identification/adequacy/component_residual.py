@@ -38,7 +38,8 @@ from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_hold import without_hold
 from piezo_identification.estimators.poles.pole_responses import HeldInput
-from piezo_identification.simulation.model_run import ModelRun, starting_past_v
+from piezo_identification.simulation.nuisance import offset_and_decays
+from piezo_identification.simulation.past_search import after_saturation, starting_past_v
 from piezo_identification.simulation.recorded_voltage import in_parts
 from piezo_identification.simulation.sampled_response import (
     behind_lags,
@@ -147,8 +148,7 @@ def _of_square_wave(
         # A free-running generator steps between two rows.
         good[wave.steps[wave.steps > first] - first - 1] = False
     measured_um = part.displacement_um[first:]
-    offset_and_creep = np.column_stack([
-        np.ones_like(time_s), *(np.exp(-rate * time_s) for rate in model.creep.poles_rad_per_s)])
+    offset_and_creep = offset_and_decays(model, time_s)
 
     def left_um(level: FloatArray) -> FloatArray:
         driving = _behind_amplifier(model, part, level) if component == "dynamics" else level
@@ -199,22 +199,20 @@ def _behind_amplifier(model: StageModel, part: Recording, level: FloatArray) -> 
 
 
 def _of_any_wave(free_gain: bool, model: StageModel, data: Recording) -> ComponentResidual:
-    run = ModelRun(model, data)
-    simulated_um = run.simulated_um(starting_past_v(model, data))
-    time_s, measured_um = run.part.time_s[run.settled], run.measured_um
+    run = after_saturation(model, data).after(starting_past_v(model, data))
+    simulated_um = run.fitted_um()
+    time_s, measured_um = run.time_s[run.settled], run.measured_um[run.settled]
+    good = ~run.outlier[run.settled]
     if free_gain:
-        columns = np.column_stack(
-            [simulated_um, np.ones_like(time_s),
-             *(np.exp(-rate * time_s) for rate in model.creep.poles_rad_per_s)])
+        columns = np.column_stack([simulated_um, offset_and_decays(model, time_s)])
         simulated_um = columns @ np.linalg.lstsq(
-            columns[run.good], measured_um[run.good], rcond=1e-12)[0]
-    whole_v = np.asarray(run.part.voltage_v, dtype=float)
+            columns[good], measured_um[good], rcond=1e-12)[0]
     rings = rings_unresolved(
-        slow_dynamics(model.dynamics, model.effects), whole_v, run.part.sample_period_s)
-    voltage_v = whole_v[run.settled]
+        slow_dynamics(model.dynamics, model.effects), run.voltage_v, run.sample_period_s)
+    voltage_v = run.voltage_v[run.settled]
     return ComponentResidual(
         str(data.path), time_s, voltage_v, measured_um, measured_um - simulated_um,
-        run.good & ~rings[run.settled],
+        good & ~rings[run.settled],
         repeated_period(voltage_v), np.empty(0, dtype=np.intp))
 
 

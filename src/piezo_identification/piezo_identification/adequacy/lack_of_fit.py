@@ -8,7 +8,9 @@ from scipy.stats import f as f_distribution
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.adequacy.component_residual import ComponentResidual
-from piezo_identification.conditioning.sensor_noise import noise_floor_um
+from piezo_identification.conditioning.sensor_noise import SETTINGS as NOISE
+from piezo_identification.conditioning.sensor_noise import noise_floor_um, without_drift
+from piezo_identification.fitting.regression import SETTINGS as FIT
 
 
 @dataclass(frozen=True)
@@ -21,19 +23,12 @@ class LackOfFitSettings:
     """Factor between the tested lengths of the means."""
     fewest_means: int = 24
     """Fewest means of one length for which that length is tested."""
-    fewest_at_rest: int = 200
-    """Fewest samples of a rest from which the noise is estimated."""
     at_rest_at_most: float = 0.5
     """Largest fraction of a recording at rest for which the rests give the noise. A square wave
     rests throughout, so its rests would hide the errors of the model."""
     fewest_for_a_spectrum: int = 1024
     """Fewest samples for which the noise is estimated from the highest frequencies; below it,
     second differences are used."""
-    drift_order: int = 2
-    """Degree of the polynomial that is removed as drift from repeats or from a rest."""
-    tolerance: float = 2e-5
-    """Fraction of the travel below which a systematic error is negligible: rounding, the grid of
-    the density and errors of other components are as large."""
     of_noise: float = 0.5
     """Fraction of the noise of a sample below which a systematic error is negligible. It adds an
     eighth to the RMS error of a sample, although it may be significant."""
@@ -112,7 +107,7 @@ def lack_of_fit(residual: ComponentResidual) -> LackOfFit:
     return LackOfFit(
         float(np.sqrt(np.mean(sequence_um[residual.good[: sequence_um.size]] ** 2))),
         float(np.sqrt(noise.mean_squares[1])), float(np.sqrt(systematic)),
-        SETTINGS.tolerance * float(np.ptp(residual.measured_um[residual.good])), significant,
+        FIT.adequate_tolerance * float(np.ptp(residual.measured_um[residual.good])), significant,
         noise.source, sequence_um)
 
 
@@ -129,16 +124,9 @@ def _means(values: FloatArray, length: int) -> FloatArray:
     return values[..., : count * length].reshape(*values.shape[:-1], count, length).mean(axis=-1)
 
 
-def _without_drift(values: FloatArray) -> FloatArray:
-    """Return the rows without their polynomial drift."""
-    basis = np.polynomial.legendre.legvander(
-        np.linspace(-1.0, 1.0, values.shape[-1]), SETTINGS.drift_order)
-    return values - (basis @ np.linalg.lstsq(basis, values.T, rcond=None)[0]).T
-
-
 def _of_repeats(folded_um: FloatArray) -> _Noise:
     repeats, period = folded_um.shape
-    deviations_um = _without_drift(folded_um - folded_um.mean(axis=0))
+    deviations_um = without_drift(folded_um - folded_um.mean(axis=0))
     squares: dict[int, float] = {}
     freedom: dict[int, float] = {}
     for length in _lengths(period):
@@ -156,11 +144,11 @@ def _of_rests(residual: ComponentResidual, values_um: FloatArray) -> _Noise | No
     start, end = edges[longest], edges[longest + 1]
     # The stage may still settle in the first half.
     start += (end - start) // 2
-    at_rest = np.sum(np.diff(edges)[np.diff(edges) >= SETTINGS.fewest_at_rest])
-    if end - start < SETTINGS.fewest_at_rest or (
+    at_rest = np.sum(np.diff(edges)[np.diff(edges) >= NOISE.fewest_at_rest])
+    if end - start < NOISE.fewest_at_rest or (
             at_rest > SETTINGS.at_rest_at_most * values_um.size):
         return None
-    rest_um = _without_drift(values_um[None, start:end])[0]
+    rest_um = without_drift(values_um[None, start:end])[0]
     squares: dict[int, float] = {}
     freedom: dict[int, float] = {}
     of_rest = _lengths(rest_um.size)
@@ -168,7 +156,7 @@ def _of_rests(residual: ComponentResidual, values_um: FloatArray) -> _Noise | No
         known = min(length, of_rest[-1])
         means = _means(rest_um, known)
         squares[length] = float(np.mean(means**2)) * known / length
-        freedom[length] = means.size - SETTINGS.drift_order - 1
+        freedom[length] = means.size - NOISE.drift_order - 1
     return _Noise("rests", _above_rounding(squares, values_um), freedom)
 
 

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.outlier_samples import good_samples
 from piezo_identification.conditioning.settling import first_settled
+from piezo_identification.conditioning.waveforms import REVERSAL, played, turning_points
 from piezo_identification.conditioning.waveforms import SETTINGS as WAVEFORM
-from piezo_identification.conditioning.waveforms import played, turning_points
 from piezo_identification.estimators.hysteresis.density_fit import hysteresis_output_um
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
@@ -30,8 +30,6 @@ from piezo_recorder.reading.recording import Recording
 class LoopSettings:
     """Tolerances for drift, noise and unknown creep in loops."""
 
-    smallest_reversal: float = 0.02
-    """Smallest reversal between branches, as a fraction of the voltage range."""
     long_branch: float = 0.2
     """Shortest branch whose shape is tested, as a fraction of the voltage range."""
     bins: int = 40
@@ -123,7 +121,7 @@ def refuse_impossible_loops(
         np.arange(part.time_s.size) >= first_settled(dynamics, part.time_s))
     voltage_v = np.asarray(part.voltage_v, dtype=float)[used]
     range_v = float(np.ptp(voltage_v))
-    points = turning_points(voltage_v, SETTINGS.smallest_reversal * range_v)
+    points = turning_points(voltage_v, REVERSAL * range_v)
     if np.median(np.diff(part.time_s[used][points])) < WAVEFORM.slow_branch_s:
         return []
     without, measured = (

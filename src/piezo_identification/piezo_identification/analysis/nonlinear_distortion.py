@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
+from piezo_identification.conditioning.sensor_noise import SETTINGS as NOISE
 from piezo_identification.conditioning.sensor_noise import repeated_period
 from piezo_recorder.reading.recording import Recording
 
@@ -19,9 +20,6 @@ EXCITED = 1e-3
 
 FEWEST_LINES = 8
 """Fewest tones of the voltage for which distortion is estimated."""
-
-DRIFT_ORDER = 2
-"""Degree of the polynomial of time that is removed as creep or drift over the periods."""
 
 FEWEST_PERIODS = 2
 """Fewest periods after the one in which the motion settles; their differences are the noise."""
@@ -161,7 +159,7 @@ def nonlinear_distortion(voltage_v: FloatArray, displacement_um: FloatArray,
 def _without_drift(periods_um: FloatArray) -> FloatArray:
     """Remove the drift of the period means, as creep would leak into all lines."""
     count, samples = periods_um.shape
-    order = min(DRIFT_ORDER, count - 1)
+    order = min(NOISE.drift_order, count - 1)
     basis = np.polynomial.legendre.legvander(
         np.linspace(-1.0, 1.0, periods_um.size), order)[:, 1:].reshape(count, samples, order)
     means = basis.mean(axis=1)

@@ -33,7 +33,6 @@ from piezo_identification.fitting.dataset import SPLIT, split_rows
 from piezo_identification.fitting.evidence import INDEPENDENT, correlated_scale
 from piezo_identification.fitting.joint_errors import SETTINGS
 from piezo_identification.fitting.regression import SETTINGS as REGRESSION
-from piezo_identification.fitting.whole_model import ADEQUATE
 from piezo_models.axes.coupled import CoupledModel
 from piezo_recorder.reading.axes import AxesRecording
 
@@ -170,7 +169,7 @@ class AxesErrors:
         self._prior = np.where(self._is_hysteresis, 1.0 / HYSTERESIS_WIDTH, 1.0)
         travel_um = np.array([np.ptp(each.displacement_um, axis=0) for each in recordings])
         # An axis may rest without any noise.
-        self._accuracy_um = np.hypot(ADEQUATE * REGRESSION.model_tolerance * travel_um,
+        self._accuracy_um = np.hypot(REGRESSION.adequate_tolerance * travel_um,
                                      FINEST * travel_um.max(axis=0))
         self._points: dict[bytes, list[_Compared]] = {}
         self._of_hysteresis: dict[int, FloatArray] = {}

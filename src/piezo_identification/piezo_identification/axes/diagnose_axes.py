@@ -30,6 +30,7 @@ from piezo_identification.conditioning.sensor_noise import (
     sensor_noise_um,
 )
 from piezo_identification.diagnosis.comparison.criteria import CRITERIA
+from piezo_identification.diagnosis.joint.probabilities import ALTERNATIVE, LISTED
 from piezo_identification.fitting.clustered_covariance import clustered_covariance
 from piezo_identification.fitting.dataset import SPLIT
 from piezo_identification.fitting.evidence import independent_errors, log_evidence
@@ -49,12 +50,6 @@ GUESSED = 0.5
 
 DEVIATIONS = 3.0
 """Standard deviations by which a named effect differs from zero."""
-
-LEAST_LISTED = 1e-3
-"""Smallest probability that is listed; as for one axis."""
-
-LIKE = 0.01
-"""Smallest probability of an explanation that cannot be excluded; as for one axis."""
 
 MOST_STEPS = 8
 """Largest number of Gauss-Newton steps of a fit; only delays and modes are not linear."""
@@ -364,7 +359,7 @@ def _diagnosis(identified: IdentifiedAxes, recording: AxesRecording, errors: _Er
     others = {each.label: next(one.label for one in best if one not in found)
               for found in valid for each in found
               if each not in best and set(best) - set(found)
-              and shares[_joined(found)] >= LIKE}
+              and shares[_joined(found)] >= ALTERNATIVE}
     noise_um = dict(zip(recording.axes, errors.noise_um.tolist(), strict=True))
     remains = [f"{axis}: {error['rms_um']:.3g} um remain, {error['rms_um'] / noise_um[axis]:.3g} "
                "times the noise" for axis, error in after.items()]
@@ -373,7 +368,7 @@ def _diagnosis(identified: IdentifiedAxes, recording: AxesRecording, errors: _Er
     return AxesDiagnosis(
         "unexplained" if unexplained else "explained" if best else "none", _entries(best, fit),
         extended, before, after, noise_um,
-        {name: share for name, share in shares.items() if share >= LEAST_LISTED}, others,
+        {name: share for name, share in shares.items() if share >= LISTED}, others,
         "; ".join(remains) if unexplained else "")
 
 

@@ -16,7 +16,6 @@ from piezo_identification.axes.coupled_fit import (
     covariances_of_correlated,
 )
 from piezo_identification.axes.coupled_numbers import CoupledNumbers, Linearised
-from piezo_identification.axes.joint_fit import FittedStage, fit_to_all
 from piezo_identification.axes.modal_model import coupled_model, modal_model, residues_of
 from piezo_identification.axes.modes_fit import JUDGED_STEPS, Note, Progress, fitted_modes
 from piezo_identification.axes.order_search import without_weak_poles
@@ -30,6 +29,7 @@ from piezo_identification.axes.spectra import (
     spectra_of_response,
     weight_by_residual,
 )
+from piezo_identification.axes.whole_axes_fit import FittedStage, fit_to_all
 from piezo_identification.identification.given_hysteresis import ANY_VOLTAGE_V
 from piezo_models.axes.coupled import CoupledModel, Softening
 from piezo_models.axes.identified_axes import Coupling, IdentifiedAxes

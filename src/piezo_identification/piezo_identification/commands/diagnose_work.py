@@ -13,8 +13,9 @@ from piezo_identification.commands.response_options import (
     useless_response_options,
 )
 from piezo_identification.diagnosis.evidence.stand_ins import name_of
+from piezo_identification.diagnosis.joint.probabilities import LISTED
 from piezo_identification.diagnosis.report.diagnosis_report import verdict_sentence
-from piezo_identification.diagnosis.report.results import diagnose_files
+from piezo_identification.diagnosis.report.diagnosis_results import diagnose_files
 from piezo_identification.diagnosis.response.response_results import (
     diagnose_response_file,
     response_sentence,
@@ -26,9 +27,6 @@ from piezo_recorder.reading.data_options import read_all_given
 
 PAGE_S, RESPONSE_PAGE_S = 5.0, 1.0
 """Time (s) reserved to draw and write the results of recordings and of a response."""
-
-LEAST_PROBABILITY = 1e-3
-"""Smallest probability that is printed."""
 
 
 def diagnose_given(options: argparse.Namespace) -> int | None:
@@ -97,7 +95,7 @@ def _print_table(diagnosis: Any, sentence: str) -> None:
         print(text)
     print(f"verdict: {diagnosis.verdict}. {sentence}")
     shares = [f"{name} {share:.3f}" for name, share in diagnosis.probabilities.items()
-              if share >= LEAST_PROBABILITY]
+              if share >= LISTED]
     if shares:
         print(f"probability: {', '.join(shares)}")
     print(f"{'':28}{'before':>12}{'after':>12}")

@@ -15,7 +15,7 @@ from piezo_identification.diagnosis.experiment_design.propose import (
 from piezo_identification.diagnosis.joint.identification_recordings import (
     find_identification_recordings,
 )
-from piezo_identification.diagnosis.report.results import stated_error_um
+from piezo_identification.diagnosis.report.diagnosis_results import stated_error_um
 from piezo_identification.experiments.stage_limits import StageLimits
 from piezo_identification.prediction.row_reading import all_as_identified
 from piezo_models.model_file import announced_model

@@ -20,14 +20,12 @@ class NoiseSettings:
     """Number of bands in the upper half of the spectrum; the quietest gives the noise."""
     segment: int = 256
     """Samples of a segment for the spectrum; short segments allow a median over many."""
-    energy_tolerance: float = 1e-6
-    span_tolerance: float = 1e-6
-    """Largest difference between repeats as fractions of the voltage's energy and span, for
-    rounding."""
+    rounding: float = 1e-6
+    """Largest difference between repeats as a fraction of the voltage's energy, and of its span."""
     fewest_at_rest: int = 200
-    """Fewest samples of a rest."""
+    """Fewest samples of a rest from which the noise is estimated."""
     drift_order: int = 2
-    """Degree of the polynomial that is removed as drift between repeats."""
+    """Degree of the polynomial that is removed as drift or creep from repeats or from a rest."""
     over_sampled: float = 0.1
     """Noise estimate from the quietest band over the RMS displacement, below which the band shows
     the sensor's noise. A model error in proportion to the motion then adds at most a hundredth of
@@ -99,9 +97,9 @@ def _found_period(voltage_v: FloatArray) -> int | None:
     lags = np.arange(1, voltage_v.size // 2 + 1)
     products = correlate(varying_v, varying_v, method="fft")[voltage_v.size :][: lags.size]
     squares = energy[-1] - energy[lags - 1] + energy[-1 - lags] - 2.0 * products
-    for lag in lags[squares < SETTINGS.energy_tolerance * energy[-1]]:
+    for lag in lags[squares < SETTINGS.rounding * energy[-1]]:
         if np.allclose(voltage_v[lag:], voltage_v[:-lag], rtol=0.0,
-                       atol=SETTINGS.span_tolerance * np.ptp(voltage_v)):
+                       atol=SETTINGS.rounding * np.ptp(voltage_v)):
             return int(lag)
     return None
 
@@ -176,8 +174,11 @@ def noise_from_repeats_um(displacement_um: FloatArray, period: int) -> float | N
     if repeats < 2:
         return None
     played = displacement_um[: repeats * period].reshape(repeats, period)
-    difference = np.diff(played, axis=0)
-    x = np.linspace(-1.0, 1.0, period)
-    basis = np.polynomial.legendre.legvander(x, SETTINGS.drift_order)
-    residual = difference.T - basis @ np.linalg.lstsq(basis, difference.T, rcond=None)[0]
-    return float(np.sqrt(np.mean(residual**2) / 2.0))
+    return float(np.sqrt(np.mean(without_drift(np.diff(played, axis=0)) ** 2) / 2.0))
+
+
+def without_drift(values: FloatArray) -> FloatArray:
+    """Return the rows of some values, (..., N), without their polynomial drift."""
+    basis = np.polynomial.legendre.legvander(
+        np.linspace(-1.0, 1.0, values.shape[-1]), SETTINGS.drift_order)
+    return np.asarray(values - (basis @ np.linalg.lstsq(basis, values.T, rcond=None)[0]).T)

@@ -34,6 +34,9 @@ class WaveformSettings:
 
 SETTINGS = WaveformSettings()
 
+REVERSAL = 0.02
+"""Smallest reversal between two branches, as a fraction of the voltage range."""
+
 JUMP_SHARE = 0.02
 """Change within a sample, relative to the voltage range, that counts as a jump."""
 

@@ -3,7 +3,7 @@
 
 `diagnose` reads from top to bottom. Each step uses the results of the steps before: recordings,
 conditioned, simulated, residual, candidates, fits, comparison, competition, decision, ceiling,
-verdict. The report is written by `piezo_identification.diagnosis.report.results`.
+verdict. The report is written by `piezo_identification.diagnosis.report.diagnosis_results`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -68,7 +68,7 @@ from piezo_identification.diagnosis.joint.remainder import (
 from piezo_identification.diagnosis.verdict import Verdict
 from piezo_identification.fitting.dataset import simulate_recordings
 from piezo_identification.fitting.regression import Fit, Regression, first_regression
-from piezo_identification.simulation.model_run import PastSearchSettings
+from piezo_identification.simulation.past_search import PastSearchSettings
 from piezo_models.cascade import StageModel
 from piezo_models.effects import known_effects
 from piezo_recorder.reading.recording import Recording

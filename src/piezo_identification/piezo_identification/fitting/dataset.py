@@ -12,7 +12,8 @@ from piezo_common.side_by_side import side_by_side
 from piezo_identification.conditioning.waveforms import SETTINGS as WAVEFORM
 from piezo_identification.fitting.parameter_sensitivities import parameter_sensitivities
 from piezo_identification.simulation.nuisance import nuisance_regressors
-from piezo_identification.simulation.simulated_recording import SimulatedRecording
+from piezo_identification.simulation.past_search import simulated_recording
+from piezo_identification.simulation.simulated_recording import PastVoltages, SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, Extent
 from piezo_recorder.reading.recording import Recording
@@ -90,7 +91,7 @@ class Dataset:
 
 
 def simulate_recordings(model: StageModel, recordings: Sequence[Recording],
-                        past_v: tuple[float, ...] | None = None,
+                        past_v: PastVoltages | None = None,
                         sensitivities: Sensitivities = parameter_sensitivities) -> Dataset:
     """Simulate recordings, and split their samples into rows to fit and a validation set.
 
@@ -110,7 +111,7 @@ def simulate_recordings(model: StageModel, recordings: Sequence[Recording],
         If a recording cannot be used.
     """
     simulated = side_by_side(
-        lambda recording: SimulatedRecording(model, recording, past_v), recordings)
+        lambda recording: simulated_recording(model, recording, past_v), recordings)
     return dataset_of(simulated, recordings, sensitivities)
 
 

@@ -21,6 +21,7 @@ from piezo_identification.fitting.joint_errors import JointErrors, simulated_by
 from piezo_identification.fitting.levenberg_marquardt import descend
 from piezo_identification.fitting.noise_estimate import NoiseEstimate, estimate_noise
 from piezo_identification.fitting.regression import Regression, accuracies_um
+from piezo_identification.simulation.past_search import simulated_recording
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, fitted_values
@@ -131,7 +132,7 @@ class JointProblem:
         bare, recordings = replace(model, effects=()), [*new, *old]
         self.dataset = self._dataset_of([
             *(part.with_model(bare) for part in simulated),
-            *side_by_side(lambda recording: SimulatedRecording(bare, recording),
+            *side_by_side(lambda recording: simulated_recording(bare, recording),
                           recordings[len(simulated) :]),
         ], recordings)
         self.noise = estimate_noise(self.dataset, self.own)

@@ -36,7 +36,7 @@ class PriorWidths:
     """Further factors of the density near its diagonal: the span over which each decays, relative
     to the voltage range, and its width. Small spans are the least certain, because an
     identification crosses them on its way to large ones. Chosen on seed 304 of
-    `piezo_studies.diagnosis_calibration`."""
+    the short cases of `diagnose_suite`."""
 
 
 WIDTHS = PriorWidths()

@@ -32,6 +32,9 @@ class RegressionSettings:
     model_tolerance: float = 1e-4
     """Accuracy of a good model, as a fraction of the travel: smaller errors do not justify an
     effect."""
+    adequate_tolerance: float = 2e-5
+    """Accuracy of an adequate model, as a fraction of the travel: rounding, the grid of the density
+    and errors of other components are as large."""
 
 
 SETTINGS = RegressionSettings()

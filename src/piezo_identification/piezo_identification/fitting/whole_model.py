@@ -27,8 +27,10 @@ from piezo_identification.fitting.joint_fit import SETTINGS as JOINT
 from piezo_identification.fitting.levenberg_marquardt import descend
 from piezo_identification.fitting.noise_estimate import estimate_noise
 from piezo_identification.fitting.recording_evidence import recording_evidence
+from piezo_identification.fitting.regression import SETTINGS as FIT
 from piezo_identification.fitting.regression import Regression
-from piezo_identification.simulation.simulated_recording import SimulatedRecording
+from piezo_identification.simulation.past_search import simulated_recording
+from piezo_identification.simulation.simulated_recording import PastVoltages, SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, Evidence, fitted_values, units_of_fitted
 from piezo_models.effects.band_limited_voltage import BandLimitedVoltage
@@ -42,10 +44,6 @@ read later: the rows are then read late."""
 
 BEFORE_DELAY = ("voltage", "modes")
 """Places of the effects of a model that act before its delay."""
-
-ADEQUATE = 0.2
-"""Error of an adequate model, relative to that of a good one: 2e-5 of the travel, as in
-`adequacy`."""
 
 LEAST_GAIN = 1e-9
 """Smallest gain of a line, in um/V, so that it is not negative."""
@@ -226,8 +224,8 @@ class WholeModel:
         mask = [*self._dataset.masks()][index]
         rows = self._dataset.rows[index][self._good[mask]]
 
-        def after(past_v: tuple[float, ...] | None) -> SimulatedRecording:
-            return SimulatedRecording(
+        def after(past_v: PastVoltages | None) -> SimulatedRecording:
+            return simulated_recording(
                 model, self._dataset.recordings[index], past_v, before.read_late_s)
 
         found = after(None)
@@ -356,7 +354,8 @@ class WholeModel:
             pieces_um=self._pieces_um,
             hysteresis_width=self._hysteresis_width,
             of_pieces_um=self._of_pieces_um.setdefault(smooth, {}))
-        errors.accuracy_um = ADEQUATE * errors.accuracy_um
+        errors.accuracy_um = (
+            FIT.adequate_tolerance / FIT.model_tolerance * errors.accuracy_um)
         return errors
 
     @property
@@ -378,7 +377,7 @@ def _simulated(model: StageModel, recordings: Sequence[Recording],
     """Return the recordings, with the pasts that a model fits best, without its effects."""
     bare = replace(model, effects=())
     return side_by_side(
-        lambda index: SimulatedRecording(
+        lambda index: simulated_recording(
             model, recordings[index], read_late_s=read_late_s[index]).with_model(bare),
         range(len(recordings)))
 

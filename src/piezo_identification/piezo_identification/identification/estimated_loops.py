@@ -29,7 +29,7 @@ from piezo_identification.identification.given_hysteresis import (
     estimate_hysteresis_of,
 )
 from piezo_identification.identification.linear_dynamics import LinearDynamics
-from piezo_identification.simulation.model_run import ModelRun
+from piezo_identification.simulation.past_search import after_saturation, simulated_recording
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.first_rise import FirstRise
@@ -63,21 +63,21 @@ def estimate_loops(
     cycled_density = estimate_hysteresis_of(cycled, linear, options)
     keys = keys_of_kind(recordings, "hysteresis")
     without, within = (
-        {name: ModelRun(fitted_model(linear, estimate, rise).model, recordings[name])
+        {name: after_saturation(fitted_model(linear, estimate, rise).model, recordings[name])
          for name in keys}
         for estimate, rise in ((density, None), (cycled_density, first_rise)))
     without_um, with_um = (
-        np.linalg.norm([run.error_um(()) for run in runs.values()]) for runs in (without, within))
-    if with_um > without_um or not _is_far_better(within[key], without[key].error_um(())):
+        np.linalg.norm([run.error_um() for run in runs.values()]) for runs in (without, within))
+    if with_um > without_um or not _is_far_better(within[key], without[key].error_um()):
         return density, None, recordings
     return cycled_density, first_rise, cycled
 
 
-def _is_far_better(run: ModelRun, without_um: float) -> bool:
+def _is_far_better(run: SimulatedRecording, without_um: float) -> bool:
     """Return whether the error of a run beyond its noise is far smaller than another error."""
-    residual_um = run.error_um(())
+    residual_um = run.error_um()
     noise_um = min(
-        noise_floor_um(run.measured_um - run.simulated_um(())),
+        noise_floor_um(run.measured_um[run.settled] - run.fitted_um()),
         MOST_NOISE * residual_um)
     beyond_um, without_beyond_um = np.sqrt(np.maximum(
         np.square([residual_um, without_um]) - noise_um**2, 0.0))
@@ -123,7 +123,7 @@ def _as_cycled(
         model = fitted_model(
             linear, estimate_hysteresis_of(loops, linear, options), shown[key]).model
         for name in others:
-            highest_v = ModelRun(model, recordings[name]).highest_v
+            highest_v = after_saturation(model, recordings[name]).highest_v
             if highest_v < shown[key].voltages_v[-1]:
                 correct(name, highest_v)
     return cycled
@@ -155,7 +155,7 @@ def new_loops(
     delay_s = slow_delay_s(model.dynamics, model.effects)
     segments = []
     for name, part in zip(names, parts, strict=True):
-        simulated = SimulatedRecording(model, recordings[name], read_late_s=read_late_s[name])
+        simulated = simulated_recording(model, recordings[name], read_late_s=read_late_s[name])
         residual = replace(part, displacement_um=simulated.measured_um - simulated.simulate())
         of_residual = segment_of(residual, model.creep, slow, delay_s - read_late_s[name])
         entering_v, output_um = simulated.loops()

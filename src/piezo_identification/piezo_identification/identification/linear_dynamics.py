@@ -37,7 +37,7 @@ from piezo_identification.estimators.frequency_response.response_fit import (
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
 from piezo_identification.estimators.hysteresis.density_fit import estimate_density
 from piezo_identification.fitting.whole_model import BEFORE_DELAY
-from piezo_identification.simulation.model_run import ModelRun
+from piezo_identification.simulation.past_search import after_saturation
 from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect
@@ -344,7 +344,7 @@ def aligned_density(
     def error_um(entry: tuple[DensityEstimate, float, list[Recording]]) -> float:
         model = StageModel(entry[0].model(), found.creep, found.dynamics,
                            effects=found.all_effects)
-        return sum(ModelRun(model, each).error_um(()) for each in entry[2])
+        return sum(after_saturation(model, each).error_um() for each in entry[2])
 
     return min(tried, key=error_um)[:2]
 

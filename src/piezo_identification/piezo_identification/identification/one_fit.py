@@ -37,7 +37,7 @@ from piezo_identification.identification.fitted_model import FittedModel
 from piezo_identification.identification.given_data import Data
 from piezo_identification.identification.notes import Detail
 from piezo_identification.identification.tried_structures import structure_figure, structure_table
-from piezo_identification.simulation.simulated_recording import is_long_enough
+from piezo_identification.simulation.past_search import is_long_enough
 from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.vibration_mode import VibrationMode

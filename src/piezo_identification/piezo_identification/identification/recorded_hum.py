@@ -19,6 +19,7 @@ from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.fitting.regression import SETTINGS as FIT
 from piezo_identification.identification.given_data import Data
+from piezo_identification.simulation.past_search import simulated_recording
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.effects.periodic_disturbance import (
@@ -93,7 +94,7 @@ def hum_of_each(
     for name, data in recordings.items():
         # Recordings that are too short to simulate are too short to show a hum.
         with suppress(ValueError):
-            if isinstance(data, Recording) and (hum := hum_of(SimulatedRecording(
+            if isinstance(data, Recording) and (hum := hum_of(simulated_recording(
                     model, data, read_late_s=-delays_s.get(name, 0.0)))):
                 found[name] = hum
     return found

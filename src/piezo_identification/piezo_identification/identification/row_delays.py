@@ -21,7 +21,7 @@ from piezo_identification.identification.linear_dynamics import (
 )
 from piezo_identification.identification.notes import Detail
 from piezo_identification.prediction.row_reading import read_as_explained
-from piezo_identification.simulation.model_run import ModelRun
+from piezo_identification.simulation.past_search import after_saturation
 from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording
 
@@ -129,11 +129,11 @@ def row_delays(
             rows[name] = RowDelay(
                 read_at, remaining_s, delay.standard_deviation_s, delay.sample_period_s)
             continue
-        run = ModelRun(model, recording)
-        kept = run.good & away_from_jumps(run.part.voltage_v[run.settled])
+        run = after_saturation(model, recording)
+        kept = ~run.outlier[run.settled] & away_from_jumps(run.voltage_v[run.settled])
         rows[name] = RowDelay(read_at, *remaining_delay(
-            run.measured_um, run.simulated_um(()), run.part.sample_period_s,
-            np.ones((run.measured_um.size, 1)), kept), run.part.sample_period_s)
+            run.measured_um[run.settled], run.fitted_um(), run.sample_period_s,
+            np.ones((run.settled.size, 1)), kept), run.sample_period_s)
     return rows
 
 

@@ -14,7 +14,8 @@ from scipy.optimize import least_squares
 
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.conditioning.outlier_samples import with_outliers_marked
-from piezo_identification.simulation.simulated_recording import SimulatedRecording
+from piezo_identification.simulation.nuisance import nuisance_regressors
+from piezo_identification.simulation.past_search import simulated_recording
 from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording
 
@@ -153,17 +154,14 @@ class _Problem:
 
     def __init__(self, model: StageModel, recording: Recording) -> None:
         self._model = model
-        self._part = part = SimulatedRecording(model, recording)
+        self._part = part = simulated_recording(model, recording)
         count = part.time_s.size
         stretch = np.arange(count) * SETTINGS.stretches // count
         used = (np.arange(count) >= part.begin) & ~part.outlier
         self._held_out: BoolArray = used & (stretch % 3 == 2)
         self._fitted: BoolArray = used & ~self._held_out
         self._stretch = stretch
-        time_s = part.time_s
-        # The initial creep and the zero of the sensor are unknown.
-        self._nuisance = np.column_stack([np.ones(count), *(
-            np.exp(-rate * time_s) for rate in model.creep.poles_rad_per_s)])
+        self._nuisance = nuisance_regressors(part, np.arange(count))
 
     def model(self, groups: Sequence[str], numbers: FloatArray) -> StageModel:
         """Return the model with the parameters of some groups changed by logarithms."""
@@ -173,13 +171,8 @@ class _Problem:
 
     def residual_um(self, groups: Sequence[str], numbers: FloatArray) -> FloatArray:
         """Return the residual (N,), with offset and initial creep projected out."""
-        part, model = self._part, self.model(groups, numbers)
-        scale = _values(model)["gain_um_per_v"] / _values(self._model)["gain_um_per_v"]
-        simulated_um = part.respond(model.linear(), scale * part.input_um)
-        for place in ("displacement", "sensor"):
-            for effect in model.effects_at(place):
-                simulated_um = effect.apply(simulated_um, part.sample_period_s, part.rest_um)
-        residual_um = part.measured_um - simulated_um
+        part = self._part.with_model(self.model(groups, numbers))
+        residual_um = part.measured_um - part.simulate()
         fitted = self._fitted
         solved = np.linalg.lstsq(self._nuisance[fitted], residual_um[fitted], rcond=1e-9)[0]
         return residual_um - self._nuisance @ solved

@@ -7,7 +7,7 @@ import os
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from piezo_identification.diagnosis.report.results import diagnose_files
+from piezo_identification.diagnosis.report.diagnosis_results import diagnose_files
 from piezo_identification.monitoring.changed_parameters import changed_parameters
 from piezo_models.model_file import load_model, save_model
 from piezo_recorder.reading.reader import origin_of, read_recording

@@ -18,7 +18,7 @@ from piezo_identification.diagnosis.report.decide_files import (
     decision_sentence,
 )
 from piezo_identification.diagnosis.report.diagnosis_report import verdict_sentence
-from piezo_identification.diagnosis.report.results import DiagnosisResults, diagnose_files
+from piezo_identification.diagnosis.report.diagnosis_results import DiagnosisResults, diagnose_files
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
 from piezo_identification.experiments.catalogue import (
     EXPERIMENTS,

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.outlier_samples import outliers_of_residual
-from piezo_identification.simulation.model_run import (
-    ModelRun,
-    PastVoltages,
+from piezo_identification.simulation.past_search import (
+    after_saturation,
     conditioned,
     starting_past_v,
 )
+from piezo_identification.simulation.simulated_recording import PastVoltages
 from piezo_models.cascade import StageModel
 from piezo_models.effects.outliers import FEWEST
 from piezo_models.measures import e_y_percent
@@ -117,16 +117,15 @@ def predict(model: StageModel, recording: Recording) -> Prediction:
     7.8 %
     """
     recording, is_reversed = conditioned(model, recording)
-    run = ModelRun(model, recording)
     past_v = starting_past_v(model, recording)
+    run = after_saturation(model, recording).after(past_v)
     part, settled = run.part, run.settled
-    simulated_um = run.simulated_um(past_v)
+    measured_um, voltage_v = run.measured_um[settled], run.voltage_v[settled]
+    outlier, simulated_um = run.outlier[settled], run.fitted_um()
     standing_out = outliers_of_residual(
-        run.measured_um - simulated_um, run.measured_um, part.voltage_v[settled]) & run.good
+        measured_um - simulated_um, measured_um, voltage_v) & ~outlier
     if np.count_nonzero(standing_out) >= FEWEST:
-        run.good = run.good & ~standing_out
-        simulated_um = run.simulated_um(past_v)
-    return Prediction(
-        part.time_s[settled], part.voltage_v[settled], run.measured_um,
-        simulated_um, part.sample_index[settled], past_v, ~run.good, is_reversed,
-    )
+        outlier = outlier | standing_out
+        simulated_um = run.fitted_um(settled[~outlier])
+    return Prediction(part.time_s[settled], voltage_v, measured_um, simulated_um,
+                      part.sample_index[settled], past_v, outlier, is_reversed)

@@ -14,7 +14,7 @@ from piezo_identification.conditioning.row_alignment import (
 from piezo_identification.conditioning.segments import longest_stretch
 from piezo_identification.conditioning.sensor_sign import sign_text
 from piezo_identification.prediction.prediction import Prediction, predict
-from piezo_identification.simulation.model_run import ModelRun, conditioned
+from piezo_identification.simulation.past_search import after_saturation, conditioned
 from piezo_models.cascade import StageModel
 from piezo_models.identified_model import IdentifiedModel
 from piezo_recorder.reading.recording import Recording
@@ -162,7 +162,7 @@ def read_as_explained(
 
     def error_um(entry: tuple[Recording, float]) -> float:
         signed, _ = conditioned(model, entry[0])
-        return ModelRun(model, signed).error_um(())
+        return after_saturation(model, signed).error_um()
 
     return min(tried, key=error_um)
 

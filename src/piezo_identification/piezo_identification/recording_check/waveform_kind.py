@@ -9,7 +9,7 @@ from scipy.signal import correlate
 from scipy.stats import spearmanr
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.conditioning.waveforms import turning_points
+from piezo_identification.conditioning.waveforms import REVERSAL, turning_points
 
 
 class Kind(StrEnum):
@@ -57,8 +57,6 @@ class KindSettings:
     fractions of the swing."""
     most_levels: int = 100
 
-    reversal: float = 0.02
-    """Smallest reversal that is not noise, as a fraction of the swing."""
     even_slope: float = 0.2
     """Largest spread of the slopes over their median for a voltage made of ramps."""
     slopes_per_branch: int = 20
@@ -132,7 +130,7 @@ def waveform_of(voltage_v: FloatArray, period_s: float) -> Waveform:
     if with_levels:
         return with_levels
     part_v = voltage_v[: SETTINGS.most_samples]
-    turns = turning_points(part_v, SETTINGS.reversal * swing_v)
+    turns = turning_points(part_v, REVERSAL * swing_v)
     branches_s = np.diff(turns) * period_s
     branch_s = float(np.median(branches_s[1:-1] if branches_s.size > 2 else branches_s))
     heights = np.abs(np.diff(voltage_v[turns]))[1:-1] / swing_v

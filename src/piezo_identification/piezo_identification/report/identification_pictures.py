@@ -17,7 +17,7 @@ from piezo_common.picture_style import (
 from piezo_common.report_page import Picture, pictured
 from piezo_identification.report import signal_pictures as signals
 from piezo_identification.report.component_evidence import ComponentEvidence
-from piezo_identification.report.response_band import measured_response, shown_frequencies
+from piezo_identification.report.measured_response import measured_response, shown_frequencies
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_pictures import density_on
 from piezo_models.model_summary import visited_fraction

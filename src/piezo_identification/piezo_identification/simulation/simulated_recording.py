@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.outlier_samples import OUTLIER, good_samples
 from piezo_identification.conditioning.sensor_noise import repeated_period
-from piezo_identification.conditioning.settling import first_settled
+from piezo_identification.conditioning.sensor_sign import moves_against
+from piezo_identification.conditioning.settling import AT_REST, NEGLIGIBLE, first_settled
 from piezo_identification.conditioning.waveforms import (
     played,
     samples_per_mean,
     with_voltage_before,
 )
-from piezo_identification.simulation.model_run import ModelRun, starting_past_v
-from piezo_identification.simulation.nuisance import nuisance_regressors
+from piezo_identification.simulation.nuisance import offset_and_decays
 from piezo_identification.simulation.recorded_voltage import in_parts
 from piezo_identification.simulation.sampled_response import (
     behind_lags,
@@ -41,8 +41,6 @@ from piezo_recorder.reading.recording import Recording
 class SimulationSettings:
     """Settings of the simulation of a recording."""
 
-    fewest_samples: int = 500
-    """Fewest samples of a recording: a third is held out, and a dozen effects are fitted."""
     kept_outputs: int = 6
     """Number of cached outputs of the linear part, in addition to the first, and of cached signals
     between later effects. A fit varies one effect at a time and needs the last few again; several
@@ -57,11 +55,8 @@ KEPT = 32
 SETTINGS = SimulationSettings()
 
 
-def is_long_enough(model: StageModel, recording: Recording) -> bool:
-    """Tell whether a recording has the samples that it needs, once its start has settled."""
-    time_s = played(recording).time_s
-    settled = first_settled(model.dynamics, time_s - time_s[0], model.effects)
-    return bool(time_s.size - settled >= SETTINGS.fewest_samples)
+PastVoltages = tuple[float, float] | tuple[()]
+"""Highest and then lowest voltage before a recording; empty if it begins saturated."""
 
 
 class SimulatedRecording:
@@ -72,20 +67,26 @@ class SimulatedRecording:
     recording : Recording
         Recording with the sign of the model and with its outliers marked.
     past_v : (float, float) or (), optional
-        Voltages before the recording; by default those of `starting_past_v`.
+        Voltages before the recording; see `simulated_recording`, which estimates them.
+    highest_v : float, optional
+        Highest earlier voltage, for a first rise; by default the stage was cycled.
     read_late_s : float
         Time after its voltage at which the displacement of a row is read; 0 for means.
 
     Attributes
     ----------
+    part : Recording
+        The samples in which the waveform is played.
     time_s, voltage_v, measured_um : (N,) array
-        Samples in which the waveform is played.
+        Their time since the first of them, voltage, and displacement.
     outlier : (N,) array of bool
         True for outliers.
     off_um : (N,) array
         Error of the outliers before they were replaced by interpolation; 0 elsewhere.
     begin : int
         First sample after the start has settled.
+    settled, good : (n,) array of int
+        Samples after the start has settled, and those of them that are not outliers.
     hysteresis_um, input_um : (N parts,) array
         Output of the hysteresis, and the same with its creep: the input of the linear part. A row
         has several parts if the voltage moves within it; see `in_parts`.
@@ -93,34 +94,42 @@ class SimulatedRecording:
     Raises
     ------
     ValueError
-        If the recording has gaps, or is too short.
+        If the recording has gaps, or is too short to settle.
     """
 
-    def __init__(self, model: StageModel, recording: Recording,
-                 past_v: tuple[float, ...] | None = None, read_late_s: float = 0.0) -> None:
-        part = played(recording)
-        self.read_late_s = read_late_s
+    def __init__(self, model: StageModel, recording: Recording, past_v: PastVoltages = (),
+                 highest_v: float = CYCLED, read_late_s: float = 0.0) -> None:
+        self.part = part = played(recording)
+        self.past_v, self.highest_v, self.read_late_s = past_v, highest_v, read_late_s
         self.path = recording.path
         self.sample_period_s = part.sample_period_s
         self.model = model.as_rows_show(self.sample_period_s)
         self.samples_per_mean = samples_per_mean(part)
-        self.time_s = part.time_s - part.time_s[0]
+        self.time_s = part.time_s
         self.voltage_v = np.ascontiguousarray(part.voltage_v, dtype=float)
         self.measured_um = np.ascontiguousarray(part.displacement_um, dtype=float)
         self.outlier = ~good_samples(part)
         self.off_um = part.columns.get(OUTLIER, np.zeros(self.time_s.size))
         self._joined_v, self._samples_before = with_voltage_before(recording, part)
+        self._moves_at_first = bool(np.ptp(recording.voltage_v[:AT_REST]))
         self.begin = first_settled(model.dynamics, self.time_s, model.effects)
-        if self.time_s.size - self.begin < SETTINGS.fewest_samples:
-            raise ValueError(
-                f"{self.path} has {self.time_s.size} samples, fewer than "
-                f"{SETTINGS.fewest_samples} after the start has settled: record longer"
-            )
-        self.past_v = starting_past_v(model, recording) if past_v is None else past_v
-        self._highest_v = CYCLED if model.first_rise is None else (
-            ModelRun(model, recording).highest_v)
+        self.settled = np.arange(self.begin, self.time_s.size)
+        self.good = self.settled[~self.outlier[self.settled]]
+        if self.good.size <= self._initial_motion(self.good[:1]).shape[1]:
+            raise ValueError(f"{self.path} has {self.time_s.size} samples: record longer")
+        self._bases: dict[bytes, FloatArray] = {}
+        self._amplified_v = self._amplified(())
         self._simulate_hysteresis()
         self._simulate_linear()
+
+    def after(self, past_v: PastVoltages, highest_v: float | None = None) -> Self:
+        """Return the same recording simulated after other earlier voltages."""
+        other = copy(self)
+        other.past_v = past_v
+        other.highest_v = self.highest_v if highest_v is None else highest_v
+        other._simulate_hysteresis()
+        other._simulate_linear()
+        return other
 
     def with_model(self, model: StageModel) -> Self:
         """Return the same recording simulated by another model after the same past.
@@ -128,11 +137,13 @@ class SimulatedRecording:
         The past is estimated once, with the first model, and kept while a fit changes the model.
         """
         other, given = copy(self), self.model
+        other._bases = {}
         other.model = model = model.as_rows_show(self.sample_period_s)
         if not (model.hysteresis is given.hysteresis and model.first_rise is given.first_rise
                 and model.hysteretic_creep is given.hysteretic_creep
                 and model.effects_at("voltage") == given.effects_at("voltage")
                 and overshooting(model.effects) == overshooting(given.effects)):
+            other._amplified_v = other._amplified(())
             other._simulate_hysteresis()
         other._simulate_linear()
         return other
@@ -181,12 +192,64 @@ class SimulatedRecording:
             return self._behind(linear_part, in_turn)[rows]
         return self._output(*linear_part, rows)
 
-    def error_um(self, rows: NDArray[np.intp]) -> float:
-        """Return the RMS error at some rows, with offset and initial creep projected out."""
-        difference_um = self.measured_um[rows] - self.simulate(rows=rows)
-        nuisance = nuisance_regressors(self, rows)
-        difference_um -= nuisance @ np.linalg.lstsq(nuisance, difference_um, rcond=1e-12)[0]
+    def error_um(self, rows: NDArray[np.intp] | None = None) -> float:
+        """Return the RMS error at some rows, with offset and initial motion projected out.
+
+        Parameters
+        ----------
+        rows : (n,) array of int, optional
+            Sorted samples; by default `good`.
+        """
+        rows = self.good if rows is None else rows
+        difference_um = (self.measured_um - self.simulate())[rows]
+        basis = self._basis(rows)
+        difference_um -= basis @ (basis.T @ difference_um)
         return float(np.sqrt(np.mean(difference_um**2)))
+
+    def fitted_um(self, rows: NDArray[np.intp] | None = None) -> FloatArray:
+        """Return the settled displacement with offset and initial motion fitted at some rows, (n,).
+
+        Parameters
+        ----------
+        rows : (m,) array of int, optional
+            Sorted samples; by default `good`.
+        """
+        rows = self.good if rows is None else rows
+        simulated_um = self.simulate()
+        sizes = np.linalg.lstsq(self._initial_motion(rows), (self.measured_um - simulated_um)[rows],
+                                rcond=1e-12)[0]
+        return simulated_um[self.settled] + self._initial_motion(self.settled) @ sizes
+
+    @property
+    def is_reversed(self) -> bool:
+        """Whether the measured displacement moves against that of the model."""
+        return moves_against(self.measured_um[self.good], self.simulate()[self.good],
+                             self._initial_motion(self.good))
+
+    def _initial_motion(self, rows: NDArray[np.intp]) -> FloatArray:
+        """Return the regressors of offset, initial creep and initial ringing, (n, k)."""
+        time_s = self.time_s[rows]
+        columns = [offset_and_decays(self.model, time_s)]
+        if self._moves_at_first:
+            poles = _linear_part(self.model, ()).poles()
+            poles = poles[(poles.imag > 0.0)
+                          & (poles.real * self.time_s[self.begin] > np.log(NEGLIGIBLE))]
+            decays = [np.exp(pole * time_s) for pole in poles]
+            columns += [part for decay in decays for part in (decay.real, decay.imag)]
+        return np.column_stack(columns)
+
+    def _basis(self, rows: NDArray[np.intp]) -> FloatArray:
+        """Return an orthonormal basis of the initial motion, cached after all pasts."""
+        basis = self._bases.get(rows.tobytes())
+        if basis is None:
+            left, values, _ = np.linalg.svd(self._initial_motion(rows), full_matrices=False)
+            basis = self._bases[rows.tobytes()] = left[:, values > 1e-12 * values[0]]
+        return basis
+
+    @property
+    def earlier_v(self) -> FloatArray:
+        """Voltages at the hysteresis up to the first sample of the waveform, (n,)."""
+        return self._amplified_v[: self._before(self._amplified_v) + 1]
 
     def hysteresis_output_um(self, hysteresis: PreisachModel) -> FloatArray:
         """Return the output of another hysteresis for the same voltages, in um, (N parts,).
@@ -223,10 +286,8 @@ class SimulatedRecording:
 
     def _simulate_hysteresis(self) -> None:
         """Simulate the model up to the input of its linear part."""
-        model = self.model
-        self._amplified_v = self._amplified(())
         self.hysteresis_um, self._rest_input_um = self._hysteresis(
-            model.hysteresis, self._amplified_v)
+            self.model.hysteresis, self._amplified_v)
         self.input_um = self._with_creep(self.hysteresis_um, self._amplified_v)
         self._inputs: dict[tuple, FloatArray] = {}
 
@@ -260,7 +321,7 @@ class SimulatedRecording:
         """Return the output during the waveform, and that at the first sample of the recording."""
         output_um = self._cycled_um(hysteresis, amplified_v, effects)
         if self.model.first_rise is not None:
-            output_um += self.model.first_rise.simulate(amplified_v, self._highest_v)
+            output_um += self.model.first_rise.simulate(amplified_v, self.highest_v)
         return output_um[self._before(output_um) :], output_um[0]
 
     def _before(self, values: FloatArray) -> int:

@@ -20,7 +20,7 @@ from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_identification.diagnosis.report.diagnosis_report import render_report
 from piezo_identification.diagnosis.report.distortion_section import distortion_sections
 from piezo_identification.experiments.catalogue import StageLimits, distortion
-from piezo_identification.simulation.simulated_recording import SimulatedRecording
+from piezo_identification.simulation.past_search import simulated_recording
 from piezo_models.effects import known_effects
 from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.delay import Delay
@@ -55,7 +55,7 @@ def record(plant, play):
 
 
 def part_of(plant, recording):
-    part = SimulatedRecording(plant, recording)
+    part = simulated_recording(plant, recording)
     return part, error_distortion(part, part.measured_um - part.simulate())
 
 
@@ -86,7 +86,7 @@ def test_the_symmetry_of_a_cause_behind_a_linear_stage_is_told(plant, record):
     noise = 1e-4 * np.random.default_rng(2).normal(size=voltage_v.size)
     for power, size, shown, word in (
             (2, 2e-3, "even", "asymmetric"), (3, 2e-4, "odd", "symmetric")):
-        part = SimulatedRecording(plant, replace(whole, displacement_um=part_um(plant, whole)
+        part = simulated_recording(plant, replace(whole, displacement_um=part_um(plant, whole)
                                                  + size * answer_um**power + noise))
         found = error_distortion(part, part.measured_um - part.simulate())
         assert shown in found.shown()
@@ -96,7 +96,7 @@ def test_the_symmetry_of_a_cause_behind_a_linear_stage_is_told(plant, record):
 
 def part_um(plant, recording):
     """Return what the model of the stage simulates at all samples of a recording."""
-    part = SimulatedRecording(plant, recording)
+    part = simulated_recording(plant, recording)
     whole = np.full(recording.voltage_v.size, part.rest_um)
     whole[recording.playing] = part.simulate()
     return whole

@@ -16,7 +16,7 @@ from piezo_identification.diagnosis.many import diagnose_table, many_recordings
 from piezo_identification.diagnosis.many.fleet import histories
 from piezo_identification.diagnosis.many.many_page import many_page
 from piezo_identification.diagnosis.many.many_recordings import diagnose_rows, read_table
-from piezo_identification.diagnosis.report import results
+from piezo_identification.diagnosis.report import diagnosis_results
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.identified_model import IdentifiedModel
@@ -43,7 +43,7 @@ def diagnosed(monkeypatch):
         Path(directory).mkdir(parents=True, exist_ok=True)
         (Path(directory) / "verdict.json").write_text(json.dumps(VERDICT))
 
-    monkeypatch.setattr(results, "diagnose_files", diagnose)
+    monkeypatch.setattr(diagnosis_results, "diagnose_files", diagnose)
     monkeypatch.setattr(diagnose_table, "cluster_client", lambda scheduler: Client(
         processes=False, n_workers=1, threads_per_worker=1, dashboard_address=None))
     return calls
@@ -159,7 +159,7 @@ def test_a_scheduler_that_goes_away_leaves_what_is_done(table, tmp_path, monkeyp
         Path(directory).mkdir(parents=True, exist_ok=True)
         (Path(directory) / "verdict.json").write_text(json.dumps(VERDICT))
 
-    monkeypatch.setattr(results, "diagnose_files", diagnose)
+    monkeypatch.setattr(diagnosis_results, "diagnose_files", diagnose)
     rows = read_table(table, tmp_path / "out")
     with LocalCluster(processes=False, n_workers=1, threads_per_worker=1,
                       dashboard_address=None) as cluster, Client(cluster) as client:

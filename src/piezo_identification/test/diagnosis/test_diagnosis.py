@@ -28,8 +28,7 @@ from piezo_identification.fitting.regression import (
     reweighted,
 )
 from piezo_identification.prediction import predict
-from piezo_identification.simulation.model_run import ModelRun
-from piezo_identification.simulation.simulated_recording import SimulatedRecording
+from piezo_identification.simulation.past_search import simulated_recording
 from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.periodic_disturbance import PeriodicDisturbance
@@ -204,14 +203,14 @@ def test_what_no_candidate_explains_gets_no_name(plant, record):
 def test_parameter_sensitivities_are_the_derivatives_by_the_parameters(plant, record, beside):
     recording = record(noise_um=0.0)
     plant = replace(plant, **beside)
-    part = SimulatedRecording(plant, recording)
+    part = simulated_recording(plant, recording)
     rows = np.arange(part.begin, part.time_s.size, 37)
     columns = parameter_sensitivities(part, rows)
     generator = np.random.default_rng(0)
     changes = 0.01 * generator.normal(size=columns.shape[1])
     changes[-1] = abs(changes[-1])  # a reversible part is not negative
     moved, still = (
-        SimulatedRecording(model, recording).simulate()[rows]
+        simulated_recording(model, recording).simulate()[rows]
         for model in (perturbed(plant, changes), plant)
     )
     linear = columns @ changes
@@ -221,11 +220,10 @@ def test_parameter_sensitivities_are_the_derivatives_by_the_parameters(plant, re
 @pytest.mark.parametrize(("derivatives", "changed"), [
     (parameter_sensitivities, perturbed), (free_sensitivities, changed_model)])
 def test_derivatives_of_a_stage_that_was_never_cycled(
-    plant, record, monkeypatch, derivatives, changed,
+    plant, record, derivatives, changed,
 ):
-    monkeypatch.setattr(ModelRun, "highest_v", -20.0)
     rising = replace(plant, first_rise=FirstRise((-20.0, 120.0), (0.0, 4.0)))
-    part = SimulatedRecording(rising, record(noise_um=0.0))
+    part = simulated_recording(rising, record(noise_um=0.0)).after((), -20.0)
     assert np.ptp(part.simulate() - part.with_model(plant).simulate()) > 1.0
     rows = np.arange(part.begin, part.time_s.size, 37)
     columns = derivatives(part, rows)
@@ -237,7 +235,7 @@ def test_derivatives_of_a_stage_that_was_never_cycled(
 
 def test_what_is_not_reversible_cannot_be_made_irreversible(plant, record):
     """Otherwise the density would gain what no reversible part loses."""
-    part = SimulatedRecording(plant, record(noise_um=0.0))
+    part = simulated_recording(plant, record(noise_um=0.0))
     changes = np.zeros(parameter_sensitivities(part, np.arange(9)).shape[1])
     changes[-1] = -1.0
     moved = perturbed(plant, changes).hysteresis

@@ -9,7 +9,7 @@ from piezo_identification.fitting.parameter_sensitivities import (
     parameter_sensitivities,
     perturbed,
 )
-from piezo_identification.simulation.simulated_recording import SimulatedRecording
+from piezo_identification.simulation.past_search import simulated_recording
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
@@ -29,7 +29,7 @@ def stage(density_um_per_v2, reversible_um_per_v=0.4):
 
 def simulated(model):
     voltage_v = 50.0 - 45.0 * np.cos(2.0 * np.pi * 3.0 * PERIOD_S * np.arange(SAMPLES))
-    return SimulatedRecording(model, Recording(
+    return simulated_recording(model, Recording(
         path="", sample_rate_hz=1.0 / PERIOD_S, sample_index=np.arange(SAMPLES),
         sample_periods_s=np.full(SAMPLES, PERIOD_S), voltage_v=voltage_v,
         displacement_um=np.zeros(SAMPLES), flags=np.full(SAMPLES, Flag.PLAYING, dtype=np.uint32)),

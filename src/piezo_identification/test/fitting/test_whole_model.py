@@ -220,7 +220,7 @@ def test_another_hysteresis_finds_the_past_of_a_recording_anew(plant, cut):
 def test_a_past_that_is_found_is_not_taken_if_the_one_before_is_closer(plant, cut, monkeypatch):
     problem = WholeModel(plant, [cut], [0.0])
     before = problem.fit(plant, None, 0).residual_um[0][0]
-    monkeypatch.setattr("piezo_identification.simulation.simulated_recording.starting_past_v",
+    monkeypatch.setattr("piezo_identification.simulation.past_search.starting_past_v",
                         lambda *_: (50.0, 45.0))
     wrong, kept = (each.fit(plant, None, 0).residual_um[0][0] for each in (
         WholeModel(plant, [cut], [0.0]), problem.with_hysteresis(plant, WIDE_PRIOR)))

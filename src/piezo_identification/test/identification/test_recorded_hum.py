@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from piezo_identification.identification.identify import identify
 from piezo_identification.identification.recorded_hum import hum_of
-from piezo_identification.simulation.simulated_recording import SimulatedRecording
+from piezo_identification.simulation.past_search import simulated_recording
 from piezo_models.cascade import StageModel
 from piezo_models.effects.coupled_mode import CoupledMode
 from piezo_models.hysteresis.preisach import PreisachModel
@@ -80,7 +80,7 @@ HUMMING_MODE = CoupledMode(2.0 * np.pi * 50.03, 0.0016, 1e-4, 1e-4)
     (multisine_v(2000, 6), FAST_S), (loops_v(), SLOW_S)], ids=["multisine", "loops"])
 def test_hum_is_found_whether_or_not_a_mode_describes_it(voltage_v, sample_period_s, effects):
     data = recorded(voltage_v, sample_period_s, 1, True)
-    hum = hum_of(SimulatedRecording(model(*effects), data))
+    hum = hum_of(simulated_recording(model(*effects), data))
     true_um = hum_um(voltage_v.size, sample_period_s, 1)
     assert hum.frequency_hz == pytest.approx(MAINS_HZ, abs=0.06)
     assert np.std(hum.signal_um - true_um) < 0.2 * np.std(true_um)
@@ -88,7 +88,7 @@ def test_hum_is_found_whether_or_not_a_mode_describes_it(voltage_v, sample_perio
 
 def test_a_smooth_recording_without_hum_has_none():
     data = recorded(multisine_v(2000, 6), FAST_S, 1, False)
-    assert hum_of(SimulatedRecording(model(), data)) is None
+    assert hum_of(simulated_recording(model(), data)) is None
 
 
 @pytest.mark.parametrize("drive_hz", [50.0, 25.0, 10.0, 12.5, 5.0, 2.0])
@@ -99,7 +99,7 @@ def test_harmonics_that_an_unmodelled_hysteresis_makes_of_the_voltage_are_no_hum
     time_s = np.arange(16_000) * FAST_S
     voltage_v = 4.0 * wave(2.0 * np.pi * drive_hz * time_s)
     data = recorded(voltage_v, FAST_S, 1, False, 2.0)
-    assert hum_of(SimulatedRecording(model(), data)) is None
+    assert hum_of(simulated_recording(model(), data)) is None
 
 
 @pytest.mark.parametrize("drive_hz", [25.0, 12.5, 10.0, 5.0, 2.5])
@@ -109,7 +109,7 @@ def test_harmonics_of_square_waves_whose_steps_up_and_down_differ_are_no_hum(dri
     behind_a_lag_v = lfilter([0.4], [1.0, -0.6], voltage_v)
     data = recorded(voltage_v, FAST_S, 1, False)
     curved_um = 0.02 * behind_a_lag_v**2
-    assert hum_of(SimulatedRecording(model(), replace(
+    assert hum_of(simulated_recording(model(), replace(
         data, displacement_um=data.displacement_um + curved_um))) is None
 
 

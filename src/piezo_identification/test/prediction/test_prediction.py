@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from piezo_identification.conditioning.waveforms import slow_branches
 from piezo_identification.experiments import catalogue as experiments
 from piezo_identification.prediction import predict, unseen_errors
+from piezo_models.effects.backlash import Backlash
 
 
 @pytest.mark.parametrize("experiment, clock_hz", [
@@ -74,3 +77,10 @@ def test_a_recording_that_begins_anywhere_is_predicted_from_the_past_that_fits_b
     assert prediction.e_y_percent() < 0.05
     from_below = predict(plant, play(experiments.validation(arc_s=0.05), 1))
     assert from_below.past_v == ()
+
+
+def test_a_play_begins_at_the_rest_before_the_recording(plant, play):
+    """The ramp to the first voltage takes up the play of the plant."""
+    worn = replace(plant, effects=(Backlash(0.5),))
+    recording = play(experiments.creep(period_s=20.0), noise_um=0.0, stage=worn)
+    assert predict(worn, recording).e_y_percent() < 0.1

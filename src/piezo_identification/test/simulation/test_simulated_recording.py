@@ -7,13 +7,10 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-import piezo_identification.simulation.simulated_recording as module
 from piezo_identification.experiments import catalogue as experiments
-from piezo_identification.simulation.model_run import ModelRun
-from piezo_identification.simulation.simulated_recording import (
-    SETTINGS,
-    SimulatedRecording,
-)
+from piezo_identification.simulation import past_search
+from piezo_identification.simulation.past_search import simulated_recording
+from piezo_identification.simulation.simulated_recording import SETTINGS
 from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.effect import parameter
@@ -43,7 +40,7 @@ def sensor(cubic):
 @pytest.fixture
 def recording(plant, play):
     CountedBacklash.applied.clear()
-    return SimulatedRecording(plant, play(experiments.validation(arc_s=0.02, tones_s=0.2), 1))
+    return simulated_recording(plant, play(experiments.validation(arc_s=0.02, tones_s=0.2), 1))
 
 
 def test_an_effect_is_simulated_once_while_only_what_lies_behind_it_changes(recording):
@@ -97,7 +94,7 @@ def test_another_model_is_simulated_as_if_the_recording_had_been_read_for_it(
         recording, plant, play, change):
     model, effects = change(plant), (Backlash(0.05),)
     recording.simulate(effects)
-    anew = SimulatedRecording(
+    anew = simulated_recording(
         model, play(experiments.validation(arc_s=0.02, tones_s=0.2), 1), recording.past_v)
     moved = recording.with_model(model)
     assert moved.rest_um == anew.rest_um
@@ -121,13 +118,14 @@ def test_a_lag_that_settles_within_a_row_is_that_of_the_whole_model(plant, play)
     """The rows of a creep are 10 ms long, and those of the others are shorter than the lag."""
     slow = replace(plant, effects=(AmplifierLag(1e-4),))
     recording = play(experiments.creep(period_s=20.0), 1, stage=slow)
-    beside = SimulatedRecording(plant, recording)
+    beside = simulated_recording(plant, recording)
     within = beside.with_model(slow)
     np.testing.assert_array_equal(beside.simulate((AmplifierLag(1e-4),)), within.simulate())
-    run = ModelRun(slow, recording)
-    apart_um = run.simulated_um(beside.past_v) - within.simulate()[run.settled]
+    settled = within.settled
+    apart_um = past_search.after_saturation(slow, recording).after(
+        beside.past_v).fitted_um() - within.simulate()[settled]
     initial = np.exp(-np.outer(
-        within.time_s[run.settled], [0.0, *plant.creep.poles_rad_per_s]))
+        within.time_s[settled], [0.0, *plant.creep.poles_rad_per_s]))
     sizes = np.linalg.lstsq(initial, apart_um, rcond=None)[0]
     assert np.abs(apart_um - initial @ sizes).max() < 1e-6
 
@@ -135,8 +133,9 @@ def test_a_lag_that_settles_within_a_row_is_that_of_the_whole_model(plant, play)
 def test_how_far_a_stage_had_risen_is_not_sought_for_every_model(plant, play, monkeypatch):
     """The search simulates the recording some eight times, and a fit changes its model often."""
     rising = replace(plant, first_rise=FirstRise((0.0, 60.0), (0.0, 2.0)))
-    recording = SimulatedRecording(rising, play(experiments.validation(arc_s=0.02, tones_s=0.2), 1))
-    monkeypatch.setattr(module, "ModelRun", None)
-    monkeypatch.setattr(module, "starting_past_v", None)
+    recording = simulated_recording(
+        rising, play(experiments.validation(arc_s=0.02, tones_s=0.2), 1))
+    monkeypatch.setattr(past_search, "after_saturation", None)
+    monkeypatch.setattr(past_search, "starting_past_v", None)
     same = recording.with_model(replace(rising, hysteresis=replace(rising.hysteresis)))
     np.testing.assert_array_equal(same.simulate(), recording.simulate())

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.signal import cont2discrete
 
 from piezo_common.arrays import ComplexArray, FloatArray
-from piezo_models.linear.blocks import FEWEST, run_blocks
+from piezo_models.linear.block_simulation import FEWEST, run_blocks
 from piezo_models.linear.connections import (
     Matrices,
     in_parallel,

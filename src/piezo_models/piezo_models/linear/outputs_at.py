@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
-from piezo_models.linear.blocks import LONG, blocks_at
+from piezo_models.linear.block_simulation import LONG, blocks_at
 from piezo_models.linear.dynamics import simulate_linear
 
 FEW = 8

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from piezo_models.linear import blocks
-from piezo_models.linear.blocks import LONG
+from piezo_models.linear import block_simulation
+from piezo_models.linear.block_simulation import LONG
 from piezo_models.linear.dynamics import zoh
 from piezo_models.linear.outputs_at import FEW, simulate_linear_at
 
@@ -20,7 +20,7 @@ CHUNKS = np.concatenate([
 
 @pytest.fixture(autouse=True)
 def few_blocks_at_a_time(monkeypatch):
-    monkeypatch.setattr(blocks, "BATCH", FEW_BLOCKS)
+    monkeypatch.setattr(block_simulation, "BATCH", FEW_BLOCKS)
 
 
 @pytest.mark.parametrize("at", [

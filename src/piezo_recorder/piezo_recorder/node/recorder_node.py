@@ -27,7 +27,7 @@ from piezo_recorder.node.waiting_services import create_waiting_service
 from piezo_recorder.reading import tracked_reference
 from piezo_recorder.writing.message_definition import MessageDefinition, installed_definition
 from piezo_recorder.writing.quality_profiles import offered_profile
-from piezo_recorder.writing.session import RecordingSession
+from piezo_recorder.writing.recording_session import RecordingSession
 from piezo_recorder.writing.writer import FLUSH_PERIOD_S, RecordingWriter
 from piezo_ros.clock_guard import keep_clock
 from piezo_ros.deadlines import asks_the_same, why_too_late

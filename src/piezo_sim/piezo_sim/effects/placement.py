@@ -4,6 +4,7 @@
 import dataclasses
 from collections.abc import Sequence
 
+from piezo_sim.effects.ambient_temperature import ThermalDrift
 from piezo_sim.effects.current_limit import CurrentLimit
 from piezo_sim.effects.depolarisation import Depolarisation
 from piezo_sim.effects.guide_spring import GuideSpring
@@ -17,7 +18,6 @@ from piezo_sim.effects.soft_backlash import SoftBacklash
 from piezo_sim.effects.soft_saturation import SoftSaturation
 from piezo_sim.effects.switched_heat import SwitchedHeat
 from piezo_sim.effects.switching_delay import SwitchingDelay
-from piezo_sim.effects.thermal_drift import ThermalDrift
 from piezo_sim.plant.continuous_preisach import PreisachHysteresis
 from piezo_sim.plant.linear_effects import VibrationMode
 from piezo_sim.plant.plant_effect import Effect

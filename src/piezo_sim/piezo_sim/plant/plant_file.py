@@ -27,6 +27,7 @@ from piezo_common.schema import (
 )
 from piezo_common.schema.checking import quoted
 from piezo_common.text_file import read_bounded_text
+from piezo_sim.effects.ambient_temperature import ThermalDrift
 from piezo_sim.effects.clamped_beam import ClampedBeam
 from piezo_sim.effects.clock_jitter import SamplingJitter, UpdateJitter
 from piezo_sim.effects.current_limit import CurrentLimit
@@ -51,7 +52,6 @@ from piezo_sim.effects.soft_saturation import SoftSaturation
 from piezo_sim.effects.spikes import Spikes
 from piezo_sim.effects.switched_heat import SwitchedHeat
 from piezo_sim.effects.switching_delay import SwitchingDelay
-from piezo_sim.effects.thermal_drift import ThermalDrift
 from piezo_sim.effects.transducer_curve import TransducerCurve
 from piezo_sim.effects.transport_delay import TransportDelay
 from piezo_sim.effects.xy_flexure import XYFlexure

@@ -9,9 +9,9 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
+from piezo_sim.effects.ambient_temperature import ThermalDrift
 from piezo_sim.effects.clamped_beam import WAVE_NUMBERS, ClampedBeam, mode_shape
 from piezo_sim.effects.power_law_creep import PowerLawCreep
-from piezo_sim.effects.thermal_drift import ThermalDrift
 from piezo_sim.plant.plant_effect import PlantConfigError, Surroundings
 from piezo_sim.plant.plant_file import read_plant
 

@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger
 from piezo_ros.late_responses import LateResponse, create_late_service
 from piezo_stage_driver.engine.stage_commands import StageCommands
 from piezo_stage_driver.node.command_router import CommandRouter
-from piezo_stage_driver.node.law_message import law_of
+from piezo_stage_driver.node.law_of_message import law_of
 from piezo_stage_driver.safety.commands import Command
 from piezo_stage_driver.safety.request_memory import RequestMemory
 from piezo_stage_driver.safety.supervisor import UNSAFE

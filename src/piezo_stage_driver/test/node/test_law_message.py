@@ -13,7 +13,7 @@ from piezo_models.feedback_law.feedback_law import (
     LinearBlock,
 )
 from piezo_ros.stage_runs.law_message import message_of
-from piezo_stage_driver.node.law_message import law_of
+from piezo_stage_driver.node.law_of_message import law_of
 
 ROWS = np.arange(10.0).reshape(5, 2)
 PUSH, READ = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]), np.array([[7.0, 8, 9], [10, 11, 12]])

@@ -7,7 +7,7 @@ from pathlib import Path
 from piezo_sim.plant.plant_file import read_plant
 from piezo_studies.changes_in_operation.doubled import CHANGES, table, watch_doubling
 from piezo_studies.changes_in_operation.identified_beam import PLANT, identified_beam
-from piezo_studies.changes_in_operation.references import KINDS
+from piezo_studies.changes_in_operation.reference_kinds import KINDS
 from piezo_studies.changes_in_operation.watched import WatchedStage, watch_unchanged
 from piezo_studies.marked_sections import write_sections
 

@@ -12,7 +12,7 @@ from piezo_common.arrays import FloatArray
 from piezo_identification.monitoring.model_monitor import MonitorSettings
 from piezo_identification.monitoring.slow_offset import SlowOffset
 from piezo_sim.plant.plant_file import PlantConfig
-from piezo_studies.changes_in_operation.references import CLOCK, plan_of
+from piezo_studies.changes_in_operation.reference_kinds import CLOCK, plan_of
 from piezo_studies.changes_in_operation.watched import WatchedStage, opened, samples
 
 CHANGE_S, MEASURED_S, WATCHED_S = 5.07, 2.0, 6.0

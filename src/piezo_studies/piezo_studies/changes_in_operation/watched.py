@@ -14,7 +14,7 @@ from piezo_models.identified_model import IdentifiedModel
 from piezo_recorder.sample_block import Flag
 from piezo_sim.plant.plant_file import PlantConfig
 from piezo_sim.simulated_stage import SimulatedStage
-from piezo_studies.changes_in_operation.references import CLOCK, KINDS, RUN_S, plan_of
+from piezo_studies.changes_in_operation.reference_kinds import CLOCK, KINDS, RUN_S, plan_of
 
 PART_SAMPLES = 4000
 BACK_S, REST_S = 0.1, 0.15

@@ -10,7 +10,7 @@ from piezo_common.picture_style import to_png
 from piezo_studies.coupled_scans.feedback_trials import feedback_table, rasters_with_feedback
 from piezo_studies.coupled_scans.images import image_table, images_figure, images_of_grating
 from piezo_studies.coupled_scans.marks import mark_table, rasters_marked
-from piezo_studies.coupled_scans.trials import TABLES, Row
+from piezo_studies.coupled_scans.scan_trials import TABLES, Row
 from piezo_studies.coupled_scans.xy_stage import identified
 from piezo_studies.marked_sections import write_sections
 

@@ -17,7 +17,7 @@ from piezo_recorder.images.geometric_error import error_by_sensors, error_by_spe
 from piezo_recorder.images.scan_frame import ScanFrame
 from piezo_recorder.images.scan_image import ScanImage, image_of
 from piezo_sim.specimen.grating import grating
-from piezo_studies.coupled_scans.trials import VOLTAGE_RANGE_V
+from piezo_studies.coupled_scans.scan_trials import VOLTAGE_RANGE_V
 from piezo_studies.coupled_scans.xy_stage import imaged
 
 SIZE_UM, LINES, RATE_HZ = 20.0, 256, 20.0

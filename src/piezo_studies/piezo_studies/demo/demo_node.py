@@ -33,12 +33,12 @@ from piezo_studies.demo.demo_report import (
     render_report,
     report_sections,
 )
+from piezo_studies.demo.demo_session import RunningGoal, Session, rest
 from piezo_studies.demo.diagnosed_scan import diagnosed_scan, format_scan, scan_section
 from piezo_studies.demo.extended_model_section import ExtendedModel, draw_models
 from piezo_studies.demo.operation import second_part, start_changing_stage
 from piezo_studies.demo.operation_section import format_operation, operation_sections
 from piezo_studies.demo.run_directory import claim_directory
-from piezo_studies.demo.session import RunningGoal, Session, rest
 from piezo_studies.demo.summary import (
     aligned,
     model_error_rows,

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from piezo_client.model_offers import accept_extended_model, offered_model
 from piezo_studies.demo.changed_plants import with_faster_mode, with_sensor_lag, write_plant
-from piezo_studies.demo.session import MEETINGS
+from piezo_studies.demo.demo_session import MEETINGS
 
 # Excites the modes: 20 um at 50 Hz and further tones near each of the first two modes.
 REFERENCE = {"kind": "multi_frequency", "frequency_hz": [50.0, 400.0, 750.0],

@@ -2,8 +2,7 @@
 """The demo's second part in the report and on the terminal."""
 
 from piezo_common.report_page import Section
-
-SHOWN_PROBABILITY = 1e-3
+from piezo_identification.diagnosis.joint.probabilities import LISTED
 
 
 def operation_sections(operation):
@@ -60,7 +59,7 @@ def _decision_section(decision):
     rows = [["what the model lacks", "probability before", "after one recording"]]
     for name in names:
         values = [part.get(name) for part in (decision["before"], decision["after"])]
-        if any(value is not None and value >= SHOWN_PROBABILITY for value in values):
+        if any(value is not None and value >= LISTED for value in values):
             rows.append([name, *("-" if value is None else f"{value:.3f}" for value in values)])
     played = (f"What was played: {decision['experiment']}." if decision["experiment"]
               else "The first diagnosis was sure, and nothing was played.")

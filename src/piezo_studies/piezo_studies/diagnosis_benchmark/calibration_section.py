@@ -1,28 +1,63 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The section of docs/studies/diagnosis_rates.md on the suite of long cases."""
+"""The sections of docs/studies/diagnosis_rates.md on the suite, and their pictures."""
 
-from piezo_studies.diagnosis_benchmark.calibration import section_lines
+from piezo_common.picture_style import new_figure, to_png
+from piezo_studies.diagnosis_benchmark.coverage import KNOWN, coverage
+from piezo_studies.diagnosis_benchmark.reliability import calibrate, draw_reliability
 from piezo_studies.marked_sections import write_sections
-
-SECTION = "calibration"
-"""Mark of the section in the page."""
 
 
 def write_section(page, document):
-    """Replace the section in a page by that of a content of `table.json`.
+    """Replace the section in a page by that of a content of `table.json`, and its picture.
+
+    The sections are `short cases` and `long cases`.
 
     Raises
     ------
     ValueError
         If the page has no such section.
     """
-    intervals = document["coverage"]
-    kind = "that were there all along" if document["all_along"] else "of all kinds"
-    lines = section_lines(
-        f"{len(document['results'])} cases of seed {document['seed']}, with effects {kind}:",
-        document["calibration"],
-        ((group, what, count) for group, counts in document["outcomes"].items()
-         for what, count in counts.items()),
-        f"| {100 * intervals['level']:.0f} % intervals that contain the parameter | "
-        f"{intervals['right']} of {intervals['intervals']} |")
-    write_sections(page, {SECTION: "\n".join(lines)})
+    kind, results = document["kind"], document["results"]
+    length, found = "short" if kind == "short" else "long", calibrate(results)
+    picture = page.parent / "pictures" / f"diagnosis_{length}.png"
+    write_sections(page, {f"{length} cases": "\n".join([
+        f"{len(results)} {kind} cases of seed {document['seed']}:", "",
+        "| probability of the first statement | cases | mean | true |", "|---|---|---|---|",
+        *(f"| {low:.1f} to {high:.1f} | {count} | {stated:.2f} | {true:.2f} |"
+          for low, high, stated, true, count in zip(
+              found.edges[:-1], found.edges[1:], found.stated, found.true, found.counts,
+              strict=True) if count),
+        "", "| figure | value |", "|---|---|",
+        *(f"| {group}: {what} | {count} |" for group, counts in sorted(
+            document["outcomes"].items()) for what, count in counts.items()),
+        f"| expected calibration error | {found.expected_calibration_error:.3f} |",
+        f"| the same of a calibrated program, mean | {found.calibrated_mean:.3f} |",
+        f"| in 95 of 100 of its runs at most | {found.calibrated_most:.3f} |",
+        "| expected calibration error, strict | "
+        f"{calibrate(results, strict=True).expected_calibration_error:.3f} |",
+        *_intervals(results),
+        "", f"![How often statements come true, over their probability](pictures/{picture.name})",
+        ""])})
+    figure = new_figure()
+    draw_reliability(figure.subplots(), found)
+    picture.parent.mkdir(exist_ok=True)
+    picture.write_bytes(to_png(figure))
+
+
+def _intervals(results):
+    """Return the rows of the table on the intervals of parameters."""
+    whole = coverage(results)
+    level = f"{100 * whole['level']:.0f} % intervals"
+    found = {
+        f"{level} that contain the parameter": whole,
+        "the same, where it is explained": coverage(
+            [each for each in results if each["verdict"] == "explained"]),
+        "the same, of the parameter that was drawn": coverage(results, "drawn"),
+        **{f"{level} of `{cause}`": shown for cause in KNOWN
+           if (shown := coverage(_with_cause(results, cause)))["intervals"]}}
+    return [f"| {what} | {each['right']} of {each['intervals']} |" for what, each in found.items()]
+
+
+def _with_cause(results, cause):
+    return [result for result in results
+            if cause in [entry["cause"] for entry in result.get("contributions", ())]]

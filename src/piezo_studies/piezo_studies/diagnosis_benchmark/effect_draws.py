@@ -14,6 +14,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.signal import lfilter
 
+from piezo_sim.effects.ambient_temperature import ThermalDrift
 from piezo_sim.effects.current_limit import CurrentLimit
 from piezo_sim.effects.depolarisation import Depolarisation
 from piezo_sim.effects.distributed_lag import DistributedLag
@@ -28,7 +29,6 @@ from piezo_sim.effects.soft_backlash import SoftBacklash
 from piezo_sim.effects.soft_saturation import SoftSaturation
 from piezo_sim.effects.spikes import Spikes
 from piezo_sim.effects.switching_delay import SwitchingDelay
-from piezo_sim.effects.thermal_drift import ThermalDrift
 from piezo_sim.effects.transducer_curve import TransducerCurve
 from piezo_sim.effects.transport_delay import TransportDelay
 from piezo_sim.plant.linear_effects import VibrationMode

@@ -90,7 +90,7 @@ def summary(results):
     for result in results:
         group, what = outcome(result)
         counted[group][what] += 1
-        if result["verdict"] == "explained" and group == "clear":
+        if result["verdict"] == "explained" and group == "clear" and "perfect_um" in result:
             of_perfect.append(result["after_um"] / result["perfect_um"])
         if result["verdict"] == "refused":
             row, named = (*result["causes"], "clean")[0], "refused"

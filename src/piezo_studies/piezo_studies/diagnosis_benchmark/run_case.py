@@ -14,7 +14,7 @@ from piezo_identification.diagnosis.experiment_design.decide import decide
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
 )
-from piezo_identification.diagnosis.report.results import stated_error_um
+from piezo_identification.diagnosis.report.diagnosis_results import stated_error_um
 from piezo_identification.estimators.creep.square_wave_creep import CreepNotShown
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
 from piezo_identification.fitting.dataset import simulate_recordings
@@ -97,7 +97,7 @@ def run_case(case, clean, experiments=0):
     drawn: list[DrawnEffect] = []
     for index, (cause, multiple) in enumerate(zip(case.causes, case.multiples, strict=True)):
         previous = drawn[-1].plant if drawn else plant
-        drawn.append(_drawn(
+        drawn.append(drawn_effect(
             cause, previous, voltage_v, surroundings, multiple, seed + index, clock_samples))
     hidden = drawn[-1].plant if drawn else plant
     (model, _), (known, identified_from) = clean, clean
@@ -122,21 +122,26 @@ def run_case(case, clean, experiments=0):
             "over_noise": effect.contribution_rms_um / noise,
             "beyond_model_over_noise": beyond_um / noise,
         })
+    estimated = [each for effect in drawn for each in estimates(
+        effect.cause, effect.effect, diagnosis.effects)]
+    return {
+        **described(case, contributions, known, diagnosis, estimated, noise),
+        "experiments": len(diagnoses) - 1, "before_experiments": _reported(diagnoses[0]),
+        "lacking_over_noise": _missing_um(diagnosis) / noise, "perfect_um": perfect_um,
+    }
+
+
+def described(case, contributions, identified, diagnosis, estimated, noise):
+    """Return what the results of long and short cases have in common."""
     return {
         "number": case.number, "plant": case.plant, "kind": case.kind,
         "logger": "slow" if case.slow else "fast",
         "model": "identified before" if case.later else "identified with the effects",
         "contributions": contributions,
-        "in_model": [effect.name for effect in known.model.effects],
-        "experiments": len(diagnoses) - 1,
-        **_reported(diagnosis),
-        "before_experiments": _reported(diagnoses[0]),
-        "estimates": [each for effect in drawn for each in estimates(
-            effect.cause, effect.effect, diagnosis.effects)],
-        "lacking_over_noise": _missing_um(diagnosis) / noise,
+        "in_model": [effect.name for effect in identified.model.effects],
+        **_reported(diagnosis), "estimates": estimated,
         "noise_um": noise, "noise_found_um": diagnosis.noise_floor_um,
         "before_um": diagnosis.before["rms_um"], "after_um": diagnosis.after["rms_um"],
-        "perfect_um": perfect_um,
     }
 
 
@@ -171,7 +176,7 @@ def _missing_um(diagnosis):
     return float(rms_tolerances * np.sqrt(np.mean(regression.tolerance_um**2)))
 
 
-def _drawn(cause, plant, voltage_v, surroundings, multiple, seed, clock_samples):
+def drawn_effect(cause, plant, voltage_v, surroundings, multiple, seed, clock_samples):
     """Draw the effect; halve its contribution until the recording can show it."""
     while True:
         try:

@@ -7,7 +7,6 @@ from distributed import as_completed
 
 from piezo_common.progress_line import ProgressLine
 from piezo_identification.diagnosis.many.many_recordings import cluster_client
-from piezo_studies.diagnosis_benchmark.calibration import calibrate
 from piezo_studies.diagnosis_benchmark.calibration_section import write_section
 from piezo_studies.diagnosis_benchmark.cases import draw_cases, draw_cases_all_along
 from piezo_studies.diagnosis_benchmark.coverage import coverage
@@ -17,11 +16,17 @@ from piezo_studies.diagnosis_benchmark.outcome import (
     summary,
     without_experiments,
 )
+from piezo_studies.diagnosis_benchmark.reliability import calibrate
 from piezo_studies.diagnosis_benchmark.run_case import clean_model, run_case
+from piezo_studies.diagnosis_benchmark.short_case import run_short_case
+from piezo_studies.diagnosis_benchmark.short_cases import draw_short_cases
 from piezo_studies.kept_results import KeptResults
 
+DRAWS = {"long": draw_cases, "all-along": draw_cases_all_along, "short": draw_short_cases}
+"""Functions that draw the cases, by their kind."""
 
-def run_suite(client, count, seed, progress=None, all_along=False, experiments=0, first=None,
+
+def run_suite(client, count, seed, progress=None, kind="long", experiments=0, first=None,
               kept=None):
     """Run the suite; its result does not depend on the machine.
 
@@ -31,16 +36,16 @@ def run_suite(client, count, seed, progress=None, all_along=False, experiments=0
         Number of cases, and the seed of everything random.
     progress : callable, optional
         Called with the number of cases done.
-    all_along : bool
-        Draw only single effects that were present during the identification.
+    kind : str
+        A key of `DRAWS`.
     experiments : int
-        Most proposed recordings in each case.
+        Most proposed recordings in each case; not for short ones.
     first : int, optional
         Number of cases to run, in the order in which they are drawn; by default all.
     kept : KeptResults, optional
         Store in which results are saved at once, and from which the run is resumed.
     """
-    cases = (draw_cases_all_along if all_along else draw_cases)(count, seed)[:first]
+    cases = DRAWS[kind](count, seed)[:first]
     there = {} if kept is None else kept.results()
     results = {case.number: there[case.number] for case in cases if case.number in there}
     missing = [case for case in cases if case.number not in results]
@@ -48,7 +53,8 @@ def run_suite(client, count, seed, progress=None, all_along=False, experiments=0
         plant: client.submit(clean_model, seed, plant, pure=False)
         for plant in sorted({case.plant for case in missing})
     }
-    running = {client.submit(run_case, case, models[case.plant], experiments, pure=False): case
+    run = (run_short_case,) if kind == "short" else (run_case, experiments)
+    running = {client.submit(run[0], case, models[case.plant], *run[1:], pure=False): case
                for case in missing}
     for future in as_completed(running):
         case = running[future]
@@ -59,7 +65,7 @@ def run_suite(client, count, seed, progress=None, all_along=False, experiments=0
             progress(len(results))
     ordered = [results[case.number] for case in cases]
     before = summary([without_experiments(result) for result in ordered])["outcomes"]
-    return {"seed": seed, "cases": count, "all_along": all_along, "experiments": experiments,
+    return {"seed": seed, "cases": count, "kind": kind, "experiments": experiments,
             **summary(ordered), **({"outcomes_before": before} if experiments else {}),
             "calibration": calibrate(ordered).document(), "coverage": coverage(ordered),
             "results": ordered}
@@ -76,7 +82,7 @@ def diagnose_cases(options):
     """Run the suite with the given options; the exit status is 0 whatever the figures are."""
     line = ProgressLine()
     asked = min(options.first or options.cases, options.cases)
-    conditions = {"cases": options.cases, "seed": options.seed, "all_along": options.all_along,
+    conditions = {"cases": options.cases, "seed": options.seed, "kind": options.kind,
                   "experiments": options.experiments}
 
     def show(done):
@@ -85,7 +91,7 @@ def diagnose_cases(options):
     with cluster_client(options.scheduler) as client:
         options.output.mkdir(parents=True, exist_ok=True)
         document = run_suite(client, progress=show, first=options.first, count=options.cases,
-                             seed=options.seed, all_along=options.all_along,
+                             seed=options.seed, kind=options.kind,
                              experiments=options.experiments,
                              kept=KeptResults(options.output / "cases.jsonl", conditions))
         if client.cluster is not None:

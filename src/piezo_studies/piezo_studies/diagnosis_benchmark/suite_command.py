@@ -11,7 +11,10 @@ from piezo_common.command_line import Command
 def _add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--cases", type=int, default=260, help="how many (%(default)s)")
     parser.add_argument("--seed", type=int, default=1, help="of everything random (%(default)s)")
-    parser.add_argument("--all-along", action="store_true",
+    parser.set_defaults(kind="long")
+    parser.add_argument("--short", dest="kind", action="store_const", const="short",
+                        help="recordings of seconds, with one effect or none, without experiments")
+    parser.add_argument("--all-along", dest="kind", action="store_const", const="all-along",
                         help="single effects alone that were there when the model was identified")
     parser.add_argument("--experiments", type=int, default=0,
                         help="proposed recordings that may be made in each case (%(default)s)")

@@ -19,7 +19,7 @@ from piezo_studies.other_makes.linear_system import (
     mode,
     power_creep,
 )
-from piezo_studies.other_makes.stage import Stage
+from piezo_studies.other_makes.stage_by_rows import Stage
 
 ANY_SLEW_V_PER_S = 1e9
 """Slew limit of the makes, which has no effect."""

@@ -10,7 +10,7 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_studies.other_makes.hystereses import Duhem, Plays
 from piezo_studies.other_makes.linear_system import lag, logarithmic_creep, mode
-from piezo_studies.other_makes.stage import HeldVoltage, Stage
+from piezo_studies.other_makes.stage_by_rows import HeldVoltage, Stage
 
 REST_S = 20.0
 """Duration (s) of the rise from 0 V to the first voltage of a recording, and of the rest there."""

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_studies.other_makes.stage import Stage
+from piezo_studies.other_makes.stage_by_rows import Stage
+from piezo_studies.recording_kinds.laboratory_voltages import KINDS, Played, validation
 from piezo_studies.recording_kinds.stages import displacement_um, duhem_stage, play_stage
-from piezo_studies.recording_kinds.waveforms import KINDS, Played, validation
 
 COMMAND = "piezo_identification.commands.identify_command"
 STAGES: dict[str, Callable[[], Stage]] = {"plays": play_stage, "Duhem": duhem_stage}

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from piezo_studies.marked_sections import with_sections
-from piezo_studies.recording_recipe.trials import TABLES, Trial
+from piezo_studies.recording_recipe.recipe_trials import TABLES, Trial
 
 SECTIONS = "trials of "
 """Beginning of the marks of the tables in the page."""

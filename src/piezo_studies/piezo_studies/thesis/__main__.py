@@ -7,9 +7,9 @@ import time
 from pathlib import Path
 
 from piezo_studies.marked_sections import write_sections
+from piezo_studies.thesis.figure_table import as_json, as_markdown, as_text
 from piezo_studies.thesis.pictures import small_png
 from piezo_studies.thesis.studies import STUDIES
-from piezo_studies.thesis.table import as_json, as_markdown, as_text
 
 SECTION = "reproduced figures"
 """Mark of the table in the page."""

@@ -10,9 +10,9 @@ from scipy.signal import chirp, csd, welch
 
 from piezo_common.picture_style import MEASURED, MODELLED, ORANGE, label, new_figure, plain_numbers
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
+from piezo_studies.thesis.figure_table import Row, Study
 from piezo_studies.thesis.known_plant import HIGHEST_V, NOISE_UM, known_plant
 from piezo_studies.thesis.laboratory import record_model
-from piezo_studies.thesis.table import Row, Study
 
 CLOCK_HZ = 20_000.0
 DURATION_S = 10.0

@@ -9,6 +9,7 @@ import numpy as np
 
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_studies.baselines.svd_estimate import density_by_svd, truncated_svd
+from piezo_studies.thesis.figure_table import Row, Study
 from piezo_studies.thesis.one_sine import (
     DENSITY,
     HIGHEST_V,
@@ -19,7 +20,6 @@ from piezo_studies.thesis.one_sine import (
     input_v,
     one_sine,
 )
-from piezo_studies.thesis.table import Row, Study
 
 PROPORTIONAL, INTEGRAL_PER_S = 0.001, 3.0
 # At a reference of 0 um, an offset of +5 um would need a voltage below 0 V, outside the plane.

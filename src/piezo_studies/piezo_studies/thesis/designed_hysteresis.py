@@ -12,6 +12,7 @@ from piezo_studies.baselines.polynomial_drift import remove_polynomial_drift
 from piezo_studies.baselines.relay_regression import accumulate
 from piezo_studies.baselines.sampling_rules import stair_sample_times
 from piezo_studies.baselines.svd_estimate import density_by_svd, truncated_svd
+from piezo_studies.thesis.figure_table import Row, Study
 from piezo_studies.thesis.laboratory import record_stage
 from piezo_studies.thesis.pictures import draw_plane, draw_singular_values
 from piezo_studies.thesis.slow_hysteresis import (
@@ -20,7 +21,6 @@ from piezo_studies.thesis.slow_hysteresis import (
     LEVELS,
     preparation_v,
 )
-from piezo_studies.thesis.table import Row, Study
 
 HARMONIC_PERIOD_S = 100.0 / 60.0
 LEAST_SINGULAR_VALUE = 1.2

@@ -9,7 +9,7 @@ from piezo_identification.experiments.input_designs import (
 )
 from piezo_studies.baselines.relay_regression import excitation_rank
 from piezo_studies.baselines.sampling_rules import stair_sample_times
-from piezo_studies.thesis.table import Row, Study
+from piezo_studies.thesis.figure_table import Row, Study
 
 LEVELS = 4
 HIGHEST_V = 4.0

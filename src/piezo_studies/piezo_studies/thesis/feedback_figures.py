@@ -11,8 +11,8 @@ from piezo_controller.feedback.robustness import check_robustness
 from piezo_controller.feedback.synthesis.generalised_plant import design_plant
 from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_controller.feedback.synthesis.ziegler_nichols import ultimate_point_by_relay
+from piezo_studies.thesis.figure_table import Row, Study
 from piezo_studies.thesis.identified_stage import identified_stage
-from piezo_studies.thesis.table import Row, Study
 
 SECTION = "5.3.1"
 CLOCK_PERIOD_S = 25e-6

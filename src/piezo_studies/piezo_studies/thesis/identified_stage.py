@@ -11,9 +11,9 @@ from piezo_identification.estimators.dynamics.square_wave import estimate_dynami
 from piezo_identification.estimators.hysteresis.density_fit import estimate_density
 from piezo_identification.experiments import catalogue as experiments
 from piezo_models.cascade import StageModel
+from piezo_studies.thesis.figure_table import Row, Study
 from piezo_studies.thesis.laboratory import ROWS_LATE, record_experiment
 from piezo_studies.thesis.pictures import draw_plane
-from piezo_studies.thesis.table import Row, Study
 
 SECTION = "4.7.1"
 CREEP_POLES_RAD_PER_S = (0.01419, 0.1684, 0.2402, 1.053, 17.57)

@@ -7,9 +7,9 @@ from piezo_common.picture_style import MODE_STYLES, REFERENCE, label, new_figure
 from piezo_controller.feedforward.periodic import plan_feedforward
 from piezo_controller.references.reference import Reference, sample_reference
 from piezo_models.measures import e_r_percent
+from piezo_studies.thesis.figure_table import Row, Study
 from piezo_studies.thesis.identified_stage import identified_stage
 from piezo_studies.thesis.laboratory import CLOCK_HZ, record_stage
-from piezo_studies.thesis.table import Row, Study
 
 SECTION = "4.7.2, Table 4.1"
 SLOW_CLOCK_HZ = 1000.0

@@ -8,9 +8,9 @@ from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S, esti
 from piezo_identification.fitting.sensitivities import sensitivity_systems
 from piezo_models.linear.dynamics import equilibrium_state, simulate_linear, zoh
 from piezo_studies.baselines.armax import fit_armax
+from piezo_studies.thesis.figure_table import Row, Study
 from piezo_studies.thesis.known_plant import HIGHEST_V, NOISE_UM, known_plant
 from piezo_studies.thesis.laboratory import ROWS_LATE, record_model
-from piezo_studies.thesis.table import Row, Study
 
 CREEP_PERIOD_S, CREEP_SAMPLE_S, CREEP_PERIODS = 200.0, 0.02, 2
 DYNAMICS_PERIOD_S, DYNAMICS_SAMPLE_S = 0.1, 1e-4

@@ -16,8 +16,8 @@ from piezo_controller.tracking.run_plan import plan_learning
 from piezo_controller.tracking.tracking_modes import StageClock
 from piezo_controller.tracking.tracking_run import TrackingRun
 from piezo_sim.simulated_stage import SimulatedStage
+from piezo_studies.thesis.figure_table import Row, Study
 from piezo_studies.thesis.laboratory import CLOCK_HZ
-from piezo_studies.thesis.table import Row, Study
 from piezo_studies.thesis.tracked_stage import DRIFT_UM_PER_S, OFFSET_UM
 from piezo_studies.thesis.wrong_model import wrong_model
 

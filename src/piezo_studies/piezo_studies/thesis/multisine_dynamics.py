@@ -11,9 +11,9 @@ from piezo_identification.estimators.dynamics.multisine import estimate_dynamics
 from piezo_identification.prediction import predict
 from piezo_models.cascade import StageModel
 from piezo_studies.baselines.armax_dynamics import estimate_dynamics_armax
+from piezo_studies.thesis.figure_table import Row, Study
 from piezo_studies.thesis.identified_stage import DYNAMICS, identified_stage
 from piezo_studies.thesis.laboratory import CLOCK_HZ, ROWS_LATE, record_stage
-from piezo_studies.thesis.table import Row, Study
 
 OFFSET_V = 24.0
 AMPLITUDES_V = (3.0, 6.0, 3.0, 3.0, 3.0, 3.0)

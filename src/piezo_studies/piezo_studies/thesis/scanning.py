@@ -7,7 +7,7 @@ the peak of the sensitivity, feedback makes the error larger than feedforward al
 
 from piezo_common.picture_style import MODE_STYLES, REFERENCE, label, new_figure
 from piezo_studies.thesis.best_pi import PEAK_SENSITIVITY, best_error_percent
-from piezo_studies.thesis.table import Row, Study
+from piezo_studies.thesis.figure_table import Row, Study
 from piezo_studies.thesis.tracked_stage import FAST, PRINTED_PI, controller, track
 
 SECTION = "3.4.4"

@@ -24,9 +24,9 @@ from piezo_studies.baselines.polynomial_drift import remove_polynomial_drift
 from piezo_studies.baselines.relay_regression import accumulate
 from piezo_studies.baselines.sampling_rules import sample_by_voltage
 from piezo_studies.baselines.svd_estimate import density_by_svd, truncated_svd
+from piezo_studies.thesis.figure_table import Row, Study
 from piezo_studies.thesis.laboratory import record_stage
 from piezo_studies.thesis.pictures import draw_plane, draw_singular_values
-from piezo_studies.thesis.table import Row, Study
 
 LEVELS = 60
 HIGHEST_V = 60.0

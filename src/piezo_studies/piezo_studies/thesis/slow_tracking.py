@@ -8,7 +8,7 @@ of the multirate scheme.
 import numpy as np
 
 from piezo_common.picture_style import MODE_STYLES, PID, label, new_figure
-from piezo_studies.thesis.table import Row, Study
+from piezo_studies.thesis.figure_table import Row, Study
 from piezo_studies.thesis.tracked_stage import FAST, PRINTED_PID, controller, track
 
 AMPLITUDE_UM = 40.0

@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 
-from piezo_studies.thesis.table import Row, Study
+from piezo_studies.thesis.figure_table import Row, Study
 from piezo_studies.thesis.wrong_model import wrong_model
 
 SECTION = "3.3.2, Algorithm 1"

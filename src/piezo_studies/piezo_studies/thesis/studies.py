@@ -19,7 +19,7 @@ from piezo_studies.thesis import (
     slow_hysteresis,
     slow_tracking,
     stepwise_inversion,
-    validation,
+    unseen_inputs,
 )
 
 STUDIES = (
@@ -35,7 +35,7 @@ STUDIES = (
     ("density of a known plant", known_density.study),
     ("frequency response by a chirp", chirp_response.study),
     ("the stage step by step", identified_stage.study),
-    ("the stage's model on unseen input", validation.study),
+    ("the stage's model on unseen input", unseen_inputs.study),
     ("inverse feedforward", inverse_feedforward.study),
     ("feedback design", feedback_figures.study),
     ("multirate and single-rate tracking", multirate_tracking.study),

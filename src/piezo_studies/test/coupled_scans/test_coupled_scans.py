@@ -17,7 +17,7 @@ from piezo_studies.coupled_scans.__main__ import SECTIONS, table
 from piezo_studies.coupled_scans.feedback_trials import FeedbackRow, feedback_table
 from piezo_studies.coupled_scans.images import image_table, images_figure, images_of_grating
 from piezo_studies.coupled_scans.marks import MarkRow, mark_table
-from piezo_studies.coupled_scans.trials import TABLES, Row
+from piezo_studies.coupled_scans.scan_trials import TABLES, Row
 from piezo_studies.marked_sections import with_sections
 
 PAGE = Path(__file__).parents[4] / "docs" / "studies" / "several_axes.md"

@@ -7,6 +7,7 @@ import pytest
 from piezo_sim.effects.soft_backlash import SoftBacklash
 from piezo_studies.diagnosis_benchmark.calibration_section import write_section
 from piezo_studies.diagnosis_benchmark.coverage import coverage, estimates
+from piezo_studies.diagnosis_benchmark.outcome import summary
 
 
 def test_intervals_contain_the_parameter_as_often_as_their_level_says():
@@ -30,30 +31,38 @@ def test_a_play_is_as_wide_as_both_its_halves():
     assert estimates("backlash", SoftBacklash(0.5), [{"name": "delay"}]) == []
 
 
-def document():
+def told(number, share, *causes, label="delay"):
     return {
-        "seed": 7, "all_along": True, "results": [{}, {}, {}],
-        "outcomes": {"clear": {"right": 2, "wrong": 1}},
-        "coverage": {"level": 0.9, "intervals": 4, "right": 3},
-        "calibration": {"expected_calibration_error": 0.125,
-                        "of_a_calibrated_program": {"mean": 0.061, "most": 0.142}, "bins": [
-            {"from": 0.8, "to": 0.9, "stated": None, "true": None, "cases": 0},
-            {"from": 0.9, "to": 1.0, "stated": 0.95, "true": 2 / 3, "cases": 3}]}}
+        "number": number, "model": "identified before", "verdict": "explained", "in_model": [],
+        "contributions": [{"cause": cause, "over_noise": 9.0} for cause in causes],
+        "effects": [label], "not_decidable": [],
+        "probabilities": {label: share, "something_else": 1.0 - share},
+        "estimates": [{"cause": cause, "name": "delay_s", "drawn": 9.0, "true": 1.0,
+                       "found": 1.0 + number, "standard_deviation": 2.0}
+                      for cause in causes if cause == label]}
 
 
-def test_the_section_is_written_anew_and_the_page_stays(tmp_path):
+def test_the_page_tells_what_came_true(tmp_path):
     page = tmp_path / "page.md"
-    page.write_text("above\n<!-- calibration -->\nold\n<!-- end -->\nbelow\n")
-    write_section(page, document())
+    page.write_text("before\n<!-- short cases -->\nold\n<!-- end -->\nbehind\n")
+    # Of four statements of 0.9 two are true, and both intervals contain the parameter.
+    results = [told(number, 0.9, "delay" if number < 2 else "creep") for number in range(4)]
+    write_section(page, {"kind": "short", "seed": 5, "results": results,
+                         **summary(results)})
     text = page.read_text()
-    assert text.startswith("above\n") and text.endswith("<!-- end -->\nbelow\n")
-    assert "old" not in text
-    assert "| 0.9 to 1.0 | 3 | 0.95 | 0.67 |" in text and "3 of 4" in text
-    assert "| 0.061 |" in text and "| 0.142 |" in text
+    assert "4 short cases of seed 5:" in text and "old" not in text
+    assert "| 0.9 to 1.0 | 4 | 0.90 | 0.50 |" in text
+    assert "| expected calibration error | 0.400 |" in text
+    assert "| 90 % intervals of `delay` | 2 of 2 |" in text
+    assert "| the same, where it is explained | 2 of 2 |" in text
+    assert "| the same, of the parameter that was drawn | 0 of 2 |" in text
+    assert text.startswith("before\n") and text.endswith("behind\n")
+    assert (tmp_path / "pictures" / "diagnosis_short.png").stat().st_size > 1000
 
 
 def test_a_page_without_the_section_is_refused(tmp_path):
     page = tmp_path / "page.md"
     page.write_text("nothing\n")
     with pytest.raises(ValueError, match="has the sections none"):
-        write_section(page, document())
+        write_section(page, {"kind": "long", "seed": 7, "results": [told(1, 0.9)],
+                             "outcomes": {}})

@@ -18,7 +18,7 @@ from piezo_studies.other_makes.linear_system import (
     power_creep,
 )
 from piezo_studies.other_makes.makes import MAKES
-from piezo_studies.other_makes.stage import HeldVoltage, Stage
+from piezo_studies.other_makes.stage_by_rows import HeldVoltage, Stage
 
 PERIOD_S = 5e-5
 CREEPING_RAD_PER_S = np.geomspace(1e-3, 1e2, 30)

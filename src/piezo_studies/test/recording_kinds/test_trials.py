@@ -6,6 +6,7 @@ import pytest
 
 from piezo_recorder.reading.reader import read_recording
 from piezo_studies.recording_kinds import __main__
+from piezo_studies.recording_kinds.laboratory_voltages import KINDS
 from piezo_studies.recording_kinds.stages import displacement_um, duhem_stage, play_stage
 from piezo_studies.recording_kinds.trials import (
     STAGES,
@@ -15,7 +16,6 @@ from piezo_studies.recording_kinds.trials import (
     run,
     trials,
 )
-from piezo_studies.recording_kinds.waveforms import KINDS
 
 
 def test_every_kind_is_tried_with_each_variant_and_without_each_other_experiment():

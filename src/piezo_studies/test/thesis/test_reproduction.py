@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from piezo_studies.thesis import chirp_response, excitation, known_density
+from piezo_studies.thesis.figure_table import Row, as_json, as_markdown, as_text
 from piezo_studies.thesis.pictures import small_png
-from piezo_studies.thesis.table import Row, as_json, as_markdown, as_text
 
 DOCS = Path(__file__).resolve().parents[4] / "docs"
 SECTIONS = {"2.2.4", "2.3.3", "2.4.1", "2.4.2", "2.4.3", "3.4.1", "3.4.2", "3.4.3", "3.4.4",

@@ -17,7 +17,8 @@ from piezo_identification.conditioning.outlier_samples import with_outliers_mark
 from piezo_identification.conditioning.row_alignment import remaining_delay
 from piezo_identification.conditioning.sensor_sign import reversed_displacement, sign_text
 from piezo_identification.conditioning.settling import low_frequency_delay_s
-from piezo_identification.simulation.model_run import ModelRun
+from piezo_identification.simulation.past_search import after_saturation
+from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording
 
@@ -85,12 +86,12 @@ def without_faults(model: StageModel,
         If the recording has gaps, or is too short to settle.
     """
     signed = with_outliers_marked(recording)
-    run = ModelRun(model, signed)
+    run = after_saturation(model, signed)
     is_reversed = run.is_reversed
     if is_reversed:
         # The state fitted with the model would be that of the other sign.
         signed = reversed_displacement(signed)
-        run = ModelRun(model, signed)
+        run = after_saturation(model, signed)
     rows, is_against = _late_rows(run)
     aligned, fault = _aligned(run, signed, rows, is_against)
     if fault is not None and is_against:
@@ -108,16 +109,17 @@ def wrong_sign(path: object) -> RecordingFault:
         "voltage was wrong, or the recording is of another axis, record again")
 
 
-def _aligned(run: ModelRun, recording: Recording, rows: int,
+def _aligned(run: SimulatedRecording, recording: Recording, rows: int,
              is_reversed: bool) -> tuple[Recording, RecordingFault | None]:
     """Return the recording with aligned rows if that reduces the error, otherwise unchanged."""
-    period_s = run.part.sample_period_s
+    period_s = run.sample_period_s
     is_slow = period_s > SETTINGS.slow_row * low_frequency_delay_s(run.model.dynamics)
     if rows == 0 or rows > 0 and not is_slow:
         return recording, None
     aligned = _read_later(recording, rows)
     before_um, after_um = (
-        _error_at_end_um(ModelRun(run.model, reversed_displacement(each) if is_reversed else each))
+        _error_at_end_um(after_saturation(
+            run.model, reversed_displacement(each) if is_reversed else each))
         for each in (recording, aligned))
     if not after_um < SETTINGS.error_ratio * before_um:
         return recording, None
@@ -133,13 +135,14 @@ def _aligned(run: ModelRun, recording: Recording, rows: int,
     return aligned, fault
 
 
-def _late_rows(run: ModelRun) -> tuple[int, bool]:
+def _late_rows(run: SimulatedRecording) -> tuple[int, bool]:
     """Return by how many whole rows the displacement is late, and whether its sign is reversed.
 
     The number of rows is 0 if the delay is not a whole number of rows.
     """
     used = slice(0, round(SETTINGS.fitted_share * run.settled.size))
-    measured_um, simulated_um = (signal[used] for signal in (run.measured_um, run.simulated_um(())))
+    measured_um, simulated_um = (
+        signal[used] for signal in (run.measured_um[run.settled], run.fitted_um()))
     rows = _coarse_shift(measured_um, simulated_um)
     against = float(np.sign(_product(measured_um, simulated_um, rows))) or 1.0
     for _ in range(SETTINGS.most_rows):
@@ -207,8 +210,7 @@ def _of_sensor(recording: Recording, source: NDArray[np.intp]) -> Iterator[tuple
             yield name, values[source]
 
 
-def _error_at_end_um(run: ModelRun) -> float:
+def _error_at_end_um(run: SimulatedRecording) -> float:
     """Return the RMS error of the last samples, which were not used to estimate the shift."""
-    end = np.arange(run.settled.size) >= SETTINGS.fitted_share * run.settled.size
-    run.good = run.good & end
-    return run.error_um(())
+    return run.error_um(
+        run.good[run.good - run.begin >= SETTINGS.fitted_share * run.settled.size])

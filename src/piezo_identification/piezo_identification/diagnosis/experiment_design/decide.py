@@ -8,7 +8,7 @@ from piezo_common.budget import Budget
 from piezo_common.progress_part import Progress, part_of
 from piezo_identification.diagnosis.diagnose import Diagnosis, diagnose
 from piezo_identification.diagnosis.evidence.known_noise import KnownNoise
-from piezo_identification.diagnosis.experiment_design.alternatives import (
+from piezo_identification.diagnosis.experiment_design.alternative_explanations import (
     Alternatives,
     find_alternatives,
 )

@@ -14,7 +14,7 @@ from piezo_identification.diagnosis.diagnose import (
     hold_to_noise,
 )
 from piezo_identification.diagnosis.evidence.found_outliers import found_outliers
-from piezo_identification.diagnosis.experiment_design.alternatives import Alternatives
+from piezo_identification.diagnosis.experiment_design.alternative_explanations import Alternatives
 from piezo_identification.diagnosis.joint.alternatives import Alternative as Competitor
 from piezo_identification.diagnosis.joint.alternatives import Appearance, evidence_of
 from piezo_identification.diagnosis.joint.competition import (

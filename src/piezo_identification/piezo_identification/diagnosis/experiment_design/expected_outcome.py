@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import norm
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.diagnosis.experiment_design.alternatives import (
+from piezo_identification.diagnosis.experiment_design.alternative_explanations import (
     Alternatives,
     sensitivities,
 )
@@ -22,7 +22,7 @@ from piezo_identification.experiments.stage_limits import StageLimits
 from piezo_identification.fitting.dataset import SPLIT, simulate_recordings
 from piezo_identification.fitting.free_parameters import free_sensitivities
 from piezo_identification.fitting.regression import SETTINGS
-from piezo_identification.simulation.simulated_recording import SimulatedRecording
+from piezo_identification.simulation.past_search import simulated_recording
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 
@@ -61,7 +61,7 @@ def expected_outcome(alternatives: Alternatives, experiment: Experiment,
     dataset = simulate_recordings(
         problem.dataset.model, [unplayed], past_v=(), sensitivities=free_sensitivities)
     rows = dataset.rows[0]
-    parts = [SimulatedRecording(alternative.fit.regression.dataset.model, unplayed, ())
+    parts = [simulated_recording(alternative.fit.regression.dataset.model, unplayed, ())
              for alternative in known]
     predictions = [part.simulate(alternative.fit.effects)[rows]
                    for part, alternative in zip(parts, known, strict=True)]

@@ -13,7 +13,7 @@ from piezo_common.progress_part import Progress
 from piezo_common.side_by_side import side_by_side
 from piezo_common.text_file import replace_json, replace_text
 from piezo_identification.diagnosis.diagnose import condition
-from piezo_identification.diagnosis.experiment_design.alternatives import (
+from piezo_identification.diagnosis.experiment_design.alternative_explanations import (
     Alternatives,
     effects_of,
     find_alternatives,

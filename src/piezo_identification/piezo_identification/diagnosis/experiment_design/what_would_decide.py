@@ -7,8 +7,7 @@ from typing import Any
 
 from piezo_common.progress_part import Progress, part_of
 from piezo_identification.diagnosis.diagnose import Diagnosis
-from piezo_identification.diagnosis.experiment_design.alternatives import (
-    LEAST_PROBABLE,
+from piezo_identification.diagnosis.experiment_design.alternative_explanations import (
     find_alternatives,
 )
 from piezo_identification.diagnosis.experiment_design.expected_outcome import SURE
@@ -17,8 +16,8 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
     old_recordings,
 )
+from piezo_identification.diagnosis.joint.probabilities import ALTERNATIVE, SOMETHING_ELSE
 from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
-from piezo_identification.diagnosis.joint.probabilities import SOMETHING_ELSE
 from piezo_identification.experiments.stage_limits import USUAL_LIMITS, StageLimits
 from piezo_identification.fitting.dataset import Dataset
 
@@ -42,7 +41,7 @@ def several_remain(verdict: Mapping[str, Any]) -> bool:
     shares = dict(verdict.get("probabilities") or {})
     if shares.pop(SOMETHING_ELSE, 0.0) >= PROBABILITIES.believed:
         return False
-    likely = [share for share in shares.values() if share >= LEAST_PROBABLE]
+    likely = [share for share in shares.values() if share >= ALTERNATIVE]
     if likely and max(likely) < SURE * sum(likely):
         return True
     return bool(verdict.get("not_told_from"))

@@ -11,8 +11,7 @@ import numpy as np
 from piezo_identification.conditioning.row_alignment import read_as, rows_read_at_start
 from piezo_identification.conditioning.segments import played_segments
 from piezo_identification.estimators.frequency_response.response_file import is_frequency_response
-from piezo_identification.simulation.model_run import conditioned
-from piezo_identification.simulation.simulated_recording import SimulatedRecording
+from piezo_identification.simulation.past_search import conditioned, simulated_recording
 from piezo_models.cascade import StageModel
 from piezo_models.identified_model import IdentifiedModel
 from piezo_recorder.reading.reader import sha256_of
@@ -142,7 +141,7 @@ def old_recordings(model: StageModel, known: IdentificationRecordings) -> list[R
         early = np.cumsum(recording.playing | recording.tracking) <= MOST_OLD_SAMPLES
         try:
             signed, _ = conditioned(model, recording.select(early))
-            SimulatedRecording(model, signed, ())
+            simulated_recording(model, signed, ())
         except ValueError:
             continue
         usable.append(signed)

@@ -22,6 +22,7 @@ from scipy.special import softmax
 from piezo_common.arrays import FloatArray
 from piezo_identification.diagnosis.joint.expected_errors import SETTINGS as ERRORS
 from piezo_identification.diagnosis.joint.expected_errors import ExpectedErrors
+from piezo_identification.fitting.evidence import INDEPENDENT
 from piezo_identification.fitting.model_weights import HeldOut, occam_penalty
 
 NONE, SOMETHING_ELSE = "none", "something_else"
@@ -35,9 +36,6 @@ class ProbabilitySettings:
     """Prior odds of one more cause, whether it is on the list or not: there are twenty kinds."""
     believed: float = 0.5
     """Probability of something else above which a recording is unexplained."""
-    most_effective: float = 1000.0
-    """Largest number of independent samples per recording: the noise of a stage is not stationary
-    for longer."""
 
 
 SETTINGS = ProbabilitySettings()
@@ -45,6 +43,8 @@ SETTINGS = ProbabilitySettings()
 DRAWS = 4000
 """Number of draws of the bootstrap, which determine a probability near 0.95 to 0.003."""
 SEED = 0
+LISTED, ALTERNATIVE = 1e-3, 0.01
+"""Smallest probability of a set of effects that is listed, and that is an alternative to others."""
 MOST_GAIN = 500.0
 """Logarithm of odds that are practically certain, with a finite exponential."""
 
@@ -120,7 +120,7 @@ def listed_probabilities(alternatives: Sequence[Evidence], expected: ExpectedErr
 def _samples(alternatives: Sequence[Evidence]) -> FloatArray:
     """Return the number of held-out samples of each recording that count, (R,)."""
     independent = [[part.independent for part in each.held_out] for each in alternatives]
-    return np.minimum(np.max(independent, axis=0), SETTINGS.most_effective)
+    return np.minimum(np.max(independent, axis=0), INDEPENDENT)
 
 
 def probabilities(alternatives: Sequence[Evidence], expected: ExpectedErrors,

@@ -11,15 +11,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from piezo_identification.adequacy.lack_of_fit import SETTINGS as ADEQUACY
 from piezo_identification.diagnosis.comparison.criteria import CRITERIA
 from piezo_identification.diagnosis.evidence.known_noise import KnownNoise
 from piezo_identification.diagnosis.joint.expected_errors import errors_of_model
 from piezo_identification.diagnosis.joint.probabilities import (
-    SETTINGS,
     SOMETHING_ELSE,
     odds_of_something_else,
 )
+from piezo_identification.fitting.evidence import INDEPENDENT
 from piezo_identification.fitting.model_weights import Remainder
 from piezo_identification.fitting.regression import SETTINGS as FIT
 
@@ -58,12 +57,12 @@ def held_to_noise(shares: Mapping[str, float], remainders: Sequence[Remainder], 
         the model is then limited to the noise, and the tolerance of the identification applies.
     """
     contradicts = finds_nothing and bool(known.inadequate)
-    tolerance = ADEQUACY.tolerance if contradicts else FIT.model_tolerance
+    tolerance = FIT.adequate_tolerance if contradicts else FIT.model_tolerance
     sources = [known.least(each.period_s) for each in remainders]
     noise_um = np.array([source.rms_um for source in sources])
     accuracy_um = np.array([tolerance * each.travel_um for each in remainders])
     squares_um2 = np.array([each.held_out.mean_square_um2 for each in remainders])
-    samples = np.array([min(each.held_out.independent, SETTINGS.most_effective)
+    samples = np.array([min(each.held_out.independent, INDEPENDENT)
                         for each in remainders])
     odds = odds_of_something_else(squares_um2, samples, errors_of_model(
         noise_um, accuracy_um, np.array([each.motion_um for each in remainders]),
@@ -98,7 +97,7 @@ def held_to_prediction(held: HeldToNoise, predicted: "Ceiling", remainders: Sequ
     # Less than a learner may predict from noise by chance, or than is relevant.
     least_um = CRITERIA.noticeable * predicted.left_um
     largest = max(remainders, key=lambda each: each.travel_um)
-    samples = min(sum(each.held_out.independent for each in remainders), SETTINGS.most_effective)
+    samples = min(sum(each.held_out.independent for each in remainders), INDEPENDENT)
     odds = odds_of_something_else(
         np.array([predicted.from_voltage_um**2]), np.array([samples]), errors_of_model(
             np.array([least_um]), np.array([FIT.model_tolerance * largest.travel_um]),

@@ -144,7 +144,7 @@ def diagnose_row(row: DiagnosisRow) -> dict[str, Any]:
         it was diagnosed now.
     """
     # A worker imports the libraries once; they are not needed here if all rows are done.
-    from piezo_identification.diagnosis.report.results import diagnose_files
+    from piezo_identification.diagnosis.report.diagnosis_results import diagnose_files
 
     verdict, kept = row.directory / "verdict.json", row.directory / CONTENT
     try:

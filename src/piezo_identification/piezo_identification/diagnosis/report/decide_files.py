@@ -17,7 +17,7 @@ from piezo_identification.diagnosis.experiment_design.propose import (
     propose,
     save_proposal,
 )
-from piezo_identification.diagnosis.report.results import (
+from piezo_identification.diagnosis.report.diagnosis_results import (
     READ_FRACTION,
     REPORT_FRACTION,
     DiagnosisResults,

@@ -19,6 +19,7 @@ from piezo_identification.diagnosis.evidence.stand_ins import (
     STAND_IN,
     name_of,
 )
+from piezo_identification.diagnosis.joint.probabilities import LISTED
 from piezo_identification.diagnosis.report import diagnosis_pictures as pictures
 from piezo_identification.diagnosis.report.distortion_section import distortion_sections
 from piezo_identification.fitting.noise_estimate import (
@@ -32,8 +33,6 @@ from piezo_models.effects import known_effects
 
 SOMETHING_ELSE = "something_else"
 """Name of the probability that no known effect is what the model lacks."""
-
-SHOWN_PROBABILITY = 1e-3
 
 UNLIKELY = 0.5
 """Probability of deciding below which a recording will more likely decide nothing."""
@@ -153,12 +152,12 @@ def _alternatives(diagnosis: Diagnosis) -> Iterator[Section]:
     if not known:
         return
     shown = [(name, value) for name, value in sorted(
-        known.items(), key=lambda item: -item[1]) if value >= SHOWN_PROBABILITY]
+        known.items(), key=lambda item: -item[1]) if value >= LISTED]
     rest = len(known) - len(shown)
     texts = ["Each row is a whole model with these effects in it; the probabilities sum to one."]
     if rest:
         texts.append(f"{rest} more {'has' if rest == 1 else 'have'} less than "
-                     f"{100.0 * SHOWN_PROBABILITY:g} %.")
+                     f"{100.0 * LISTED:g} %.")
     yield Section("Alternatives", texts, [("what the model lacks", "probability (%)"), *(
         (_alternative(name), _percent(value)) for name, value in shown)])
 

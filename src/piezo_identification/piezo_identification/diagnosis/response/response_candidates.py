@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezo_identification.diagnosis.response.response_fit import ResponseFit, ResponseProblem
+from piezo_identification.diagnosis.response.response_effect_fit import ResponseFit, ResponseProblem
 from piezo_identification.diagnosis.response.response_measures import mean_square
 from piezo_models.effects import Effect
 from piezo_models.effects.creep import Creep

@@ -14,7 +14,7 @@ from piezo_identification.diagnosis.comparison.reasons import Reason, Undecided
 from piezo_identification.diagnosis.evidence.recording_faults import wrong_sign
 from piezo_identification.diagnosis.evidence.stand_ins import with_stand_ins
 from piezo_identification.diagnosis.response.response_candidates import fit_each_candidate
-from piezo_identification.diagnosis.response.response_fit import (
+from piezo_identification.diagnosis.response.response_effect_fit import (
     SETTINGS,
     ResponseFit,
     ResponseProblem,
@@ -31,12 +31,13 @@ from piezo_identification.diagnosis.response.response_measures import (
 from piezo_identification.diagnosis.verdict import Verdict
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_hold import without_hold
+from piezo_identification.fitting.dataset import SPLIT
 from piezo_models.cascade import StageModel
 
 SLOWEST = 10
 """One frequency in this many, from the lowest, determines the sign of the sensor."""
 
-FEWEST_FREQUENCIES = 4 * SETTINGS.block * SETTINGS.held_out
+FEWEST_FREQUENCIES = 4 * SETTINGS.block * SPLIT.held_out
 """Fewest frequencies of a response, of which four blocks are held out."""
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
-from piezo_identification.diagnosis.response.response_fit import (
+from piezo_identification.diagnosis.response.response_effect_fit import (
     SETTINGS,
     ResponseFit,
     ResponseProblem,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
 from piezo_common.arrays import BoolArray, FloatArray
-from piezo_identification.simulation.model_run import NEAR_THE_END
+from piezo_identification.simulation.past_search import NEAR_THE_END
 from piezo_models.hysteresis.preisach_kernels import branch_start, cell_of, with_room
 
 IntArray = NDArray[np.int64]

@@ -12,7 +12,7 @@ from piezo_identification.conditioning.waveforms import (
     samples_per_mean,
     with_voltage_before,
 )
-from piezo_identification.simulation.model_run import NEAR_THE_END
+from piezo_identification.simulation.past_search import NEAR_THE_END
 from piezo_identification.simulation.sampled_response import respond
 from piezo_models.hysteresis.first_rise import FirstRise
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from piezo_common.arrays import FloatArray
 from piezo_common.budget import has_time_for, while_time_lasts
 from piezo_common.side_by_side import side_by_side
-from piezo_identification.conditioning.waveforms import turning_points
+from piezo_identification.conditioning.waveforms import REVERSAL, turning_points
 from piezo_identification.estimators.hysteresis.equations import (
     Equations,
     HysteresisSegment,
@@ -26,9 +26,6 @@ TRANSLATION_WEIGHTS = tuple(10.0**power for power in range(-6, -12, -1))
 
 FOLDS = 5
 """Number of folds of the branches, each held out once; odd, so that they mix both directions."""
-
-SHORT_BRANCH = 0.02
-"""Shortest branch, relative to the voltage range."""
 
 MOST_ABOVE_THE_LEAST = 0.1
 """Largest relative excess of a mean square over the smallest one. If some folds are far larger than
@@ -88,7 +85,7 @@ def branch_folds(segments: Sequence[HysteresisSegment]) -> list[NDArray[np.intp]
 def _branches(segment: HysteresisSegment) -> NDArray[np.intp]:
     """Return the number of the branch of each sample to fit."""
     voltage_v = segment.voltage_v
-    points = turning_points(voltage_v, SHORT_BRANCH * float(np.ptp(voltage_v)))
+    points = turning_points(voltage_v, REVERSAL * float(np.ptp(voltage_v)))
     return np.searchsorted(points[1:-1], segment.samples, side="right")
 
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from piezo_identification.diagnosis.experiment_design.alternatives import (
+from piezo_identification.diagnosis.experiment_design.alternative_explanations import (
     find_alternatives,
     without_idle,
 )

@@ -10,7 +10,7 @@ import pytest
 from piezo_identification.commands.diagnose_command import main
 from piezo_identification.diagnosis.experiment_design import what_would_decide as module
 from piezo_identification.diagnosis.experiment_design.candidate_waveforms import grid
-from piezo_identification.diagnosis.report import results
+from piezo_identification.diagnosis.report import diagnosis_results
 from piezo_identification.experiments.catalogue import Experiment
 from piezo_models.effects.delay import Delay
 from piezo_models.identified_model import IdentifiedModel
@@ -79,7 +79,7 @@ def test_ctrl_c_keeps_the_verdict_and_sets_aside_what_an_earlier_one_proposed(
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(results, "what_would_decide", interrupted)
+    monkeypatch.setattr(diagnosis_results, "what_would_decide", interrupted)
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "next_experiment.csv").write_text("of an earlier verdict")
     assert main(arguments) == 130

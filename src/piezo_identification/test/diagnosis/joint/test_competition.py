@@ -19,7 +19,7 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
 )
 from piezo_identification.fitting.free_parameters import changed_model, free_sensitivities
-from piezo_identification.simulation.simulated_recording import SimulatedRecording
+from piezo_identification.simulation.past_search import simulated_recording
 from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.sensor_lag import SensorLag
@@ -119,14 +119,14 @@ def test_a_model_with_other_parameters_lacks_no_effect():
 
 def test_free_sensitivities_are_the_derivatives_by_the_free_parameters():
     model, made = stage(), recording("1", 1)
-    part = SimulatedRecording(model, made, ())
+    part = simulated_recording(model, made, ())
     rows = np.arange(part.begin, SAMPLES)
     columns = free_sensitivities(part, rows)
     for number in range(columns.shape[1]):
         step = np.zeros(columns.shape[1])
         step[number] = 1e-3
         high, low = (
-            SimulatedRecording(changed_model(model, sign * step), made, ()).simulate()[rows]
+            simulated_recording(changed_model(model, sign * step), made, ()).simulate()[rows]
             for sign in (1.0, -1.0))
         derivative = (high - low) / 2e-3
         derivative -= derivative.mean()

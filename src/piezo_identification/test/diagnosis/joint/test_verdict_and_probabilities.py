@@ -14,7 +14,7 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
 from piezo_identification.fitting.free_parameters import changed_model
 from piezo_identification.fitting.joint_errors import JointErrors, simulated_by
 from piezo_identification.fitting.joint_fit import SETTINGS, JointFit, JointProblem
-from piezo_identification.simulation import simulated_recording
+from piezo_identification.simulation import past_search
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
@@ -102,7 +102,7 @@ def test_what_is_expensive_is_asked_for_seldom(monkeypatch):
 
         monkeypatch.setattr(owner, name, noted)
 
-    counted(simulated_recording, "starting_past_v",
+    counted(past_search, "starting_past_v",
             lambda model, part: pasts.append(part.path))
     counted(JointProblem, "fit", lambda *arguments, **options: fits.append("held" in options))
     counted(JointErrors, "_of_model", lambda *arguments: derivatives.append(arguments))

@@ -12,7 +12,10 @@ from piezo_common.budget import Budget
 from piezo_identification.commands.diagnose_command import main
 from piezo_identification.diagnosis.response import response_diagnosis
 from piezo_identification.diagnosis.response.response_diagnosis import diagnose_response
-from piezo_identification.diagnosis.response.response_fit import ResponseProblem, full_response
+from piezo_identification.diagnosis.response.response_effect_fit import (
+    ResponseProblem,
+    full_response,
+)
 from piezo_identification.diagnosis.response.response_results import response_sentence
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_models.cascade import StageModel

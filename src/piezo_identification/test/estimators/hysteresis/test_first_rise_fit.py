@@ -17,7 +17,7 @@ from piezo_identification.identification.estimated_loops import estimate_loops
 from piezo_identification.identification.given_hysteresis import DensityOptions
 from piezo_identification.identification.linear_dynamics import LinearDynamics
 from piezo_identification.prediction import predict
-from piezo_identification.simulation.simulated_recording import SimulatedRecording
+from piezo_identification.simulation.past_search import simulated_recording
 from piezo_models.cascade import StageModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
@@ -98,7 +98,7 @@ def test_the_loops_beside_it_are_those_of_the_cycled_stage(stage, recorded, virg
     # Once the stage is cycled, nothing of it shows; before, only the component explains it.
     assert predict(model, after).e_y_percent() == predict(plain, after).e_y_percent() < 0.5
     assert predict(model, virgin).e_y_percent() < 0.3 * predict(plain, virgin).e_y_percent()
-    assert SimulatedRecording(model, virgin).simulate() == pytest.approx(
+    assert simulated_recording(model, virgin).simulate() == pytest.approx(
         predict(model, virgin).simulated_um, abs=0.05)
     assert adequacy_of(model, {"hysteresis": virgin})["hysteresis"].error_percent < (
         0.3 * adequacy_of(plain, {"hysteresis": virgin})["hysteresis"].error_percent)

@@ -5,7 +5,7 @@ import matplotlib.figure
 import numpy as np
 import pytest
 
-from piezo_studies.diagnosis_benchmark.calibration import (
+from piezo_studies.diagnosis_benchmark.reliability import (
     calibrate,
     draw_reliability,
     is_true,

@@ -4,14 +4,18 @@
 They determine `ErrorSettings.carried_spread` of the diagnosis.
 """
 
+import argparse
+
 import numpy as np
 
-from piezo_identification.diagnosis.report.results import stated_error_um
+from piezo_identification.diagnosis.report.diagnosis_results import stated_error_um
 from piezo_identification.fitting.dataset import simulate_recordings
 from piezo_identification.fitting.regression import first_regression
 from piezo_studies.diagnosis_benchmark import records
+from piezo_studies.diagnosis_benchmark.cases import Case
 from piezo_studies.diagnosis_benchmark.plants import draw_plant, noise_um
-from piezo_studies.diagnosis_calibration.small_cases import KINDS, RATES_HZ, SmallCase, waveform
+from piezo_studies.diagnosis_benchmark.run_case import clean_model
+from piezo_studies.diagnosis_benchmark.short_cases import KINDS, PLANTS, waveform
 
 
 def errors_over_stated(seed, plant, identified):
@@ -29,9 +33,9 @@ def errors_over_stated(seed, plant, identified):
         at each rate.
     """
     stage, ratios = draw_plant((seed, plant)), []
-    for logger in RATES_HZ:
+    for is_slow in (False, True):
         for number, kind in enumerate(KINDS):
-            case = SmallCase(number, seed, plant, None, 0.0, kind, logger)
+            case = Case(number, seed, plant, (), (), kind, is_slow, later=True)
             recording = records.record(stage, waveform(case), number)
             regression = first_regression(simulate_recordings(identified.model, [recording]))
             residual_um = regression.residual_um(regression.fit(()))
@@ -45,3 +49,16 @@ def sentence(ratios):
     return (f"in {ratios.size} recordings the models are wrong by {middle:.2f} times what their "
             f"files state (median; 10 % below {low:.2f}, 10 % above {high:.2f}, at most "
             f"{ratios.max():.2f})")
+
+
+def main(arguments=None):
+    """Print the errors of the models of drawn plants over those that their files state."""
+    parser = argparse.ArgumentParser(prog="model_errors", description=main.__doc__)
+    parser.add_argument("--seed", type=int, default=523, help="of everything random (%(default)s)")
+    seed = parser.parse_args(arguments).seed
+    print(sentence(np.concatenate([
+        errors_over_stated(seed, plant, clean_model(seed, plant)[0]) for plant in range(PLANTS)])))
+
+
+if __name__ == "__main__":
+    main()

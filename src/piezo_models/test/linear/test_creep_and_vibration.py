@@ -5,7 +5,7 @@ import pytest
 import scipy.linalg
 import scipy.signal
 
-from piezo_models.linear.blocks import FEWEST, LENGTH
+from piezo_models.linear.block_simulation import FEWEST, LENGTH
 from piezo_models.linear.dynamics import (
     CreepDynamics,
     ElectricVibrationDynamics,

@@ -53,31 +53,6 @@ class Reliability:
                 f"{self.calibrated_most:.3f}")
 
 
-def section_lines(head, calibration, outcomes, *rows):
-    """Return the lines of a section of docs/studies/diagnosis_rates.md.
-
-    Parameters
-    ----------
-    calibration : dict
-        Result of `Reliability.document`.
-    outcomes : iterable of (str, str, int)
-        Group, what came out, and how often.
-    rows : str
-        Further rows of the table of figures.
-    """
-    calibrated = calibration["of_a_calibrated_program"]
-    return [
-        head, "",
-        "| probability of the first statement | cases | mean | true |", "|---|---|---|---|",
-        *(f"| {each['from']:.1f} to {each['to']:.1f} | {each['cases']} | {each['stated']:.2f} | "
-          f"{each['true']:.2f} |" for each in calibration["bins"] if each["cases"]),
-        "", "| figure | value |", "|---|---|",
-        *(f"| {group}: {what} | {count} |" for group, what, count in outcomes),
-        f"| expected calibration error | {calibration['expected_calibration_error']:.3f} |",
-        f"| the same of a calibrated program, mean | {calibrated['mean']:.3f} |",
-        f"| in 95 of 100 of its runs at most | {calibrated['most']:.3f} |", *rows, ""]
-
-
 def is_true(result, label, strict=False):
     """Return whether a statement of a diagnosis is true in a case.
 

@@ -8,7 +8,7 @@ import pytest
 
 PROGRAM = """
 from pathlib import Path
-from piezo_ros.memory import end_before_stage
+from piezo_ros.memory_limit import end_before_stage
 score = Path("/proc/self/oom_score_adj")
 score.write_text("{inherited}")
 end_before_stage()

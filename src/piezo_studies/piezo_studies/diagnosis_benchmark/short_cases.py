@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Cases that run in seconds: one effect or none in a short recording at a low rate."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from piezo_identification.experiments.catalogue import Experiment
-from piezo_studies.diagnosis_benchmark.cases import FAST_ONLY, SLOW_ONLY
+from piezo_studies.diagnosis_benchmark.cases import FAST_ONLY, SLOW_ONLY, Case
 from piezo_studies.diagnosis_benchmark.effect_draws import CAUSES, CAUSES_OUTSIDE
 
 PLANTS = 5
@@ -14,55 +12,33 @@ PLANTS = 5
 NONE_SHARE, OUTSIDE_SHARE = 0.15, 0.1
 WEAKEST, STRONGEST = 0.3, 40.0
 """Bounds of the contribution to the recording over the noise; the smallest is undetectable."""
-RATES_HZ = {"fast": 10_000.0, "slow": 1000.0}
-DURATIONS_S = {"fast": 0.5, "slow": 5.0}
+RATES_HZ = (10_000.0, 1000.0)
+DURATIONS_S = (0.5, 5.0)
+"""Of a fast logger and of a slow one."""
 KINDS = ("scan", "sweep", "levels", "tones")
 LEVELS = 40
 TONES = 12
 
 
-@dataclass(frozen=True)
-class SmallCase:
-    """One case, which is determined by seed and number."""
-
-    number: int
-    seed: int
-
-    plant: int
-    """Number of its plant."""
-    cause: str | None
-    """A key of `CAUSES` or `CAUSES_OUTSIDE`; None for no effect."""
-    multiple: float
-    """Contribution of the cause, over the noise."""
-    kind: str
-    """Kind of the waveform, one of `KINDS`."""
-    logger: str
-    """A key of `RATES_HZ`."""
-
-    def random(self, purpose):
-        """Return the random generator for one purpose."""
-        return np.random.default_rng([self.seed, self.number, *purpose.encode()])
+def draw_short_cases(count, seed):
+    """Draw cases with one effect or none, which appeared after the identification."""
+    return [_drawn(number, seed) for number in range(count)]
 
 
-def draw_case(number, seed):
-    """Draw one case.
-
-    Returns
-    -------
-    SmallCase
-        The case; it does not depend on the number of other cases.
-    """
+def _drawn(number, seed):
+    """Draw one case; it does not depend on the number of other cases."""
     random = np.random.default_rng([seed, number, *b"small case"])
-    share, cause = random.random(), None
+    share = random.random()
+    causes: tuple[str, ...] = ()
     if share > NONE_SHARE:
         kinds = CAUSES_OUTSIDE if share < NONE_SHARE + OUTSIDE_SHARE else CAUSES
-        cause = str(random.choice(list(kinds)))
+        causes = (str(random.choice(list(kinds))),)
     multiple = float(np.exp(random.uniform(np.log(WEAKEST), np.log(STRONGEST))))
-    logger = str(random.choice(list(RATES_HZ)))
-    if cause in FAST_ONLY | SLOW_ONLY:
-        logger = "slow" if cause in SLOW_ONLY else "fast"
-    return SmallCase(number, seed, number % PLANTS, cause, multiple,
-                     str(random.choice(KINDS)), logger)
+    is_slow = str(random.choice(["fast", "slow"])) == "slow"
+    if (FAST_ONLY | SLOW_ONLY).intersection(causes):
+        is_slow = bool(SLOW_ONLY.intersection(causes))
+    return Case(number, seed, number % PLANTS, causes, (multiple,) * len(causes),
+                str(random.choice(KINDS)), is_slow, later=True)
 
 
 def waveform(case):
@@ -73,8 +49,8 @@ def waveform(case):
     Experiment
         Waveform within 5 to 95 V.
     """
-    random, rate_hz = case.random("waveform"), RATES_HZ[case.logger]
-    duration_s = DURATIONS_S[case.logger]
+    random, rate_hz = case.random("waveform"), RATES_HZ[case.slow]
+    duration_s = DURATIONS_S[case.slow]
     time_s = np.arange(round(duration_s * rate_hz)) / rate_hz
     shape = {"scan": _scan, "sweep": _sweep, "levels": _levels, "tones": _tones}[case.kind]
     line = shape(random, time_s / duration_s)

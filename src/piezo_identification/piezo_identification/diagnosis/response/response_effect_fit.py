@@ -11,6 +11,7 @@ from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.estimators.estimate import parameter_deviations
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
+from piezo_identification.fitting.dataset import SPLIT
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, Extent, fitted_values, with_fitted_values
 from piezo_models.linear.dynamics_vector import dynamics_of_vector, dynamics_vector
@@ -22,8 +23,6 @@ class ResponseFitSettings:
 
     block: int = 5
     """Number of neighbouring frequencies in a block, because their errors are correlated."""
-    held_out: int = 3
-    """One block in this many is held out for validation."""
     tolerance: float = 0.01
     """Relative accuracy of a good model: smaller errors do not justify an effect."""
     dynamics_width: float = float(np.log(1.02))
@@ -81,7 +80,7 @@ class ResponseProblem:
         self._dynamics = dynamics_vector(model.dynamics)
         self._free = self._dynamics > 0.0
         self.block = np.arange(measured.frequency_hz.size) // SETTINGS.block
-        self.estimation = self.block % SETTINGS.held_out != SETTINGS.held_out // 2
+        self.estimation = self.block % SPLIT.held_out != SPLIT.held_out // 2
         # The noise is the deviation from the neighbours on both sides.
         bends = np.abs(np.diff(measured.gain, 2))
         self.noise = float(np.median(bends) / np.sqrt(6.0 * np.log(2.0)))

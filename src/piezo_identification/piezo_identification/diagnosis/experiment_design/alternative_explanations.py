@@ -13,7 +13,11 @@ from piezo_identification.diagnosis.comparison.reasons import Reason
 from piezo_identification.diagnosis.joint.alternatives import Appearance, evidence_of
 from piezo_identification.diagnosis.joint.expected_errors import expected_errors
 from piezo_identification.diagnosis.joint.far_starts import may_lead
-from piezo_identification.diagnosis.joint.probabilities import NONE, listed_probabilities
+from piezo_identification.diagnosis.joint.probabilities import (
+    ALTERNATIVE,
+    NONE,
+    listed_probabilities,
+)
 from piezo_identification.fitting.effect_fit import fit_one_more
 from piezo_identification.fitting.joint_fit import JointFit, JointProblem
 from piezo_identification.fitting.model_weights import HeldOut
@@ -23,9 +27,6 @@ from piezo_models.effects import Effect, fitted_values, known_effects, with_fitt
 from piezo_models.effects.outliers import Outliers
 from piezo_recorder.reading.recording import Recording
 
-LEAST_PROBABLE = 0.01
-"""Smallest probability of a set of effects, in the verdict and after the fit, to be an
-alternative."""
 TURNS = 8
 """Largest number of continued fits of two steps each. With the single one of a diagnosis, a correct
 alternative would lose if its model has to change more."""
@@ -217,7 +218,7 @@ def _weighed(problem: JointProblem, fitted: Mapping[str, JointFit],
         strict=True))
     alternatives = sorted(
         (Alternative(name, fit.effects[own:], fit, chances[name], roots[name])
-         for name, fit in fitted.items() if chances[name] >= LEAST_PROBABLE),
+         for name, fit in fitted.items() if chances[name] >= ALTERNATIVE),
         key=lambda alternative: -alternative.probability)
     return Alternatives(tuple(alternatives), problem,
                         *_errors(problem, evidence[alternatives[0].name].held_out))
@@ -277,7 +278,7 @@ def _probable(regression: Regression, found: Effects,
     kinds, sets = known_effects(), []
     for name, probability in (verdict.get("probabilities") or {}).items():
         names = [] if name == NONE else name.split("+")
-        if probability < LEAST_PROBABLE or any(each not in kinds for each in names):
+        if probability < ALTERNATIVE or any(each not in kinds for each in names):
             continue
         effects: Effects | None = tuple(effect for effect in found if effect.name in names)
         for each in names:

@@ -5,9 +5,9 @@ import numpy as np
 
 from piezo_common.picture_style import MEASURED, MODELLED, label, new_figure
 from piezo_identification.prediction import predict
+from piezo_studies.thesis.figure_table import Row, Study
 from piezo_studies.thesis.identified_stage import identified_stage
 from piezo_studies.thesis.laboratory import CLOCK_HZ, STAGE_NOISE_UM, record_stage
-from piezo_studies.thesis.table import Row, Study
 
 HIGHEST_V = 50.0
 SLOW_CLOCK_HZ = 1000.0

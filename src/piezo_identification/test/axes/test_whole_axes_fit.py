@@ -10,9 +10,9 @@ from piezo_common.budget import Budget, spending
 from piezo_identification.axes.axes_errors import AxesErrors
 from piezo_identification.axes.coupled_numbers import CoupledNumbers
 from piezo_identification.axes.free_axes import FreeAxes
-from piezo_identification.axes.joint_fit import LAST_FIT, FittedStage, fit_to_all
 from piezo_identification.axes.modal_model import modal_model
 from piezo_identification.axes.predict_axes import predict_several_axes
+from piezo_identification.axes.whole_axes_fit import LAST_FIT, FittedStage, fit_to_all
 from piezo_models.axes.actuator import Actuator
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics
