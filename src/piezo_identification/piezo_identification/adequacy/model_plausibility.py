@@ -7,6 +7,11 @@ from typing import Any
 import numpy as np
 
 from piezo_identification.conditioning.segments import experiment_of
+from piezo_identification.conditioning.settling import (
+    low_frequency_delay_s,
+    slow_delay_s,
+    slow_dynamics,
+)
 from piezo_identification.conditioning.waveforms import SETTINGS as WAVEFORM
 from piezo_identification.conditioning.waveforms import SLOWEST_FAST_ROWS_S
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
@@ -52,11 +57,14 @@ def implausible_model(model: StageModel, recordings: Mapping[str, Any]) -> list[
     """
     sentences, dynamics = [], model.dynamics
     slow_s = WAVEFORM.slow_branch_s
+    # A time constant alone says little: coupled modes may compensate it.
+    lag_s = low_frequency_delay_s(slow_dynamics(dynamics, model.effects)) + slow_delay_s(
+        dynamics, model.effects)
     what = ""
-    if dynamics.time_constant_s > slow_s:
-        what = f"a time constant of {dynamics.time_constant_s:.3g} s"
-    elif min(dynamics.mode_frequencies_rad_per_s, default=np.inf) * slow_s < 1.0:
+    if min(dynamics.mode_frequencies_rad_per_s, default=np.inf) * slow_s < 1.0:
         what = f"a mode at {min(dynamics.mode_frequencies_rad_per_s) / (2.0 * np.pi):.3g} Hz"
+    elif lag_s > slow_s:
+        what = f"a lag of {lag_s:.3g} s"
     if what and "dynamics" in recordings:
         sentences.append(
             f"{what} is too slow for the dynamics of a piezo stage, which settle within "

@@ -16,11 +16,13 @@ from piezo_models.effects.isolated_samples import (
     typical_range,
 )
 from piezo_models.effects.outliers import FEWEST
+from piezo_recorder.reading.plausibility import clipped_ends
 from piezo_recorder.reading.recording import Recording
 
 OUTLIER = "outlier_um"
-"""Column of a recording with the error of the displacement at outliers, zero elsewhere. A column of
-this name in a CSV file is used unchanged."""
+"""Column of a recording with the error of the displacement at outliers, zero elsewhere; NaN where
+the sensor is clipped, as the error is unknown there. A column of this name in a CSV file is used
+unchanged."""
 
 MOST_JUMPS = 0.1
 """Largest part of the rows that begin a jump between holds."""
@@ -34,6 +36,8 @@ MOST_LISTED = 5
 
 def with_outliers_marked(recording: Recording) -> Recording:
     """Mark the outliers of a recording, and replace them by interpolation between good samples.
+
+    Samples at which the sensor is clipped are marked, too, and keep their value.
 
     Estimators that accept a mask exclude the marked samples by `good_samples`; the others use the
     interpolated values.
@@ -52,12 +56,15 @@ def with_outliers_marked(recording: Recording) -> Recording:
         return recording
     measured_um = np.array(recording.displacement_um, dtype=float)
     wrong = isolated(measured_um, recording.voltage_v, noise=SMALL * typical_range(measured_um))
-    off_um = np.zeros(measured_um.size)
+    off_um, mended_um = np.zeros(measured_um.size), measured_um.copy()
     if np.count_nonzero(wrong) >= FEWEST:
         good = np.flatnonzero(~wrong)
         sample = np.clip(np.flatnonzero(wrong), good[0], good[-1])
-        off_um[wrong] = measured_um[wrong] - PchipInterpolator(good, measured_um[good])(sample)
-    return replace(recording, displacement_um=measured_um - off_um,
+        mended_um[wrong] = PchipInterpolator(good, measured_um[good])(sample)
+        off_um[wrong] = measured_um[wrong] - mended_um[wrong]
+    for _, end_um, _ in clipped_ends(mended_um, recording.voltage_v):
+        off_um[mended_um == end_um] = np.nan
+    return replace(recording, displacement_um=mended_um,
                    columns=recording.columns | {OUTLIER: off_um})
 
 
@@ -133,4 +140,4 @@ def outlier_text(path: object, wrong: NDArray[np.bool_], time_s: FloatArray) -> 
     listed = ", ".join(f"{time_s[begin]:.6g}" for begin in begins[:MOST_LISTED])
     more = f" and {begins.size - MOST_LISTED} more" if begins.size > MOST_LISTED else ""
     return (f"{path}: {count} of {wrong.size} samples ({100.0 * count / wrong.size:.2g} %) are "
-            f"outliers and were left out, at {listed} s{more}")
+            f"outliers or clipped, and were left out, at {listed} s{more}")

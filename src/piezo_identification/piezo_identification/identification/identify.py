@@ -173,7 +173,7 @@ def identify(
             note("refine and method have no effect: identify always fits all components together "
                  "at the end, by their output error")
         conditioned = conditioned_data(given, note, read_at_samples)
-        report_implausible(implausible_data(conditioned), note)
+        report_implausible(implausible_data(given), note)
         steps = _step_by_step(conditioned, order, density, stages, 0.0, 0.15)
         humming = hum_of_each(
             conditioned, steps.fitted.model, delays_of_rows_s(conditioned, steps.read_at))

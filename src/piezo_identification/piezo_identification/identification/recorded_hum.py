@@ -2,8 +2,9 @@
 """Mains hum: a tone with harmonics in a displacement, which the voltage does not explain.
 
 Near the mains frequency, the spectrum of the residual of a model is fitted by what the voltage may
-explain: the simulated displacement times a smooth relative error, the modes of the model with other
-residues, and transients, which are smooth in frequency (Pintelon and Schoukens, "System
+explain: the simulated displacement times a smooth relative error, the rises of the voltage times a
+smooth gain, because a hysteresis may answer rises otherwise than falls, the modes of the model with
+other residues, and transients, which are smooth in frequency (Pintelon and Schoukens, "System
 Identification", 2012, 7.2). A line that stands out of the rest is hum.
 """
 
@@ -143,9 +144,10 @@ class _Spectrum:
 
     def __init__(self, part: SimulatedRecording) -> None:
         simulated_um = part.simulate()
-        self._residual, self._simulated, self._drive = (
-            np.fft.rfft(signal[part.begin :] - signal[part.begin :].mean())
-            for signal in (part.measured_um - simulated_um, simulated_um, part.drive_um))
+        rises_v = np.maximum(np.diff(part.voltage_v, prepend=part.voltage_v[0]), 0.0)
+        self._residual, self._simulated, self._rises, self._drive = (
+            np.fft.rfft(signal[part.begin :] - signal[part.begin :].mean()) for signal in (
+                part.measured_um - simulated_um, simulated_um, rises_v, part.drive_um))
         self._size = part.time_s.size - part.begin
         self.duration_s = self._size * part.sample_period_s
         voltage_v = part.voltage_v[part.begin :] - part.voltage_v[part.begin :].mean()
@@ -209,20 +211,21 @@ class _Spectrum:
     def _may_be_driven(self, lines: Lines, centre: float) -> bool:
         """Return whether a harmonic of the voltage stands nearly alone among some lines."""
         near = np.abs(lines - centre) <= WANDERING
-        basis = np.linalg.qr(self._of_gain(lines, centre))[0]
-        return np.sum(np.abs(basis[near]) ** 2) > LEVERAGE or any(
+        return any(np.sum(np.abs(np.linalg.qr(columns)[0][near]) ** 2) > LEVERAGE
+                   for columns in self._of_gains(lines, centre)) or any(
             power[lines[near]].max() > DRIVEN * power[lines[~near]].max()
             for power in self._driven)
 
     def _explained(self, lines: Lines, centre: float) -> ComplexArray:
         """Return what the voltage may explain at some lines: the columns of a regression."""
         ringing = 1.0 / (lines[:, None] - self._poles[np.abs(self._poles - centre) < LINES])
-        return np.hstack([_powers(lines, centre), self._of_gain(lines, centre),
+        return np.hstack([_powers(lines, centre), *self._of_gains(lines, centre),
                           ringing, ringing * self._drive[lines, None]])
 
-    def _of_gain(self, lines: Lines, centre: float) -> ComplexArray:
-        """Return columns of the displacement with a smooth relative error."""
-        return _powers(lines, centre) * self._simulated[lines, None]
+    def _of_gains(self, lines: Lines, centre: float) -> list[ComplexArray]:
+        """Return columns of the displacement, and of rises of the voltage, with smooth gains."""
+        return [_powers(lines, centre) * spectrum[lines, None]
+                for spectrum in (self._simulated, self._rises)]
 
     def _tone_lines(self, lines: Lines, centre: float) -> ComplexArray:
         """Return the spectrum of a tone, times each of the waves by which it may wander."""

@@ -10,6 +10,8 @@ import pytest
 from piezo_identification.adequacy.model_plausibility import implausible_data, implausible_model
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_models.cascade import StageModel
+from piezo_models.effects.amplifier_lag import AmplifierLag
+from piezo_models.effects.coupled_mode import CoupledMode
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
@@ -34,6 +36,24 @@ def test_a_sensor_that_clips_is_told(independent_stage, recorded, voltage_v, end
     (text,) = implausible_data({"hysteresis": recorded("clip", voltage_v, clipped_um, 1e-3)})
     assert text.startswith("clip: the displacement stays at its ")
     assert f"value, {limit_um:.6g} um, in " in text
+
+
+def test_a_sensor_that_clips_at_a_single_held_level_is_told(recorded):
+    noisy_um = np.repeat([10.0, 70.0], 500) + 0.01 * np.random.default_rng(1).normal(size=1000)
+    (text,) = implausible_data({"creep": recorded(
+        "step", np.repeat([20.0, 80.0], 500), np.minimum(noisy_um, 60.0), 0.02)})
+    assert "value, 60 um, in 50 % of the samples" in text
+
+
+def test_a_sensor_that_clips_a_short_overshoot_is_told(recorded):
+    time_s = np.tile(np.arange(1000) * 1e-4, 4)
+    ringing_um = 60.0 - 40.0 * np.exp(-50.0 * time_s) * np.cos(600.0 * time_s)
+    noisy_um = ringing_um + 0.01 * np.random.default_rng(1).normal(size=time_s.size)
+    voltage_v = np.repeat(np.tile([20.0, 80.0], 2), 1000)
+    displacement_um = np.where(voltage_v < 50.0, 120.0 - noisy_um, noisy_um)
+    for clipped_um in (np.minimum(displacement_um, np.sort(displacement_um)[-6]), displacement_um):
+        said = implausible_data({"dynamics": recorded("rings", voltage_v, clipped_um, 1e-4)})
+        assert ("is clipped" in "".join(said)) == (clipped_um is not displacement_um)
 
 
 @pytest.mark.parametrize("quantum_um", [0.0, 0.02, 1.0])
@@ -61,7 +81,7 @@ def test_dynamics_that_are_sampled_too_slowly_are_told(recorded):
 
 
 @pytest.mark.parametrize(("made", "said"), [
-    ({"time_constant_s": 2.7}, "a time constant of 2.7 s is too slow .* is dyn a recording"),
+    ({"time_constant_s": 2.7}, "a lag of 2.7 s is too slow .* is dyn a recording"),
     ({"mode_frequencies_rad_per_s": (3.0,), "damping_ratios": (0.5,)}, "a mode at 0.477 Hz"),
     ({"range_um": 0.133}, "a range of 0.133 um over 100 V is implausible"),
     ({"range_um": 3e4}, "a range of 3e.04 um"),
@@ -78,6 +98,15 @@ def test_an_implausible_model_is_told(recorded, made, said):
 def test_a_plausible_model_is_not_told_of(recorded, made):
     recordings = {"dynamics": recorded("dyn", SQUARE_V, SQUARE_V, 1e-3)}
     assert implausible_model(model(**made), recordings) == []
+
+
+def test_a_time_constant_that_coupled_modes_compensate_is_plausible(recorded):
+    coupled = replace(model(time_constant_s=0.06), effects=(
+        CoupledMode(2500.0, 0.02, 0.4, 90.0), CoupledMode(5600.0, 0.02, 0.6, 130.0)))
+    recordings = {"dynamics": recorded("dyn", SQUARE_V, SQUARE_V, 1e-3)}
+    assert implausible_model(coupled, recordings) == []
+    lagging = replace(model(), effects=(AmplifierLag(0.06),))
+    assert "a lag of 0.0605 s is too slow" in implausible_model(lagging, recordings)[0]
 
 
 @pytest.mark.parametrize(("gain", "said"), [(2.9, []), (2900.0, ["a gain of 2.9e+03 um/V is"])])

@@ -160,7 +160,7 @@ def test_drop_outs_change_neither_model_nor_errors(save, tmp_path, capsys):
                               "--translation-weight", "1e-10", "--hysteresis", str(path),
                               "--validation", str(path), "--output", str(model)]) == 0
         told = capsys.readouterr().out
-        assert ("are outliers and were left out" in told) == (name == "broken")
+        assert ("are outliers or clipped, and were left out" in told) == (name == "broken")
         models.append(load_model(model))
         errors.append(models[-1].errors["e_y_percent"])
         assert simulate_main(["--model", str(model), "--data", str(path)]) == 0

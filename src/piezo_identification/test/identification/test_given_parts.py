@@ -37,6 +37,18 @@ def test_62_points_of_static_loops_are_enough(static, record):
     assert relative_error(identified.model, static, unseen_v) < 0.01
 
 
+def test_samples_of_a_clipped_sensor_are_left_out(static, record):
+    recorded = record(static, loops(np.arange(80.0, 0.0, -10.0), 300), 0.1, noise_um=0.01)
+    highest_um = np.quantile(recorded.displacement_um, 0.9)
+    notes = []
+    identified = identify(hysteresis=replace(recorded, displacement_um=np.minimum(
+        recorded.displacement_um, highest_um)), note=notes.append)
+    assert sum("the sensor is clipped there" in note for note in notes) == 1
+    assert identified.adequacy["hysteresis"]["verdict"] == "adequate"
+    unseen_v = loops([55.0, 45.0, 35.0], 300)
+    assert relative_error(identified.model, static, unseen_v) < 2e-3
+
+
 @pytest.mark.long
 def test_several_recordings_and_gaps_are_one_identification(static, record):
     first = record(static, loops([80.0, 60.0], 300), 0.1, seed=1)

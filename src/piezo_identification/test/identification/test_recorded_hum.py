@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Mains hum in recordings of a stage that shares no code with the models."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from piezo_identification.identification.identify import identify
 from piezo_identification.identification.recorded_hum import hum_of
@@ -97,6 +100,17 @@ def test_harmonics_that_an_unmodelled_hysteresis_makes_of_the_voltage_are_no_hum
     voltage_v = 4.0 * wave(2.0 * np.pi * drive_hz * time_s)
     data = recorded(voltage_v, FAST_S, 1, False, 2.0)
     assert hum_of(simulated_recording(model(), data)) is None
+
+
+@pytest.mark.parametrize("drive_hz", [25.0, 12.5, 10.0, 5.0, 2.5])
+def test_harmonics_of_square_waves_whose_steps_up_and_down_differ_are_no_hum(drive_hz):
+    rows = round(1.0 / (drive_hz * FAST_S))
+    voltage_v = np.where(np.arange(16_000) % rows < rows // 2, 4.0, -4.0)
+    behind_a_lag_v = lfilter([0.4], [1.0, -0.6], voltage_v)
+    data = recorded(voltage_v, FAST_S, 1, False)
+    curved_um = 0.02 * behind_a_lag_v**2
+    assert hum_of(simulated_recording(model(), replace(
+        data, displacement_um=data.displacement_um + curved_um))) is None
 
 
 @pytest.mark.long

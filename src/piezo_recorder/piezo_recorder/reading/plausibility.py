@@ -30,17 +30,12 @@ class UsualStage:
     stuck_while: float = 0.03
     """A sensor is clipped if it stays at its end while the voltage moves by this part of its
     range."""
-    quanta: float = 4.0
     shortest_clip: int = 5
-    repeated: float = 0.3
-    """A sensor is clipped if at its end at least `shortest_clip` readings are equal while the
-    voltage moves by `quanta` steps of the sensor; only if elsewhere less than the part `repeated`
-    of the readings equals the one before, due to noise or motion."""
-    stuck_samples: int = 8
-    """Equal samples at the end of a sensor's range, at a resting voltage, that may be chance."""
+    """Number of equal readings below which they may be a drop-out of the sensor, unless the voltage
+    moves as far as that."""
     stuck_ratio: float = 5.0
-    """Largest ratio of their number to that of equal samples elsewhere, which noise
-    distinguishes."""
+    """Largest ratio of the voltage that passes at one value at the end of a sensor's range to that
+    elsewhere, and of the number of repetitions of a value at rest."""
     common: float = 0.1
     """Quantile of the distances between readings that is the step of the sensor, as rows that were
     interpolated have values in between."""
@@ -183,15 +178,17 @@ def _is_stuck(voltage_v: FloatArray, starts: NDArray[np.intp], lengths: NDArray[
     quantum_v : float
         Voltage that changes the displacement by its smallest step.
     """
-    moved_v = np.maximum.reduceat(voltage_v, starts) - np.minimum.reduceat(voltage_v, starts)
+    # The last row may show the displacement from before a jump of its voltage.
+    shown_v = np.append(voltage_v[:1], voltage_v[:-1])
+    shown_v[starts] = voltage_v[starts]
+    moved_v = np.maximum.reduceat(shown_v, starts) - np.minimum.reduceat(shown_v, starts)
+    elsewhere_v = max(float(moved_v[~at_end].max(initial=0.0)), quantum_v)
     if np.any(moved_v[at_end] > USUAL.stuck_while * np.ptp(voltage_v)):
         return True
-    repeated = 1.0 - np.count_nonzero(~at_end) / max(int(np.sum(lengths[~at_end])), 1)
-    moves = (moved_v > USUAL.quanta * quantum_v) & (lengths >= USUAL.shortest_clip)
-    if repeated < USUAL.repeated and np.any(moves & at_end):
+    if np.any(moved_v[at_end & (lengths >= USUAL.shortest_clip)] > USUAL.stuck_ratio * elsewhere_v):
         return True
-    at_rest = moved_v == 0.0
+    # A stage without noise may rest before it first moves; a clipped sensor does so again.
+    at_rest = (moved_v == 0.0) & (starts > 0)
     elsewhere = int(lengths[~at_end & at_rest].max(initial=1))
-    most = max(USUAL.stuck_samples, USUAL.stuck_ratio * elsewhere)
-    # A stage without noise may rest once before it first moves; a clipped sensor does so again.
-    return bool(np.count_nonzero(lengths[at_end & at_rest] > most) > 1)
+    most = 1 + USUAL.stuck_ratio * (elsewhere - 1)
+    return bool(np.any(lengths[at_end & at_rest] > most))

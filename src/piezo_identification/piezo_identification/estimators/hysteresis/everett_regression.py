@@ -129,7 +129,8 @@ def density_operator(size: int) -> csr_array:
     ).tocsr()
 
 
-def visited_cells(voltage_v: FloatArray, levels_v: FloatArray) -> BoolArray:
+def visited_cells(voltage_v: FloatArray, levels_v: FloatArray,
+                  samples: NDArray[np.intp] | None = None) -> BoolArray:
     """Cells of the Preisach plane in which the moving corner of the memory has been.
 
     Only there does the output determine the density of each cell. One full loop switches all
@@ -140,6 +141,8 @@ def visited_cells(voltage_v: FloatArray, levels_v: FloatArray) -> BoolArray:
     voltage_v : ndarray, shape (N,)
     levels_v : ndarray, shape (n + 1,)
         Uniform and increasing.
+    samples : ndarray of int, optional
+        Samples whose output is known; all by default.
 
     Returns
     -------
@@ -149,7 +152,9 @@ def visited_cells(voltage_v: FloatArray, levels_v: FloatArray) -> BoolArray:
     position = _positions(voltage_v, levels_v)
     level = np.round(position)
     position = np.where(np.abs(position - level) < NEAR_A_LEVEL, level, position)
-    return _visited(position, levels_v.size - 1)
+    known = np.zeros(position.size, dtype=bool)
+    known[... if samples is None else samples] = True
+    return _visited(position, known, levels_v.size - 1)
 
 
 def summed_over_corners(
@@ -334,7 +339,7 @@ def _pairs(position: FloatArray, size: int, samples: IntArray) -> tuple[FloatArr
 
 
 @njit(cache=True)
-def _visited(position: FloatArray, size: int) -> BoolArray:
+def _visited(position: FloatArray, known: BoolArray, size: int) -> BoolArray:
     visited = np.zeros((size, size), np.bool_)
     extremes = np.empty(16)
     seen = np.zeros(4)
@@ -344,7 +349,7 @@ def _visited(position: FloatArray, size: int) -> BoolArray:
         before = extremes[top] if n else v
         highest = extremes[1] if top >= 2 else -1.0
         extremes, top, number = _follow(position, n, extremes, top, seen, size)
-        if number < 0:
+        if number < 0 or not known[n]:
             continue
         # Cells that are jumped over are not visited.
         if abs(v - before) > 1.0 + 1e-9:

@@ -140,7 +140,8 @@ def density_of_segments(
     size = levels_v.size - 1
     level_count = size if level_count is None else level_count
     seen = np.any([
-        visited_cells(segment.voltage_v, np.linspace(levels_v[0], levels_v[-1], level_count + 1))
+        visited_cells(segment.voltage_v, np.linspace(levels_v[0], levels_v[-1], level_count + 1),
+                      segment.samples)
         for segment in segments], axis=0)
     whole_plane = bool(seen[np.tril_indices(level_count)].all())
     if translation_weight is None and (whole_plane or smoothing_weight is not None):

@@ -101,6 +101,8 @@ def test_cells_are_visited_where_the_corner_of_the_memory_went():
     np.testing.assert_array_equal(loop, expected)
     jump = visited_cells(np.array([-2.0, 5.0, -2.0]), levels_v)
     assert np.count_nonzero(jump) == 1
+    rising = visited_cells(np.linspace(-2.0, 5.0, 50), levels_v, np.arange(20))
+    assert rising[:, 0].tolist() == [True, True, True, False, False, False, False]
 
 
 @pytest.mark.parametrize("seed", range(5))
