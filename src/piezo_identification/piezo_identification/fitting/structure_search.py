@@ -17,6 +17,7 @@ from piezo_models.effects import Effect
 from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.band_limited_voltage import BandLimitedVoltage
 from piezo_models.effects.coupled_mode import CoupledMode, modes_in_parallel
+from piezo_models.effects.effect import with_fitted_values
 from piezo_models.effects.second_order_amplifier import SecondOrderAmplifier
 from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.effects.vibration_mode import VibrationMode
@@ -644,8 +645,9 @@ def _with_damped_mode_in_front(model: StageModel, delay_s: float | None) -> Iter
     if damping <= SETTINGS.most_uncoupled or dynamics.antiresonance_frequencies_rad_per_s:
         return
     place = dynamics.damping_ratios.index(damping)
-    amplifier = SecondOrderAmplifier(
-        2.0 * damping / dynamics.mode_frequencies_rad_per_s[place], 0.5 / damping)
+    time_s = 2.0 * damping / dynamics.mode_frequencies_rad_per_s[place]
+    # Two lags that are far apart are more damped than any amplifier: the guess is the nearest one.
+    amplifier = with_fitted_values(SecondOrderAmplifier(time_s), np.log([time_s, 0.5 / damping]))
     others = tuple(effect for effect in model.effects if not isinstance(effect, AmplifierLag))
     yield Structure("its damped mode as an amplifier of second order", replace(
         model, effects=(amplifier, *others), dynamics=replace(

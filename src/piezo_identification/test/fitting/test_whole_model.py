@@ -175,6 +175,15 @@ def test_a_damped_mode_behind_the_hysteresis_becomes_the_amplifier_in_front_of_i
         {"time_constant_s": LAG_S, "quality_factor": 0.8}, rel=0.1)
 
 
+def test_two_lags_far_apart_are_tried_as_the_amplifier_next_to_them(plant, play):
+    two_lags = replace(plant, dynamics=ElectricVibrationDynamics(
+        0.0, (1000.0, 4909.0), (15.0, 0.082)))
+    problem = WholeModel(two_lags, steps_and_loops(play, two_lags), [0.0, 0.0])
+    tried = next(each for each in structures(problem, problem.fit(two_lags, None, 0))
+                 if each.change == "its damped mode as an amplifier of second order")
+    assert tried.model.effects[0].quality_factor == pytest.approx(0.05)
+
+
 @pytest.mark.long
 def test_starts_have_the_loops_that_were_estimated_beside_them(plant, wrong, recordings):
     """A line that no prior bends into loops would keep every start from the truth."""
