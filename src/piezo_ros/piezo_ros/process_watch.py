@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Announce processes of this machine that ended without a word; nobody waits for their lease.
+"""Announce processes that ended without a word, so that others do not wait for their lease.
 
 The middleware would detect them itself by a lease of liveliness, but each check of a lease can lock
 up its process for ever (docs/decisions/leases.md).
@@ -10,6 +10,7 @@ import socket
 import struct
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -66,12 +67,12 @@ class ProcessWatch:
             except (rclpy_implementation.InvalidHandle, rclpy_implementation.RCLError):
                 return
             for participant in participants:
-                processes = self._processes_of(participant)
+                processes = self._known_processes(participant)
                 # A list, so that each process is looked at.
                 if processes and all([process.is_lost() for process in processes]):
                     self._announce(participant)
 
-    def _processes_of(self, participant: bytes) -> list["_Process"]:
+    def _known_processes(self, participant: bytes) -> list["_Process"]:
         """Return the processes that a participant may have; also of one that left and came back.
 
         A process that was suspended announces itself again when it continues, and then ends.
@@ -85,7 +86,8 @@ class ProcessWatch:
     def _announce(self, participant: bytes) -> None:
         message = end_of_participant(participant)
         first = FIRST_PORT + PORTS_OF_DOMAIN * self._node.context.get_domain_id()
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        # What is not sent now is announced again by the next look.
+        with suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
             for number in range(MOST_PROCESSES):
                 sender.sendto(message, ("127.0.0.1", first + PORTS_OF_PROCESS * number))
 
