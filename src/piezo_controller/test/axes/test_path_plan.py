@@ -17,6 +17,7 @@ from piezo_controller.references.kind import InvalidReference
 from piezo_models import CoupledModel, Coupling, IdentifiedAxes, Softening
 from piezo_models.axes.actuator import Actuator
 from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import CreepDynamics
 
 sys.path.insert(0, str(Path(__file__).parent))
 import two_axis_flexure
@@ -262,3 +263,16 @@ def test_a_path_is_followed_through_the_hysteresis_of_each_axis(model):
     without, inverted = errors
     assert np.all(without > 1.0)
     assert np.all(inverted < 0.05 * without)
+
+
+def test_what_creep_leaves_is_an_offset_as_on_the_stage_and_no_error(model):
+    creeping = replace(model, actuators=(
+        Actuator(creep=CreepDynamics((0.1,), (0.104,))), Actuator()))
+    plan = plan_of(creeping, "raster", size_um=(10, 10), centre_um=(5.0, 0.0), rate_hz=100.0,
+                   lines=10)
+    prediction = plan.prediction
+    offset_um = (done_um(plan) - plan.path.position_um).mean(axis=0)  # without the creep
+    assert abs(offset_um[0]) > 0.1 and abs(offset_um[1]) < 0.01
+    assert prediction.offset_um["coupled"] == pytest.approx(offset_um, rel=0.3, abs=0.01)
+    assert np.max(prediction.error_percent["coupled"]) < 0.05
+    assert "x offset" in repr(plan.summary())
