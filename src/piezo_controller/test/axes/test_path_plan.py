@@ -165,6 +165,12 @@ def test_pixels_of_the_image_are_those_of_the_lines_or_as_many_as_are_marked(
     assert frame.marked_pixels == plan.columns()["pixel"].sum()
 
 
+def test_short_lines_of_a_high_image_run_along_the_fast_axis(model):
+    frame = plan_of(model, "raster", size_um=(0.5, 10.0), rate_hz=20.0, lines=5, pixels=7).frame
+    assert (frame.axes, frame.pixels) == (["x", "y"], [7, 5])
+    assert frame.pixel_um == pytest.approx([0.5 / 7, 10.0 / 4])
+
+
 def test_plan_without_the_inverse_has_the_static_gain_of_each_axis(model):
     plan = plan_of(model, "raster", size_um=(5.0, 5.0), rate_hz=100.0, lines=10).without_inverse()
     gain = np.diag(model.response(0.0)[0].real)
