@@ -209,9 +209,13 @@ def _images(stage: Stage, runs: Mapping[str, Scanned],
         return []
     from piezo_common.gsf import read_gsf
     from piezo_recorder.images.image_page import write_images
+    from piezo_recorder.reading.recording import RecordingError
 
-    images = {name: image for what, run in runs.items()
-              for name, image in images_of(run, what, options.signal).items()}
+    try:
+        images = {name: image for what, run in runs.items()
+                  for name, image in images_of(run, what, options.signal).items()}
+    except RecordingError as reason:  # the runs are worth their results all the same
+        return [f"no image: {reason}"]
     specimen = options.specimen and read_gsf(options.specimen)
     return write_images(images, options.output, specimen)
 

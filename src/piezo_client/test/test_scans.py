@@ -15,7 +15,7 @@ from piezo_client.scan_marks import marked
 from piezo_client.scans import Scanned, scanned
 from piezo_controller.axes.stored_scan import BEGIN_FILE, PERIOD_FILE, read_scan, write_scan
 from piezo_recorder.images.scan_frame import ScanFrame
-from piezo_recorder.reading.recording import Recording
+from piezo_recorder.reading.recording import Recording, RecordingError
 from piezo_recorder.sample_block import Flag, Mark
 
 SAMPLES, BEGIN, PERIOD_S = 80, 30, 1e-4
@@ -176,6 +176,23 @@ def test_command_marks_by_position_in_a_further_run(folder, monkeypatch, capsys)
     monkeypatch.setattr(stage_work, "read_scan", {folder: bare}.get)
     assert stage_command.main(["scan", str(folder), "--output", "runs", "--marks-by-position"]) == 2
     assert "has no pixels" in capsys.readouterr().err and len(played) == 3
+
+
+def test_command_reports_a_run_of_which_no_image_can_be_made(folder, monkeypatch, capsys):
+    scan = dataclasses.replace(read_scan(folder), frame=frame_of(6))
+    run = Scanned(Path("run"), scan, scan.position_um)
+    stage = MagicMock(scan=lambda *_, **__: run, description=MagicMock(signals=["camera"]))
+    monkeypatch.setattr(stage_work, "read_scan", {folder: scan}.get)
+    monkeypatch.setattr(stage_work.signal, "signal", lambda *_: None)
+    monkeypatch.setattr(stage_work, "Stage", lambda *_: nullcontext(stage))
+
+    def refused(*_):
+        raise RecordingError("the pixels lie on a line")
+
+    monkeypatch.setattr(stage_work, "images_of", refused)
+    assert stage_command.main(["scan", str(folder), "--output", str(folder / "runs")]) == 0
+    printed = capsys.readouterr().out
+    assert "recorded run" in printed and "no image: the pixels lie on a line" in printed
 
 
 def test_axis_that_rests_is_compared_with_the_largest_travel(folder):

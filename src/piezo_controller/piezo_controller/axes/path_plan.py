@@ -107,10 +107,11 @@ class PathPlan:
         marked, lines = (int(np.sum(path.marks & mark > 0)) for mark in (Mark.PIXEL, Mark.LINE))
         if not marked:
             return None
-        way_um = np.abs(np.diff(path.position_um, axis=0)).sum(axis=0)
-        both = np.sort(np.argsort(-way_um, kind="stable")[:2])
-        if path.kind == "raster":  # lines run along the axis that moves farther
-            both = both[np.argsort(-way_um[both], kind="stable")]
+        moved_um = np.abs(np.gradient(path.position_um, axis=0))
+        both = np.sort(np.argsort(-moved_um.sum(axis=0), kind="stable")[:2])
+        if path.kind == "raster":  # lines run along the axis that moves at the pixels
+            at_pixels_um = moved_um[path.marks & Mark.PIXEL > 0].sum(axis=0)
+            both = both[np.argsort(-at_pixels_um[both], kind="stable")]
             pixels = np.array([marked // lines, lines])
             pixel_um = path.size_um[both] / (pixels - [0, 1])
         else:

@@ -28,18 +28,28 @@ class PathPrediction:
     displacement_um: dict[str, FloatArray]
     """In one period, by inverse: ``none``, ``diagonal``, ``coupled``."""
     error_percent: dict[str, FloatArray]
-    """RMS error (2.32), of an axis' travel; of the largest travel where an axis rests. Beside the
-    inverses, ``uncertain`` is that of the coupled one to expect (RMS) with the deviations of the
-    model; NaN where they are not known."""
+    """RMS error (2.32) without the offset, of an axis' travel; of the largest travel where an axis
+    rests. Beside the inverses, ``uncertain`` is that of the coupled one to expect (RMS) with the
+    deviations of the model; NaN where they are not known."""
     coupling_db: dict[str, FloatArray]
     """RMS motion of the axis of the row while the path moves that of the column alone, over the
     motion asked for, by the same names; NaN where the path does not move that axis."""
+
+    @property
+    def offset_um(self) -> dict[str, FloatArray]:
+        """Return the mean of the displacement minus that of the path, in whole pm, by inverse."""
+        position_um = self.path.position_um
+        return {inverse: np.asarray(np.round(np.mean(each - position_um, axis=0), 6) + 0.0)
+                for inverse, each in self.displacement_um.items()}
 
     def summary(self, title: str, notes: Sequence[str] = ()) -> SummaryTable:
         """Return errors and cross-coupling by inverse as a table."""
         axes = self.path.axes
         rows = [(f"{axis} error", "%", *_cells(self.error_percent, number))
                 for number, axis in enumerate(axes)]
+        unknown = {"uncertain": np.full(len(axes), np.nan)}
+        rows += [(f"{axis} offset", "um", *_cells(self.offset_um | unknown, number))
+                 for number, axis in enumerate(axes)]
         rows += [(f"{axes[moved]} from {axes[driven]}", "dB",
                   *_cells(self.coupling_db, moved, driven))
                  for driven, moved in np.argwhere(~np.eye(len(axes), dtype=bool))
@@ -47,7 +57,8 @@ class PathPrediction:
         return SummaryTable(
             title, ("", "unit", "no inverse", "diagonal inverse", "coupled inverse",
                     "with deviations"), rows,
-            ("error: RMS over the travel (2.32), by the model in time, without noise",
+            ("error: RMS over the travel (2.32), by the model in time, without noise and offset",
+             "offset: what creep and the way into the path leave; it changes slowly",
              "from: motion of one axis while another alone follows its part of the path",
              "with deviations: to expect (RMS) of the coupled inverse with the uncertainty of the "
              "model's identification", *notes))
@@ -86,7 +97,7 @@ def predict_path(path: ScanPath, model: CoupledModel, voltage_v: FloatArray, gai
             alone_v[axis] = invert_path(alone_um, model, inverse, gain_limit).voltage_v
             ratio = np.std(repeated(alone_v[axis], model), axis=0) / np.std(alone_um[:, axis])
             coupling[inverse][:, axis] = 20.0 * np.log10(np.maximum(ratio, SILENT))
-    errors = {inverse: 100.0 * _rms(path.position_um - each) / travel_um
+    errors = {inverse: 100.0 * np.std(path.position_um - each, axis=0) / travel_um
               for inverse, each in displaced.items()}
     errors["uncertain"], coupling["uncertain"] = np.full(n, np.nan), np.full((n, n), np.nan)
     if identified is not None:
@@ -97,11 +108,6 @@ def predict_path(path: ScanPath, model: CoupledModel, voltage_v: FloatArray, gai
             ratio = np.hypot(left, 10.0 ** (coupling["coupled"][:, axis] / 20.0))
             coupling["uncertain"][:, axis] = 20.0 * np.log10(np.maximum(ratio, SILENT))
     return PathPrediction(path, displaced, errors, coupling)
-
-
-def _rms(error: FloatArray) -> FloatArray:
-    rms: FloatArray = np.sqrt(np.mean(error**2, axis=0))
-    return rms
 
 
 def _uncertain_um(voltage_v: FloatArray, identified: IdentifiedAxes) -> FloatArray:

@@ -62,12 +62,24 @@ def add_path_options(parser: argparse.ArgumentParser, default: str | None) -> No
                         "and images; as identified by default")
 
 
+OF_PATTERN = ("size_um", "axes", "centre_um", "rate_hz", "lines", "pixels", "both_directions",
+              "flyback_s", "frame_flyback_s", "linear_velocity")
+OF_FILE = {"points": ("rate_hz",), "file": (), "scanspec": ("rate_hz", "flyback_s")}
+"""Options that say how a pattern is drawn, and those of them that a path of a file takes."""
+
+
 def check_path_options(options: argparse.Namespace) -> None:
-    """Raise ValueError if a pattern lacks its file, or has one that it does not need."""
+    """Raise ValueError if a pattern lacks its file, or has a file or an option without effect."""
     if (options.file is None) == (options.pattern in WITH_FILE):
         raise ValueError(f"a {options.pattern} " + (
             "needs a file: give --file" if options.file is None else
             "takes no file: leave --file out, or give --pattern file"))
+    taken = OF_FILE.get(options.pattern, OF_PATTERN)
+    ignored = [f"--{name.replace('_', '-')}" for name in OF_PATTERN
+               if name not in taken and getattr(options, name) is not None]
+    if ignored:
+        raise ValueError(f"the path of {options.file} has its own positions: leave out "
+                         f"{', '.join(ignored)}")
 
 
 def _check(options: argparse.Namespace) -> None:

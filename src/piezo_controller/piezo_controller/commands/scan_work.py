@@ -8,10 +8,9 @@ from piezo_common.picture_style import to_png
 from piezo_controller.axes.path_plan import PathPlan
 from piezo_controller.axes.scan import scan
 from piezo_controller.axes.stored_scan import BEGIN_FILE, PERIOD_FILE, stored_scan, write_scan
+from piezo_controller.commands.scan_command import OF_PATTERN
 
-OF_PATTERN = ("size_um", "centre_um", "rate_hz", "lines", "pixels", "both_directions", "flyback_s",
-              "frame_flyback_s", "linear_velocity", "file", "axes")
-OF_PLAN = ("voltage_range_v", "slew_limit_v_per_s", "sensor_delay_s")
+OF_PLAN = ("file", "voltage_range_v", "slew_limit_v_per_s", "sensor_delay_s")
 
 
 def plan_of(options: argparse.Namespace) -> PathPlan:

@@ -50,13 +50,37 @@ def test_marks_of_lines_in_both_directions_move_towards_each_other_by_an_offset(
 def test_places_are_marked_within_a_sample_on_a_motion_that_lags_and_is_noisy(kind, fields):
     position_um, marks, lead = drawn(kind, **fields)
     true_um = np.roll(1.02 * position_um, 9, axis=0)
-    noise_um = 0.003 * np.random.default_rng(2).normal(size=true_um.shape)
+    noise_um = 0.002 * np.random.default_rng(2).normal(size=true_um.shape)
     found = marks_by_position(position_um, marks, read_um(true_um) + noise_um, DELAYS)
     places = (np.flatnonzero(marks & Mark.PIXEL) + lead) % len(marks)
     late_um = true_um[np.flatnonzero(found & Mark.PIXEL)] - position_um[places]
     velocity_um = np.gradient(position_um, axis=0)[places]
     late = np.sum(late_um * velocity_um, axis=1) / np.sum(velocity_um**2, axis=1)
     assert len(late) >= 64 and np.abs(late).max() < 1.0
+
+
+def test_a_vibration_that_is_shorter_than_a_pixel_moves_the_marks():
+    position_um, marks, lead = drawn("raster", lines=4, pixels=2, both_directions=True)
+    sample_um, time = 10.0 / 640, np.arange(len(marks))
+    true_um = position_um.copy()
+    true_um[:, 0] += 4.0 * sample_um * np.sin(2.0 * np.pi * time / 70)
+    noise_um = 0.5 * sample_um * np.random.default_rng(5).normal(size=true_um.shape)
+    found = marks_by_position(position_um, marks, read_um(true_um) + noise_um, DELAYS)
+    places = (np.flatnonzero(marks & Mark.PIXEL) + lead) % len(marks)
+    late_um = true_um[np.flatnonzero(found & Mark.PIXEL)] - position_um[places]
+    assert np.abs(late_um[:, 0]).max() < 1.5 * sample_um
+
+
+def test_turns_beside_the_planned_ones_are_marked_where_they_come_closest_to_the_places():
+    position_um, marks, lead = drawn("spiral", lines=5, pixels=40)
+    true_um = position_um + [0.2, 0.1]
+    found = marks_by_position(position_um, marks, read_um(true_um), DELAYS)
+    places = (np.flatnonzero(marks & Mark.PIXEL) + lead) % len(marks)
+    late_um = true_um[np.flatnonzero(found & Mark.PIXEL)] - position_um[places]
+    velocity_um = np.gradient(true_um, axis=0)[np.flatnonzero(found & Mark.PIXEL)]
+    late = np.sum(late_um * velocity_um, axis=1) / np.sum(velocity_um**2, axis=1)
+    outside = np.linalg.norm(position_um[places], axis=1) > 1.0
+    assert np.count_nonzero(outside) > 300 and np.abs(late[outside]).max() < 1.0
 
 
 def test_no_mark_is_lost_where_each_sample_has_one():

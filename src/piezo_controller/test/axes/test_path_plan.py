@@ -17,6 +17,7 @@ from piezo_controller.references.kind import InvalidReference
 from piezo_models import CoupledModel, Coupling, IdentifiedAxes, Softening
 from piezo_models.axes.actuator import Actuator
 from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import CreepDynamics
 
 sys.path.insert(0, str(Path(__file__).parent))
 import two_axis_flexure
@@ -164,6 +165,12 @@ def test_pixels_of_the_image_are_those_of_the_lines_or_as_many_as_are_marked(
     assert frame.marked_pixels == plan.columns()["pixel"].sum()
 
 
+def test_short_lines_of_a_high_image_run_along_the_fast_axis(model):
+    frame = plan_of(model, "raster", size_um=(0.5, 10.0), rate_hz=20.0, lines=5, pixels=7).frame
+    assert (frame.axes, frame.pixels) == (["x", "y"], [7, 5])
+    assert frame.pixel_um == pytest.approx([0.5 / 7, 10.0 / 4])
+
+
 def test_plan_without_the_inverse_has_the_static_gain_of_each_axis(model):
     plan = plan_of(model, "raster", size_um=(5.0, 5.0), rate_hz=100.0, lines=10).without_inverse()
     gain = np.diag(model.response(0.0)[0].real)
@@ -262,3 +269,16 @@ def test_a_path_is_followed_through_the_hysteresis_of_each_axis(model):
     without, inverted = errors
     assert np.all(without > 1.0)
     assert np.all(inverted < 0.05 * without)
+
+
+def test_what_creep_leaves_is_an_offset_as_on_the_stage_and_no_error(model):
+    creeping = replace(model, actuators=(
+        Actuator(creep=CreepDynamics((0.1,), (0.104,))), Actuator()))
+    plan = plan_of(creeping, "raster", size_um=(10, 10), centre_um=(5.0, 0.0), rate_hz=100.0,
+                   lines=10)
+    prediction = plan.prediction
+    offset_um = (done_um(plan) - plan.path.position_um).mean(axis=0)  # without the creep
+    assert abs(offset_um[0]) > 0.1 and abs(offset_um[1]) < 0.01
+    assert prediction.offset_um["coupled"] == pytest.approx(offset_um, rel=0.3, abs=0.01)
+    assert np.max(prediction.error_percent["coupled"]) < 0.05
+    assert "x offset" in repr(plan.summary())

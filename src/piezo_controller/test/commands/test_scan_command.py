@@ -52,8 +52,11 @@ def test_a_period_its_beginning_and_a_picture_are_written(model_file, tmp_path, 
 
 
 @pytest.mark.parametrize(("given", "said"), [
-    (["--size-um", "90", "90"], "available are -60 to 60 V; within reach are 23."),
+    (["--size-um", "90", "90", "--lines", "4", "--rate-hz", "100"],
+     "available are -60 to 60 V; within reach are 23."),
     (["--pattern", "file"], "a file needs a file: give --file"),
+    (["--pattern", "file", "--file", __file__, "--size-um", "5", "5", "--rate-hz", "20"],
+     "has its own positions: leave out --size-um, --rate-hz"),
     (["--file", "here"], "here does not exist"),
     (["--axes", "x", "z"], "the path moves z, and the model has the axes x, y"),
     (["--pattern", "points", "--file", "points.csv"], "points.csv has the columns x, y: give")])
@@ -61,8 +64,7 @@ def test_what_cannot_be_is_refused_in_one_line(model_file, tmp_path, monkeypatch
                                                said):
     monkeypatch.chdir(tmp_path)
     Path("points.csv").write_text("x,y\n1,2\n3,4\n")
-    assert main(["--model", str(model_file), "--lines", "4", "--rate-hz", "100", *given, "--output",
-                 "scan"]) == 2
+    assert main(["--model", str(model_file), *given, "--output", "scan"]) == 2
     refused = capsys.readouterr().err
     assert said in refused
     assert refused.count("\n") == 1

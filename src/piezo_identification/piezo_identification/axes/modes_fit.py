@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezo_common.arrays import ComplexArray
 from piezo_common.budget import has_time_for, while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.axes.coupled_fit import CoupledFit, refined, softened_numbers
 from piezo_identification.axes.coupled_numbers import CoupledNumbers
+from piezo_identification.axes.modal_model import residues_of
 from piezo_identification.axes.order_search import evidence_of, growing, without_weak_poles
 from piezo_identification.axes.sensor_delays import further_latencies, latencies
 from piezo_identification.axes.spectra import (
@@ -118,16 +118,26 @@ def reweighted_fit(fit: CoupledFit, spectra: Sequence[Spectrum],
 
 def without_slow_poles(numbers: CoupledNumbers) -> CoupledNumbers:
     """Return the numbers without poles that stand for hysteresis and creep."""
-    lowest = lowest_resonance(numbers.steps)
+    lowest = lowest_resonance(numbers)
     return replace(numbers.with_poles(np.abs(np.log(numbers.steps)) >= lowest),
                    slowest=SLOWEST_POLE * lowest)
 
 
-def lowest_resonance(steps: ComplexArray) -> float:
-    """Return the rate of the slowest light mode, over the sample rate; of any where none is."""
-    rates = np.log(steps)
+def lowest_resonance(numbers: CoupledNumbers) -> float:
+    """Return the rate of the slowest light mode that resonates, over the sample rate.
+
+    It resonates if it moves an axis farther at its frequency than all poles do at rest: a light
+    pole that does not may stand for hysteresis at a single line. Where none resonates, that of the
+    slowest pole is returned.
+    """
+    steps, rates = numbers.steps, np.log(numbers.steps)
     light = (steps.imag > 0.0) & (-rates.real < LIGHT * np.abs(rates))
-    return float(np.abs(rates[light] if light.any() else rates).min())
+    residues = residues_of(numbers, numbers.gains)
+    moved = np.abs(residues).max(axis=(1, 2)) / (1.0 - np.abs(steps))
+    at_rest = np.where(steps.imag > 0.0, 2.0, 1.0)[:, None, None] * residues / (
+        1.0 - steps[:, None, None])
+    resonating = light & (moved > np.abs(at_rest.real.sum(axis=0)).max())
+    return float(np.abs(rates[resonating] if resonating.any() else rates).min())
 
 
 def _reference(levels: Sequence[Sequence[Spectrum]]) -> Sequence[Spectrum]:

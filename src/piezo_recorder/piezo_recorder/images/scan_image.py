@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CloughTocher2DInterpolator, LinearNDInterpolator
-from scipy.spatial import Delaunay, cKDTree
+from scipy.spatial import Delaunay, QhullError, cKDTree
 
 from piezo_common.arrays import FloatArray
 from piezo_common.gsf import Field
@@ -159,8 +159,15 @@ def _gridded(visited_um: FloatArray, values: FloatArray, frame: ScanFrame) -> Fl
 
     The first, the signal, is interpolated by cubic triangles, the others by plane ones.
     """
+    on_a_line = RecordingError(f"the pixels of the {frame.path} lie on a line: an image needs two "
+                               "directions")
+    if min(frame.pixel_um) == 0.0:
+        raise on_a_line
     visited, places = visited_um / frame.pixel_um, frame.places_um() / frame.pixel_um
-    triangles = Delaunay(visited)
+    try:
+        triangles = Delaunay(visited)
+    except QhullError:
+        raise on_a_line from None
     found: FloatArray = LinearNDInterpolator(triangles, values)(places)
     # Half a line away from the lines, a straight line would cut off what is curved.
     found[..., 0] = CloughTocher2DInterpolator(triangles, values[:, 0])(places)

@@ -168,3 +168,12 @@ def test_command_makes_images_and_a_page_from_recordings(tmp_path, sample_blocks
     assert (tmp_path / "images" / "run.gsf").exists()
     assert main(["--data", str(tmp_path / "run"), "--signal", "sound",
                  "--output", str(tmp_path / "images")]) == 2
+
+
+@pytest.mark.parametrize("pixel_um", [0.12, 0.0])
+def test_pixels_on_a_line_make_no_image(pixel_um):
+    commanded_um, marks = raster()
+    commanded_um[:, 1] = CENTRE_UM[1]
+    recording = recorded(commanded_um, marks)
+    with pytest.raises(RecordingError, match="the pixels of the raster of a test lie on a line"):
+        image_of(recording, frame=frame(pixel_um=[PIXEL_UM[0], pixel_um]))
