@@ -413,10 +413,13 @@ class Client:
 
     def check(self) -> None:
         """Raise GoalFailed if the server of the present goal has ended."""
-        if self._running and not self._actions[self._running].server_is_ready():
+        if not self._running:
+            return
+        if not self._actions[self._running].server_is_ready():
             action_type, topic = ACTIONS[self._running]
             raise GoalFailed(self._running, action_type.Result(
                 message=f"the node that serves {topic} has ended: start it again"))
+        self._actions[self._running].ask_again()
 
     def spin_until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Spin until a condition holds or the time is up; return whether it holds.

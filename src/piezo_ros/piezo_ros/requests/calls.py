@@ -184,7 +184,7 @@ class ActionCaller:
                 failures.append(error)
 
         handle = self._await(lambda: self._client.send_goal_async(goal, pass_on),
-                             CALL_TIMEOUT_S, self._settle_late())
+                             CALL_TIMEOUT_S, self._late(self._client.settle))
         if not handle.accepted:
             raise CallFailed(f"{self._name} rejected the goal: its node is busy or not active, "
                              "its log states which")
@@ -197,23 +197,25 @@ class ActionCaller:
             raise GoalAborted(result)
         return result
 
-    def _settle_late(self) -> Callable[[], None]:
-        """Return a function that, if a response is late, checks the goal's status instead."""
+    def _late(self, work: Callable[[], object]) -> Callable[[], None]:
+        """Return a function that, while a response is late, works in the executor now and then."""
         begin_s = time.monotonic()
 
         def look() -> None:
             nonlocal begin_s
             if time.monotonic() - begin_s > RESEND_S:
                 begin_s = time.monotonic()
-                self._in_executor(self._client.settle)
+                self._in_executor(work)
 
         return look
 
     def _end(self, handle: ClientGoalHandle, cancelled: Callable[[], bool]) -> Message:
         waiting, asked_s = Waiting(self._node, self._name), math.inf
+        ask_again = self._late(self._client.ask_again)
 
         def look() -> None:
             nonlocal asked_s
+            ask_again()
             now_s = time.monotonic()
             if asked_s < now_s:
                 waiting.look(now_s - asked_s)
