@@ -20,8 +20,9 @@ from rclpy.node import Node
 from piezo_ros.discovery import LONGEST_STANDSTILL_S, LOOPBACK, PROFILES
 
 PERIOD_S = 0.5
-# Others may only give up a process that itself notices for how long it stood still.
-STOPPED_LOOKS = 2 + int(LONGEST_STANDSTILL_S / PERIOD_S)
+# Others may only give up a process that itself notices for how long it stood still, and one that
+# ended only after its last messages have been processed: those that come later would revive it.
+MISSED_LOOKS = 2 + int(LONGEST_STANDSTILL_S / PERIOD_S)
 PROCESSES = Path("/proc")
 # Topic on which every participant of ROS 2 publishes.
 PARTICIPANTS_TOPIC = "ros_discovery_info"
@@ -94,18 +95,17 @@ class ProcessWatch:
 
 @dataclass
 class _Process:
-    """A process of this machine; it is lost once it ended, or was found suspended often enough."""
+    """A process of this machine; it is lost once it was found ended or suspended often enough."""
 
     number: int
     started: str
-    stopped_looks: int = 0
+    missed_looks: int = 0
 
     def is_lost(self) -> bool:
         state, started = _state_of(self.number)
-        if state in "ZX" or started != self.started:
-            return True
-        self.stopped_looks = self.stopped_looks + 1 if state in "Tt" else 0
-        return self.stopped_looks > STOPPED_LOOKS
+        is_missed = state in "ZXTt" or started != self.started
+        self.missed_looks = self.missed_looks + 1 if is_missed else 0
+        return self.missed_looks > MISSED_LOOKS
 
 
 def end_of_participant(prefix: bytes) -> bytes:

@@ -103,7 +103,7 @@ def test_process_is_lost_once_it_ended_or_stood_still_for_long(processes):
     assert not process.is_lost()
     sleeper.send_signal(signal.SIGSTOP)
     until(lambda: process_watch._state_of(sleeper.pid)[0] == "T")
-    assert not any([process.is_lost() for _ in range(process_watch.STOPPED_LOOKS)])
+    assert not any([process.is_lost() for _ in range(process_watch.MISSED_LOOKS)])
     assert process.is_lost()
     sleeper.send_signal(signal.SIGCONT)
     until(lambda: process_watch._state_of(sleeper.pid)[0] != "T")
@@ -118,6 +118,7 @@ def test_another_process_of_the_same_number_does_not_stand_for_the_one_that_ende
     process = process_of(os.getpid())
     assert not process.is_lost()
     process.started = "0"
+    assert not any([process.is_lost() for _ in range(process_watch.MISSED_LOOKS)])
     assert process.is_lost()
 
 
