@@ -21,7 +21,7 @@ from piezo_ros.discovery import LONGEST_STANDSTILL_S, LOOPBACK, PROFILES
 
 PERIOD_S = 0.5
 # Others may only give up a process that itself notices for how long it stood still, and one that
-# ended only after its last messages have been processed: those that come later would revive it.
+# ended only after its last messages: a later one may list it again on a machine under heavy load.
 MISSED_LOOKS = 2 + int(LONGEST_STANDSTILL_S / PERIOD_S)
 PROCESSES = Path("/proc")
 # Topic on which every participant of ROS 2 publishes.

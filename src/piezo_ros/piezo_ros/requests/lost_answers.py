@@ -58,15 +58,17 @@ class PatientActionClient(ActionClient):
 
     def ask_again(self) -> None:
         """Ask again for the results of goals that have ended; call it when a result is late."""
-        self._results = [(of, result) for of, result in self._results if not result.done()]
-        for of, result in self._results:
+        for of, result in self._late_results():
             if bytes(of.goal_id.uuid) in self._ended:
                 super()._get_result_async(of).add_done_callback(partial(_pass_on, result))
 
     def _get_result_async(self, goal_handle: ClientGoalHandle) -> Future:
         result = super()._get_result_async(goal_handle)
-        self._results.append((goal_handle, result))
+        self._results = [*self._late_results(), (goal_handle, result)]
         return result
+
+    def _late_results(self) -> list[tuple[ClientGoalHandle, Future]]:
+        return [(of, result) for of, result in self._results if not result.done()]
 
 
 def _pass_on(result: Future, again: Future) -> None:

@@ -14,7 +14,7 @@ WEAKEST, STRONGEST = 0.3, 40.0
 """Bounds of the contribution to the recording over the noise; the smallest is undetectable."""
 RATES_HZ = (10_000.0, 1000.0)
 DURATIONS_S = (0.5, 5.0)
-"""Of a fast logger and of a slow one."""
+"""Sample rates, and durations, of a fast logger and of a slow one."""
 KINDS = ("scan", "sweep", "levels", "tones")
 LEVELS = 40
 TONES = 12
