@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Start a node, spin it, and close it in order, whatever ends it."""
 
+import faulthandler
 import gc
 import signal
 import sys
@@ -29,6 +30,8 @@ RCLError = rclpy_implementation.RCLError
 SPIN_TIMEOUT_S = 0.2
 WIND_DOWN_TIMEOUT_S = 10.0
 LAST_WORDS_S = 0.2
+# Nothing of an orderly end takes as long, also on a machine under heavy load.
+LONGEST_END_S = 120.0
 # A result is sent by a chain of callbacks, each of which schedules the next.
 LAST_CALLBACKS = 5
 FAILED_STATUS = 1
@@ -93,6 +96,9 @@ def run_node(create_node: Callable[[], Node], args: list[str] | None = None,
              expendable: bool = True) -> None:
     """Run one node until SIGINT or SIGTERM, or until it has been suspended for too long.
 
+    If its end takes longer than 120 s, for example because the middleware blocks, the process
+    prints where each of its threads stands, and ends with status 1.
+
     The node may define three methods. ``step() -> float`` is called between two callbacks and
     returns the time to wait for the next one in s. ``wind_down() -> bool`` is called between
     callbacks before the end, until it returns True. ``close()`` is called last, while ROS still
@@ -124,6 +130,8 @@ def run_node(create_node: Callable[[], Node], args: list[str] | None = None,
         try:
             _spin(executor, getattr(node, "step", lambda: SPIN_TIMEOUT_S), ending)
         finally:
+            # Unlike a thread of Python, it works also while another one holds the interpreter.
+            faulthandler.dump_traceback_later(LONGEST_END_S, exit=True)
             if ending.stood_still_s:
                 node.get_logger().error(
                     f"this process stood still for {ending.stood_still_s:.1f} s, and the other "

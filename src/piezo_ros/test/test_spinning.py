@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A node that cannot start has left ROS before Python ends."""
+"""A node that cannot start leaves ROS first; one that ends sends its last messages, and ends."""
 
 import subprocess
 import sys
@@ -78,3 +78,28 @@ def test_last_words_are_said_however_busy_the_computer_is():
                            timeout=300)
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.split() == [str(left) for left in range(LAST_CALLBACKS, 0, -1)]
+
+
+BLOCKED = """
+import ctypes
+from rclpy.node import Node
+from piezo_ros import spinning
+
+class Blocked(Node):
+    def __init__(self):
+        super().__init__("blocked")
+
+    def close(self):
+        ctypes.PyDLL(None).pause()  # holds the interpreter, like a call of a blocked middleware
+
+spinning.LONGEST_END_S = 0.5
+spinning.Ending.__bool__ = lambda ending: True
+spinning.run_node(Blocked, [])
+"""
+
+
+def test_node_whose_end_is_blocked_ends_and_prints_where():
+    ended = subprocess.run([sys.executable, "-c", BLOCKED], capture_output=True, text=True,
+                           timeout=300)
+    assert ended.returncode == 1
+    assert "in close" in ended.stderr
