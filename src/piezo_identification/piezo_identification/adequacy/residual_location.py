@@ -34,13 +34,7 @@ class ResidualLocation:
 
 
 def residual_location(residual: ComponentResidual, fit: LackOfFit) -> ResidualLocation:
-    """Find the frequencies, times and voltages at which a residual is largest.
-
-    Parameters
-    ----------
-    fit : LackOfFit
-        Lack of fit of this residual.
-    """
+    """Find the frequencies, times and voltages at which a residual is largest."""
     values_um = fit.sequence_um
     band_hz = _band(detrend(values_um, type="constant"), residual.sample_period_s)
     if residual.frequency_hz is not None:

@@ -15,7 +15,7 @@ from piezo_identification.fitting.effect_fit import fit_effects
 from piezo_identification.fitting.evidence import correlated_scale
 from piezo_identification.fitting.free_parameters import (
     free_sensitivities,
-    piece_outputs_um,
+    kept_pieces_um,
 )
 from piezo_identification.fitting.joint_errors import JointErrors, simulated_by
 from piezo_identification.fitting.levenberg_marquardt import descend
@@ -37,9 +37,6 @@ class JointSettings:
     worthwhile: float = 0.5
     """Smallest predicted gain of log-evidence for a step; half of it is a factor of 1.3 in a
     probability."""
-    kept_samples: int = 2_000_000
-    """Largest total number of samples for which the outputs of some 40 pieces of the hysteresis are
-    cached: 0.6 GB."""
 
 
 SETTINGS = JointSettings()
@@ -116,19 +113,18 @@ class JointProblem:
         Recordings from which the model was identified.
     undivided : int
         Number of new recordings that use as many rows each as all others together.
-    steps : int
-        Largest number of steps of a fit.
     simulated : sequence of SimulatedRecording
         The first of the new recordings if already simulated. Their past, which takes long to find,
         is then reused.
     """
 
+    steps = SETTINGS.steps
+
     def __init__(self, model: StageModel, new: Sequence[Recording],
                  old: Sequence[Recording], undivided: int = 0,
-                 steps: int = SETTINGS.steps,
                  simulated: Sequence[SimulatedRecording] = ()) -> None:
         self.own, self.new_count = model.effects, len(new)
-        self.undivided, self.steps = undivided, steps
+        self.undivided = undivided
         bare, recordings = replace(model, effects=()), [*new, *old]
         self.dataset = self._dataset_of([
             *(part.with_model(bare) for part in simulated),
@@ -168,11 +164,7 @@ class JointProblem:
 
     @cached_property
     def _pieces_um(self) -> list[list[FloatArray]] | None:
-        """Return the outputs of the pieces of the hysteresis; None for too many samples."""
-        parts = self.dataset.simulated
-        if sum(part.time_s.size for part in parts) > SETTINGS.kept_samples:
-            return None
-        return [list(piece_outputs_um(part, self.dataset.model)) for part in parts]
+        return kept_pieces_um(self.dataset.simulated, self.dataset.model)
 
     def fit(self, effects: Sequence[Effect], later: Iterable[str] = (),
             begun: JointFit | None = None, held: Sequence[Effect] = ()) -> JointFit:

@@ -18,9 +18,9 @@ from piezo_identification.fitting.free_parameters import (
     changed_model,
     changes_between,
     free_count,
+    kept_pieces_um,
     physical_count,
     physical_deviations,
-    piece_outputs_um,
 )
 from piezo_identification.fitting.joint_errors import JointErrors, simulated_by
 from piezo_identification.fitting.joint_fit import SETTINGS as JOINT
@@ -365,11 +365,7 @@ class WholeModel:
 
     @cached_property
     def _pieces_um(self) -> list[list[FloatArray]] | None:
-        """Return the outputs of the pieces of the hysteresis; None for too many samples."""
-        parts = self._dataset.simulated
-        if sum(part.time_s.size for part in parts) > JOINT.kept_samples:
-            return None
-        return side_by_side(lambda part: list(piece_outputs_um(part, self._given)), parts)
+        return kept_pieces_um(self._dataset.simulated, self._given)
 
 
 def _simulated(model: StageModel, recordings: Sequence[Recording],

@@ -66,17 +66,12 @@ class ModeOrder:
 
 
 def coupled_vector(poles: ComplexArray, residues: ComplexArray) -> FloatArray:
-    """Return the vector of coupled modes behind a lag with given poles and residues.
+    """Return the vector, (1 + 4 m,), of ``ModeOrder(0, 0, m, is_coupled=True)``.
 
     Parameters
     ----------
     poles, residues : ndarray of complex, shape (1 + 2 m,)
         The lag, then adjacent pairs of poles, each conjugate or both real; any gain at rest.
-
-    Returns
-    -------
-    ndarray, shape (1 + 4 m,)
-        Vector of the order ``ModeOrder(0, 0, m, is_coupled=True)``.
     """
     rest = np.sum(-residues / poles).real
     through_lag = residues * (1.0 - poles / poles[0]) / rest
@@ -142,11 +137,7 @@ def ascending_places(vector: FloatArray, order: ModeOrder) -> np.ndarray:
 def split_deviations(
     deviations: FloatArray, order: ModeOrder,
 ) -> tuple[dict[str, object], tuple[dict[str, float], ...]]:
-    """Split standard deviations in the order of a vector's values.
-
-    Parameters
-    ----------
-    deviations : ndarray, shape (P,)
+    """Split standard deviations in the order of a vector's values, (P,).
 
     Returns
     -------
@@ -177,16 +168,7 @@ def lag_difference(vector: FloatArray, order: ModeOrder) -> float:
 
 
 def with_lags_apart(vector: FloatArray, order: ModeOrder) -> FloatArray:
-    """Return a vector whose two lags are not nearly equal; unchanged if there is only one.
-
-    Parameters
-    ----------
-    vector : ndarray, shape (P,)
-
-    Returns
-    -------
-    ndarray, shape (P,)
-    """
+    """Return a vector, (P,), whose two lags are not nearly equal; unchanged for a single lag."""
     if not order.sensor_lags:
         return vector
     half = lag_difference(vector, order)

@@ -154,7 +154,8 @@ class _Search:
         for free in free_fits(self._coarse, count + MODES_LEFT_OUT):
             if free.modes < count:
                 continue
-            choices = [(_chosen(free.vector, modes)) for modes in _subsets(free.modes, count)]
+            choices = [_chosen(free.vector, modes)
+                       for modes in combinations(range(free.modes), count)]
             best = min(choices, key=lambda vector: self._coarse.parts(
                 [(order, vector)], free.delay)[1])
             self._keep([self._fit(order, [(best, free.delay)])])
@@ -346,10 +347,6 @@ class _Search:
     def _numbers(self, order: ModeOrder) -> int:
         """Return the number of parameters of an order, including gain and delay."""
         return order.parameters + 1 + (self._known_delay is None)
-
-
-def _subsets(count: int, size: int) -> Iterator[tuple[int, ...]]:
-    return combinations(range(count), size)
 
 
 def _may_be_parallel(vector: FloatArray, modes: int) -> bool:
