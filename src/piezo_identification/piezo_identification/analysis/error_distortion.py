@@ -107,11 +107,6 @@ def excluded_by_distortion(parts: Sequence[SimulatedRecording],
                            kinds: Sequence[type[Effect]]) -> dict[str, str]:
     """Return the effects that are excluded because the error lacks their distortion.
 
-    Parameters
-    ----------
-    kinds : sequence of type
-        Classes of effects.
-
     Returns
     -------
     dict of str to str

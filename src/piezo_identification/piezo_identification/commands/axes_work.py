@@ -53,15 +53,12 @@ def identify_axes_files(options: argparse.Namespace,
                         paths: Mapping[str, Sequence[Path]]) -> int | None:
     """Identify a model of several axes, write it, and print a summary.
 
+    Return the exit status if the work was interrupted.
+
     Parameters
     ----------
     paths : dict of str to list of Path
         Files by experiment; see `identify_several_axes`.
-
-    Returns
-    -------
-    int or None
-        Exit status if the work was interrupted.
     """
     for name in OF_ONE_AXIS:
         if getattr(options, name) is not None:

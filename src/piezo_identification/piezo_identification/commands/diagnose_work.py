@@ -30,13 +30,7 @@ PAGE_S, RESPONSE_PAGE_S = 5.0, 1.0
 
 
 def diagnose_given(options: argparse.Namespace) -> int | None:
-    """Diagnose the recordings given as options, and write and print the results.
-
-    Returns
-    -------
-    int or None
-        Exit status if the comparison was interrupted.
-    """
+    """Diagnose the given recordings; return the exit status if the comparison was interrupted."""
     if is_of_several_axes(options.model):
         diagnose_axes_file(options)
         return None

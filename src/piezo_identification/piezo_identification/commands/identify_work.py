@@ -39,13 +39,7 @@ PAGE_S = 5.0
 
 
 def identify_files(options: argparse.Namespace) -> int | None:
-    """Identify a model from the files given as options, write it, and print a summary.
-
-    Returns
-    -------
-    int or None
-        Exit status if the work was interrupted.
-    """
+    """Identify a model from the given files; return the exit status if it was interrupted."""
     check_model_may_replace(options.output)
     density = DensityOptions(options.grid, options.smoothing, options.translation_weight)
     paths = {name: getattr(options, name) for name in EXPERIMENTS}

@@ -24,11 +24,6 @@ def add_response_options(parser: argparse.ArgumentParser) -> None:
 def hold_s_of(options: argparse.Namespace) -> float:
     """Return the hold time included in a response, 0 if there is none, and print it.
 
-    Parameters
-    ----------
-    options : argparse.Namespace
-        Options of a parser with `add_response_options`.
-
     Raises
     ------
     ValueError

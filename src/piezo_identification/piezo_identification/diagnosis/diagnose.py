@@ -161,8 +161,6 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
     holdout : Recording, optional
         Recording on which the errors before and after are measured; by default they are measured on
         the stretches of the recordings that were not fitted.
-    progress : callable, optional
-        Called with (what is done, fraction).
     identified_from : IdentificationRecordings, optional
         Available recordings from which the model was identified; by default none.
     stated_um : float, optional
@@ -242,11 +240,6 @@ def refuse_known_holdout(holdout: Recording | None, recordings: Sequence[Recordi
                          identified_from: IdentificationRecordings | None) -> None:
     """Raise an error if the held-out recording is also diagnosed, or used in the identification.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        Recordings to diagnose.
-
     Raises
     ------
     ValueError
@@ -292,13 +285,6 @@ def compare_effects(model: StageModel, recordings: Sequence[Recording],
     With an incomplete model, the best-fitting past of the hysteresis may only compensate for what
     the model lacks. The comparison is therefore also made without a past, and the better one is
     returned.
-
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        Recordings with the sign of the model and with marked outliers.
-    share : float
-        Share of the time limit after which the best result so far is returned.
     """
     simulated = [simulate_recordings(model, recordings)]
     if any(part.past_v for part in simulated[0].simulated):
@@ -321,18 +307,7 @@ def decide(selection: Selection, validation: Validation,
     """Decide which effects are named, and whether they explain the residual.
 
     If the most probable model contains an effect that was present at the identification, everything
-    is measured relative to that model.
-
-    Parameters
-    ----------
-    noise : KnownNoise
-        Noise with which the remaining error is compared.
-
-    Returns
-    -------
-    Decision
-    Selection, Validation
-        Relative to the most probable model.
+    is measured relative to that model, including the returned selection and validation.
     """
     best, regression = competition.best, selection.regression
     fit, refused = validation.accepted(selection.end)
@@ -386,15 +361,6 @@ def hold_to_noise(shares: Mapping[str, float], found: Selection, believed: Valid
     ----------
     shares : dict of str to float
         Probabilities based on the noise that each recording shows itself.
-    found, believed : Selection, Validation
-        Relative to the most probable model.
-    noise : KnownNoise
-        Noise of the available recordings and the model file.
-    stated_um : float
-        RMS of the known error of the model.
-    finds_nothing : bool
-        True if no effect is named.
-        No effect is named.
     """
     remainders = believed.remainders(fit)
     known = noise.including(noise_of_residuals(found.regression))

@@ -129,29 +129,15 @@ def write_verdict(path: Path, verdict: Verdict) -> None:
 
 def save_extended_model(path: Path, identified: IdentifiedModel, verdict: Verdict,
                         data: Sequence[str | PathLike[str] | Recording]) -> None:
-    """Save the model with the effects of a verdict.
-
-    Parameters
-    ----------
-    identified, verdict, data
-        As in `extended_model`.
-    """
+    """Save the model with the effects of a verdict."""
     save_model(path, extended_model(identified, verdict, data))
 
 
 def extended_model(identified: IdentifiedModel, verdict: Verdict,
                    data: Sequence[str | PathLike[str] | Recording]) -> IdentifiedModel:
-    """Return the model with the effects of a verdict, and the origin of its data.
+    """Return the model with the effects of a verdict and the origin of the diagnosed data.
 
-    Parameters
-    ----------
-    data : sequence of path-like or Recording
-        Recordings that were diagnosed.
-
-    Returns
-    -------
-    IdentifiedModel
-        The given one if nothing was added.
+    It is the given one if nothing was added.
     """
     if verdict.model is identified.model:
         return identified

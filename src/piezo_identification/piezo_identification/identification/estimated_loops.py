@@ -144,8 +144,6 @@ def new_loops(
         Recordings with their rows as given, not aligned.
     near : DensityEstimate
         Estimate from the same recordings with nearly the same creep and dynamics.
-    model : StageModel
-        Model with all of its effects.
     read_late_s : dict of str to float
         Time by which each recording reads its rows after the voltage.
     """

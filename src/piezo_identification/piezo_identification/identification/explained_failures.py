@@ -11,13 +11,6 @@ import numpy as np
 def failures_explained(stage: Callable[[], str], paths: Iterable[object]) -> Iterator[None]:
     """Turn a failure of linear algebra into an error that names the stage and the recordings.
 
-    Parameters
-    ----------
-    stage : callable
-        Returns the current stage of the work.
-    paths : iterable of path or str
-        Paths of the recordings.
-
     Raises
     ------
     ValueError

@@ -78,13 +78,6 @@ def conditioned_data(given: Mapping[str, Data], note: Callable[[str], object],
     """Mark outliers, cut at gaps, make the displacement rise with the voltage, align the rows.
 
     Without a recording of the dynamics, the first rows of jumps are marked, too.
-
-    Parameters
-    ----------
-    note : callable
-        Called with text on the outliers and the sign.
-    read_at_samples : float
-        As in `identify`.
     """
     marked = without_gaps(with_marked_outliers(given, note))
     if not of_kind(marked, "dynamics"):
@@ -117,13 +110,7 @@ def without_gaps(recordings: Mapping[str, Data]) -> dict[str, Data]:
 def with_marked_outliers(
     given: Mapping[str, Data], note: Callable[[str], object]
 ) -> dict[str, Data]:
-    """Mark the outliers of all recordings, because least squares is sensitive to them.
-
-    Parameters
-    ----------
-    note : callable
-        Called with a sentence for each recording that has outliers.
-    """
+    """Mark the outliers of all recordings, because least squares is sensitive to them."""
     marked: dict[str, Data] = {}
     for name, data in given.items():
         if not isinstance(data, FrequencyResponse):
@@ -138,15 +125,7 @@ def with_marked_outliers(
 def rising_with_voltage(
     recordings: Mapping[str, Data], note: Callable[[str], object],
 ) -> dict[str, Any]:
-    """Change the sign of all displacements if the slowest one falls with the voltage.
-
-    Parameters
-    ----------
-    recordings : dict of str to Recording or FrequencyResponse
-        Recordings with marked outliers.
-    note : callable
-        Called with a sentence if the signs are changed.
-    """
+    """Change the sign of all displacements if the slowest one falls with the voltage."""
     slowest = slowest_recording(recordings)
     if slowest is None or not displacement_falls(slowest):
         return dict(recordings)

@@ -289,10 +289,6 @@ def report_starts(recordings: Mapping[str, Data], cycled: Mapping[str, Data],
     ----------
     cycled : dict of str to Recording or FrequencyResponse
         The recordings as if the stage had been cycled before each of them.
-    first_rise : FirstRise or None
-        First rise found in the recordings of the hysteresis.
-    note : callable
-        Called with a sentence for each recording.
     """
     for name, data in recordings.items():
         if isinstance(data, FrequencyResponse):
@@ -347,8 +343,6 @@ def identified_model(
 
     Parameters
     ----------
-    errors : dict
-        Errors by their names in the model file.
     given : dict of str to Recording or FrequencyResponse
         Recordings as read from their files.
     """

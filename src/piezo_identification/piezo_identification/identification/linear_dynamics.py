@@ -186,10 +186,6 @@ def estimate_linear_dynamics(
     ----------
     creep, hysteresis : sequence of Recording
         Recordings without gaps; empty for none.
-    order : ResponseOrder
-        Requested orders.
-    begin : callable
-        Called with (stage, fraction of this work) before each stage.
 
     Raises
     ------
@@ -249,12 +245,8 @@ def creep_of(
 
     Parameters
     ----------
-    is_dynamics_known : bool
-        Whether `found` already contains the dynamics.
     pair_count : int, optional
         Number of creep pairs; by default chosen from the data.
-    highest_rad_per_s : float
-        Highest frequency of the fast recordings.
 
     Returns
     -------
@@ -293,17 +285,12 @@ def _creep_of_aligned(
 
 
 def loop_readings(hysteresis: Sequence[Recording], found: LinearDynamics) -> set[float]:
-    """Return the instants at which rows of loops may be read, in sample periods.
+    """Return the instants at which rows of loops may be read, in sample periods; 0 is one.
 
     They may be read with their voltage, as the rows of the dynamics, or as their jumps show.
     Points of a static loop may also be read at the end of their hold, when the stage has come to
     rest. Jumps and points are not used until there are dynamics: a model without them responds
     immediately, and does not distinguish the two ends of the hold.
-
-    Returns
-    -------
-    set of float
-        Always includes 0.
     """
     readings = {0.0, *(read_as(each, found.read_at_samples) for each in hysteresis)}
     if found.dynamics.is_static:

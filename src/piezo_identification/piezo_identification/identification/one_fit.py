@@ -203,8 +203,6 @@ def fitted_together(
 
     Parameters
     ----------
-    fitted : FittedModel
-        Initial model from the separate steps.
     recordings : dict of str to Recording or FrequencyResponse
         Conditioned recordings with their rows as given; all except the validation are fitted.
     read_at : dict of str to float
@@ -212,12 +210,6 @@ def fitted_together(
     new_loops : callable, optional
         Estimates the hysteresis again with a fitted model; its second argument is the time in s by
         which each recording reads its rows late. None if no recording of loops was given.
-    order : ResponseOrder
-        Requested orders, which the search keeps.
-    report : callable
-        Called with a description of each fit and the fraction done.
-    note : callable
-        Called with text for the user.
 
     Returns
     -------
@@ -318,8 +310,6 @@ def reliable(uncertainties: Mapping[str, Any], adequacy: Mapping[str, Mapping[st
 
     Parameters
     ----------
-    adequacy : dict of str to dict
-        Adequacy as in the model file.
     is_response : bool
         The dynamics come from a frequency response, which loops do not affect.
     """

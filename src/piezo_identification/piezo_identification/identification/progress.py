@@ -9,15 +9,7 @@ class IdentificationCancelled(Exception):
 
 
 class Stages:
-    """The stages of an identification, reported when they begin.
-
-    Parameters
-    ----------
-    progress : callable, optional
-        Called with (stage, fraction of the whole work).
-    cancelled : callable, optional
-        Returns True if the work is to end.
-    """
+    """The stages of an identification, reported when they begin."""
 
     def __init__(self, progress: Callable[[str, float], object] | None = None,
                  cancelled: Callable[[], bool] | None = None) -> None:
@@ -35,29 +27,12 @@ class Stages:
         return self._stage
 
     def begin(self, stage: str, fraction: float) -> None:
-        """Report that a stage begins, unless the work is to end.
-
-        Parameters
-        ----------
-        fraction : float
-            Fraction of the whole work done so far.
-        """
+        """Report that a stage begins, unless the work is to end."""
         self._stage = stage
         self.check()
         if self._progress is not None:
             self._progress(stage, fraction)
 
     def part(self, start: float, share: float) -> Callable[[str, float], None]:
-        """Return a function that reports the stages of a part of the work.
-
-        Parameters
-        ----------
-        start, share : float
-            Fractions of the whole work done before the part, and done in it.
-
-        Returns
-        -------
-        callable
-            Takes (stage, fraction of the part).
-        """
+        """Return a function that reports the stages of a part of the work."""
         return lambda stage, fraction: self.begin(stage, start + share * fraction)

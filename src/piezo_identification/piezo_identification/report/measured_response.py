@@ -27,11 +27,6 @@ def measured_response(
     It is the response of the model times the response from fitted to measured displacement. It is
     thus valid for any waveform; offset and gain of the hysteresis are those of the fit.
 
-    Parameters
-    ----------
-    fit : LackOfFit
-        Lack of fit of the residual.
-
     Returns
     -------
     frequency_hz : ndarray, shape (M,)

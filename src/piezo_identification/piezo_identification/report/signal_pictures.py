@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Draw measured and modelled signals in ways that suit each kind of waveform.
 
-Each function draws on given axes, so that several reports can use it.
+Each function draws on given axes, so that several reports can use it. Signals have the shape (N,),
+and `noise_um` is the standard deviation of a single sample.
 """
 
 from typing import Any
@@ -44,13 +45,7 @@ ENVELOPE: dict[str, Any] = {"color": VERMILION, "linewidth": 0.5}
 
 def draw_measured(axes: Axes, view: WaveformView, measured: FloatArray,
                    modelled: FloatArray) -> None:
-    """Draw the mean period of a signal, or its envelope, together with that of a model.
-
-    Parameters
-    ----------
-    measured, modelled : ndarray, shape (N,)
-        Displacement in um.
-    """
+    """Draw the mean period of a signal, or its envelope, together with that of a model."""
     axes.plot(*outline(view.time, view.mean(measured)), **MEASURED)
     axes.plot(*outline(view.time, view.mean(modelled)), **MODELLED)
     axes.legend(loc="best")
@@ -63,7 +58,6 @@ def draw_difference(axes: Axes, view: WaveformView, difference_um: FloatArray,
 
     Parameters
     ----------
-    difference_um : ndarray, shape (N,)
     noise_um : float or None
         Standard deviation of a single sample; it is reduced for a mean period.
     deviation_um : ndarray, shape (N,), optional
@@ -92,12 +86,7 @@ def draw_noise(axes: Axes, noise_um: float) -> None:
 
 def draw_loops(axes: Axes, voltage_v: FloatArray, measured: FloatArray,
                modelled: FloatArray | None = None) -> None:
-    """Draw signals over the voltage, thinned to few points.
-
-    Parameters
-    ----------
-    voltage_v, measured, modelled : ndarray, shape (N,)
-    """
+    """Draw signals over the voltage, thinned to few points."""
     every = slice(None, None, max(1, voltage_v.size // MOST_POINTS))
     axes.plot(voltage_v[every], measured[every], **(ALONE if modelled is None else MEASURED))
     if modelled is not None:
@@ -108,14 +97,7 @@ def draw_loops(axes: Axes, voltage_v: FloatArray, measured: FloatArray,
 
 def draw_loop_difference(axes: Axes, voltage_v: FloatArray, difference_um: FloatArray,
                           noise_um: float) -> None:
-    """Draw the residual of a model over the voltage.
-
-    Parameters
-    ----------
-    voltage_v, difference_um : ndarray, shape (N,)
-    noise_um : float
-        Standard deviation of a sample.
-    """
+    """Draw the residual of a model over the voltage."""
     every = slice(None, None, max(1, voltage_v.size // MOST_POINTS))
     axes.plot(voltage_v[every], NANOMETRES * difference_um[every], **DIFFERENCE)
     if np.isfinite(noise_um):
@@ -133,7 +115,6 @@ def draw_creep(above: Axes, below: Axes, steps: NDArray[np.intp], voltage_v: Flo
         Axes for the creep and for the residual of the model.
     steps : ndarray of int
         Samples of the steps, at least one.
-    voltage_v, measured_um, modelled_um : ndarray, shape (N,)
     """
     since_s, (measured, modelled), count = mean_hold(
         steps, voltage_v, (measured_um, modelled_um), sample_period_s)
@@ -164,7 +145,6 @@ def draw_gain(axes: Axes, voltage_v: FloatArray, measured_um: FloatArray, sample
 
     Parameters
     ----------
-    voltage_v, measured_um : ndarray, shape (N,)
     modelled_um : ndarray, shape (N,), optional
         Displacement of a model for the same voltage.
     """
@@ -182,12 +162,7 @@ def draw_gain(axes: Axes, voltage_v: FloatArray, measured_um: FloatArray, sample
 
 def draw_coherence(axes: Axes, voltage_v: FloatArray, measured_um: FloatArray,
                    sample_period_s: float) -> None:
-    """Draw the coherence of voltage and displacement over frequency.
-
-    Parameters
-    ----------
-    voltage_v, measured_um : ndarray, shape (N,)
-    """
+    """Draw the coherence of voltage and displacement over frequency."""
     frequency_hz, _, coherence = gain_of(voltage_v, measured_um, sample_period_s)
     axes.semilogx(frequency_hz, coherence, color=BLUE, linewidth=1.0)
     axes.set_ylim(0.0, 1.05)
@@ -222,14 +197,7 @@ def smoothed(frequency_hz: FloatArray, power: FloatArray) -> tuple[FloatArray, F
 
 def draw_residual_spectrum(axes: Axes, residual_um: FloatArray, measured_um: FloatArray,
                            sample_period_s: float, noise_um: float | None) -> None:
-    """Draw the spectral densities of residual, displacement and white noise.
-
-    Parameters
-    ----------
-    residual_um, measured_um : ndarray, shape (N,)
-    noise_um : float or None
-        Standard deviation of a single sample.
-    """
+    """Draw the spectral densities of residual, displacement and white noise."""
     segment = min(residual_um.size, max(256, residual_um.size // 8), 8192)
     for values, style in ((measured_um, MEASURED | {"linewidth": 1.2}),
                           (residual_um, {"color": BLUE, "linewidth": 0.9, "label": "residual"})):

@@ -26,8 +26,6 @@ def simulation_page(prediction: Prediction, origin: Sequence[str], texts: Sequen
         Lines that name the files of model and recording.
     texts : sequence of str
         Remarks on the start, on outliers, and on motion outside the identified range.
-    deviation_um : ndarray, shape (N,), optional
-        Standard deviation of the simulated displacement.
     """
     noise_um = noise_of(prediction)
     residual_um = residual_of(prediction)[prediction.good]
@@ -100,11 +98,6 @@ def prediction_pictures(prediction: Prediction,
 
     These are the displacement over time, or its mean period if the voltage is periodic; the loops
     of slow branches; the gain of a broadband voltage; the residual over time and frequency.
-
-    Parameters
-    ----------
-    deviation_um : ndarray, shape (N,), optional
-        Standard deviation of the simulated displacement.
     """
     view = view_of(prediction.voltage_v, _sample_period_s(prediction))
     noise_um, residual_um = noise_of(prediction), residual_of(prediction)

@@ -41,18 +41,7 @@ class Attempt:
 
 def try_each(regression: Regression, kinds: Sequence[type[Effect]], current: Fit,
              report: Callable[[str, float], None]) -> list[Attempt]:
-    """Try each kind of effect in addition to those of a fit.
-
-    Parameters
-    ----------
-    report : callable
-        Called with (name of the effect, fraction).
-
-    Returns
-    -------
-    list of Attempt
-        Attempts in the order of the kinds.
-    """
+    """Try each kind of effect in addition to those of a fit."""
     evidence = recording_evidence(regression, current.effects)
     return side_by_side(
         lambda kind: _attempt(regression, kind, current, evidence), kinds,

@@ -65,8 +65,6 @@ def is_convincing(regression: Regression, start: Fit, before: Fit, after: Fit) -
     ----------
     start : Fit
         Fit without any effect.
-    before, after : Fit
-        Fits with the smaller and the larger set.
     """
     residual = np.sqrt(mean_square(regression, start))
     least = max(CRITERIA.noticeable, CRITERIA.noticeable_share * residual)

@@ -22,15 +22,10 @@ def noise(regression: Regression) -> float:
 
 
 def significance(regression: Regression, before: Fit, after: Fit) -> float:
-    """Return the significance with which the second fit is better on the validation set.
+    """Return by how many standard deviations the second fit is better on the validation set.
 
     The difference of the predictions is correlated with the residual of the first fit. The products
     are summed within each stretch, so that errors with long correlation count as one.
-
-    Returns
-    -------
-    float
-        Significance in standard deviations.
     """
     rows = regression.validation
     change = before.residual[rows] - after.residual[rows]
@@ -44,18 +39,7 @@ def significance(regression: Regression, before: Fit, after: Fit) -> float:
 
 
 def visible_part(regression: Regression, before: Fit, after: Fit) -> float:
-    """Return the part of the contribution of effects that the regressors cannot explain.
-
-    Parameters
-    ----------
-    before, after : Fit
-        Fits without and with the effects.
-
-    Returns
-    -------
-    float
-        Between 0 and 1.
-    """
+    """Return the part (0 to 1) of what effects contribute that the regressors cannot explain."""
     contribution = before.difference - after.difference
     contribution = contribution - contribution[regression.estimation].mean()
     whole = float(np.linalg.norm(contribution[regression.estimation]))
@@ -63,13 +47,7 @@ def visible_part(regression: Regression, before: Fit, after: Fit) -> float:
 
 
 def contribution_rms(regression: Regression, before: Fit, after: Fit) -> float:
-    """Return the RMS contribution of effects to the validation set, without means, in tolerances.
-
-    Parameters
-    ----------
-    before, after : Fit
-        Fits without and with the effects.
-    """
+    """Return the RMS contribution of effects to validation rows, without means, in tolerances."""
     squares, count = 0.0, 0
     for mask in regression.dataset.masks():
         added = (before.difference - after.difference)[mask & regression.validation]

@@ -84,8 +84,6 @@ def select_effects(regression: Regression, progress: Progress | None = None,
 
     Parameters
     ----------
-    progress : callable, optional
-        Called with (what is done, fraction).
     share : float
         Share of the time limit after which the best result so far is returned.
     """

@@ -37,11 +37,6 @@ def like_the_best(regression: Regression, fits: Sequence[Fit]) -> dict[str, str]
     ----------
     fits : sequence of Fit
         Fits, the best first.
-
-    Returns
-    -------
-    dict of str to str
-        Name of each such effect, and the effect of the best set that it replaces.
     """
     best = fits[0]
     found: dict[str, str] = {}
@@ -82,13 +77,7 @@ def in_place_of_the_found(regression: Regression, kinds: Sequence[type[Effect]],
 
 def explained_by_parameters(regression: Regression, kinds: Sequence[type[Effect]],
                             best: Fit) -> dict[str, Undecided]:
-    """Return the effects that alone explain what the model's parameters explain, and why.
-
-    Returns
-    -------
-    dict of str to Undecided
-        Names of the effects, and the reason why they are not decidable.
-    """
+    """Return the effects that alone explain what the model's parameters explain, and why."""
     fixed = with_fixed_parameters(regression, best.effects)
     remaining = max(CRITERIA.noise**2, lack_of_fit(regression, best))
     if lack_of_fit(fixed, fixed.fit(best.effects)) <= SETTINGS.as_good * remaining:

@@ -57,13 +57,7 @@ class Validation:
         return str(self.holdout.path)
 
     def errors(self, fit: Fit | None) -> HeldOutErrors:
-        """Return the errors of the model as given and of a fit, on the same samples.
-
-        Parameters
-        ----------
-        fit : Fit or None
-            None for the model as given.
-        """
+        """Return errors of the model as given and of a fit, or of it alone, on the same samples."""
         given, extended = self._given, self._of(fit)
         good = given.good & extended.good
         return HeldOutErrors(
@@ -71,15 +65,7 @@ class Validation:
             {"source": self.source, "samples": int(np.count_nonzero(good))})
 
     def accepted(self, fit: Fit) -> tuple[Fit, dict[str, Undecided]]:
-        """Remove the effects that are physically impossible, or that increase the error.
-
-        Returns
-        -------
-        fit : Fit
-            Fit with the remaining effects.
-        refused : dict of str to Undecided
-            Names of the effects that were removed, and why.
-        """
+        """Remove the effects that are impossible or increase the error; return why, by name."""
         fit, refused = self._possible(fit)
         # On stretches of the same recordings, this was the criterion for selecting each effect.
         while self.holdout is not None and len(fit.effects) > 1:

@@ -59,12 +59,7 @@ class CorrelationTest:
 
 
 def whiteness(residual_um: FloatArray) -> CorrelationTest:
-    """Return the autocorrelation of the residual.
-
-    Parameters
-    ----------
-    residual_um : (N,) array
-    """
+    """Return the autocorrelation of a residual, (N,)."""
     residual = residual_um - residual_um.mean()
     lags = np.arange(1, min(SETTINGS.most_lags, residual.size // 4) + 1)
     return CorrelationTest(lags, _correlation(residual, residual, lags),
@@ -72,14 +67,10 @@ def whiteness(residual_um: FloatArray) -> CorrelationTest:
 
 
 def input_correlation(residual_um: FloatArray, input: FloatArray) -> CorrelationTest:
-    """Correlate the residual with earlier values of an input.
+    """Correlate a residual with earlier values of an input, both (N,).
 
     Both are filtered first so that the input becomes white, because a smooth input correlates with
     everything.
-
-    Parameters
-    ----------
-    residual_um, input : (N,) array
     """
     white_input, coefficients = _whitened(input - input.mean())
     residual = np.convolve(residual_um - residual_um.mean(), coefficients, mode="valid")
@@ -107,16 +98,7 @@ def _correlation(later: FloatArray, earlier: FloatArray, lags: NDArray[np.intp])
 
 
 def spectrum(signal_um: FloatArray, sample_period_s: float) -> tuple[FloatArray, FloatArray]:
-    """Estimate the power spectral density of a signal.
-
-    Parameters
-    ----------
-    signal_um : (N,) array
-
-    Returns
-    -------
-    frequency_hz, density_um2_per_hz : arrays
-    """
+    """Return frequencies (Hz) and power spectral density (um^2/Hz) of a signal, (N,)."""
     return welch(signal_um, 1.0 / sample_period_s, nperseg=_segment(signal_um.size),
                  detrend="linear")
 
@@ -182,12 +164,7 @@ class Dependence:
 
 
 def dependence(residual_um: FloatArray, values: FloatArray, quantity: str) -> Dependence:
-    """Estimate how the residual depends on a quantity.
-
-    Parameters
-    ----------
-    residual_um, values : (N,) array
-    """
+    """Estimate how a residual depends on the values of a quantity, both (N,)."""
     # Bins of equally many samples each.
     edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, SETTINGS.bins + 1)))
     index = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, max(0, edges.size - 2))
@@ -209,17 +186,7 @@ def dependence(residual_um: FloatArray, values: FloatArray, quantity: str) -> De
 
 def dependences(residual_um: FloatArray, displacement_um: FloatArray, voltage_v: FloatArray,
                 time_s: FloatArray) -> list[Dependence]:
-    """Estimate how the residual depends on each quantity that may be related to an effect.
-
-    Parameters
-    ----------
-    residual_um, displacement_um, voltage_v, time_s : (N,) array
-
-    Returns
-    -------
-    list of Dependence
-        Dependences on displacement, speed, amplitude, direction, history and time.
-    """
+    """Estimate how a residual depends on quantities that may be related to effects, all (N,)."""
     speed = np.gradient(displacement_um, time_s)
     amplitude, history = _branches(voltage_v)
     direction = np.sign(np.gradient(voltage_v))

@@ -25,10 +25,6 @@ def with_stand_ins(entries: Sequence[dict[str, Any]], extent: Extent,
 
     Parameters
     ----------
-    entries : sequence of dict
-        Entries of the verdict.
-    extent : Extent
-        Ranges of the fitted recordings.
     probabilities : dict of str to float
         Probabilities of sets of effects, with names joined by +; empty if unknown.
     """

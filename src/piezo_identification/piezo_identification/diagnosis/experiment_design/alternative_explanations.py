@@ -77,12 +77,7 @@ class Alternatives:
 
 
 def effects_of(verdict: Mapping[str, Any]) -> tuple[Effect, ...]:
-    """Return the effects that a verdict found, with their parameters.
-
-    Parameters
-    ----------
-    verdict : dict
-        Content of `verdict.json`.
+    """Return the effects that a verdict (content of `verdict.json`) found.
 
     Raises
     ------
@@ -116,8 +111,6 @@ def find_alternatives(regression: Regression, verdict: Mapping[str, Any],
     ----------
     regression : Regression
         Regression on the diagnosed recordings, weighted with the effects found.
-    verdict : dict
-        Content of `verdict.json`.
     old : sequence of Recording
         Recordings of the identification, conditioned as for a diagnosis.
     others : iterable of tuples of Effect
@@ -180,8 +173,6 @@ def without_idle(fits: Mapping[str, JointFit], own: int) -> dict[str, JointFit]:
 
     Parameters
     ----------
-    fits : dict of str to JointFit
-        Fits by the names of their effects.
     own : int
         Number of effects of the model itself, which come first in every fit.
     """

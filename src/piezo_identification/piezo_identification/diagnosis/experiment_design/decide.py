@@ -62,8 +62,6 @@ def decide(model: StageModel, recordings: Sequence[Recording], play: Play, budge
 
     Parameters
     ----------
-    recordings : sequence of Recording
-        Recordings so far.
     play : callable
         Takes a proposal and a progress function called with (what is done, fraction); plays the
         experiment on the stage and returns the recording.

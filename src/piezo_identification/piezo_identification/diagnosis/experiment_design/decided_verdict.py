@@ -36,15 +36,7 @@ from piezo_recorder.reading.recording import Recording
 
 def decided_verdict(model: StageModel, recordings: Sequence[Recording], holdout: Recording | None,
                     diagnosis: Diagnosis, alternatives: Alternatives) -> Diagnosis:
-    """Return a diagnosis with the most probable alternative and all probabilities.
-
-    Parameters
-    ----------
-    model : StageModel
-        Model that was diagnosed.
-    diagnosis : Diagnosis
-        Diagnosis of these recordings.
-    """
+    """Return a diagnosis with the most probable alternative and all probabilities."""
     best = alternatives.alternatives[0]
     names = tuple(sorted(effect.name for effect in best.effects))
     unnamed = diagnosis.probabilities.get(SOMETHING_ELSE, 0.0)

@@ -95,10 +95,6 @@ def alternatives_of_files(model: StageModel, recordings: Sequence[Recording],
 
     Parameters
     ----------
-    model : StageModel
-        Model that was diagnosed.
-    recordings : sequence of Recording
-        Recordings that were diagnosed.
     verdict : dict
         Content of `verdict.json`.
     identified_from : IdentificationRecordings, optional
@@ -146,8 +142,6 @@ def propose(alternatives: Alternatives, limits: StageLimits, longest_s: float = 
         Limits of the waveform; the voltage range of the model applies as well.
     longest_s : float
         Longest duration of the waveform.
-    progress : callable, optional
-        Called with (what is done, fraction).
 
     Returns
     -------

@@ -26,12 +26,7 @@ COMPARED = 0.3
 
 
 def several_remain(verdict: Mapping[str, Any]) -> bool:
-    """Return whether a verdict leaves several known explanations that a recording may decide.
-
-    Parameters
-    ----------
-    verdict : dict
-        Content of `verdict.json`.
+    """Return whether a verdict (`verdict.json`) leaves several known explanations to decide.
 
     Returns
     -------
@@ -51,13 +46,6 @@ def what_would_decide(diagnosis: Diagnosis, identified_from: IdentificationRecor
                       progress: Progress) -> Proposal | None:
     """Design the recording that decides between the alternatives of a diagnosis.
 
-    Parameters
-    ----------
-    identified_from : IdentificationRecordings
-        Recordings that were used in the diagnosis.
-    progress : callable
-        Called with (what is done, fraction).
-
     Returns
     -------
     Proposal or None
@@ -76,13 +64,7 @@ def what_would_decide(diagnosis: Diagnosis, identified_from: IdentificationRecor
 
 
 def recorded_limits(dataset: Dataset) -> StageLimits:
-    """Return the limits of a stage as known from its model and recordings.
-
-    Returns
-    -------
-    StageLimits
-        The voltages of the model, and the clock of the fastest recording.
-    """
+    """Return the voltages of the model as limits, and the clock of the fastest recording."""
     hysteresis = dataset.model.hysteresis
     lowest_v, highest_v = hysteresis.voltage_min_v, hysteresis.voltage_max_v
     return replace(

@@ -109,23 +109,12 @@ def settled(problem: JointProblem, progress: Progress) -> JointFit:
 
 def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effect]],
             expected: ExpectedErrors, progress: Progress) -> list[Alternative]:
-    """Fit the alternatives.
+    """Fit the alternatives, first the model without additional effects.
 
     Parameters
     ----------
-    none : JointFit
-        Fit without additional effects; see `settled`.
     since : sequence of sequences of Effect
         Sets that may explain the new recordings alone, the best first.
-    expected : ExpectedErrors
-        Expected errors of the recordings of the problem.
-    progress : callable
-        Called with (what is done, fraction).
-
-    Returns
-    -------
-    list of Alternative
-        The model without additional effects comes first.
     """
     alternatives = [_alternative((), none)]
     named = {tuple(sorted(effect.name for effect in effects)): effects for effects in since}
@@ -158,13 +147,7 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
 
 def converged(problem: JointProblem, alternatives: Sequence[Alternative],
               expected: ExpectedErrors) -> list[Alternative]:
-    """Continue the fit of every alternative that may still become the most probable.
-
-    Returns
-    -------
-    list of Alternative
-        Physically possible alternatives, in the same order.
-    """
+    """Continue fits that may still become the most probable; omit impossible alternatives."""
     alternatives = list(alternatives)
     for _ in range(FITS.turns):
         logarithms = _logarithms(alternatives, expected)

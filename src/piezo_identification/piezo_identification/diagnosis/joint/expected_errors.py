@@ -113,8 +113,6 @@ def expected_errors(dataset: Dataset, noise_um: Sequence[float],
     Parameters
     ----------
     noise_um : (R,) sequence of float
-    stated_um : float
-        RMS of the known error of the model.
     """
     motion_um = np.array([np.std(part.measured_um[part.begin :]) for part in dataset.simulated])
     return errors_of_model(np.array(noise_um), accuracies_um(dataset), motion_um, stated_um)

@@ -51,12 +51,7 @@ def plain_model(model: StageModel, recordings: Sequence[Recording],
                 residual_um: float) -> StageModel | None:
     """Fit a line and the loudest mode of a model, with a held voltage and with a smooth one.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        Recordings with the sign of the model and with marked outliers.
-    residual_um : float
-        RMS residual of the model.
+    The recordings have the sign of the model, and marked outliers.
 
     Returns
     -------
@@ -80,25 +75,7 @@ def fits_of_plain_model(plain: StageModel, new: Sequence[Recording], old: Sequen
                         expected: Callable[[JointProblem], ExpectedErrors],
                         report: Callable[[str, float], None],
                         ) -> tuple[JointProblem, list[Alternative]]:
-    """Select the effects that recordings show with a simple model, and refit all together.
-
-    Parameters
-    ----------
-    plain : StageModel
-        See `plain_model`.
-    new, old : sequence of Recording
-        Recordings to diagnose, and those of the identification.
-    expected : callable
-        Returns the expected errors of the recordings of a problem.
-    report : callable
-        Called with (what is done, fraction).
-
-    Returns
-    -------
-    problem : JointProblem
-    alternatives : list of Alternative
-        The model with all selected effects, and with some of them.
-    """
+    """Select the effects that recordings show with a simple model; refit all, and some of them."""
     dataset = simulate_recordings(plain, [*new, *old])
     selection = select_effects(first_regression(dataset), report)
     problem = JointProblem(plain, new, old, simulated=dataset.simulated)

@@ -46,12 +46,8 @@ def held_to_noise(shares: Mapping[str, float], remainders: Sequence[Remainder], 
     ----------
     shares : dict of str to float
         Probabilities based on the noise that each recording shows itself.
-    remainders : sequence of Remainder
-        Residuals of the diagnosed recordings and of the held-out one.
     known : KnownNoise
         Known noise with at least one source.
-    stated_um : float
-        RMS of the known error of the model.
     finds_nothing : bool
         True if no effect is named. If the identification found components inadequate, the error of
         the model is then limited to the noise, and the tolerance of the identification applies.
@@ -87,12 +83,6 @@ def held_to_prediction(held: HeldToNoise, predicted: "Ceiling", remainders: Sequ
     ----------
     held : HeldToNoise
         Result of the comparison with the smallest bound of the noise.
-    predicted : Ceiling
-        Predictable part of the residual.
-    remainders : sequence of Remainder
-        Residuals of the diagnosed recordings.
-    stated_um : float
-        RMS of the known error of the model.
     """
     # Less than a learner may predict from noise by chance, or than is relevant.
     least_um = CRITERIA.noticeable * predicted.left_um

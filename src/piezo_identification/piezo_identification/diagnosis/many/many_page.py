@@ -21,8 +21,6 @@ def many_page(rows: Sequence[DiagnosisRow], results: Sequence[dict[str, Any]],
     ----------
     results : sequence of dict
         Results of `diagnose_row`, in the order of the rows.
-    origin : sequence of str
-        Sentences on the origin of the data.
     """
     verdicts = [result for result in results if "verdict" in result]
     counts = Counter(result["verdict"]["verdict"] for result in verdicts)

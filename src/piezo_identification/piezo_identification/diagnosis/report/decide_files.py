@@ -47,14 +47,8 @@ def decide_files(model: AnyPath, recordings: Sequence[AnyPath], holdout: AnyPath
     ----------
     model, recordings, holdout, directory, progress
         As in `diagnose_files`.
-    play : callable
-        Plays and records an experiment.
-    budget : int
-        Largest number of recordings.
-    longest_s : float
-        Longest duration of each.
-    begin_budget : callable
-        Returns the time limit of a diagnosis, counted from the call.
+    budget, longest_s, begin_budget
+        As in `decide`.
 
     Raises
     ------

@@ -102,8 +102,6 @@ def diagnose_files(
         Created if it does not exist.
     progress : callable
         Called with (what is done, fraction); an exception that it raises ends the work.
-    read_file : callable
-        Returns the recordings of a file.
     identified_from : sequence of path-like
         Recordings from which the model was identified, if they are not at the paths in the model
         file.
@@ -143,11 +141,6 @@ def read_given(
 ) -> GivenFiles:
     """Read the data to diagnose, and create the directory of the results.
 
-    Parameters
-    ----------
-    model, recordings, holdout, directory, read_file, identified_from
-        As in `diagnose_files`.
-
     Raises
     ------
     ValueError
@@ -175,15 +168,7 @@ def read_given(
 
 def write_results(given: GivenFiles, diagnosis: Diagnosis,
                   proposal: Proposal | None = None) -> DiagnosisResults:
-    """Write verdict, extended model and report, and the experiment that would decide more.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        Diagnosis of the given recordings.
-    proposal : Proposal, optional
-        Next experiment, if several explanations remain.
-    """
+    """Write verdict, extended model and report, and the experiment that would decide more."""
     directory, identified = given.directory, given.identified
     if proposal is not None:
         save_proposal(proposal, directory)

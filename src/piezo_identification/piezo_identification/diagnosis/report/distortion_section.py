@@ -13,13 +13,7 @@ from piezo_identification.simulation.simulated_recording import SimulatedRecordi
 
 def distortion_sections(part: SimulatedRecording, before_um: FloatArray,
                         after_um: FloatArray) -> list[Section]:
-    """Return the section on noise and distortion of a recording; empty for other voltages.
-
-    Parameters
-    ----------
-    before_um, after_um : ndarray, shape (N,)
-        Residuals of the given model and of the extended one.
-    """
+    """Return the section on distortion from residuals, (N,); empty for other voltages."""
     before, after = (error_distortion(part, residual) for residual in (before_um, after_um))
     if before is None or after is None:
         return []

@@ -29,18 +29,7 @@ SETTINGS = GuessSettings()
 
 
 def fit_each_candidate(problem: ResponseProblem, current: ResponseFit) -> list[ResponseFit]:
-    """Fit every candidate in addition to the effects found.
-
-    Parameters
-    ----------
-    current : ResponseFit
-        Fit with the effects found.
-
-    Returns
-    -------
-    list of ResponseFit
-        Sorted by the error on held-out frequencies, the best first.
-    """
+    """Fit every candidate in addition to the effects found, the best on held-out data first."""
     found = {type(effect) for effect in current.effects}
     fits = []
     for kind, guesses in _guesses(problem).items():

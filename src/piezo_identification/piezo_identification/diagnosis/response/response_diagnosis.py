@@ -90,8 +90,6 @@ def diagnose_response(
     ----------
     measured : FrequencyResponse
         A hold in it is removed.
-    progress : callable
-        Called with (what is done, fraction).
     budget : Budget, optional
         Time limit. When it is reached, or with Ctrl-C, the comparison ends with the effects found
         so far.

@@ -161,19 +161,6 @@ def _least_squares(
     """Fit some of the parameters; return all, and which of the fitted ones the data determine.
 
     Parameters that the data do not determine within their bounds should stay at their start.
-
-    Parameters
-    ----------
-    errors : callable
-        Returns the errors for a vector, in standard deviations.
-    start, low, high : (n,) array
-    free : (n,) array of bool
-
-    Returns
-    -------
-    vector : (n,) array
-    determined : (m,) array of bool
-        For each of the free parameters.
     """
     def whole(part: FloatArray) -> FloatArray:
         vector = start.copy()
@@ -190,16 +177,7 @@ def _least_squares(
 
 
 def full_response(model: StageModel, frequency_hz: FloatArray) -> ComplexArray:
-    """Return the response of a model with its linear effects, including the sensor and delays.
-
-    Parameters
-    ----------
-    frequency_hz : (N,) array
-
-    Returns
-    -------
-    (N,) array of complex
-    """
+    """Return the response, (N,), of a model with its linear effects, sensor and delays."""
     s = np.asarray(2j * np.pi * frequency_hz, dtype=complex)
     response = model.response(frequency_hz)
     behind: Sequence[Effect] = [
