@@ -12,7 +12,7 @@ from piezo_identification.commands.response_options import (
     hold_s_of,
     useless_response_options,
 )
-from piezo_identification.diagnosis.evidence.stand_ins import name_of
+from piezo_identification.diagnosis.evidence.effect_entries import name_of
 from piezo_identification.diagnosis.joint.probabilities import LISTED
 from piezo_identification.diagnosis.report.diagnosis_report import verdict_sentence
 from piezo_identification.diagnosis.report.diagnosis_results import diagnose_files

@@ -15,17 +15,16 @@ import numpy as np
 from piezo_common.budget import SEARCH, Budget, spending, while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_common.progress_part import Progress, part_of
-from piezo_identification.diagnosis.comparison.criteria import is_noise
-from piezo_identification.diagnosis.comparison.measures_of_fits import lack_of_fit
-from piezo_identification.diagnosis.comparison.reasons import Reason, Undecided
+from piezo_identification.diagnosis.comparison.criteria import is_noise, lack_of_fit
 from piezo_identification.diagnosis.comparison.selection import (
     Selection,
     residual_rms_um,
     select_effects,
 )
+from piezo_identification.diagnosis.comparison.undecided import Reason, Undecided
 from piezo_identification.diagnosis.comparison.validation import Validation
 from piezo_identification.diagnosis.evidence.effect_covariance import with_model_errors
-from piezo_identification.diagnosis.evidence.effect_entries import effect_entries
+from piezo_identification.diagnosis.evidence.effect_entries import effect_entries, with_stand_ins
 from piezo_identification.diagnosis.evidence.found_outliers import (
     FoundOutliers,
     found_outliers,
@@ -41,8 +40,7 @@ from piezo_identification.diagnosis.evidence.recording_faults import (
     RecordingFault,
     without_faults,
 )
-from piezo_identification.diagnosis.evidence.residual_description import describe_residual
-from piezo_identification.diagnosis.evidence.stand_ins import with_stand_ins
+from piezo_identification.diagnosis.evidence.residual_tests import describe_residual
 from piezo_identification.diagnosis.joint.alternatives import Appearance
 from piezo_identification.diagnosis.joint.competition import (
     Competition,
@@ -58,8 +56,7 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
     digest_of,
     old_recordings,
 )
-from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
-from piezo_identification.diagnosis.joint.probabilities import SOMETHING_ELSE
+from piezo_identification.diagnosis.joint.probabilities import BELIEVED, SOMETHING_ELSE
 from piezo_identification.diagnosis.joint.remainder import (
     HeldToNoise,
     held_to_noise,
@@ -77,16 +74,9 @@ if TYPE_CHECKING:
     from piezo_identification.diagnosis.evidence.ceiling import Ceiling
 
 
-@dataclass(frozen=True)
-class VerdictSettings:
-    """Thresholds of the verdict."""
-
-    guess: float = 0.5
-    """Largest part of the power of the lack of fit that may remain before the effects found are
-    regarded as guesses."""
-
-
-SETTINGS = VerdictSettings()
+GUESS = 0.5
+"""Largest part of the power of the lack of fit that may remain before the effects found are
+regarded as guesses."""
 
 ALONE_UNTIL = 0.5
 """Share of the time limit for the new recordings alone, if there are others."""
@@ -318,7 +308,7 @@ def decide(selection: Selection, validation: Validation,
         # If the most probable model explains nothing, its effects replace those of the new
         # recordings only if it reduces the held-out error. For the same effects, the parameters
         # from the new recordings may be better.
-        explains = competition.probabilities[SOMETHING_ELSE] < PROBABILITIES.believed
+        explains = competition.probabilities[SOMETHING_ELSE] < BELIEVED
         is_better = validation_of_best.rms_um(from_best.end) < validation.rms_um(fit) or (
             competition.is_plain or explains and _names(from_best.end) != _names(fit))
         if is_better and validation_of_best.improves(from_best.end):
@@ -331,8 +321,8 @@ def decide(selection: Selection, validation: Validation,
 
     held = hold_to_noise(shares, found, believed, fit, noise, competition.stated_um,
                          finds_nothing=not fit.effects and outliers is None)
-    is_explained = held.probabilities[SOMETHING_ELSE] < PROBABILITIES.believed
-    most = SETTINGS.guess * lack_of_fit(regression, selection.start)
+    is_explained = held.probabilities[SOMETHING_ELSE] < BELIEVED
+    most = GUESS * lack_of_fit(regression, selection.start)
     if (not is_explained and held.predicted is None
             and lack_of_fit(found.regression, fit) > most):
         found, believed, fit = selection, validation, selection.start
@@ -365,7 +355,7 @@ def hold_to_noise(shares: Mapping[str, float], found: Selection, believed: Valid
     remainders = believed.remainders(fit)
     known = noise.including(noise_of_residuals(found.regression))
     held = held_to_noise(shares, remainders, known, stated_um, finds_nothing)
-    if (held.probabilities[SOMETHING_ELSE] >= PROBABILITIES.believed or found.interrupted
+    if (held.probabilities[SOMETHING_ELSE] >= BELIEVED or found.interrupted
             or all(known.is_shown(each.period_s) for each in remainders)):
         return held
     return held_to_prediction(held, _learned(found, fit), remainders, stated_um)
@@ -421,8 +411,7 @@ def conclude(model: StageModel, given: Conditioned, selection: Selection, valida
         verdict=decision.verdict, effects=effects, model=extended,
         before=errors.before, after=errors.after,
         noise_floor_um=float(np.median(regression.noise.noise_um)), holdout=errors.where,
-        not_decidable={name: why.sentence for name, why in undecided.items()},
-        reasons={name: why.reason for name, why in undecided.items()},
+        undecided=undecided,
         confounded_with=_confounded_with(selection, effects),
         left=_description(regression, decision, predictable),
         reversed=given.reversed, left_out=[*left_out(regression), *validation.left_out()],

@@ -22,8 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from piezo_common.arrays import FloatArray
 from piezo_common.side_by_side import side_by_side
-from piezo_identification.diagnosis.comparison.criteria import CRITERIA
-from piezo_identification.diagnosis.comparison.measures_of_fits import significance
+from piezo_identification.diagnosis.comparison.criteria import CRITERIA, significance
 from piezo_identification.fitting.dataset import SPLIT
 from piezo_identification.fitting.noise_estimate import residual_um
 from piezo_identification.fitting.regression import Fit, Regression

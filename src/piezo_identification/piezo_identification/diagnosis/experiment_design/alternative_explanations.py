@@ -9,13 +9,12 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_common.side_by_side import side_by_side
-from piezo_identification.diagnosis.comparison.reasons import Reason
-from piezo_identification.diagnosis.joint.alternatives import Appearance, evidence_of
-from piezo_identification.diagnosis.joint.expected_errors import expected_errors
-from piezo_identification.diagnosis.joint.far_starts import may_lead
+from piezo_identification.diagnosis.comparison.undecided import Reason
+from piezo_identification.diagnosis.joint.alternatives import Appearance, evidence_of, may_lead
 from piezo_identification.diagnosis.joint.probabilities import (
     ALTERNATIVE,
     NONE,
+    expected_errors,
     listed_probabilities,
 )
 from piezo_identification.fitting.effect_fit import fit_one_more

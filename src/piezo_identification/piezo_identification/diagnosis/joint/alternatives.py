@@ -6,7 +6,7 @@ identification and the new ones together.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -16,12 +16,10 @@ from piezo_common.arrays import FloatArray
 from piezo_common.budget import while_time_lasts
 from piezo_common.progress_part import Progress, part_of
 from piezo_common.side_by_side import side_by_side
-from piezo_identification.diagnosis.joint.expected_errors import ExpectedErrors
-from piezo_identification.diagnosis.joint.far_starts import SETTINGS as FITS
-from piezo_identification.diagnosis.joint.far_starts import from_afar
 from piezo_identification.diagnosis.joint.probabilities import (
     NONE,
     Evidence,
+    ExpectedErrors,
     logarithms_of_evidence,
     penalty_of,
 )
@@ -30,6 +28,70 @@ from piezo_identification.fitting.model_weights import expected_widths, held_out
 from piezo_identification.fitting.recording_evidence import recording_evidence
 from piezo_identification.fitting.regression import Regression, accuracies_um
 from piezo_models.effects import Effect, fitted_values, known_effects, with_fitted_values
+
+CONTINUED = 5
+"""Largest number of continued fits, each of several steps."""
+
+HOPEFUL = 3.0
+"""A fit is continued if its deficit of evidence is less than this multiple of the gain of its last
+step."""
+
+
+def from_afar(problem: JointProblem, simpler: JointFit, guesses: Sequence[Effect],
+              nearby: JointFit) -> JointFit:
+    """Return the best fit of an effect: the given one, or one that starts from a changed model.
+
+    Parameters
+    ----------
+    simpler : JointFit
+        Fit of the model without the effect.
+    guesses : sequence of piezo_models.effects.effect.Effect
+        Initial guesses of the effect; the given fit started from the first.
+    nearby : JointFit
+        Given fit of the effect.
+    """
+    held = _held(problem, simpler, guesses[1:])
+    if held is not None and may_lead(held, nearby):
+        nearby = _better(problem.fit(held.effects, begun=held), nearby)
+    fit = _taken_out(problem, simpler, guesses)
+    if fit is not None:
+        for _ in range(CONTINUED):
+            if fit.has_converged or not may_lead(fit, nearby):
+                break
+            fit = problem.fit(fit.effects, begun=fit)
+        nearby = _better(fit, nearby)
+    return nearby
+
+
+def _better(*fits: JointFit) -> JointFit:
+    return min(fits, key=lambda fit: fit.against)
+
+
+def may_lead(fit: JointFit, best: JointFit) -> bool:
+    """Return whether a fit may still become better than the best when it is continued."""
+    return fit.against - HOPEFUL * fit.gain < best.against
+
+
+def _held(problem: JointProblem, simpler: JointFit, guesses: Sequence[Effect]) -> JointFit | None:
+    """Fit the model by one step with each guess held fixed, and return the best."""
+    fits = [problem.fit(simpler.effects, begun=simpler, held=(guess,)) for guess in guesses]
+    return _better(*fits) if fits else None
+
+
+def _taken_out(problem: JointProblem, simpler: JointFit,
+               guesses: Sequence[Effect]) -> JointFit | None:
+    """Remove the best guess from the hysteresis that contains it, and fit both from there."""
+    model, found = problem.dataset.model, []
+    for guess in guesses:
+        ahead = guess.hysteresis_ahead(model.hysteresis)
+        if ahead is not None:
+            made_way = replace(model, hysteresis=ahead)
+            effects = (*simpler.effects, guess)
+            found.append((problem.against(made_way, effects), made_way, effects))
+    if not found:
+        return None
+    _, made_way, effects = min(found, key=lambda entry: entry[0])
+    return problem.about(made_way).fit(effects)
 
 
 class Appearance(StrEnum):
@@ -98,11 +160,11 @@ def settled(problem: JointProblem, progress: Progress) -> JointFit:
     """Fit the model without additional effects until no step is worthwhile."""
     progress("all recordings together: no effect", 0.0)
     fit = problem.fit(problem.own)
-    for turn in range(1, FITS.turns):
+    for turn in range(1, CONTINUED):
         if fit.has_converged:
             break
         progress("all recordings together: no effect",
-                 0.2 / SETTINGS.most_effects * turn / FITS.turns)
+                 0.2 / SETTINGS.most_effects * turn / CONTINUED)
         fit = problem.fit(fit.effects, begun=fit)
     return fit
 
@@ -149,13 +211,13 @@ def converged(problem: JointProblem, alternatives: Sequence[Alternative],
               expected: ExpectedErrors) -> list[Alternative]:
     """Continue fits that may still become the most probable; omit impossible alternatives."""
     alternatives = list(alternatives)
-    for _ in range(FITS.turns):
+    for _ in range(CONTINUED):
         logarithms = _logarithms(alternatives, expected)
         behind = np.max(logarithms) - logarithms
         numbers = [number for number, each in enumerate(alternatives)
                    if not each.fit.has_converged and not _is_at_noise(
                        problem, each, len(each.mean_square_um2))
-                   and behind[number] < FITS.hopeful * each.fit.gain]
+                   and behind[number] < HOPEFUL * each.fit.gain]
         if not numbers:
             break
         further = side_by_side(

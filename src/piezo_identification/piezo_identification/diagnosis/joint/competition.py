@@ -21,20 +21,21 @@ from piezo_identification.diagnosis.joint.alternatives import (
     settled,
     times_of_coming,
 )
-from piezo_identification.diagnosis.joint.expected_errors import ExpectedErrors, expected_errors
 from piezo_identification.diagnosis.joint.plain_model import (
     fits_of_plain_model,
     is_plain,
     plain_model,
 )
 from piezo_identification.diagnosis.joint.probabilities import (
+    BELIEVED,
     NONE,
     SOMETHING_ELSE,
     Evidence,
+    ExpectedErrors,
+    expected_errors,
     penalty_of,
     probabilities,
 )
-from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
 from piezo_identification.fitting.dataset import Dataset, dataset_of
 from piezo_identification.fitting.evidence import log_evidence
 from piezo_identification.fitting.free_parameters import free_count
@@ -153,7 +154,7 @@ def with_free_model(competition: Competition, model: StageModel, new: Sequence[R
     Some of the effects may then be sufficient.
     """
     effects = selection.end.effects
-    explains = competition.probabilities[SOMETHING_ELSE] < PROBABILITIES.believed
+    explains = competition.probabilities[SOMETHING_ELSE] < BELIEVED
     if explains or not effects or selection.interrupted or competition.times:
         return competition
     problem = JointProblem(model, new, [], simulated=selection.regression.dataset.simulated)

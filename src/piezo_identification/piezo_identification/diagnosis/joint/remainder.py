@@ -13,9 +13,9 @@ import numpy as np
 
 from piezo_identification.diagnosis.comparison.criteria import CRITERIA
 from piezo_identification.diagnosis.evidence.known_noise import KnownNoise
-from piezo_identification.diagnosis.joint.expected_errors import errors_of_model
 from piezo_identification.diagnosis.joint.probabilities import (
     SOMETHING_ELSE,
+    errors_of_model,
     odds_of_something_else,
 )
 from piezo_identification.fitting.evidence import INDEPENDENT

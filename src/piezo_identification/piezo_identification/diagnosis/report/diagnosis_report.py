@@ -9,19 +9,22 @@ from matplotlib.figure import Figure
 
 from piezo_common.arrays import FloatArray
 from piezo_common.report_page import Picture, Section, pictured, render_page
-from piezo_identification.diagnosis.comparison.attempts import Attempt
+from piezo_identification.analysis.distortion_over_frequency import (
+    distortion_png,
+    distortion_rows,
+)
+from piezo_identification.analysis.error_distortion import error_distortion
 from piezo_identification.diagnosis.comparison.criteria import CRITERIA
-from piezo_identification.diagnosis.comparison.selection import Selection
+from piezo_identification.diagnosis.comparison.selection import Attempt, Selection
 from piezo_identification.diagnosis.diagnose import Diagnosis
-from piezo_identification.diagnosis.evidence.residual_tests import input_correlation, whiteness
-from piezo_identification.diagnosis.evidence.stand_ins import (
+from piezo_identification.diagnosis.evidence.effect_entries import (
     LEAST_PROBABILITY,
     STAND_IN,
     name_of,
 )
+from piezo_identification.diagnosis.evidence.residual_tests import input_correlation, whiteness
 from piezo_identification.diagnosis.joint.probabilities import LISTED
 from piezo_identification.diagnosis.report import diagnosis_pictures as pictures
-from piezo_identification.diagnosis.report.distortion_section import distortion_sections
 from piezo_identification.fitting.noise_estimate import (
     residual_of_model_um,
     residual_um,
@@ -340,3 +343,28 @@ def _number(value: float | Sequence[float], digits: int = 5) -> str:
     if isinstance(value, (list, tuple)):
         return ", ".join(f"{number:.{min(digits, 4)}g}" for number in value)
     return f"{value:.{digits}g}"
+
+
+def distortion_sections(part: SimulatedRecording, before_um: FloatArray,
+                        after_um: FloatArray) -> list[Section]:
+    """Return the section on distortion from residuals, (N,); empty for other voltages."""
+    before, after = (error_distortion(part, residual) for residual in (before_um, after_um))
+    if before is None or after is None:
+        return []
+    answer = before.answer
+    rows: list[tuple[str, ...]] = [
+        ("part of the answer (%)", "stage", "error before", "error after")]
+    for name, value in (("linear", "linear_um"), ("even distortion", "even_um"),
+                        ("odd distortion", "odd_um"), ("noise of a period", "noise_of_period_um"),
+                        ("significant above", "significant_um")):
+        rows.append((name, *(f"{100.0 * getattr(found, value) / answer.answer_um:.3g}"
+                             for found in (answer, before.error, after.error))))
+    pictures = [
+        Picture(name, caption, distortion_png(found), wide=True) for name, caption, found in (
+            ("Distortion of the stage", "Answer, noise, even and odd distortion, without any "
+             "model.", answer),
+            ("Distortion of the residual", "The same with the extended model.", after.error))]
+    return [
+        Section(f"Distortion in {part.path}", (before.sentence(),), rows, pictures),
+        Section("Distortion over frequency", (), distortion_rows(answer)),
+    ]
