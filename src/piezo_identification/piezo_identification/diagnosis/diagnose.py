@@ -121,8 +121,6 @@ class Conditioned:
 class Decision:
     """Decision on the effects that a comparison selected."""
 
-    verdict: str
-    """One of "none", "explained" or "unexplained"."""
     fit: Fit
     """Fit with the effects that are named."""
     outliers: FoundOutliers | None
@@ -131,12 +129,15 @@ class Decision:
     """Effects that the held-out data refuse, and why."""
     appearance: Appearance
     """When the effects appeared, as far as the recordings of the identification show."""
-    probabilities: dict[str, float]
-    """Probabilities from which the verdict follows."""
-    remains: str
-    """Sentence on the remaining error relative to the noise, and the source of the noise."""
-    predicted: "Ceiling | None" = None
-    """Predictable part of the remaining error; None if not yet computed."""
+    held: HeldToNoise
+    """Comparison of the remaining error with the noise, from which the verdict follows."""
+
+    @property
+    def verdict(self) -> str:
+        """Return "none", "explained" or "unexplained"."""
+        if not self.held.is_explained:
+            return "unexplained"
+        return "explained" if self.fit.effects or self.outliers else "none"
 
 
 def diagnose(model: StageModel, recordings: Sequence[Recording],
@@ -223,7 +224,7 @@ def _diagnosed(model: StageModel, recordings: Sequence[Recording], holdout: Reco
     diagnosis = conclude(model, given, found, believed, decision, predictable)
     return replace(diagnosis, selection=replace(selection, end=found.end), noise=noise,
                    stated_um=competition.stated_um, identified_from=known.document(),
-                   probabilities=decision.probabilities)
+                   probabilities=decision.held.probabilities)
 
 
 def refuse_known_holdout(holdout: Recording | None, recordings: Sequence[Recording],
@@ -319,30 +320,24 @@ def decide(selection: Selection, validation: Validation,
         # The probabilities of the competition belong to fits that are not named here.
         shares = probabilities_of_named(competition, regression, fit, refused)
 
-    held = hold_to_noise(shares, found, believed, fit, noise, competition.stated_um,
-                         finds_nothing=not fit.effects and outliers is None)
-    is_explained = held.probabilities[SOMETHING_ELSE] < BELIEVED
+    held = hold_to_noise(shares, found, believed, fit, outliers, noise, competition.stated_um)
     most = GUESS * lack_of_fit(regression, selection.start)
-    if (not is_explained and held.predicted is None
+    if (not held.is_explained and held.predicted is None
             and lack_of_fit(found.regression, fit) > most):
         found, believed, fit = selection, validation, selection.start
-        held = replace(
-            hold_to_noise(held.probabilities, found, believed, fit, noise, competition.stated_um,
-                          finds_nothing=outliers is None),
+        held = replace(hold_to_noise(
+            held.probabilities, found, believed, fit, outliers, noise, competition.stated_um),
             probabilities=held.probabilities)
-    verdict = "unexplained"
-    if is_explained:
-        verdict = "explained" if fit.effects or outliers else "none"
     if found is selection:
         # The recordings of the identification were not fitted: model errors affect the effects.
         fit = with_model_errors(found.regression, fit)
     appearance = competition.appearance(_names(fit))
-    return (Decision(verdict, fit, outliers, refused, appearance, held.probabilities, held.sentence,
-                     held.predicted), found, believed)
+    return Decision(fit, outliers, refused, appearance, held), found, believed
 
 
 def hold_to_noise(shares: Mapping[str, float], found: Selection, believed: Validation, fit: Fit,
-                  noise: KnownNoise, stated_um: float, finds_nothing: bool) -> HeldToNoise:
+                  outliers: FoundOutliers | None, noise: KnownNoise,
+                  stated_um: float) -> HeldToNoise:
     """Compare the residual of a fit with the noise.
 
     If the noise is unknown, the predictable part of the residual is used instead.
@@ -354,8 +349,9 @@ def hold_to_noise(shares: Mapping[str, float], found: Selection, believed: Valid
     """
     remainders = believed.remainders(fit)
     known = noise.including(noise_of_residuals(found.regression))
-    held = held_to_noise(shares, remainders, known, stated_um, finds_nothing)
-    if (held.probabilities[SOMETHING_ELSE] >= BELIEVED or found.interrupted
+    held = held_to_noise(
+        shares, remainders, known, stated_um, finds_nothing=not fit.effects and outliers is None)
+    if (not held.is_explained or found.interrupted
             or all(known.is_shown(each.period_s) for each in remainders)):
         return held
     return held_to_prediction(held, _learned(found, fit), remainders, stated_um)
@@ -373,8 +369,8 @@ def ceiling_of(selection: Selection, decision: Decision) -> "Ceiling | None":
     Ceiling or None
         None if the residual is compatible with known noise, or the comparison was interrupted.
     """
-    if decision.predicted is not None:
-        return decision.predicted
+    if decision.held.predicted is not None:
+        return decision.held.predicted
     if selection.interrupted or is_noise(selection.regression, decision.fit):
         return None
     return _learned(selection, decision.fit)
@@ -393,7 +389,7 @@ def conclude(model: StageModel, given: Conditioned, selection: Selection, valida
     regression, fit, outliers = selection.regression, decision.fit, decision.outliers
     effects = with_stand_ins(
         [entry | {"came": decision.appearance} for entry in effect_entries(regression, fit)],
-        regression.dataset.extent, decision.probabilities)
+        regression.dataset.extent, decision.held.probabilities)
     # Outliers biased the parameters of a model that was identified with them. If no effect is
     # named, refitted parameters may explain what the given ones do not.
     may_move = outliers or decision.verdict == "none" and not is_noise(
@@ -423,8 +419,8 @@ def conclude(model: StageModel, given: Conditioned, selection: Selection, valida
 def _description(regression: Regression, decision: Decision, predictable: "Ceiling | None") -> str:
     """Describe the residual of an unexplained recording, or of one with unknown noise."""
     if decision.verdict != "unexplained":
-        return decision.remains if decision.predicted is not None else ""
-    sentences = [decision.remains, describe_residual(regression, decision.fit)]
+        return decision.held.sentence if decision.held.predicted is not None else ""
+    sentences = [decision.held.sentence, describe_residual(regression, decision.fit)]
     if predictable is not None:
         sentences.append(predictable.sentence())
     return " ".join(sentences)

@@ -180,18 +180,13 @@ def decided_verdict(model: StageModel, recordings: Sequence[Recording], holdout:
     if unnamed >= BELIEVED:
         # The probabilities belong to a fit that is not named here.
         chances = probabilities_of_named(competition, selection.regression, selection.end, ())
-    held = hold_to_noise(chances, selection, validation, selection.end, diagnosis.noise,
-                         diagnosis.stated_um, finds_nothing=not names and outliers is None)
-    chances = held.probabilities
-    verdict = "unexplained"
-    if chances[SOMETHING_ELSE] < BELIEVED:
-        verdict = "explained" if names or outliers else "none"
-    decision = Decision(verdict, selection.end, outliers, {}, _appearance(alternatives), chances,
-                        held.sentence, held.predicted)
+    held = hold_to_noise(chances, selection, validation, selection.end, outliers, diagnosis.noise,
+                         diagnosis.stated_um)
+    decision = Decision(selection.end, outliers, {}, _appearance(alternatives), held)
     diagnosed = conclude(
         model, given, selection, validation, decision, ceiling_of(selection, decision))
     return replace(
-        diagnosed, identified_from=diagnosis.identified_from, probabilities=decision.probabilities,
+        diagnosed, identified_from=diagnosis.identified_from, probabilities=held.probabilities,
         noise=diagnosis.noise, stated_um=diagnosis.stated_um)
 
 

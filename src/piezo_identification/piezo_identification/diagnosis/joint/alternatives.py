@@ -5,7 +5,7 @@ An alternative is a model whose parameters and effects are estimated from the re
 identification and the new ones together.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -21,7 +21,6 @@ from piezo_identification.diagnosis.joint.probabilities import (
     Evidence,
     ExpectedErrors,
     logarithms_of_evidence,
-    penalty_of,
 )
 from piezo_identification.fitting.joint_fit import JointFit, JointProblem
 from piezo_identification.fitting.model_weights import expected_widths, held_out_of
@@ -51,23 +50,28 @@ def from_afar(problem: JointProblem, simpler: JointFit, guesses: Sequence[Effect
         Given fit of the effect.
     """
     held = _held(problem, simpler, guesses[1:])
-    if held is not None and may_lead(held, nearby):
+    if held is not None and _may_lead(held, nearby):
         nearby = _better(problem.fit(held.effects, begun=held), nearby)
     fit = _taken_out(problem, simpler, guesses)
-    if fit is not None:
-        for _ in range(CONTINUED):
-            if fit.has_converged or not may_lead(fit, nearby):
-                break
-            fit = problem.fit(fit.effects, begun=fit)
-        nearby = _better(fit, nearby)
-    return nearby
+    return nearby if fit is None else _better(continued(problem, fit, nearby), nearby)
+
+
+def continued(problem: JointProblem, fit: JointFit, best: JointFit | None = None,
+              most: int = CONTINUED, report: Callable[[int], None] = lambda turn: None) -> JointFit:
+    """Continue a fit until there is nothing to gain, or until the best is too far ahead."""
+    for turn in range(most):
+        if fit.has_converged or best is not None and not _may_lead(fit, best):
+            break
+        report(turn)
+        fit = problem.fit(fit.effects, fit.later, fit)
+    return fit
 
 
 def _better(*fits: JointFit) -> JointFit:
     return min(fits, key=lambda fit: fit.against)
 
 
-def may_lead(fit: JointFit, best: JointFit) -> bool:
+def _may_lead(fit: JointFit, best: JointFit) -> bool:
     """Return whether a fit may still become better than the best when it is continued."""
     return fit.against - HOPEFUL * fit.gain < best.against
 
@@ -142,31 +146,22 @@ class Alternative:
     evidence: Evidence
     """Quantities on which its probability depends."""
 
-    @property
-    def mean_square_um2(self) -> tuple[float, ...]:
-        """Return the mean square residual of each recording, including noise."""
-        return self.evidence.mean_square_um2
-
 
 def evidence_of(label: str, fit: JointFit) -> Evidence:
     """Return the quantities on which the probability of a fit depends."""
-    held_out = tuple(held_out_of(fit))
-    widths = expected_widths(fit.effects, fit.regression.dataset.extent)
-    return Evidence(label, held_out, penalty_of(
-        held_out, fit.covariance, widths, fit.recurrence_count))
+    return Evidence.weighed(
+        label, held_out_of(fit), fit.covariance,
+        expected_widths(fit.effects, fit.regression.dataset.extent), fit.recurrence_count)
 
 
 def settled(problem: JointProblem, progress: Progress) -> JointFit:
     """Fit the model without additional effects until no step is worthwhile."""
-    progress("all recordings together: no effect", 0.0)
-    fit = problem.fit(problem.own)
-    for turn in range(1, CONTINUED):
-        if fit.has_converged:
-            break
+    def report(turn: int) -> None:
         progress("all recordings together: no effect",
-                 0.2 / SETTINGS.most_effects * turn / CONTINUED)
-        fit = problem.fit(fit.effects, begun=fit)
-    return fit
+                 0.2 / SETTINGS.most_effects * (turn + 1) / CONTINUED)
+
+    report(-1)
+    return continued(problem, problem.fit(problem.own), most=CONTINUED - 1, report=report)
 
 
 def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effect]],
@@ -184,7 +179,7 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
         if names and not {effect.name for effect in none.effects} & set(names):
             fit = problem.fit((*none.effects, *effects), names, none)
             alternatives.append(_alternative(names, fit, True))
-    if any(_is_at_noise(problem, each, len(each.mean_square_um2)) for each in alternatives):
+    if any(_is_at_noise(problem, each) for each in alternatives):
         # No error remains that another effect could explain.
         return _possible(problem, alternatives)
     best, asked = alternatives[0], {name for names in named for name in names}
@@ -194,7 +189,10 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
         for turn in range(1 if is_long else SETTINGS.most_effects):
             guesses = _promising(problem, best.fit.regression, best.fit.effects, asked)
             guesses = guesses[: len(since[0]) + (1 if is_long else SETTINGS.fitted)]
-            fitted = _each_with_guess(problem, best, guesses, _turn_of(progress, turn))
+            # After the fit of the model alone.
+            fitted = _each_with_guess(problem, best, guesses, part_of(
+                progress, (turn + 0.2) / SETTINGS.most_effects,
+                (turn + 1) / SETTINGS.most_effects))
             if turn == 0 and not is_long and not any(
                     _is_at_noise(problem, each, problem.new_count) for each in fitted):
                 fitted = _from_afar(problem, best, guesses, fitted)
@@ -215,8 +213,7 @@ def converged(problem: JointProblem, alternatives: Sequence[Alternative],
         logarithms = _logarithms(alternatives, expected)
         behind = np.max(logarithms) - logarithms
         numbers = [number for number, each in enumerate(alternatives)
-                   if not each.fit.has_converged and not _is_at_noise(
-                       problem, each, len(each.mean_square_um2))
+                   if not each.fit.has_converged and not _is_at_noise(problem, each)
                    and behind[number] < HOPEFUL * each.fit.gain]
         if not numbers:
             break
@@ -276,12 +273,6 @@ def _from_afar(problem: JointProblem, best: Alternative, guesses: Sequence[Seque
     return side_by_side(better, list(zip(guesses, fitted, strict=True)))
 
 
-def _turn_of(progress: Progress, turn: int) -> Progress:
-    """Return the progress function of one turn, after the fit of the model alone."""
-    return part_of(
-        progress, (turn + 0.2) / SETTINGS.most_effects, (turn + 1) / SETTINGS.most_effects)
-
-
 def _logarithms(alternatives: Sequence[Alternative], expected: ExpectedErrors) -> FloatArray:
     """Return the log-evidence of each alternative, relative to the others."""
     return logarithms_of_evidence([each.evidence for each in alternatives], expected)
@@ -298,7 +289,7 @@ def times_of_coming(alternatives: Sequence[Alternative],
 
     Returns
     -------
-    dict of tuple of str to Came
+    dict of tuple of str to Appearance
         For each set that was tried in at least one way. A set with an effect that depends on when
         a recording begins can only have appeared later.
     """
@@ -315,10 +306,11 @@ def times_of_coming(alternatives: Sequence[Alternative],
     return times
 
 
-def _is_at_noise(problem: JointProblem, alternative: Alternative, count: int) -> bool:
-    """Return whether the residual of the first recordings is too small for another effect."""
+def _is_at_noise(problem: JointProblem, alternative: Alternative,
+                 count: int | None = None) -> bool:
+    """Return whether the residual of the first or all recordings is too small for an effect."""
     noise = np.array(problem.noise.noise_um) ** 2 + accuracies_um(problem.dataset) ** 2
-    is_small = np.array(alternative.mean_square_um2) < SETTINGS.second * noise
+    is_small = np.array(alternative.evidence.mean_square_um2) < SETTINGS.second * noise
     return bool(np.all(is_small[:count]))
 
 

@@ -33,7 +33,7 @@ from piezo_identification.diagnosis.joint.probabilities import (
     Evidence,
     ExpectedErrors,
     expected_errors,
-    penalty_of,
+    label_of,
     probabilities,
 )
 from piezo_identification.fitting.dataset import Dataset, dataset_of
@@ -231,7 +231,7 @@ def led_by_the_most_probable(selection: Selection, competition: Competition) -> 
         return selection
     first = _names(selection.end)
     fits = [selection.end, selection.start, *selection.parts, *selection.alternatives]
-    best = max(fits, key=lambda fit: competition.probabilities.get(_label(fit), 0.0))
+    best = max(fits, key=lambda fit: competition.probabilities.get(label_of(fit.effects), 0.0))
     if best is selection.end:
         return selection
     alike = selection.indistinguishable
@@ -252,7 +252,7 @@ def probabilities_of_named(competition: Competition, regression: Regression, fit
     the comparison, without those that the held-out data refuse. If the most probable set is not
     that of the fit, the comparison does not apply, and the set of the fit gets the whole rest.
     """
-    label, without = _label(fit), set(refused)
+    label, without = label_of(fit.effects), set(refused)
     other = _of_fits(regression, [fit], competition.stated_um)[SOMETHING_ELSE]
     kept = {each: share for each, share in competition.probabilities.items()
             if each != SOMETHING_ELSE and share > 0.0 and not without & set(each.split("+"))}
@@ -261,11 +261,6 @@ def probabilities_of_named(competition: Competition, regression: Regression, fit
     whole = sum(kept.values())
     shares = {each: (1.0 - other) * share / whole for each, share in kept.items()}
     return dict(sorted((shares | {SOMETHING_ELSE: other}).items(), key=lambda entry: -entry[1]))
-
-
-def _label(fit: Fit) -> str:
-    """Return the names of the effects of a fit, joined by +, or `none`."""
-    return "+".join(sorted(effect.name for effect in fit.effects)) or NONE
 
 
 def _names(fit: Fit) -> set[str]:
@@ -288,11 +283,11 @@ def _of_fits(regression: Regression, fits: Sequence[Fit], stated_um: float) -> d
 
 def _evidence_of(regression: Regression, fit: Fit) -> Evidence:
     """Return the quantities on which the probability of a fit to the new recordings depends."""
-    held_out = _held_out(regression, fit)
     widths = expected_widths(
         [effect for effect in fit.effects if type(effect) is not Outliers],
         regression.dataset.extent)
-    return Evidence(_label(fit), held_out, penalty_of(held_out, fit.covariance, widths))
+    return Evidence.weighed(
+        label_of(fit.effects), _held_out(regression, fit), fit.covariance, widths)
 
 
 def _held_out(regression: Regression, fit: Fit) -> tuple[HeldOut, ...]:

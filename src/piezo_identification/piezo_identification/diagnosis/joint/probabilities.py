@@ -13,7 +13,7 @@ cause that is not on the list, `something_else`, would reduce the residual of th
 noise.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +25,7 @@ from piezo_identification.fitting.dataset import Dataset
 from piezo_identification.fitting.evidence import INDEPENDENT
 from piezo_identification.fitting.model_weights import HeldOut, occam_penalty
 from piezo_identification.fitting.regression import accuracies_um
+from piezo_models.effects import Effect
 
 
 @dataclass(frozen=True)
@@ -151,6 +152,11 @@ MOST_GAIN = 500.0
 """Logarithm of odds that are practically certain, with a finite exponential."""
 
 
+def label_of(effects: Iterable[Effect]) -> str:
+    """Return the names of effects joined by +, or `none`."""
+    return "+".join(sorted(effect.name for effect in effects)) or NONE
+
+
 @dataclass(frozen=True)
 class Evidence:
     """Evidence for one alternative."""
@@ -160,7 +166,26 @@ class Evidence:
     held_out: tuple[HeldOut, ...]
     """Residuals on held-out stretches of each recording, (R,)."""
     penalty: float
-    """Cost of the fitted parameters of the effects; see `model_weights.occam_penalty`."""
+    """Cost of the fitted parameters of the effects."""
+
+    @classmethod
+    def weighed(cls, label: str, held_out: Sequence[HeldOut], covariance: FloatArray | None,
+                widths: FloatArray, recurrence_count: int = 0) -> "Evidence":
+        """Weigh the fitted parameters by the number of errors that the evidence counts.
+
+        Parameters
+        ----------
+        covariance, widths
+            As in `model_weights.occam_penalty`.
+        recurrence_count : int
+            Number of additional parameters specific to recordings of the identification. The
+            recordings determine them, and each has the largest cost.
+        """
+        counted = sum(min(part.independent, SETTINGS.independent) for part in held_out)
+        rows = float(sum(part.residual_um.size for part in held_out))
+        return cls(label, tuple(held_out), (
+            occam_penalty(covariance, widths, rows, counted)
+            + occam_penalty(None, np.zeros(recurrence_count), rows, counted)))
 
     @property
     def mean_square_um2(self) -> tuple[float, ...]:
@@ -172,25 +197,6 @@ class Evidence:
         """Return the cost of its parameters plus that of the prior odds of its effects."""
         causes = 0 if self.label == NONE else self.label.count("+") + 1
         return self.penalty - causes * float(np.log(ONE_CAUSE))
-
-
-def penalty_of(held_out: Sequence[HeldOut], covariance: FloatArray | None, widths: FloatArray,
-               recurrence_count: int = 0) -> float:
-    """Return the cost of fitted parameters for the number of errors that the evidence counts.
-
-    Parameters
-    ----------
-    held_out : (R,) sequence of HeldOut
-    covariance, widths
-        As in `model_weights.occam_penalty`.
-    recurrence_count : int
-        Number of additional parameters specific to recordings of the identification. The
-        recordings determine them, and each has the largest cost.
-    """
-    counted = sum(min(part.independent, SETTINGS.independent) for part in held_out)
-    rows = float(sum(part.residual_um.size for part in held_out))
-    return (occam_penalty(covariance, widths, rows, counted)
-            + occam_penalty(None, np.zeros(recurrence_count), rows, counted))
 
 
 def logarithms_of_evidence(alternatives: Sequence[Evidence],

@@ -14,6 +14,7 @@ import numpy as np
 from piezo_identification.diagnosis.comparison.criteria import CRITERIA
 from piezo_identification.diagnosis.evidence.known_noise import KnownNoise
 from piezo_identification.diagnosis.joint.probabilities import (
+    BELIEVED,
     SOMETHING_ELSE,
     errors_of_model,
     odds_of_something_else,
@@ -36,6 +37,11 @@ class HeldToNoise:
     """Sentence on the residual relative to the noise, and on the source of the noise."""
     predicted: "Ceiling | None" = None
     """Predictable part of the residual; None if not computed."""
+
+    @property
+    def is_explained(self) -> bool:
+        """Return whether something else than the compared effects is improbable."""
+        return self.probabilities[SOMETHING_ELSE] < BELIEVED
 
 
 def held_to_noise(shares: Mapping[str, float], remainders: Sequence[Remainder], known: KnownNoise,

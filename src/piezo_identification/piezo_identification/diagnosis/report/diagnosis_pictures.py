@@ -47,12 +47,17 @@ MOST_PERCENT = 1000.0
 
 def residuals_of(diagnosis: "Diagnosis", index: int = 0) -> Figure:
     """Draw the residuals of one of the recordings of a diagnosis; see `draw_residuals`."""
+    return draw_residuals(*residuals_um(diagnosis, index))
+
+
+def residuals_um(diagnosis: "Diagnosis", index: int,
+                 ) -> tuple[SimulatedRecording, FloatArray, FloatArray, float]:
+    """Return a recording, its residuals before and after, and the standard deviation of noise."""
     regression = diagnosis.selection.regression
     dataset, noise = regression.dataset, regression.noise
-    return draw_residuals(
-        dataset.simulated[index], noise_estimate.residual_um(dataset, index, noise=noise),
-        noise_estimate.residual_of_model_um(dataset, index, diagnosis.model, noise),
-        noise.noise_um[index])
+    return (dataset.simulated[index], noise_estimate.residual_um(dataset, index, noise=noise),
+            noise_estimate.residual_of_model_um(dataset, index, diagnosis.model, noise),
+            noise.noise_um[index])
 
 
 def draw_residuals(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray,

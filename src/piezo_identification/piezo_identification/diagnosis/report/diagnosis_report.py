@@ -23,19 +23,12 @@ from piezo_identification.diagnosis.evidence.effect_entries import (
     name_of,
 )
 from piezo_identification.diagnosis.evidence.residual_tests import input_correlation, whiteness
-from piezo_identification.diagnosis.joint.probabilities import LISTED
+from piezo_identification.diagnosis.joint.probabilities import LISTED, SOMETHING_ELSE
 from piezo_identification.diagnosis.report import diagnosis_pictures as pictures
-from piezo_identification.fitting.noise_estimate import (
-    residual_of_model_um,
-    residual_um,
-)
 from piezo_identification.report.parameter_table import effect_rows
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.effects import known_effects
-
-SOMETHING_ELSE = "something_else"
-"""Name of the probability that no known effect is what the model lacks."""
 
 UNLIKELY = 0.5
 """Probability of deciding below which a recording will more likely decide nothing."""
@@ -69,16 +62,11 @@ def _sentence(diagnosis: Diagnosis) -> str:
 
 def _probability(diagnosis: Diagnosis) -> str:
     """Return the sentence on the probability of the verdict; empty if it is not known."""
-    known = _probabilities(diagnosis)
     names = {entry["name"] for entry in diagnosis.effects}
     own = {"none": {"none"}, "unexplained": {SOMETHING_ELSE}}.get(diagnosis.verdict, names)
-    found = next((value for name, value in known.items() if set(name.split("+")) == own), None)
+    found = next((value for name, value in diagnosis.probabilities.items()
+                  if set(name.split("+")) == own), None)
     return "" if found is None else f" The probability of this is {_percent(found)} %."
-
-
-def _probabilities(diagnosis: Diagnosis) -> dict[str, float]:
-    """Return the probability of each set of effects; empty if not computed."""
-    return dict(getattr(diagnosis, "probabilities", None) or {})
 
 
 def _percent(probability: float) -> str:
@@ -97,22 +85,17 @@ def render_report(diagnosis: Diagnosis, origin: Sequence[tuple[str, str]] = ()) 
     origin : sequence of (str, str)
         Time and files to list on the page, as pairs of name and text.
     """
-    noise, dataset = diagnosis.selection.regression.noise, diagnosis.selection.regression.dataset
+    dataset = diagnosis.selection.regression.dataset
     sections = [_found(diagnosis), *_alternatives(diagnosis)]
     if diagnosis.effects:
         sections.append(Section(
             "What was added", tuple(_on_intervals(diagnosis)), effect_rows(diagnosis.effects)))
     sections += _residual(diagnosis)
     sections += [_undecided(diagnosis), *_would_decide(diagnosis)]
-    sections += [
-        _recording(diagnosis, part, residual_um(dataset, index, noise=noise),
-                   residual_of_model_um(dataset, index, diagnosis.model, noise),
-                   noise.noise_um[index])
-        for index, part in enumerate(dataset.simulated)]
-    for index, part in enumerate(dataset.simulated):
-        sections += distortion_sections(
-            part, residual_um(dataset, index, noise=noise),
-            residual_of_model_um(dataset, index, diagnosis.model, noise))
+    residuals = [pictures.residuals_um(diagnosis, index) for index in range(len(dataset.simulated))]
+    sections += [_recording(diagnosis, *each) for each in residuals]
+    for part, before_um, after_um, _ in residuals:
+        sections += distortion_sections(part, before_um, after_um)
     if diagnosis.model is not dataset.model:
         sections.append(_other_parameters(dataset.model, diagnosis.model))
     sections += _tried(diagnosis.selection)
@@ -151,7 +134,7 @@ def _found(diagnosis: Diagnosis) -> Section:
 
 
 def _alternatives(diagnosis: Diagnosis) -> Iterator[Section]:
-    known = _probabilities(diagnosis)
+    known = diagnosis.probabilities
     if not known:
         return
     shown = [(name, value) for name, value in sorted(
@@ -328,21 +311,15 @@ def _other_parameters(before: StageModel, after: StageModel) -> Section:
         for field in fields(old):
             pairs = zip(np.atleast_1d(getattr(old, field.name)),
                         np.atleast_1d(getattr(new, field.name)), strict=True)
-            rows += [(field.name, _number(was), _number(now), f"{100.0 * (now / was - 1.0):+.2f}")
+            rows += [(field.name, f"{was:.5g}", f"{now:.5g}", f"{100.0 * (now / was - 1.0):+.2f}")
                      for was, now in pairs if was]
     density = [model.hysteresis.density_um_per_v2.sum() for model in (before, after)]
     if density[0]:
-        rows.append(("density of the hysteresis, sum", *map(_number, density),
+        rows.append(("density of the hysteresis, sum", *(f"{each:.5g}" for each in density),
                      f"{100.0 * (density[1] / density[0] - 1.0):+.2f}"))
     return Section("Changes of the model's own parameters", (
         "Without the effects the model's own parameters had been fitted to make up for them. "
         "With the effects they were free to change within their uncertainty.",), rows)
-
-
-def _number(value: float | Sequence[float], digits: int = 5) -> str:
-    if isinstance(value, (list, tuple)):
-        return ", ".join(f"{number:.{min(digits, 4)}g}" for number in value)
-    return f"{value:.{digits}g}"
 
 
 def distortion_sections(part: SimulatedRecording, before_um: FloatArray,
