@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
@@ -41,6 +42,7 @@ from piezo_identification.simulation.past_search import after_saturation
 from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect
+from piezo_models.hysteresis.first_rise import FirstRise
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
@@ -382,3 +384,28 @@ def of_the_fastest_clock(recordings: Sequence[Recording]) -> list[Recording]:
 def is_square_wave(recording: Recording) -> bool:
     """Return whether the voltage of a recording has two levels."""
     return two_levels(square_part(played(recording))) is not None
+
+
+@dataclass(frozen=True)
+class FittedModel:
+    """A model with the standard deviations of its parameters, before its errors are measured."""
+
+    model: StageModel
+
+    uncertainties: dict[str, Any]
+    """Standard deviations of creep and dynamics, as far as they were estimated."""
+    visited: NDArray[np.bool_]
+    """Cells of the Preisach plane that the data determine, (n, n)."""
+
+
+def fitted_model(linear: LinearDynamics, density: DensityEstimate,
+                 first_rise: FirstRise | None = None) -> FittedModel:
+    """Assemble the estimated components; further parts of the dynamics become effects."""
+    model = StageModel(
+        density.model(), linear.creep, linear.dynamics, effects=linear.all_effects,
+        first_rise=first_rise,
+    )
+    uncertainties: dict[str, Any] = dict(linear.uncertainties)
+    if linear.all_effects:
+        uncertainties["effects"] = list(linear.effect_deviations)
+    return FittedModel(model, uncertainties, density.visited)
