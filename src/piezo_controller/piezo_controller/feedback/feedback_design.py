@@ -169,7 +169,7 @@ def design_feedback(model: StageModel, weights: DesignWeights, clock_period_s: f
         raise UnstableLoop(f"{method} gives a loop that is not stable for every gain of the "
                            "hysteresis: use h_infinity, or another tick")
     return FeedbackController(controller.A, controller.B, controller.C, controller.D, tick_s,
-                              report, weights.as_dict() if method == "h_infinity" else {},
+                              report, weights.model_dump() if method == "h_infinity" else {},
                               model_sha256)
 
 

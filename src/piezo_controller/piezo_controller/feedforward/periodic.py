@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Voltage that makes the model of a stage follow a periodic reference (thesis 5.2.2)."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +21,7 @@ from piezo_controller.feedforward.feasibility import (
     check_slew,
     unreachable,
 )
+from piezo_controller.feedforward.plan import TrackingPlan
 from piezo_controller.feedforward.repeated_input import mean_over_repeats
 from piezo_controller.references.kind import Watch
 from piezo_controller.references.smooth_rise import minimum_jerk
@@ -42,8 +43,8 @@ CORRECTIONS = 2
 
 
 @dataclass(frozen=True, eq=False)
-class FeedforwardPlan:
-    """Voltage to play and displacement to expect, sample by sample: a `TrackingPlan`.
+class FeedforwardPlan(TrackingPlan):
+    """Voltage to play and displacement to expect, sample by sample.
 
     Attributes
     ----------
@@ -52,8 +53,8 @@ class FeedforwardPlan:
         memory of the hysteresis, then up to the reference's centre, with the reference faded in.
     period_voltage_v, reference_period_um : ndarray, shape (m,)
         Repeated after that.
-    feedback_start_sample : int
-        Sample from which on feedback may act; before it the stage's past differs from the model's.
+    begin_sample : int
+        Sample at which the periodic part begins.
     uncompensated : tuple of str
         Effects of the model that have causes outside the stage, and remain in the error.
     """
@@ -64,14 +65,10 @@ class FeedforwardPlan:
     reference_period_um: FloatArray
     feedback_start_sample: int
     uncompensated: tuple[str, ...] = ()
+    begin_sample: int = field(init=False)
 
-    streamed = open_ended = False
-    iteration, note, degraded = 0, "", ""
-
-    @property
-    def begin_sample(self) -> int:
-        """Return the sample at which the periodic part begins."""
-        return len(self.once_voltage_v)
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "begin_sample", len(self.once_voltage_v))
 
     def voltage_v(self, first_sample: int, count: int) -> FloatArray:
         """Return the voltages of `count` samples from `first_sample` on (V)."""
@@ -84,13 +81,6 @@ class FeedforwardPlan:
     def travel_um(self, samples: int) -> float:
         """Return the peak-to-peak displacement of the first samples of the reference (um)."""
         return float(np.ptp(self.reference_period_um[:samples]))
-
-    def continuation(self) -> None:
-        """Return None: the stage repeats the period by itself."""
-        return None
-
-    def take(self, displacement_um: FloatArray) -> None:
-        """Ignore the measurement, as the plan does not depend on it."""
 
 
 def plan_feedforward(reference_um: ArrayLike, model: StageModel, mode: str = "feedforward", *,

@@ -26,9 +26,9 @@ from piezo_controller.feedback.synthesis.design_choices import DEFAULT_WEIGHTS
 from piezo_controller.feedback.synthesis.generalised_plant import nominal_hysteresis_gain
 from piezo_controller.feedback.synthesis.weights import DesignWeights, load_weights
 from piezo_controller.feedforward.periodic import FeedforwardPlan
+from piezo_controller.feedforward.plan import TrackingPlan
 from piezo_controller.learning.fast_sensitivity import fast_sensitivity
 from piezo_controller.tracking.foreseen import Sensitivity, open_loop_sensitivity
-from piezo_controller.tracking.plan import TrackingPlan
 from piezo_controller.tracking.tracking_modes import FEEDBACK_METHODS, StageClock, feedback_room_v
 from piezo_models.axes.coupled import CoupledModel
 from piezo_models.cascade import StageModel

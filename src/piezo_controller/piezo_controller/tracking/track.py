@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Protocol
 from piezo_common.arrays import FloatArray
 from piezo_controller.feedback.integral_feedback import design_integral_feedback
 from piezo_controller.feedback.onboard_law import FADE_S
+from piezo_controller.feedforward.plan import TrackingPlan
 from piezo_controller.learning.learned_file import (
     Learned,
     find_like,
@@ -27,7 +28,6 @@ from piezo_controller.references.live_reference import TOPIC, LiveReference
 from piezo_controller.references.reference import LONGEST_DURATION_S, Reference
 from piezo_controller.tracking.feedbacks import Feedback, Feedbacks
 from piezo_controller.tracking.foreseen import check_reach
-from piezo_controller.tracking.plan import TrackingPlan
 from piezo_controller.tracking.run_plan import plan_learning, plan_references, plan_topic
 from piezo_controller.tracking.tracking_modes import FEEDBACK_METHODS, StageClock
 from piezo_controller.tracking.tracking_run import TrackingRun

@@ -9,10 +9,10 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_controller.feedforward.approach import FADE_S
 from piezo_controller.feedforward.periodic import FeedforwardPlan, plan_feedforward
+from piezo_controller.feedforward.plan import TrackingPlan
 from piezo_controller.references.kind import Reference, Watch
 from piezo_controller.references.reference import sample_reference
 from piezo_controller.references.smooth_rise import minimum_jerk
-from piezo_controller.tracking.plan import TrackingPlan
 from piezo_models.cascade import StageModel
 
 MODES = ("open_loop", "pid", "pi", "feedforward", "composite", "composite_single_rate",

@@ -8,12 +8,12 @@ from collections import deque
 import numpy as np
 
 from piezo_common.arrays import FloatArray
+from piezo_controller.feedforward.plan import TrackingPlan
 from piezo_controller.references.smooth_rise import smooth_rise
 from piezo_controller.tracking.answer_times import AnswerTimes
 from piezo_controller.tracking.feedbacks import Feedback
 from piezo_controller.tracking.foreseen import SHARE_AT_REST
 from piezo_controller.tracking.on_target import OnTarget
-from piezo_controller.tracking.plan import TrackingPlan
 
 USUAL_PERCENT = 99
 TOLERANCE_OF_TRAVEL, LEAST_TOLERANCE_UM = 0.01, 0.03

@@ -17,18 +17,10 @@ from piezo_identification.analysis.nonlinear_distortion import (
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.effects import Effect
 
-
-@dataclass(frozen=True)
-class EvidenceSettings:
-    """Threshold at which distortion excludes causes."""
-
-    absent: float = 0.02
-    """Fraction of the linear error below which distortion counts as absent. A spring or sensor with
-    a curved characteristic has distortion of at least a tenth of its linear error over the quarter
-    of the range that the experiment uses; play has more."""
-
-
-SETTINGS = EvidenceSettings()
+ABSENT = 0.02
+"""Fraction of the linear error below which distortion counts as absent. A spring or sensor with a
+curved characteristic has distortion of at least a tenth of its linear error over the quarter of the
+range that the experiment uses; play has more."""
 
 NEGLIGIBLE = 1e-3
 """Error that is acceptable for a good model, as a fraction of the response."""
@@ -60,7 +52,7 @@ class ErrorDistortion:
         """
         part_um = {"even": self.error.even_um, "odd": self.error.odd_um}[kind]
         most_um = max(part_um, self.error.significant_um)
-        return most_um < SETTINGS.absent * self.error.linear_um
+        return most_um < ABSENT * self.error.linear_um
 
     def sentence(self) -> str:
         """Describe the parts of the error and the causes that they indicate."""
@@ -106,11 +98,6 @@ def error_distortion(part: SimulatedRecording, residual_um: FloatArray) -> Error
 def excluded_by_distortion(parts: Sequence[SimulatedRecording],
                            kinds: Sequence[type[Effect]]) -> dict[str, str]:
     """Return the effects that are excluded because the error lacks their distortion.
-
-    Parameters
-    ----------
-    kinds : sequence of type
-        Classes of effects.
 
     Returns
     -------

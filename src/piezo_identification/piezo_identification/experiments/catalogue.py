@@ -3,6 +3,9 @@
 
 Other packages can add experiments through entry points of the group
 `piezo_identification.experiments`.
+
+The function of each experiment raises ValueError if its waveform leaves the range or exceeds the
+slew limit.
 """
 
 from collections.abc import Mapping, Sequence
@@ -84,11 +87,6 @@ def creep(
         Number of periods.
     swing_v : float, optional
         Difference of the two levels, which lie around the middle of the range.
-
-    Raises
-    ------
-    ValueError
-        If the waveform leaves the range or exceeds the slew limit.
     """
     voltage_v = _square_wave(limits, period_s, sample_period_s, swing_v)
     return fitting(
@@ -109,11 +107,6 @@ def dynamics(
         Period of the square wave and duration of the experiment.
     swing_v : float, optional
         Difference of the two levels, which lie around the middle of the range.
-
-    Raises
-    ------
-    ValueError
-        If the waveform leaves the range or exceeds the slew limit.
     """
     sample_period_s = 1.0 / limits.sample_rate_hz
     voltage_v = _square_wave(limits, period_s, sample_period_s, swing_v)
@@ -138,11 +131,6 @@ def hysteresis(
         Number of harmonics L; the levels are L + 1 with level 0.
     harmonic_period_s, sample_period_s : float
         Period T_sub of each harmonic and time for which each value is held.
-
-    Raises
-    ------
-    ValueError
-        If the waveform leaves the range or exceeds the slew limit.
     """
     samples = round(harmonic_period_s / sample_period_s)
     stairs_v = stair_harmonics(
@@ -171,11 +159,6 @@ def validation(
         Duration of the tones.
     tones : sequence of (float, float)
         Frequency (Hz) and amplitude, as a fraction of the voltage range, of each tone.
-
-    Raises
-    ------
-    ValueError
-        If the waveform leaves the range or exceeds the slew limit.
     """
     voltage_v = _arcs_and_tones(limits, VALIDATION_TURNS, tones, arc_s, tones_s)
     return fitting(
@@ -200,11 +183,6 @@ def multisine(
     tones : sequence of (float, float)
         Frequency (Hz) and amplitude, as a fraction of the voltage range, of each tone; by default
         100 to 600 Hz.
-
-    Raises
-    ------
-    ValueError
-        If the waveform leaves the range or exceeds the slew limit.
     """
     voltage_v = _arcs_and_tones(limits, MULTISINE_TURNS, tones, arc_s, tones_s)
     return fitting(
@@ -223,11 +201,6 @@ def diagnostic(limits: StageLimits = USUAL_LIMITS, repeats: int = 4) -> Experime
     ----------
     repeats : int
         How often the waveform is played.
-
-    Raises
-    ------
-    ValueError
-        If the waveform leaves the range or exceeds the slew limit.
     """
     voltage_v = diagnostic_block(limits)
     return fitting(
@@ -287,8 +260,6 @@ def named_experiment(
 
     Parameters
     ----------
-    name : str
-        Name of an experiment of this module or of another package.
     parameters : dict of str to object, optional
         Parameters that differ from the defaults.
 

@@ -36,12 +36,7 @@ PHASES = 0
 
 
 def diagnostic_block(limits: StageLimits) -> FloatArray:
-    """Return one block of the waveform, from the lowest voltage back to it, at the sample clock.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Voltage in V.
+    """Return one block (N,), in V, from the lowest voltage back to it, at the sample clock.
 
     Raises
     ------

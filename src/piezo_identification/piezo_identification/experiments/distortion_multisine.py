@@ -21,13 +21,7 @@ SEED = 0
 
 
 def excited_lines(highest_line: int, random: np.random.Generator) -> IntArray:
-    """Draw the lines of a random odd multisine, omitting one odd line of each group.
-
-    Returns
-    -------
-    ndarray of int
-        Increasing line numbers: cycles in one period of the multisine.
-    """
+    """Draw the increasing lines of a random odd multisine, omitting one of each group."""
     odd = np.arange(1, highest_line + 1, 2)
     left_out = [begin + random.integers(min(GROUP, odd.size - begin))
                 for begin in range(0, odd.size, GROUP)]
@@ -54,12 +48,6 @@ def distortion_period(limits: StageLimits, swing: float, period_s: float,
     """Return one period (N,) of the multisine around mid-range, at the sample clock.
 
     Pintelon and Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., 4.3.
-
-    Parameters
-    ----------
-    swing : float
-        Largest deviation from the middle as a fraction of the voltage range; the slew limit can
-        reduce it.
 
     Raises
     ------

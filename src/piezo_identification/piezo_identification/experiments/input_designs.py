@@ -7,28 +7,17 @@ from piezo_common.arrays import FloatArray
 
 
 def arc(start: float, end: float, samples: int) -> FloatArray:
-    """Return half a cosine from start to end; the sample after the last would reach the end.
-
-    Returns
-    -------
-    ndarray, shape (samples,)
-    """
+    """Return half a cosine (samples,) from start to end, reached one sample after the last."""
     return start + 0.5 * (end - start) * (1.0 - np.cos(np.pi * np.arange(samples) / samples))
 
 
 def stair_amplitudes(level_count: int, highest_v: float, below_the_top: float = 0.0) -> FloatArray:
-    """Return equally spaced amplitudes up to the highest voltage, (3.7), (4.7), (4.8).
+    """Return L equally spaced amplitudes up to the highest voltage, (3.7), (4.7), (4.8).
 
     Parameters
     ----------
-    level_count : int
-        Number of amplitudes L.
     below_the_top : float
         Fraction of a step by which each amplitude is lowered; 0.5 for (3.6).
-
-    Returns
-    -------
-    ndarray, shape (L,)
     """
     return (np.arange(1, level_count + 1) - below_the_top) * highest_v / level_count
 

@@ -81,11 +81,6 @@ def relay(limits: StageLimits, oscillation_s: float = 0.5) -> RelayExperiment:
     of the relay's amplitude. That shows the gains of the hysteresis (3.16): the secant from the
     lowest voltage, and the gain of the minor loop in which the relay moves.
 
-    Parameters
-    ----------
-    oscillation_s : float
-        Duration of the relay feedback.
-
     Raises
     ------
     ValueError
@@ -138,10 +133,6 @@ class RelayRun:
 
     def take(self, displacement_um: FloatArray) -> float:
         """Take the samples of the next tick.
-
-        Parameters
-        ----------
-        displacement_um : ndarray, shape (n,)
 
         Returns
         -------
@@ -233,11 +224,6 @@ class RelayOscillation:
 
 def relay_oscillation(recording: Recording, experiment: RelayExperiment) -> RelayOscillation:
     """Evaluate the recording of a relay experiment.
-
-    Parameters
-    ----------
-    experiment : RelayExperiment
-        The recorded experiment.
 
     Raises
     ------

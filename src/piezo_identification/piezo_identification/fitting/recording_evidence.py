@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr
-from scipy.optimize import nnls
 
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.fitting.noise_estimate import residual_um
+from piezo_identification.fitting.nonnegative_regression import nonnegative_least_squares
 from piezo_identification.fitting.regression import Regression
 from piezo_models.effects import Effect, Evidence
 
@@ -56,9 +56,9 @@ def _projections(
         seen = project(contributions)
         if positive:
             triangle = qr(np.column_stack([seen, residual]), mode="r")[0]
-            gains = nnls(triangle[:, :-1], triangle[:, -1])[0]
+            gains = nonnegative_least_squares(triangle[:, :-1], triangle[:, -1])[0]
         else:
-            gains = np.linalg.lstsq(seen, residual, rcond=1e-10)[0]
+            gains = np.linalg.lstsq(seen, residual, rcond=1e-10)[0].astype(float)
         rest = residual - seen @ gains
         return np.asarray(gains, dtype=float), float(1.0 - (rest @ rest) / energy)
 

@@ -22,13 +22,12 @@ from piezo_identification.estimators.hysteresis.first_rise_fit import (
     highest_before,
     without_first_rise,
 )
-from piezo_identification.identification.fitted_model import fitted_model
 from piezo_identification.identification.given_data import Data, keys_of_kind
 from piezo_identification.identification.given_hysteresis import (
     DensityOptions,
     estimate_hysteresis_of,
 )
-from piezo_identification.identification.linear_dynamics import LinearDynamics
+from piezo_identification.identification.linear_dynamics import LinearDynamics, fitted_model
 from piezo_identification.simulation.past_search import after_saturation, simulated_recording
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
@@ -144,8 +143,6 @@ def new_loops(
         Recordings with their rows as given, not aligned.
     near : DensityEstimate
         Estimate from the same recordings with nearly the same creep and dynamics.
-    model : StageModel
-        Model with all of its effects.
     read_late_s : dict of str to float
         Time by which each recording reads its rows after the voltage.
     """

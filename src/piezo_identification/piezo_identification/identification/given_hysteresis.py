@@ -59,8 +59,6 @@ def estimate_hysteresis_of(
     ----------
     recordings : dict of str to Recording or FrequencyResponse
         Recordings without gaps.
-    linear : LinearDynamics
-        Creep and dynamics, which are removed.
 
     Returns
     -------

@@ -33,8 +33,6 @@ from piezo_identification.estimators.frequency_response.response_model import (
 )
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
 from piezo_identification.identification.estimated_loops import estimate_loops, new_loops
-from piezo_identification.identification.explained_failures import failures_explained
-from piezo_identification.identification.fitted_model import FittedModel, fitted_model
 from piezo_identification.identification.given_data import (
     Data,
     aligned,
@@ -48,8 +46,10 @@ from piezo_identification.identification.given_hysteresis import (
 )
 from piezo_identification.identification.linear_dynamics import (
     SECOND_PASS,
+    FittedModel,
     LinearDynamics,
     estimate_linear_dynamics,
+    fitted_model,
 )
 from piezo_identification.identification.notes import Detail, Implausible
 from piezo_identification.identification.one_fit import fitted_together, reliable
@@ -165,10 +165,9 @@ def identify(
     """
     given = given_data(creep, dynamics, hysteresis, validation)
     stages, note = Stages(progress, cancelled), note or (lambda text: None)
-    paths = [data.path for data in given.values()]
     budget = budget or Budget()
-    with checking(stages.check), spending(budget), failures_explained(
-            lambda: stages.current, paths):
+    with checking(stages.check), spending(budget), stages.failures_explained(
+            data.path for data in given.values()):
         if refine or method != OUTPUT_ERROR:
             note("refine and method have no effect: identify always fits all components together "
                  "at the end, by their output error")
@@ -289,10 +288,6 @@ def report_starts(recordings: Mapping[str, Data], cycled: Mapping[str, Data],
     ----------
     cycled : dict of str to Recording or FrequencyResponse
         The recordings as if the stage had been cycled before each of them.
-    first_rise : FirstRise or None
-        First rise found in the recordings of the hysteresis.
-    note : callable
-        Called with a sentence for each recording.
     """
     for name, data in recordings.items():
         if isinstance(data, FrequencyResponse):
@@ -344,8 +339,6 @@ def identified_model(
 
     Parameters
     ----------
-    errors : dict
-        Errors by their names in the model file.
     given : dict of str to Recording or FrequencyResponse
         Recordings as read from their files.
     """

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
@@ -40,6 +41,7 @@ from piezo_identification.simulation.past_search import after_saturation
 from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect
+from piezo_models.hysteresis.first_rise import FirstRise
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
 
@@ -184,10 +186,6 @@ def estimate_linear_dynamics(
     ----------
     creep, hysteresis : sequence of Recording
         Recordings without gaps; empty for none.
-    order : ResponseOrder
-        Requested orders.
-    begin : callable
-        Called with (stage, fraction of this work) before each stage.
 
     Raises
     ------
@@ -248,12 +246,8 @@ def creep_of(
 
     Parameters
     ----------
-    is_dynamics_known : bool
-        Whether `found` already contains the dynamics.
     pair_count : int, optional
         Number of creep pairs; by default chosen from the data.
-    highest_rad_per_s : float
-        Highest frequency of the fast recordings.
 
     Returns
     -------
@@ -292,17 +286,12 @@ def _creep_of_aligned(
 
 
 def loop_readings(hysteresis: Sequence[Recording], found: LinearDynamics) -> set[float]:
-    """Return the instants at which rows of loops may be read, in sample periods.
+    """Return the instants at which rows of loops may be read, in sample periods; 0 is one.
 
     They may be read with their voltage, as the rows of the dynamics, or as their jumps show.
     Points of a static loop may also be read at the end of their hold, when the stage has come to
     rest. Jumps and points are not used until there are dynamics: a model without them responds
     immediately, and does not distinguish the two ends of the hold.
-
-    Returns
-    -------
-    set of float
-        Always includes 0.
     """
     readings = {0.0, *(read_as(each, found.read_at_samples) for each in hysteresis)}
     if found.dynamics.is_static:
@@ -374,3 +363,28 @@ def of_the_fastest_clock(recordings: Sequence[Recording]) -> list[Recording]:
 def is_square_wave(recording: Recording) -> bool:
     """Return whether the voltage of a recording has two levels."""
     return two_levels(square_part(played(recording))) is not None
+
+
+@dataclass(frozen=True)
+class FittedModel:
+    """A model with the standard deviations of its parameters, before its errors are measured."""
+
+    model: StageModel
+
+    uncertainties: dict[str, Any]
+    """Standard deviations of creep and dynamics, as far as they were estimated."""
+    visited: NDArray[np.bool_]
+    """Cells of the Preisach plane that the data determine, (n, n)."""
+
+
+def fitted_model(linear: LinearDynamics, density: DensityEstimate,
+                 first_rise: FirstRise | None = None) -> FittedModel:
+    """Assemble the estimated components; further parts of the dynamics become effects."""
+    model = StageModel(
+        density.model(), linear.creep, linear.dynamics, effects=linear.all_effects,
+        first_rise=first_rise,
+    )
+    uncertainties: dict[str, Any] = dict(linear.uncertainties)
+    if linear.all_effects:
+        uncertainties["effects"] = list(linear.effect_deviations)
+    return FittedModel(model, uncertainties, density.visited)

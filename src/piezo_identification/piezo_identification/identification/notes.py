@@ -33,13 +33,7 @@ class Detail(str):
 
 @contextmanager
 def notes_printed(verbose: bool) -> Iterator[list[str]]:
-    """Provide a list for notes, which are printed at the end.
-
-    Parameters
-    ----------
-    verbose : bool
-        True to print details, too.
-    """
+    """Provide a list for notes, which are printed at the end, with details only if verbose."""
     notes: list[str] = []
     try:
         yield notes

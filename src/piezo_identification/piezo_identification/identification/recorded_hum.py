@@ -85,10 +85,6 @@ def hum_of_each(
     ----------
     recordings : dict of str to Recording or FrequencyResponse
         Conditioned recordings with their rows as given.
-    model : StageModel
-        Model with all of its effects.
-    delays_s : dict of str to float
-        Result of `delays_of_rows_s`.
     """
     found = {}
     for name, data in recordings.items():

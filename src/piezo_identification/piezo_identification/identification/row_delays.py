@@ -62,13 +62,6 @@ def validation_as_read(
     ----------
     conditioned, recordings : dict of str to Recording or FrequencyResponse
         Recordings as given, and aligned.
-    read_at : dict of str to float
-        Result of `found_readings`.
-
-    Returns
-    -------
-    recordings : dict of str to Recording or FrequencyResponse
-    read_at : dict of str to float
     """
     read, instants = dict(recordings), dict(read_at)
     for name, data in conditioned.items():
@@ -81,11 +74,6 @@ def delays_of_rows_s(
     recordings: Mapping[str, Data], read_at: Mapping[str, float],
 ) -> dict[str, float]:
     """Return the delays of recordings that are not aligned, negative if rows are read late.
-
-    Parameters
-    ----------
-    read_at : dict of str to float
-        Result of `found_readings`.
 
     Returns
     -------
@@ -107,8 +95,6 @@ def row_delays(
     ----------
     recordings : dict of str to Recording or FrequencyResponse
         Aligned recordings.
-    found : dict of str to float
-        Result of `found_readings`.
     read_at_samples : float
         Instant given to `identify`.
 

@@ -52,8 +52,6 @@ class ChangeEvidence:
         ----------
         value : float
             Logarithm of the error of the block (um).
-        expected : Expected
-            Usual distribution of this logarithm.
         """
         usual = _log_density(value, expected.middle, expected.scale, expected.freedom)
         grown = _log_density(value, expected.middle + self._growth,

@@ -43,8 +43,6 @@ def explain_change(model: str | Path, recording: str | Path, directory: str | Pa
 
     Parameters
     ----------
-    model, recording : path-like
-        Model file, and recording after the change.
     directory : path-like
         Directory for ``extended_model.json``, and for the files of the diagnosis if one is made.
     usual_rms_um : float
@@ -81,15 +79,6 @@ def explain_change(model: str | Path, recording: str | Path, directory: str | Pa
 
 class Explainer:
     """Explain a change in a separate process.
-
-    Parameters
-    ----------
-    model : str
-        Path of the model file.
-    recording : Recording
-        Recording after the change.
-    directory : Path
-        Directory for all files; it is created if it is missing.
 
     Raises
     ------

@@ -261,18 +261,9 @@ class ModelMonitor:
 
 
 def band_powers(signal_um: FloatArray, sample_period_s: float) -> FloatArray:
-    """Return the mean square of a signal about its mean in the bands of `BAND_EDGES_HZ`.
+    """Return the mean square (um^2) of a signal about its mean in the bands of `BAND_EDGES_HZ`.
 
-    The linear trend of the signal is counted in the lowest band.
-
-    Parameters
-    ----------
-    signal_um : ndarray, shape (N,)
-
-    Returns
-    -------
-    ndarray, shape (4,)
-        Powers in um^2; their sum is the variance.
+    Their sum is the variance. The linear trend of the signal is counted in the lowest band.
     """
     line = np.linspace(-1.0, 1.0, signal_um.size)
     slope_um = float(line @ signal_um / (line @ line))
@@ -291,8 +282,6 @@ def largest_part(residual_um: FloatArray, offset_um: float, simulated_um: FloatA
     Parameters
     ----------
     residual_um, simulated_um : ndarray, shape (N,)
-    offset_um : float
-        Offset of the residual.
     """
     remaining_um = residual_um - residual_um.mean()
     powers = {"mean": offset_um**2}

@@ -137,14 +137,9 @@ class StageMonitor:
         return sum(piece.voltage_v.size for piece in self._since(time_s))
 
     def recording(self, time_s: float) -> Recording:
-        """Return the kept samples of the last run since a time as a recording.
+        """Return the kept samples of the last run since a time on the sample clock as a recording.
 
         They are preceded by the voltages in the memory of the hysteresis, flagged as a ramp.
-
-        Parameters
-        ----------
-        time_s : float
-            Time on the sample clock.
 
         Raises
         ------

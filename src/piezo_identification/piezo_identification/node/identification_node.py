@@ -13,12 +13,13 @@ from rclpy.lifecycle import LifecycleNode
 from piezo_common.budget import Budget
 from piezo_identification.adequacy.component_adequacy import overall_verdict
 from piezo_identification.diagnosis.experiment_design.propose import LONGEST_S
-from piezo_identification.diagnosis.report.decide_files import (
+from piezo_identification.diagnosis.report.diagnosis_report import verdict_sentence
+from piezo_identification.diagnosis.report.diagnosis_results import (
+    DiagnosisResults,
     decide_files,
     decision_sentence,
+    diagnose_files,
 )
-from piezo_identification.diagnosis.report.diagnosis_report import verdict_sentence
-from piezo_identification.diagnosis.report.diagnosis_results import DiagnosisResults, diagnose_files
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
 from piezo_identification.experiments.catalogue import (
     EXPERIMENTS,

@@ -71,8 +71,6 @@ def component_evidence(identified: IdentifiedModel, given: Mapping[str, Data],
 
     Parameters
     ----------
-    given : dict of str to Recording or FrequencyResponse
-        Data from `given_data`.
     read_at_samples : float
         Value of this argument in the call of `identify`.
 

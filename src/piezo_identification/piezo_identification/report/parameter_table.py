@@ -39,11 +39,6 @@ def effect_rows(effects: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     effects : sequence of dict
         Effects with the keys `name`, `parameters`, `error_reduction_percent` and, optionally,
         `standard_deviations`.
-
-    Returns
-    -------
-    list of tuple of str
-        The heads, then a row for each number.
     """
     rows: list[tuple[str, ...]] = [("effect", *HEADS, "error reduction (%)")]
     kinds = known_effects()

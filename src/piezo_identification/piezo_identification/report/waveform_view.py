@@ -94,8 +94,6 @@ def view_of(voltage_v: FloatArray, sample_period_s: float,
     ----------
     voltage_v : ndarray, shape (N,)
         Voltage without gaps.
-    waveform : Waveform, optional
-        Kind of the voltage; determined from it by default.
     """
     waveform = waveform or waveform_of(voltage_v, sample_period_s)
     first, samples = _period(waveform)

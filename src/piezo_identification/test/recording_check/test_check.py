@@ -18,7 +18,7 @@ from piezo_identification.recording_check.suitability import (
     suitability,
     suitability_for,
 )
-from piezo_identification.report.check_picture import check_figure
+from piezo_identification.report.check_page import check_figure
 from piezo_recorder.reading.reader import read_recording
 
 

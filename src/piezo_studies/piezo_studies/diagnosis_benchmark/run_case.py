@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from piezo_identification.diagnosis.comparison.measures_of_fits import lack_of_fit
+from piezo_identification.diagnosis.comparison.criteria import lack_of_fit
 from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_identification.diagnosis.evidence.known_noise import noise_of_model
 from piezo_identification.diagnosis.experiment_design.decide import decide

@@ -1,52 +1,105 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Selection of effects: one is added at a time as long as the gain on held-out data is certain."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+
+import numpy as np
 
 from piezo_common.budget import SEARCH, while_time_lasts
 from piezo_common.progress_part import Progress
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.analysis.error_distortion import excluded_by_distortion
-from piezo_identification.diagnosis.comparison.attempts import Attempt, try_each
 from piezo_identification.diagnosis.comparison.criteria import (
     CRITERIA,
     alternatives,
+    distance,
     is_convincing,
     is_noise,
+    lack_of_fit,
+    mean_square,
     score,
+    significance,
     simplest_first,
+    visible_part,
 )
-from piezo_identification.diagnosis.comparison.measures_of_fits import lack_of_fit, mean_square
-from piezo_identification.diagnosis.comparison.reasons import Undecided
 from piezo_identification.diagnosis.comparison.undecided import (
+    OTHER_PARAMETERS,
+    Reason,
+    Undecided,
     explained_by_parameters,
     in_place_of_the_found,
     like_the_best,
 )
-from piezo_identification.fitting.effect_fit import fit_effects, impossible_effects
+from piezo_identification.fitting.effect_fit import fit_effects, fit_one_more, impossible_effects
+from piezo_identification.fitting.recording_evidence import recording_evidence
 from piezo_identification.fitting.regression import (
     Fit,
     Regression,
     fit_without_effects,
     reweighted,
 )
-from piezo_models.effects import known_effects
+from piezo_models.effects import Effect, Evidence, known_effects
 from piezo_models.effects.outliers import Outliers
 
 
-@dataclass(frozen=True)
-class SearchSettings:
-    """Limits of the selection."""
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """A candidate in one round of the comparison."""
 
-    most_effects: int = 3
-    """Largest size of a set: in larger ones, some effects compensate for errors of others."""
-    stuck: float = 0.7
-    """Ratio of the lack of fit after and before a round above which the search ends."""
+    name: str
+
+    fit: Fit | None
+    """None if the data give no initial guess, or cannot show the effect."""
+    significance: float = 0.0
+    """Significance of the gain on held-out data, in standard deviations."""
+    reduction_percent: float = 0.0
+    """Reduction of the RMS error on held-out data."""
+    size: float = 0.0
+    """RMS of the contribution, in tolerances."""
+    undecided: Undecided | None = None
+    """Why the data could not show the effect; None if they could."""
 
 
-SETTINGS = SearchSettings()
+def try_each(regression: Regression, kinds: Sequence[type[Effect]], current: Fit,
+             report: Callable[[str, float], None]) -> list[Attempt]:
+    """Try each kind of effect in addition to those of a fit."""
+    evidence = recording_evidence(regression, current.effects)
+    return side_by_side(
+        lambda kind: _attempt(regression, kind, current, evidence), kinds,
+        lambda number: report(kinds[number].name, number / len(kinds)))
+
+
+def _attempt(regression: Regression, kind: type[Effect], current: Fit,
+             evidence: Sequence[Evidence]) -> Attempt:
+    if not kind.several and any(type(effect) is kind for effect in current.effects):
+        return Attempt(kind.name, None)
+    unexcited = [kind.lacks_excitation(shown) for shown in evidence]
+    if all(unexcited):
+        return Attempt(kind.name, None, undecided=Undecided(
+            Reason.NOT_EXCITED, str(unexcited[0])))
+    fit = fit_one_more(regression, kind, current.effects, evidence)
+    if fit is None:
+        return Attempt(kind.name, None)
+    impossible = impossible_effects(fit, regression.dataset.extent)
+    if impossible:
+        return Attempt(kind.name, None, undecided=Undecided(
+            Reason.IMPOSSIBLE, "; ".join(impossible.values())))
+    before, after = mean_square(regression, current), mean_square(regression, fit)
+    is_visible = visible_part(regression, current, fit) >= CRITERIA.visible
+    return Attempt(
+        kind.name, fit, significance(regression, current, fit),
+        float(100.0 * (1.0 - np.sqrt(after / before))), distance(regression, current, fit),
+        None if is_visible else OTHER_PARAMETERS,
+    )
+
+
+MOST_EFFECTS = 3
+"""Largest size of a set: in larger ones, some effects compensate for errors of others."""
+
+STUCK = 0.7
+"""Ratio of the lack of fit after and before a round above which the search ends."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +137,6 @@ def select_effects(regression: Regression, progress: Progress | None = None,
 
     Parameters
     ----------
-    progress : callable, optional
-        Called with (what is done, fraction).
     share : float
         Share of the time limit after which the best result so far is returned.
     """
@@ -99,7 +150,7 @@ def select_effects(regression: Regression, progress: Progress | None = None,
     sets = [best]
     others: Sequence[Fit] = ()
     with while_time_lasts("further effects of the new recordings", share) as search:
-        for turn in range(SETTINGS.most_effects):
+        for turn in range(MOST_EFFECTS):
             attempts: list[Attempt] = []
             for number, current in enumerate(sets):
                 report = _share_of(progress, turn + number / len(sets), 1.0 / len(sets))
@@ -113,7 +164,7 @@ def select_effects(regression: Regression, progress: Progress | None = None,
             larger = simplest_first(regression, _fitted_as_a_whole(regression, attempts))
             if not larger or not is_convincing(regression, start, best, larger[0]):
                 break
-            stuck = lack_of_fit(regression, larger[0]) > SETTINGS.stuck * lack_of_fit(
+            stuck = lack_of_fit(regression, larger[0]) > STUCK * lack_of_fit(
                 regression, best)
             weighed = reweighted(regression, larger[0].effects)
             larger = [weighed.fit(fit.effects, fit.covariance) for fit in larger]
@@ -154,7 +205,7 @@ def _share_of(progress: Progress | None, begun: float, share: float) -> Progress
         return lambda name, fraction: None
     return lambda name, fraction: progress(
         f"effect {int(begun) + 1}: {name}",
-        (begun + share * fraction) / SETTINGS.most_effects)
+        (begun + share * fraction) / MOST_EFFECTS)
 
 
 def _best_first(regression: Regression, attempts: Sequence[Attempt]) -> list[Attempt]:

@@ -3,11 +3,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 from piezo_common.side_by_side import side_by_side
-from piezo_identification.diagnosis.comparison.criteria import CRITERIA, is_indistinguishable
-from piezo_identification.diagnosis.comparison.measures_of_fits import lack_of_fit
-from piezo_identification.diagnosis.comparison.reasons import OTHER_PARAMETERS, Undecided
+from piezo_identification.diagnosis.comparison.criteria import (
+    CRITERIA,
+    is_indistinguishable,
+    lack_of_fit,
+)
 from piezo_identification.fitting.effect_fit import fit_effects, fit_one_more
 from piezo_identification.fitting.recording_evidence import recording_evidence
 from piezo_identification.fitting.regression import (
@@ -18,16 +21,33 @@ from piezo_identification.fitting.regression import (
 from piezo_models.effects import Effect
 
 
+class Reason(StrEnum):
+    """Kind of reason, for use by programs; users read the sentence."""
+
+    NOT_EXCITED = "not excited"
+    IMPOSSIBLE = "impossible"
+    SAME_AS_OTHER_PARAMETERS = "same as other parameters"
+    LIKE_ANOTHER = "like another effect"
+    WORSE_ON_HELD_OUT = "worse on held-out data"
+
+
 @dataclass(frozen=True)
-class UndecidedSettings:
-    """When another cause is equivalent to a change of the model's parameters."""
+class Undecided:
+    """A reason with its sentence."""
 
-    as_good: float = 2.0
-    """Largest lack of fit of the cause, relative to that with free parameters. If the lack of fit
-    with fixed parameters is no larger, no cause is sought."""
+    reason: Reason
+
+    sentence: str
+    """Sentence without its end."""
 
 
-SETTINGS = UndecidedSettings()
+OTHER_PARAMETERS = Undecided(Reason.SAME_AS_OTHER_PARAMETERS,
+                             "here a model with slightly other parameters does the same")
+
+
+AS_GOOD = 2.0
+"""Largest lack of fit of a cause that is equivalent to a change of the model's parameters, relative
+to that with free parameters. If it is no larger with fixed parameters, no cause is sought."""
 
 
 def like_the_best(regression: Regression, fits: Sequence[Fit]) -> dict[str, str]:
@@ -37,11 +57,6 @@ def like_the_best(regression: Regression, fits: Sequence[Fit]) -> dict[str, str]
     ----------
     fits : sequence of Fit
         Fits, the best first.
-
-    Returns
-    -------
-    dict of str to str
-        Name of each such effect, and the effect of the best set that it replaces.
     """
     best = fits[0]
     found: dict[str, str] = {}
@@ -82,16 +97,10 @@ def in_place_of_the_found(regression: Regression, kinds: Sequence[type[Effect]],
 
 def explained_by_parameters(regression: Regression, kinds: Sequence[type[Effect]],
                             best: Fit) -> dict[str, Undecided]:
-    """Return the effects that alone explain what the model's parameters explain, and why.
-
-    Returns
-    -------
-    dict of str to Undecided
-        Names of the effects, and the reason why they are not decidable.
-    """
+    """Return the effects that alone explain what the model's parameters explain, and why."""
     fixed = with_fixed_parameters(regression, best.effects)
     remaining = max(CRITERIA.noise**2, lack_of_fit(regression, best))
-    if lack_of_fit(fixed, fixed.fit(best.effects)) <= SETTINGS.as_good * remaining:
+    if lack_of_fit(fixed, fixed.fit(best.effects)) <= AS_GOOD * remaining:
         return {}
     evidence = recording_evidence(fixed, best.effects)
     present = {effect.name for effect in best.effects}
@@ -100,7 +109,7 @@ def explained_by_parameters(regression: Regression, kinds: Sequence[type[Effect]
         if kind.name in present or all(map(kind.lacks_excitation, evidence)):
             return False
         fit = fit_one_more(fixed, kind, best.effects, evidence)
-        return fit is not None and lack_of_fit(fixed, fit) <= SETTINGS.as_good * remaining
+        return fit is not None and lack_of_fit(fixed, fit) <= AS_GOOD * remaining
 
     as_well = side_by_side(does_as_well, kinds)
     return {kind.name: OTHER_PARAMETERS

@@ -74,11 +74,7 @@ def without_faults(model: StageModel,
                    recording: Recording) -> tuple[Recording, list[RecordingFault]]:
     """Return a recording with the sign and the rows of the model and its outliers marked.
 
-    Returns
-    -------
-    recording : Recording
-    faults : list of RecordingFault
-        Faults that were corrected.
+    Also return the faults that were corrected.
 
     Raises
     ------

@@ -9,13 +9,13 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_common.side_by_side import side_by_side
-from piezo_identification.diagnosis.comparison.reasons import Reason
-from piezo_identification.diagnosis.joint.alternatives import Appearance, evidence_of
-from piezo_identification.diagnosis.joint.expected_errors import expected_errors
-from piezo_identification.diagnosis.joint.far_starts import may_lead
+from piezo_identification.diagnosis.comparison.undecided import Reason
+from piezo_identification.diagnosis.joint.alternatives import Appearance, continued, evidence_of
 from piezo_identification.diagnosis.joint.probabilities import (
     ALTERNATIVE,
     NONE,
+    expected_errors,
+    label_of,
     listed_probabilities,
 )
 from piezo_identification.fitting.effect_fit import fit_one_more
@@ -27,7 +27,7 @@ from piezo_models.effects import Effect, fitted_values, known_effects, with_fitt
 from piezo_models.effects.outliers import Outliers
 from piezo_recorder.reading.recording import Recording
 
-TURNS = 8
+TURNS = 7
 """Largest number of continued fits of two steps each. With the single one of a diagnosis, a correct
 alternative would lose if its model has to change more."""
 IDLE = 1e-3
@@ -77,12 +77,7 @@ class Alternatives:
 
 
 def effects_of(verdict: Mapping[str, Any]) -> tuple[Effect, ...]:
-    """Return the effects that a verdict found, with their parameters.
-
-    Parameters
-    ----------
-    verdict : dict
-        Content of `verdict.json`.
+    """Return the effects that a verdict (content of `verdict.json`) found.
 
     Raises
     ------
@@ -116,8 +111,6 @@ def find_alternatives(regression: Regression, verdict: Mapping[str, Any],
     ----------
     regression : Regression
         Regression on the diagnosed recordings, weighted with the effects found.
-    verdict : dict
-        Content of `verdict.json`.
     old : sequence of Recording
         Recordings of the identification, conditioned as for a diagnosis.
     others : iterable of tuples of Effect
@@ -126,10 +119,10 @@ def find_alternatives(regression: Regression, verdict: Mapping[str, Any],
         RMS of the known error of the model.
     """
     dataset, found = regression.dataset, effects_of(verdict)
-    sets: dict[str, Effects] = {_name(found): found}
+    sets: dict[str, Effects] = {label_of(found): found}
     for effects in (*others, *_undecided(regression, found, verdict),
                     *_probable(regression, found, verdict)):
-        sets.setdefault(_name(effects), effects)
+        sets.setdefault(label_of(effects), effects)
     problem = JointProblem(dataset.model, dataset.recordings, old, len(dataset.recordings),
                            simulated=dataset.simulated)
     was_there = any(entry.get("came") == Appearance.BEFORE
@@ -147,14 +140,14 @@ def _fit(problem: JointProblem, sets: Mapping[str, Effects], was_there: bool,
     model without effects remains.
     """
     found, *others = sets.values()
-    first = _gone_on(problem, _fitted(problem, found, was_there))
+    first = continued(problem, _fitted(problem, found, was_there), most=TURNS)
 
     def begins_from_first(effects: Effects) -> bool:
         return {effect.name for effect in found} < {effect.name for effect in effects}
 
     def fit_of(effects: Effects) -> JointFit:
         begun = first if begins_from_first(effects) else None
-        return _gone_on(problem, _fitted(problem, effects, was_there, begun), first)
+        return continued(problem, _fitted(problem, effects, was_there, begun), first, TURNS)
 
     fitted = [first, *side_by_side(fit_of, others)]
     best = min(fitted, key=lambda fit: fit.against)
@@ -164,14 +157,14 @@ def _fit(problem: JointProblem, sets: Mapping[str, Effects], was_there: bool,
         if fit is best or best is first and begins_from_first(effects):
             return fit
         moved = _fitted(problem, effects, was_there, best)
-        return min(fit, _gone_on(problem, moved, best), key=lambda fit: fit.against)
+        return min(fit, continued(problem, moved, best, TURNS), key=lambda fit: fit.against)
 
     fits = dict(zip(sets, side_by_side(again, fitted), strict=True))
     extent = problem.dataset.extent
     possible = {name: fit for name, fit in fits.items()
                 if name == NONE or not any(effect.impossible(extent) for effect in fit.effects)}
     if not possible:
-        possible = {NONE: _gone_on(problem, _fitted(problem, (), was_there))}
+        possible = {NONE: continued(problem, _fitted(problem, (), was_there), most=TURNS)}
     return without_idle(possible, len(problem.own))
 
 
@@ -180,8 +173,6 @@ def without_idle(fits: Mapping[str, JointFit], own: int) -> dict[str, JointFit]:
 
     Parameters
     ----------
-    fits : dict of str to JointFit
-        Fits by the names of their effects.
     own : int
         Number of effects of the model itself, which come first in every fit.
     """
@@ -189,21 +180,12 @@ def without_idle(fits: Mapping[str, JointFit], own: int) -> dict[str, JointFit]:
         whole = fit.regression.difference(fit.effects)
         for index in range(own, len(fit.effects)):
             rest = fit.effects[:index] + fit.effects[index + 1:]
-            if _name(rest[own:]) in fits and np.allclose(
+            if label_of(rest[own:]) in fits and np.allclose(
                     fit.regression.difference(rest), whole, rtol=0.0, atol=IDLE):
                 return True
         return False
 
     return {name: fit for name, fit in fits.items() if not is_another(fit)}
-
-
-def _gone_on(problem: JointProblem, fit: JointFit, best: JointFit | None = None) -> JointFit:
-    """Continue a fit until there is nothing to gain, or until the best is too far ahead."""
-    for _ in range(1, TURNS):
-        if fit.has_converged or best is not None and not may_lead(fit, best):
-            break
-        fit = problem.fit(fit.effects, fit.later, fit)
-    return fit
 
 
 def _weighed(problem: JointProblem, fitted: Mapping[str, JointFit],
@@ -244,10 +226,6 @@ def _fitted(problem: JointProblem, effects: Effects, was_there: bool,
         was_there and (effect.of_the_stage or effect.recurs))]
     own = problem.own if begun is None else begun.effects[: len(problem.own)]
     return problem.fit((*own, *effects), later, begun)
-
-
-def _name(effects: Sequence[Effect]) -> str:
-    return "+".join(sorted(effect.name for effect in effects)) or NONE
 
 
 def _undecided(regression: Regression, found: Effects,

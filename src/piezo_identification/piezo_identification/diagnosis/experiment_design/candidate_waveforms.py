@@ -133,13 +133,7 @@ def grid() -> list[Point]:
 
 
 def waveform(limits: StageLimits, longest_s: float, point: Point) -> Experiment:
-    """Make a waveform as large as its level and the slew limit allow.
-
-    Parameters
-    ----------
-    longest_s : float
-        Longest duration.
-    """
+    """Make a waveform as large as its level and the slew limit allow."""
     family = point.family
     clock_s = 1.0 / limits.sample_rate_hz
     period_s = clock_s

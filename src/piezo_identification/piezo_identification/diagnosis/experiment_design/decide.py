@@ -2,25 +2,48 @@
 """Play what distinguishes the alternatives, and diagnose again, until one remains."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from piezo_common.budget import Budget
 from piezo_common.progress_part import Progress, part_of
-from piezo_identification.diagnosis.diagnose import Diagnosis, diagnose
+from piezo_identification.diagnosis.comparison.validation import Validation
+from piezo_identification.diagnosis.diagnose import (
+    Decision,
+    Diagnosis,
+    ceiling_of,
+    conclude,
+    condition,
+    diagnose,
+    hold_to_noise,
+)
+from piezo_identification.diagnosis.evidence.found_outliers import found_outliers
 from piezo_identification.diagnosis.evidence.known_noise import KnownNoise
 from piezo_identification.diagnosis.experiment_design.alternative_explanations import (
     Alternatives,
     find_alternatives,
 )
-from piezo_identification.diagnosis.experiment_design.decided_verdict import decided_verdict
 from piezo_identification.diagnosis.experiment_design.expected_outcome import SURE
 from piezo_identification.diagnosis.experiment_design.propose import LONGEST_S, Proposal, propose
+from piezo_identification.diagnosis.joint.alternatives import Alternative as Competitor
+from piezo_identification.diagnosis.joint.alternatives import Appearance, evidence_of
+from piezo_identification.diagnosis.joint.competition import (
+    Competition,
+    probabilities_of_named,
+    selection_from,
+)
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
     old_recordings,
 )
+from piezo_identification.diagnosis.joint.probabilities import BELIEVED, SOMETHING_ELSE
 from piezo_identification.experiments.stage_limits import USUAL_LIMITS, StageLimits
+from piezo_identification.fitting.dataset import simulate_recordings
+from piezo_identification.fitting.regression import (
+    first_regression,
+    fit_without_effects,
+)
 from piezo_models.cascade import StageModel
+from piezo_models.effects.outliers import Outliers
 from piezo_recorder.reading.recording import Recording
 
 DIAGNOSED, COMPARED, DESIGNED = 0.6, 0.7, 0.8
@@ -62,8 +85,6 @@ def decide(model: StageModel, recordings: Sequence[Recording], play: Play, budge
 
     Parameters
     ----------
-    recordings : sequence of Recording
-        Recordings so far.
     play : callable
         Takes a proposal and a progress function called with (what is done, fraction); plays the
         experiment on the stage and returns the recording.
@@ -126,3 +147,53 @@ def decide(model: StageModel, recordings: Sequence[Recording], play: Play, budge
 
 def _is_decided(alternatives: Alternatives) -> bool:
     return max(alternatives.probabilities.values()) >= SURE
+
+
+def decided_verdict(model: StageModel, recordings: Sequence[Recording], holdout: Recording | None,
+                    diagnosis: Diagnosis, alternatives: Alternatives) -> Diagnosis:
+    """Return a diagnosis with the most probable alternative and all probabilities."""
+    best = alternatives.alternatives[0]
+    names = tuple(sorted(effect.name for effect in best.effects))
+    unnamed = diagnosis.probabilities.get(SOMETHING_ELSE, 0.0)
+    listed = sum(alternatives.probabilities.values())
+    if not names and unnamed >= BELIEVED:
+        return diagnosis  # nothing on the list decides, and it names what explains a part
+    chances = {name: (1.0 - unnamed) * share / listed
+               for name, share in alternatives.probabilities.items()} | {SOMETHING_ELSE: unnamed}
+    competitor = Competitor(names, bool(best.fit.later), best.fit, evidence_of(best.name, best.fit))
+    competition = Competition(chances, competitor)
+    alike = competition.indistinguishable()
+    found = sorted(entry["name"] for entry in diagnosis.effects if entry["name"] != Outliers.name)
+    if list(names) == found:
+        decided = diagnosis.confounded_with.keys() - alike.keys()
+        return replace(diagnosis.without_undecided(decided), probabilities=chances)
+    given = condition(model, recordings, holdout)
+    first = first_regression(simulate_recordings(model, given.recordings))
+    extended = selection_from(
+        replace(diagnosis.selection, regression=first), competition, competitor)
+    selection = replace(
+        extended, start=fit_without_effects(extended.regression), indistinguishable=alike)
+    validation = Validation(first, given.holdout).for_regression(extended.regression)
+    if names and not validation.improves(selection.end):
+        return replace(diagnosis, probabilities=chances)
+    outliers = found_outliers(selection.regression, selection.end.effects)
+    if unnamed >= BELIEVED:
+        # The probabilities belong to a fit that is not named here.
+        chances = probabilities_of_named(competition, selection.regression, selection.end, ())
+    held = hold_to_noise(chances, selection, validation, selection.end, outliers, diagnosis.noise,
+                         diagnosis.stated_um)
+    decision = Decision(selection.end, outliers, {}, _appearance(alternatives), held)
+    diagnosed = conclude(
+        model, given, selection, validation, decision, ceiling_of(selection, decision))
+    return replace(
+        diagnosed, identified_from=diagnosis.identified_from, probabilities=held.probabilities,
+        noise=diagnosis.noise, stated_um=diagnosis.stated_um)
+
+
+def _appearance(alternatives: Alternatives) -> Appearance:
+    """Return when the effects of the most probable alternative appeared."""
+    problem = alternatives.problem
+    if problem.new_count == len(problem.dataset.recordings):
+        return Appearance.NOT_ASKED
+    later = alternatives.alternatives[0].fit.later
+    return Appearance.AFTER if later else Appearance.BEFORE

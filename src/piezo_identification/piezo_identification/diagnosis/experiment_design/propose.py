@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from piezo_common.progress_part import Progress
+from piezo_common.progress_part import Progress, part_of
 from piezo_common.side_by_side import side_by_side
 from piezo_common.text_file import replace_json, replace_text
-from piezo_identification.diagnosis.diagnose import condition
+from piezo_identification.diagnosis.diagnose import Diagnosis, condition
 from piezo_identification.diagnosis.experiment_design.alternative_explanations import (
     Alternatives,
     effects_of,
@@ -24,6 +24,7 @@ from piezo_identification.diagnosis.experiment_design.candidate_waveforms import
     waveform,
 )
 from piezo_identification.diagnosis.experiment_design.expected_outcome import (
+    SURE,
     ExpectedOutcome,
     expected_outcome,
 )
@@ -31,9 +32,10 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
     old_recordings,
 )
+from piezo_identification.diagnosis.joint.probabilities import ALTERNATIVE, BELIEVED, SOMETHING_ELSE
 from piezo_identification.experiments.catalogue import Experiment
-from piezo_identification.experiments.stage_limits import StageLimits
-from piezo_identification.fitting.dataset import simulate_recordings
+from piezo_identification.experiments.stage_limits import USUAL_LIMITS, StageLimits
+from piezo_identification.fitting.dataset import Dataset, simulate_recordings
 from piezo_identification.fitting.regression import first_regression, reweighted
 from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording
@@ -95,10 +97,6 @@ def alternatives_of_files(model: StageModel, recordings: Sequence[Recording],
 
     Parameters
     ----------
-    model : StageModel
-        Model that was diagnosed.
-    recordings : sequence of Recording
-        Recordings that were diagnosed.
     verdict : dict
         Content of `verdict.json`.
     identified_from : IdentificationRecordings, optional
@@ -146,8 +144,6 @@ def propose(alternatives: Alternatives, limits: StageLimits, longest_s: float = 
         Limits of the waveform; the voltage range of the model applies as well.
     longest_s : float
         Longest duration of the waveform.
-    progress : callable, optional
-        Called with (what is done, fraction).
 
     Returns
     -------
@@ -229,3 +225,55 @@ def _within_model(limits: StageLimits, model: StageModel) -> StageLimits:
             f"is for {model.hysteresis.voltage_min_v:g}..{model.hysteresis.voltage_max_v:g} V: "
             "give limits within the model's")
     return replace(limits, voltage_min_v=lowest_v, voltage_max_v=highest_v)
+
+
+COMPARED = 0.3
+"""Part of the work for estimating the alternatives."""
+
+
+def several_remain(verdict: Mapping[str, Any]) -> bool:
+    """Return whether a verdict (`verdict.json`) leaves several known explanations to decide.
+
+    Returns
+    -------
+    bool
+        Also False if something else is most probable, because no known effect predicts it.
+    """
+    shares = dict(verdict.get("probabilities") or {})
+    if shares.pop(SOMETHING_ELSE, 0.0) >= BELIEVED:
+        return False
+    likely = [share for share in shares.values() if share >= ALTERNATIVE]
+    if likely and max(likely) < SURE * sum(likely):
+        return True
+    return bool(verdict.get("not_told_from"))
+
+
+def what_would_decide(diagnosis: Diagnosis, identified_from: IdentificationRecordings,
+                      progress: Progress) -> Proposal | None:
+    """Design the recording that decides between the alternatives of a diagnosis.
+
+    Returns
+    -------
+    Proposal or None
+        None if fewer than two alternatives remain.
+    """
+    verdict = diagnosis.document()
+    if diagnosis.selection.interrupted or not several_remain(verdict):
+        return None
+    regression = diagnosis.selection.regression
+    progress("compare the alternatives", 0.0)
+    alternatives = find_alternatives(
+        regression, verdict, old_recordings(regression.dataset.model, identified_from),
+        stated_um=diagnosis.stated_um)
+    return propose(alternatives, recorded_limits(regression.dataset),
+                   progress=part_of(progress, COMPARED, 1.0))
+
+
+def recorded_limits(dataset: Dataset) -> StageLimits:
+    """Return the voltages of the model as limits, and the clock of the fastest recording."""
+    hysteresis = dataset.model.hysteresis
+    lowest_v, highest_v = hysteresis.voltage_min_v, hysteresis.voltage_max_v
+    return replace(
+        USUAL_LIMITS, voltage_min_v=lowest_v, voltage_max_v=highest_v,
+        rest_voltage_v=min(max(USUAL_LIMITS.rest_voltage_v, lowest_v), highest_v),
+        sample_rate_hz=max(recording.sample_rate_hz for recording in dataset.recordings))

@@ -5,8 +5,8 @@ An alternative is a model whose parameters and effects are estimated from the re
 identification and the new ones together.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -16,20 +16,86 @@ from piezo_common.arrays import FloatArray
 from piezo_common.budget import while_time_lasts
 from piezo_common.progress_part import Progress, part_of
 from piezo_common.side_by_side import side_by_side
-from piezo_identification.diagnosis.joint.expected_errors import ExpectedErrors
-from piezo_identification.diagnosis.joint.far_starts import SETTINGS as FITS
-from piezo_identification.diagnosis.joint.far_starts import from_afar
 from piezo_identification.diagnosis.joint.probabilities import (
     NONE,
     Evidence,
+    ExpectedErrors,
     logarithms_of_evidence,
-    penalty_of,
 )
 from piezo_identification.fitting.joint_fit import JointFit, JointProblem
 from piezo_identification.fitting.model_weights import expected_widths, held_out_of
 from piezo_identification.fitting.recording_evidence import recording_evidence
 from piezo_identification.fitting.regression import Regression, accuracies_um
 from piezo_models.effects import Effect, fitted_values, known_effects, with_fitted_values
+
+CONTINUED = 5
+"""Largest number of continued fits, each of several steps."""
+
+HOPEFUL = 3.0
+"""A fit is continued if its deficit of evidence is less than this multiple of the gain of its last
+step."""
+
+
+def from_afar(problem: JointProblem, simpler: JointFit, guesses: Sequence[Effect],
+              nearby: JointFit) -> JointFit:
+    """Return the best fit of an effect: the given one, or one that starts from a changed model.
+
+    Parameters
+    ----------
+    simpler : JointFit
+        Fit of the model without the effect.
+    guesses : sequence of piezo_models.effects.effect.Effect
+        Initial guesses of the effect; the given fit started from the first.
+    nearby : JointFit
+        Given fit of the effect.
+    """
+    held = _held(problem, simpler, guesses[1:])
+    if held is not None and _may_lead(held, nearby):
+        nearby = _better(problem.fit(held.effects, begun=held), nearby)
+    fit = _taken_out(problem, simpler, guesses)
+    return nearby if fit is None else _better(continued(problem, fit, nearby), nearby)
+
+
+def continued(problem: JointProblem, fit: JointFit, best: JointFit | None = None,
+              most: int = CONTINUED, report: Callable[[int], None] = lambda turn: None) -> JointFit:
+    """Continue a fit until there is nothing to gain, or until the best is too far ahead."""
+    for turn in range(most):
+        if fit.has_converged or best is not None and not _may_lead(fit, best):
+            break
+        report(turn)
+        fit = problem.fit(fit.effects, fit.later, fit)
+    return fit
+
+
+def _better(*fits: JointFit) -> JointFit:
+    return min(fits, key=lambda fit: fit.against)
+
+
+def _may_lead(fit: JointFit, best: JointFit) -> bool:
+    """Return whether a fit may still become better than the best when it is continued."""
+    return fit.against - HOPEFUL * fit.gain < best.against
+
+
+def _held(problem: JointProblem, simpler: JointFit, guesses: Sequence[Effect]) -> JointFit | None:
+    """Fit the model by one step with each guess held fixed, and return the best."""
+    fits = [problem.fit(simpler.effects, begun=simpler, held=(guess,)) for guess in guesses]
+    return _better(*fits) if fits else None
+
+
+def _taken_out(problem: JointProblem, simpler: JointFit,
+               guesses: Sequence[Effect]) -> JointFit | None:
+    """Remove the best guess from the hysteresis that contains it, and fit both from there."""
+    model, found = problem.dataset.model, []
+    for guess in guesses:
+        ahead = guess.hysteresis_ahead(model.hysteresis)
+        if ahead is not None:
+            made_way = replace(model, hysteresis=ahead)
+            effects = (*simpler.effects, guess)
+            found.append((problem.against(made_way, effects), made_way, effects))
+    if not found:
+        return None
+    _, made_way, effects = min(found, key=lambda entry: entry[0])
+    return problem.about(made_way).fit(effects)
 
 
 class Appearance(StrEnum):
@@ -80,52 +146,32 @@ class Alternative:
     evidence: Evidence
     """Quantities on which its probability depends."""
 
-    @property
-    def mean_square_um2(self) -> tuple[float, ...]:
-        """Return the mean square residual of each recording, including noise."""
-        return self.evidence.mean_square_um2
-
 
 def evidence_of(label: str, fit: JointFit) -> Evidence:
     """Return the quantities on which the probability of a fit depends."""
-    held_out = tuple(held_out_of(fit))
-    widths = expected_widths(fit.effects, fit.regression.dataset.extent)
-    return Evidence(label, held_out, penalty_of(
-        held_out, fit.covariance, widths, fit.recurrence_count))
+    return Evidence.weighed(
+        label, held_out_of(fit), fit.covariance,
+        expected_widths(fit.effects, fit.regression.dataset.extent), fit.recurrence_count)
 
 
 def settled(problem: JointProblem, progress: Progress) -> JointFit:
     """Fit the model without additional effects until no step is worthwhile."""
-    progress("all recordings together: no effect", 0.0)
-    fit = problem.fit(problem.own)
-    for turn in range(1, FITS.turns):
-        if fit.has_converged:
-            break
+    def report(turn: int) -> None:
         progress("all recordings together: no effect",
-                 0.2 / SETTINGS.most_effects * turn / FITS.turns)
-        fit = problem.fit(fit.effects, begun=fit)
-    return fit
+                 0.2 / SETTINGS.most_effects * (turn + 1) / CONTINUED)
+
+    report(-1)
+    return continued(problem, problem.fit(problem.own), most=CONTINUED - 1, report=report)
 
 
 def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effect]],
             expected: ExpectedErrors, progress: Progress) -> list[Alternative]:
-    """Fit the alternatives.
+    """Fit the alternatives, first the model without additional effects.
 
     Parameters
     ----------
-    none : JointFit
-        Fit without additional effects; see `settled`.
     since : sequence of sequences of Effect
         Sets that may explain the new recordings alone, the best first.
-    expected : ExpectedErrors
-        Expected errors of the recordings of the problem.
-    progress : callable
-        Called with (what is done, fraction).
-
-    Returns
-    -------
-    list of Alternative
-        The model without additional effects comes first.
     """
     alternatives = [_alternative((), none)]
     named = {tuple(sorted(effect.name for effect in effects)): effects for effects in since}
@@ -133,7 +179,7 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
         if names and not {effect.name for effect in none.effects} & set(names):
             fit = problem.fit((*none.effects, *effects), names, none)
             alternatives.append(_alternative(names, fit, True))
-    if any(_is_at_noise(problem, each, len(each.mean_square_um2)) for each in alternatives):
+    if any(_is_at_noise(problem, each) for each in alternatives):
         # No error remains that another effect could explain.
         return _possible(problem, alternatives)
     best, asked = alternatives[0], {name for names in named for name in names}
@@ -143,7 +189,10 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
         for turn in range(1 if is_long else SETTINGS.most_effects):
             guesses = _promising(problem, best.fit.regression, best.fit.effects, asked)
             guesses = guesses[: len(since[0]) + (1 if is_long else SETTINGS.fitted)]
-            fitted = _each_with_guess(problem, best, guesses, _turn_of(progress, turn))
+            # After the fit of the model alone.
+            fitted = _each_with_guess(problem, best, guesses, part_of(
+                progress, (turn + 0.2) / SETTINGS.most_effects,
+                (turn + 1) / SETTINGS.most_effects))
             if turn == 0 and not is_long and not any(
                     _is_at_noise(problem, each, problem.new_count) for each in fitted):
                 fitted = _from_afar(problem, best, guesses, fitted)
@@ -158,21 +207,14 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
 
 def converged(problem: JointProblem, alternatives: Sequence[Alternative],
               expected: ExpectedErrors) -> list[Alternative]:
-    """Continue the fit of every alternative that may still become the most probable.
-
-    Returns
-    -------
-    list of Alternative
-        Physically possible alternatives, in the same order.
-    """
+    """Continue fits that may still become the most probable; omit impossible alternatives."""
     alternatives = list(alternatives)
-    for _ in range(FITS.turns):
+    for _ in range(CONTINUED):
         logarithms = _logarithms(alternatives, expected)
         behind = np.max(logarithms) - logarithms
         numbers = [number for number, each in enumerate(alternatives)
-                   if not each.fit.has_converged and not _is_at_noise(
-                       problem, each, len(each.mean_square_um2))
-                   and behind[number] < FITS.hopeful * each.fit.gain]
+                   if not each.fit.has_converged and not _is_at_noise(problem, each)
+                   and behind[number] < HOPEFUL * each.fit.gain]
         if not numbers:
             break
         further = side_by_side(
@@ -231,12 +273,6 @@ def _from_afar(problem: JointProblem, best: Alternative, guesses: Sequence[Seque
     return side_by_side(better, list(zip(guesses, fitted, strict=True)))
 
 
-def _turn_of(progress: Progress, turn: int) -> Progress:
-    """Return the progress function of one turn, after the fit of the model alone."""
-    return part_of(
-        progress, (turn + 0.2) / SETTINGS.most_effects, (turn + 1) / SETTINGS.most_effects)
-
-
 def _logarithms(alternatives: Sequence[Alternative], expected: ExpectedErrors) -> FloatArray:
     """Return the log-evidence of each alternative, relative to the others."""
     return logarithms_of_evidence([each.evidence for each in alternatives], expected)
@@ -253,7 +289,7 @@ def times_of_coming(alternatives: Sequence[Alternative],
 
     Returns
     -------
-    dict of tuple of str to Came
+    dict of tuple of str to Appearance
         For each set that was tried in at least one way. A set with an effect that depends on when
         a recording begins can only have appeared later.
     """
@@ -270,10 +306,11 @@ def times_of_coming(alternatives: Sequence[Alternative],
     return times
 
 
-def _is_at_noise(problem: JointProblem, alternative: Alternative, count: int) -> bool:
-    """Return whether the residual of the first recordings is too small for another effect."""
+def _is_at_noise(problem: JointProblem, alternative: Alternative,
+                 count: int | None = None) -> bool:
+    """Return whether the residual of the first or all recordings is too small for an effect."""
     noise = np.array(problem.noise.noise_um) ** 2 + accuracies_um(problem.dataset) ** 2
-    is_small = np.array(alternative.mean_square_um2) < SETTINGS.second * noise
+    is_small = np.array(alternative.evidence.mean_square_um2) < SETTINGS.second * noise
     return bool(np.all(is_small[:count]))
 
 

@@ -21,20 +21,21 @@ from piezo_identification.diagnosis.joint.alternatives import (
     settled,
     times_of_coming,
 )
-from piezo_identification.diagnosis.joint.expected_errors import ExpectedErrors, expected_errors
 from piezo_identification.diagnosis.joint.plain_model import (
     fits_of_plain_model,
     is_plain,
     plain_model,
 )
 from piezo_identification.diagnosis.joint.probabilities import (
+    BELIEVED,
     NONE,
     SOMETHING_ELSE,
     Evidence,
-    penalty_of,
+    ExpectedErrors,
+    expected_errors,
+    label_of,
     probabilities,
 )
-from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
 from piezo_identification.fitting.dataset import Dataset, dataset_of
 from piezo_identification.fitting.evidence import log_evidence
 from piezo_identification.fitting.free_parameters import free_count
@@ -103,13 +104,9 @@ def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Re
     new, old : sequence of Recording
         Recordings to diagnose, and those of the identification, with the sign of the model and
         with marked outliers.
-    selection : Selection
-        Effects that explain the new recordings alone.
     stated_um : float or None
         RMS of the known error of the model; None if it is estimated from the recordings of the
         identification.
-    progress : callable
-        Called with (what is done, fraction).
     """
     if not old or is_noise(selection.regression, selection.start):
         stated_um = stated_um or 0.0
@@ -155,18 +152,9 @@ def with_free_model(competition: Competition, model: StageModel, new: Sequence[R
     Without the recordings of the identification, effects are fitted with the given model and small
     changes of it. The error of a model that was identified while the effect was present is larger.
     Some of the effects may then be sufficient.
-
-    Parameters
-    ----------
-    competition : Competition
-        Comparison of the sets of effects.
-    new : sequence of Recording
-        Recordings to diagnose.
-    selection : Selection
-        Effects that explain a part of them.
     """
     effects = selection.end.effects
-    explains = competition.probabilities[SOMETHING_ELSE] < PROBABILITIES.believed
+    explains = competition.probabilities[SOMETHING_ELSE] < BELIEVED
     if explains or not effects or selection.interrupted or competition.times:
         return competition
     problem = JointProblem(model, new, [], simulated=selection.regression.dataset.simulated)
@@ -185,17 +173,6 @@ def with_plain_model(competition: Competition, model: StageModel, new: Sequence[
 
     The given model is then too large for what it explains: hysteresis, creep and further modes may
     imitate the effect of nonlinear mechanics.
-
-    Parameters
-    ----------
-    competition : Competition
-        Comparison for the given model.
-    new, old : sequence of Recording
-        Recordings to diagnose, and those of the identification.
-    selection : Selection
-        Effects found with the given model.
-    progress : callable
-        Called with (what is done, fraction).
     """
     probable = max(competition.probabilities, key=competition.probabilities.__getitem__)
     if probable == NONE or selection.interrupted or is_plain(model):
@@ -249,17 +226,12 @@ def led_by_the_most_probable(selection: Selection, competition: Competition) -> 
     """Return a selection that begins with the most probable of its sets.
 
     Nothing changes if the most probable effects were present from the start.
-
-    Parameters
-    ----------
-    selection : Selection
-        Effects that explain the new recordings alone.
     """
     if competition.best is not None and not competition.best.since:
         return selection
     first = _names(selection.end)
     fits = [selection.end, selection.start, *selection.parts, *selection.alternatives]
-    best = max(fits, key=lambda fit: competition.probabilities.get(_label(fit), 0.0))
+    best = max(fits, key=lambda fit: competition.probabilities.get(label_of(fit.effects), 0.0))
     if best is selection.end:
         return selection
     alike = selection.indistinguishable
@@ -274,29 +246,13 @@ def led_by_the_most_probable(selection: Selection, competition: Competition) -> 
 
 def probabilities_of_named(competition: Competition, regression: Regression, fit: Fit,
                            refused: Iterable[str]) -> dict[str, float]:
-    """Return the probabilities if a fit to the new recordings alone is named.
+    """Return the probabilities, in descending order, if a fit to the new recordings is named.
 
     The probability of something else is that for this fit. The sets of effects share the rest as in
     the comparison, without those that the held-out data refuse. If the most probable set is not
     that of the fit, the comparison does not apply, and the set of the fit gets the whole rest.
-
-    Parameters
-    ----------
-    competition : Competition
-        Comparison of whole models.
-    regression : Regression
-        Regression of the new recordings.
-    fit : Fit
-        Fit that is named.
-    refused : iterable of str
-        Effects that the held-out data refuse.
-
-    Returns
-    -------
-    dict of str to float
-        In descending order; they sum to one.
     """
-    label, without = _label(fit), set(refused)
+    label, without = label_of(fit.effects), set(refused)
     other = _of_fits(regression, [fit], competition.stated_um)[SOMETHING_ELSE]
     kept = {each: share for each, share in competition.probabilities.items()
             if each != SOMETHING_ELSE and share > 0.0 and not without & set(each.split("+"))}
@@ -305,11 +261,6 @@ def probabilities_of_named(competition: Competition, regression: Regression, fit
     whole = sum(kept.values())
     shares = {each: (1.0 - other) * share / whole for each, share in kept.items()}
     return dict(sorted((shares | {SOMETHING_ELSE: other}).items(), key=lambda entry: -entry[1]))
-
-
-def _label(fit: Fit) -> str:
-    """Return the names of the effects of a fit, joined by +, or `none`."""
-    return "+".join(sorted(effect.name for effect in fit.effects)) or NONE
 
 
 def _names(fit: Fit) -> set[str]:
@@ -332,11 +283,11 @@ def _of_fits(regression: Regression, fits: Sequence[Fit], stated_um: float) -> d
 
 def _evidence_of(regression: Regression, fit: Fit) -> Evidence:
     """Return the quantities on which the probability of a fit to the new recordings depends."""
-    held_out = _held_out(regression, fit)
     widths = expected_widths(
         [effect for effect in fit.effects if type(effect) is not Outliers],
         regression.dataset.extent)
-    return Evidence(_label(fit), held_out, penalty_of(held_out, fit.covariance, widths))
+    return Evidence.weighed(
+        label_of(fit.effects), _held_out(regression, fit), fit.covariance, widths)
 
 
 def _held_out(regression: Regression, fit: Fit) -> tuple[HeldOut, ...]:
@@ -348,20 +299,7 @@ def _held_out(regression: Regression, fit: Fit) -> tuple[HeldOut, ...]:
 
 def selection_from(selection: Selection, competition: Competition,
                    alternative: Alternative) -> Selection:
-    """Return a selection of the effects of an alternative that were present from the start.
-
-    Parameters
-    ----------
-    selection : Selection
-        Effects found with the given model.
-    alternative : Alternative
-        Best alternative of the comparison.
-
-    Returns
-    -------
-    Selection
-        Relative to the alternative's model.
-    """
+    """Return a selection, relative to its model, of the effects that an alternative has."""
     effects, count = alternative.fit.effects, len(alternative.names)
     own, added = effects[: len(effects) - count], effects[len(effects) - count :]
     model = replace(alternative.fit.regression.dataset.model, effects=own)

@@ -7,13 +7,13 @@ fit nearly as well, effects in addition to these are a simpler explanation of th
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from piezo_identification.diagnosis.comparison.selection import select_effects
 from piezo_identification.diagnosis.joint.alternatives import Alternative, fits_of_free_model
-from piezo_identification.diagnosis.joint.expected_errors import ExpectedErrors
+from piezo_identification.diagnosis.joint.probabilities import ExpectedErrors
 from piezo_identification.fitting.dataset import simulate_recordings
 from piezo_identification.fitting.joint_fit import JointProblem
 from piezo_identification.fitting.regression import first_regression
@@ -25,19 +25,13 @@ from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
 
+LARGEST_RESIDUAL = 2.0
+"""Largest residual relative to that of the given model for which a simple model is worth a
+comparison of effects: hysteresis, creep and further modes then explain less than half of the
+misfit."""
 
-@dataclass(frozen=True)
-class PlainSettings:
-    """When a simple model is worth a comparison of effects."""
-
-    largest_residual: float = 2.0
-    """Largest residual relative to that of the given model: hysteresis, creep and further modes
-    then explain less than half of the misfit."""
-    steps: int = 20
-    """Largest number of steps of its fit."""
-
-
-SETTINGS = PlainSettings()
+STEPS = 20
+"""Largest number of steps of its fit."""
 
 
 def is_plain(model: StageModel) -> bool:
@@ -51,12 +45,7 @@ def plain_model(model: StageModel, recordings: Sequence[Recording],
                 residual_um: float) -> StageModel | None:
     """Fit a line and the loudest mode of a model, with a held voltage and with a smooth one.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        Recordings with the sign of the model and with marked outliers.
-    residual_um : float
-        RMS residual of the model.
+    The recordings have the sign of the model, and marked outliers.
 
     Returns
     -------
@@ -72,7 +61,7 @@ def plain_model(model: StageModel, recordings: Sequence[Recording],
     if problem.is_sampled:
         starts.append((replace(bare, effects=(BandLimitedVoltage(),)), 0.5 * period_s))
     best = min((_fitted(problem, *start) for start in starts), key=_residual_rms_um)
-    is_close = _residual_rms_um(best) < SETTINGS.largest_residual * residual_um
+    is_close = _residual_rms_um(best) < LARGEST_RESIDUAL * residual_um
     return best.delayed_model if is_close else None
 
 
@@ -80,25 +69,7 @@ def fits_of_plain_model(plain: StageModel, new: Sequence[Recording], old: Sequen
                         expected: Callable[[JointProblem], ExpectedErrors],
                         report: Callable[[str, float], None],
                         ) -> tuple[JointProblem, list[Alternative]]:
-    """Select the effects that recordings show with a simple model, and refit all together.
-
-    Parameters
-    ----------
-    plain : StageModel
-        See `plain_model`.
-    new, old : sequence of Recording
-        Recordings to diagnose, and those of the identification.
-    expected : callable
-        Returns the expected errors of the recordings of a problem.
-    report : callable
-        Called with (what is done, fraction).
-
-    Returns
-    -------
-    problem : JointProblem
-    alternatives : list of Alternative
-        The model with all selected effects, and with some of them.
-    """
+    """Select the effects that recordings show with a simple model; refit all, and some of them."""
     dataset = simulate_recordings(plain, [*new, *old])
     selection = select_effects(first_regression(dataset), report)
     problem = JointProblem(plain, new, old, simulated=dataset.simulated)
@@ -108,8 +79,8 @@ def fits_of_plain_model(plain: StageModel, new: Sequence[Recording], old: Sequen
 
 def _fitted(problem: WholeModel, model: StageModel, delay_s: float | None) -> WholeFit:
     """Fit a model whose delay must not be negative, because rows are read as in the given one."""
-    fit = problem.fit(model, delay_s, SETTINGS.steps)
-    return fit if (fit.delay_s or 0.0) >= 0.0 else problem.fit(fit.model, None, SETTINGS.steps)
+    fit = problem.fit(model, delay_s, STEPS)
+    return fit if (fit.delay_s or 0.0) >= 0.0 else problem.fit(fit.model, None, STEPS)
 
 
 def _line(model: StageModel, recordings: Sequence[Recording]) -> PreisachModel:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares, nnls
+from scipy.optimize import least_squares
 
 from piezo_common.arrays import FloatArray, IntArray
 from piezo_common.budget import while_time_lasts
@@ -41,6 +41,7 @@ from piezo_identification.estimators.estimate import (
     parameter_covariance,
     propagated,
 )
+from piezo_identification.fitting.nonnegative_regression import nonnegative_least_squares
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
 
@@ -318,7 +319,8 @@ class _CreepRecord:
             free = np.delete(basis, gains, axis=1)
             span = np.linalg.qr(free)[0]
             projected = basis[:, gains] - span @ (span.T @ basis[:, gains])
-            positive = nnls(projected, self.displacement - span @ (span.T @ self.displacement))[0]
+            positive = nonnegative_least_squares(
+                projected, self.displacement - span @ (span.T @ self.displacement))[0]
             others = np.linalg.lstsq(
                 free, self.displacement - basis[:, gains] @ positive, rcond=1e-12)[0]
             coefficients = np.concatenate([others[:2], positive, others[2:]])

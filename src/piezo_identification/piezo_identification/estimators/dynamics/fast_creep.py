@@ -12,7 +12,6 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.settling import RINGING, SLOWER_THAN_MODES
@@ -30,6 +29,7 @@ from piezo_identification.estimators.estimate import (
     Estimate,
     creep_of_partial_fractions,
 )
+from piezo_identification.fitting.nonnegative_regression import nonnegative_least_squares
 from piezo_models.linear.dynamics import CreepDynamics
 
 RATES_PER_DECADE = 2.5
@@ -247,7 +247,7 @@ def _positive_parts(record: FastRecord, free: FreeFit, rates: FloatArray) -> Fas
     used = np.arange(rates.size)
     while used.size:
         chosen = columns[:, [0, *(1 + used)]]
-        parts, norm = nnls(chosen, target)
+        parts, norm = nonnegative_least_squares(chosen, target)
         if parts[0] == 0.0:
             return None
         if not parts.all():

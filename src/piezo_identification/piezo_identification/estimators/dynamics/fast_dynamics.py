@@ -108,18 +108,13 @@ def fast_dynamics_of(
     effects : tuple of Effect
         Like the dynamics, in order of frequency.
     """
-    values = values_of(ascending(vector, order), order)
+    values = values_of(vector[ascending_places(vector, order)], order)
     main, frequencies, dampings, lags, *shares = _split(values, order)
     kind = CoupledMode if order.is_coupled else VibrationMode
     parallel = (kind(*numbers) for numbers in zip(*(
         each.tolist() for each in (frequencies, dampings, *shares)), strict=True))
     return (dynamics_of_vector(main, order.modes, order.antiresonances),
             (*parallel, *(SensorLag(lag) for lag in lags.tolist())))
-
-
-def ascending(vector: FloatArray, order: ModeOrder) -> FloatArray:
-    """Return a vector with the components of every kind in order of frequency."""
-    return vector[ascending_places(vector, order)]
 
 
 def ascending_places(vector: FloatArray, order: ModeOrder) -> np.ndarray:

@@ -10,7 +10,6 @@ from piezo_identification.estimators.dynamics.fast_dynamics import (
 )
 from piezo_identification.estimators.dynamics.fast_record import FastFit
 from piezo_identification.estimators.estimate import (
-    SIGNIFICANT,
     independent_rows,
     parameter_covariance,
 )
@@ -110,8 +109,3 @@ def delay_deviation(fit: FastFit, without: FastFit | None, variance: float) -> f
         return deviation
     rows = independent_rows(fit.residual)
     return min(deviation, abs(fit.delay) / float(np.sqrt(rows * np.log(without.cost / fit.cost))))
-
-
-def is_significant(fit: FastFit, variance: float) -> bool:
-    """Whether the covariance alone shows that there is a delay."""
-    return bool(abs(fit.delay) > SIGNIFICANT * np.sqrt(variance))

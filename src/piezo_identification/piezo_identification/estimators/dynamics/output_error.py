@@ -28,10 +28,10 @@ from piezo_identification.estimators.dynamics.fast_record import (
 from piezo_identification.estimators.dynamics.fit_deviations import (
     delay_deviation,
     fit_covariance,
-    is_significant,
 )
 from piezo_identification.estimators.dynamics.pole_search import MOST_MODES, free_fits
 from piezo_identification.estimators.estimate import (
+    SIGNIFICANT,
     DelayEstimate,
     Estimate,
     OrderTrial,
@@ -181,7 +181,8 @@ class _Search:
         """Return the fit and its delay; the fit is without delay if that is not significant."""
         of_phase = self._whole.phase_room**2 / 3.0
         variance = of_phase + float(fit_covariance(fit, self._whole.linear_parameters)[-1, -1])
-        without = None if is_significant(fit, variance) else self._whole.fit(
+        is_certain = abs(fit.delay) > SIGNIFICANT * np.sqrt(variance)
+        without = None if is_certain else self._whole.fit(
             fit.order, fit.vector, 0.0, is_delay_free=False)
         period_s = self._record.input.sample_period_s
         deviation = max(delay_deviation(fit, without, variance), np.sqrt(of_phase))

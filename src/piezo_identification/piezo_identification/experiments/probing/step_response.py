@@ -83,8 +83,6 @@ def step_response(response: FloatArray, noise: float, sample_period_s: float) ->
     ----------
     response : ndarray, shape (N,)
         Response from the step on: 0 at the step and about 1 at the end.
-    noise : float
-        Standard deviation of each sample.
     """
     response = np.asarray(response, dtype=float)
     begin = _first_motion(response, noise)
