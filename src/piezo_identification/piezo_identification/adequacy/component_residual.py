@@ -15,7 +15,6 @@ from piezo_identification.conditioning.generator_edges import (
     generator_edges,
 )
 from piezo_identification.conditioning.outlier_samples import good_samples
-from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.row_alignment import rows_read_at_start
 from piezo_identification.conditioning.sensor_noise import repeated_period
 from piezo_identification.conditioning.settling import (
@@ -28,6 +27,7 @@ from piezo_identification.conditioning.waveforms import (
     first_settled_step,
     played,
     samples_per_mean,
+    square_part,
     two_levels,
 )
 from piezo_identification.estimators.creep.square_wave_creep import (

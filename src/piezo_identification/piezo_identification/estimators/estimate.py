@@ -11,7 +11,6 @@ from scipy.linalg import block_diag
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.row_alignment import MOST_UNCERTAIN
-from piezo_identification.fitting.evidence import log_evidence
 from piezo_models.cascade import StageModel
 from piezo_models.effects.effect import Effect
 from piezo_models.linear.dynamics import CreepDynamics
@@ -203,8 +202,9 @@ def order_trial(
     """
     mean_square = np.mean(residual**2)
     least = 0.0 if signal is None else finest_power(signal)
-    information = -2.0 * log_evidence(mean_square + least, parameters, residual.size)
-    return OrderTrial(order, parameters, float(np.sqrt(mean_square)), information)
+    information = (residual.size * np.log(mean_square + least)
+                   + parameters * np.log(residual.size))
+    return OrderTrial(order, parameters, float(np.sqrt(mean_square)), float(information))
 
 
 def finest_power(signal: FloatArray) -> float:

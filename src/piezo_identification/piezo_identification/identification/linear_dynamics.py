@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
-from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.row_alignment import (
     is_point_by_point,
     read_as,
@@ -22,7 +21,7 @@ from piezo_identification.conditioning.settling import (
     slow_delay_s,
     slow_dynamics,
 )
-from piezo_identification.conditioning.waveforms import has_holds, played, two_levels
+from piezo_identification.conditioning.waveforms import has_holds, played, square_part, two_levels
 from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
 from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder

@@ -11,10 +11,9 @@ import numpy as np
 from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.conditioning.generator_edges import generator_edges
-from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.row_alignment import LATEST_READING
 from piezo_identification.conditioning.segments import experiment_of
-from piezo_identification.conditioning.waveforms import played, two_levels
+from piezo_identification.conditioning.waveforms import played, square_part, two_levels
 from piezo_identification.estimators.estimate import DECISIVE
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_model import ResponseOrder

@@ -8,8 +8,8 @@ import numpy as np
 
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.conditioning.outlier_samples import good_samples, with_outliers_marked
-from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.sensor_noise import noise_estimates_um
+from piezo_identification.conditioning.waveforms import square_part
 from piezo_identification.estimators.hysteresis.density_fit import levels_passed
 from piezo_identification.estimators.hysteresis.everett_regression import visited_cells
 from piezo_identification.recording_check.waveform_kind import Kind, Waveform, waveform_of

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from piezo_identification.conditioning.recording_start import square_part
+from piezo_identification.conditioning.waveforms import square_part
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
 from piezo_identification.estimators.dynamics.fast_estimate import estimate_dynamics
 from piezo_identification.identification.linear_dynamics import estimate_linear_dynamics

@@ -12,7 +12,6 @@ from piezo_common.arrays import FloatArray, IntArray
 from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.conditioning.generator_edges import free_running_level
-from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.settling import (
     MOST_OF_RECORDING,
     USUAL_SETTLING_S,
@@ -23,6 +22,7 @@ from piezo_identification.conditioning.waveforms import (
     SquareWave,
     played,
     samples_per_mean,
+    square_part,
     square_wave,
 )
 from piezo_identification.estimators.creep.power_law import (

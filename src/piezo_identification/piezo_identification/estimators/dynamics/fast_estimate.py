@@ -14,13 +14,13 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.generator_edges import generator_edges
-from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.segments import Recordings, listed
 from piezo_identification.conditioning.sensor_noise import noise_floor_um
 from piezo_identification.conditioning.settling import AT_REST, USUAL_SETTLING_S
 from piezo_identification.conditioning.waveforms import (
     SquareWave,
     first_settled_step,
+    square_part,
     square_wave,
     two_levels,
 )
