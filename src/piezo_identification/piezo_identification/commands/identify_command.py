@@ -66,7 +66,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
                         "by default chosen on branches held out")
     parser.add_argument("--translation-weight", metavar="WEIGHT", type=float,
                         help="weight of the density's change along the diagonal, which lets loops "
-                        "of one width be alike; by default chosen on branches held out")
+                        "of one width be alike; by default 0")
     add_rows_option(parser)
     add_response_options(parser)
 

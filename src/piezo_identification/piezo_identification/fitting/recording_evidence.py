@@ -40,24 +40,7 @@ def _projections(
     regressors: FloatArray, prior: FloatArray, rows: NDArray[np.intp], tolerance_um: float,
     difference_um: FloatArray,
 ) -> tuple[Callable[..., tuple[FloatArray, float]], Callable[[FloatArray], float]]:
-    """Return functions for the error that contributions explain, and for their visibility.
-
-    Parameters
-    ----------
-    regressors : (n, m) array
-        Regressors at the rows, divided by the tolerance.
-    prior : (p, m) array
-        Rows of the prior.
-    rows : (n,) array of int
-        Indices of the samples.
-    difference_um : (N,) array
-        Measured minus simulated displacement.
-
-    Returns
-    -------
-    reduction, visible : callable
-        Fields of `piezo_models.effects.effect.Evidence`.
-    """
+    """Return functions for the error that contributions explain, and for their visibility."""
     q, _ = np.linalg.qr(np.vstack([regressors, prior]))
 
     def project(values: FloatArray) -> FloatArray:

@@ -29,7 +29,7 @@ class DensityOptions:
     """Number of cells along each threshold."""
     smoothing_weight: float | None = None
     translation_weight: float | None = None
-    """As in `piezo_identification.estimators.hysteresis.smoothed_density.smoothed_density`."""
+    """As in `piezo_identification.estimators.hysteresis.smoothed_density.density_of_segments`."""
 
     def __post_init__(self) -> None:
         if self.grid is not None and not 4 <= self.grid <= 300:
@@ -43,7 +43,7 @@ class DensityOptions:
         """Return the options as arguments of `density_fit.estimate_density`."""
         return {"level_count": self.grid, "cells_per_level": 2 if self.grid is None else 1,
                 "smoothing_weight": self.smoothing_weight,
-                "translation_weight": self.translation_weight}
+                "translation_weight": self.translation_weight or 0.0}
 
 
 CHOSEN_BY_DATA = DensityOptions()

@@ -21,7 +21,6 @@ from piezo_identification.adequacy.component_adequacy import (
 )
 from piezo_identification.adequacy.loop_shape import refuse_impossible_loops
 from piezo_identification.adequacy.model_plausibility import implausible_data, implausible_model
-from piezo_identification.conditioning.recording_start import motion_um_per_s
 from piezo_identification.conditioning.row_alignment import RowDelay
 from piezo_identification.conditioning.segments import Recordings
 from piezo_identification.conditioning.waveforms import played, turns_inside
@@ -70,6 +69,7 @@ from piezo_identification.identification.row_delays import (
     validation_as_read,
 )
 from piezo_identification.prediction.prediction_errors import unseen_errors
+from piezo_identification.recording_check.check import RecordingCheck
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.first_rise import FirstRise
 from piezo_models.identified_model import IdentifiedModel
@@ -293,10 +293,7 @@ def report_starts(recordings: Mapping[str, Data], cycled: Mapping[str, Data],
         if isinstance(data, FrequencyResponse):
             continue
         part = played(data)
-        words = [f"begins at {part.voltage_v[0]:.4g} V"]
-        velocity = motion_um_per_s(part)
-        if velocity:
-            words.append(f"in motion, {velocity:+.3g} um/s: its initial state is fitted")
+        words = [f"begins at {part.voltage_v[0]:.4g} V", RecordingCheck(part).start]
         if name in linear.estimates and linear.estimates[name].start:
             words.append(linear.estimates[name].start)
         if first_rise is not None and cycled[name] is not data:

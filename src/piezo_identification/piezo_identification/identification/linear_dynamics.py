@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Creep, electric and vibration dynamics, estimated from the recordings that show them."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -25,9 +25,8 @@ from piezo_identification.conditioning.settling import (
 from piezo_identification.conditioning.waveforms import has_holds, played, two_levels
 from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
-from piezo_identification.estimators.dynamics.any_input import estimate_dynamics_any
 from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
-from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S, estimate_dynamics
+from piezo_identification.estimators.dynamics.fast_estimate import estimate_dynamics
 from piezo_identification.estimators.estimate import SIGNIFICANT, Estimate
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_fit import (
@@ -43,7 +42,6 @@ from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect
 from piezo_models.hysteresis.first_rise import FirstRise
-from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
 
@@ -217,7 +215,8 @@ def estimate_linear_dynamics(
         if needs_hysteresis:
             driving = aligned_density(hysteresis, found, driving)[0]
         density = None if driving is None else driving.model()
-        estimate = _from_samples(fast, found.creep, density, order, _likely(found))
+        estimate = estimate_dynamics(
+            fast, found.creep, order.modes, among=_likely(found), hysteresis=density)
         if order.creep_pairs is not None and found.creep.poles_rad_per_s:
             # The requested number of pairs is reached; the joint fit estimates them together.
             estimate = replace(estimate, creep=CreepDynamics())
@@ -319,13 +318,11 @@ def aligned_density(
     """
     tried = []
     smoothing = before.smoothing_weight if before is not None else None
-    translation = before.translation_weight if before is not None else None
     for read_at in loop_readings(hysteresis, found):
         aligned = [rows_read_at_start(each, read_as(each, read_at)) for each in hysteresis]
         density = estimate_density(
             aligned, found.creep, found.slow_dynamics, smoothing_weight=smoothing,
-            translation_weight=translation, delay_s=found.slow_delay_s,
-            most_levels=DRIVING_LEVELS)
+            delay_s=found.slow_delay_s, most_levels=DRIVING_LEVELS)
         tried.append((density, read_at, aligned))
     if len(tried) == 1:
         return tried[0][:2]
@@ -349,30 +346,12 @@ def _from_response(
     return estimate_from_response(measured, order)
 
 
-def _from_samples(
-    recordings: Sequence[Recording], creep: CreepDynamics, density: PreisachModel | None,
-    order: ResponseOrder, among: Collection[ModeOrder],
-) -> Estimate:
-    if len(recordings) == 1 and _is_periodic(recordings[0]):
-        return estimate_dynamics(recordings[0], creep, order.modes, among=among)
-    return estimate_dynamics_any(recordings, creep, density, order.modes, among)
-
-
 def _likely(found: LinearDynamics) -> list[ModeOrder]:
     """Return the best orders of the dynamics in the first pass; empty if there was none."""
     if "dynamics" not in found.estimates:
         return []
     trials = sorted(found.estimates["dynamics"].trials, key=lambda trial: trial.information)
     return [trial.order for trial in trials[:ONCE_MORE]]
-
-
-def _is_periodic(recording: Recording) -> bool:
-    """Return whether a recording is a square wave with a period of a whole number of samples."""
-    wave = two_levels(square_part(played(recording)))
-    if wave is None:
-        return False
-    steps = wave.steps[wave.steps >= WARM_UP_S / played(recording).sample_period_s]
-    return steps.size >= 3 and bool(np.all(steps[2:] - steps[:-2] == steps[2] - steps[0]))
 
 
 def of_the_fastest_clock(recordings: Sequence[Recording]) -> list[Recording]:

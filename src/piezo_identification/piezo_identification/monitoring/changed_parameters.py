@@ -14,7 +14,6 @@ from scipy.optimize import least_squares
 
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.conditioning.outlier_samples import with_outliers_marked
-from piezo_identification.simulation.nuisance import nuisance_regressors
 from piezo_identification.simulation.past_search import simulated_recording
 from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording
@@ -161,7 +160,7 @@ class _Problem:
         self._held_out: BoolArray = used & (stretch % 3 == 2)
         self._fitted: BoolArray = used & ~self._held_out
         self._stretch = stretch
-        self._nuisance = nuisance_regressors(part, np.arange(count))
+        self._nuisance = part.nuisance_regressors(np.arange(count))
 
     def model(self, groups: Sequence[str], numbers: FloatArray) -> StageModel:
         """Return the model with the parameters of some groups changed by logarithms."""

@@ -12,13 +12,7 @@ WIDTH = 22
 
 
 def check_table(check: RecordingCheck, fit_for: dict[str, Suitability]) -> list[str]:
-    """Return the lines of the table: measured properties, then suitability.
-
-    Parameters
-    ----------
-    fit_for : dict of str to Suitability
-        Suitability by experiment.
-    """
+    """Return the lines of the table: measured properties, then suitability."""
     lines = [f"{name:{WIDTH}}{value}" for name, value in measured_rows(check)]
     lines.append("")
     lines += [f"{'can stand for ' + name:{WIDTH + 4}}{each.verdict:8}{each.reason}"

@@ -75,13 +75,7 @@ class Suitability:
 
 
 def suitability(check: RecordingCheck) -> dict[str, Suitability]:
-    """Return the suitability of a recording for each experiment.
-
-    Returns
-    -------
-    dict of str to Suitability
-        Suitability by name of the experiment, in the order of `EXPERIMENTS`.
-    """
+    """Return the suitability of a recording by name of the experiment, as in `EXPERIMENTS`."""
     return {name: suitability_for(check, name) for name in EXPERIMENTS}
 
 
@@ -125,8 +119,6 @@ def misfits(given: Recordings | FrequencyResponse, experiment: str) -> Iterator[
     ----------
     given : Recording, sequence of Recording, or FrequencyResponse
         Data of the experiment; a response is not checked.
-    experiment : str
-        One of `EXPERIMENTS`.
     """
     for recording in () if isinstance(given, FrequencyResponse) else listed(given):
         check = check_recording(recording)
@@ -350,13 +342,7 @@ def jump_response(voltage_v: FloatArray, displacement_um: FloatArray,
 
 
 def rows_per_ringing(response: FloatArray) -> float:
-    """Return the rows in a period of the strongest ringing after a step; infinite without ringing.
-
-    Parameters
-    ----------
-    response : ndarray, shape (M,)
-        Step response from `jump_response`.
-    """
+    """Return the rows in a period of the strongest ringing in a `jump_response`; else infinity."""
     changes = np.diff(response[1:])
     if changes.size < 4:
         return np.inf

@@ -21,7 +21,6 @@ from piezo_identification.fitting.dataset import simulate_recordings
 from piezo_identification.fitting.parameter_sensitivities import parameter_sensitivities
 from piezo_identification.fitting.regression import first_regression
 from piezo_identification.identification.identify import identify
-from piezo_identification.simulation.nuisance import nuisance_regressors
 from piezo_studies.diagnosis_benchmark import records
 from piezo_studies.diagnosis_benchmark.coverage import estimates
 from piezo_studies.diagnosis_benchmark.effect_draws import (
@@ -192,7 +191,7 @@ def _beyond_model_um(part, added_um):
     """Return the RMS of a signal with offset, initial creep and model parameters projected out."""
     rows = np.arange(part.begin, added_um.size)
     columns = np.column_stack([
-        nuisance_regressors(part, rows), parameter_sensitivities(part, rows)])
+        part.nuisance_regressors(rows), parameter_sensitivities(part, rows)])
     columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     residual = added_um[rows]
     residual = residual - columns @ np.linalg.lstsq(columns, residual, rcond=1e-10)[0]

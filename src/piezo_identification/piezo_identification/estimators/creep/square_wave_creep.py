@@ -12,7 +12,7 @@ from piezo_common.arrays import FloatArray, IntArray
 from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.conditioning.generator_edges import free_running_level
-from piezo_identification.conditioning.recording_start import square_part, without_first
+from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.settling import (
     MOST_OF_RECORDING,
     USUAL_SETTLING_S,
@@ -131,7 +131,7 @@ def estimate_creep(
     record = _CreepRecord(part, dynamics, delay_s, highest_rad_per_s)
     if record.wave.steps.size < FEWEST_STEPS:
         return _estimate(record, pair_count)
-    later = without_first(part, record.wave.steps[0])
+    later = part.select(np.arange(part.voltage_v.size) >= record.wave.steps[0])
     cut = _estimate(_CreepRecord(
         later, dynamics, delay_s, highest_rad_per_s), pair_count)
     whole = _estimate(record, pair_count)

@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 
 from piezo_common.arrays import FloatArray
@@ -71,17 +72,7 @@ class PlaySum:
     """Noise of the loops, estimated from the change of the residual from row to row."""
 
     def unknowns(self, size: int) -> FloatArray:
-        """Return the plays as unknowns of `everett_regression` on a grid.
-
-        Parameters
-        ----------
-        size : int
-            Number n of cells along each threshold.
-
-        Returns
-        -------
-        (n (n + 1) / 2 + n,) array
-        """
+        """Return the plays as unknowns of `everett_regression` on a grid of n by n cells."""
         levels = np.linspace(-1.0, 1.0, size + 1)
         upper, lower = np.tril_indices(size)
         reversible_um = _reversible_columns(levels) @ self.slopes
@@ -162,11 +153,7 @@ class _PlayRegression:
         self.count = first
         self._pairs = np.concatenate(self._ways)
         self._row_of_pair = np.concatenate(self._rows)
-        fixed = np.zeros((first, sum(each.shape[1] for each in nuisance)))
-        row = column = 0
-        for each in nuisance:
-            fixed[row : row + len(each), column : column + each.shape[1]] = each
-            row, column = row + len(each), column + each.shape[1]
+        fixed = block_diag(*nuisance)
         scale = np.maximum(np.linalg.norm(fixed, axis=0), np.finfo(float).tiny)
         self._nuisance = np.linalg.svd(fixed / scale, full_matrices=False)[0]
         self._output_um = self._without(np.concatenate(outputs))
