@@ -24,11 +24,12 @@ from piezo_identification.diagnosis.comparison.selection import (
 from piezo_identification.diagnosis.comparison.undecided import Reason, Undecided
 from piezo_identification.diagnosis.comparison.validation import Validation
 from piezo_identification.diagnosis.evidence.effect_covariance import with_model_errors
-from piezo_identification.diagnosis.evidence.effect_entries import effect_entries, with_stand_ins
-from piezo_identification.diagnosis.evidence.found_outliers import (
+from piezo_identification.diagnosis.evidence.effect_entries import (
     FoundOutliers,
+    effect_entries,
     found_outliers,
     left_out,
+    with_stand_ins,
 )
 from piezo_identification.diagnosis.evidence.known_noise import (
     KnownNoise,

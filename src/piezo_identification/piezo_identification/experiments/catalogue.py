@@ -17,9 +17,13 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_common.registered import registered
-from piezo_identification.experiments.diagnostic_waveform import diagnostic_block
-from piezo_identification.experiments.distortion_multisine import distortion_period
-from piezo_identification.experiments.input_designs import arc, stair_amplitudes, stair_harmonics
+from piezo_identification.experiments.input_designs import (
+    arc,
+    diagnostic_block,
+    distortion_period,
+    stair_amplitudes,
+    stair_harmonics,
+)
 from piezo_identification.experiments.relay_feedback import RelayExperiment, relay
 from piezo_identification.experiments.stage_limits import USUAL_LIMITS, StageLimits
 

@@ -33,17 +33,18 @@ from piezo_identification.estimators.frequency_response.response_model import (
     ResponseOrder,
 )
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
-from piezo_identification.identification.estimated_loops import estimate_loops, new_loops
+from piezo_identification.identification.estimated_loops import (
+    CHOSEN_BY_DATA,
+    DensityOptions,
+    estimate_loops,
+    new_loops,
+)
 from piezo_identification.identification.given_data import (
     Data,
     aligned,
     conditioned_data,
     given_data,
     of_kind,
-)
-from piezo_identification.identification.given_hysteresis import (
-    CHOSEN_BY_DATA,
-    DensityOptions,
 )
 from piezo_identification.identification.linear_dynamics import (
     SECOND_PASS,

@@ -13,7 +13,7 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.experiments.catalogue import Experiment
-from piezo_identification.experiments.distortion_multisine import random_phase_multisine
+from piezo_identification.experiments.input_designs import random_phase_multisine
 from piezo_identification.experiments.stage_limits import StageLimits
 
 SLOW_SAMPLES = 30_000

@@ -16,7 +16,7 @@ from piezo_identification.diagnosis.diagnose import (
     diagnose,
     hold_to_noise,
 )
-from piezo_identification.diagnosis.evidence.found_outliers import found_outliers
+from piezo_identification.diagnosis.evidence.effect_entries import found_outliers
 from piezo_identification.diagnosis.evidence.known_noise import KnownNoise
 from piezo_identification.diagnosis.experiment_design.alternative_explanations import (
     Alternatives,

@@ -40,6 +40,9 @@ def from_afar(problem: JointProblem, simpler: JointFit, guesses: Sequence[Effect
               nearby: JointFit) -> JointFit:
     """Return the best fit of an effect: the given one, or one that starts from a changed model.
 
+    The model's parameters compensate for most of an effect that was present at the identification.
+    The effect then looks smaller than it is, and a fit from there underestimates it.
+
     Parameters
     ----------
     simpler : JointFit

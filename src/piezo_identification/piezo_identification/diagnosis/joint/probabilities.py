@@ -2,7 +2,7 @@
 """Probabilities of what a model lacks, from the errors of each alternative on held-out data.
 
 The evidence of an alternative includes the noise and the possible errors of the model
-(`expected_errors`), and the cost of its fitted parameters (`model_weights.occam_penalty`). Every
+(see below), and the cost of its fitted parameters (`model_weights.occam_penalty`). Every
 additional cause has the same prior odds, whether it is on the list or not. An effect that explains
 no more than the possible errors of the model is therefore not named, alone or with another.
 
@@ -11,6 +11,17 @@ therefore means over a Bayesian bootstrap of the stretches (pseudo-BMA+: Yao, Ve
 Gelman, Using stacking to average Bayesian predictive distributions, Bayesian Analysis 13, 2018). A
 cause that is not on the list, `something_else`, would reduce the residual of the new recordings to
 noise.
+
+Errors of a model have a long correlation: at most k_r of them are independent in recording r. They
+are at least as large as those of a good model, l_r, and as the known error of this model, w_r. They
+are larger by a factor f, the logarithm of which has a half-normal distribution, and over which the
+evidence is averaged. For a mean square m_r with noise of variance s_r^2 the evidence is
+
+    ln p = ln E_f exp(- sum_r k_r / 2 (ln v_r + (m_r - s_r^2) / v_r))
+    v_r = f^2 (l_r^2 + w_r^2) + s_r^2 (k_r / n_r + d)
+
+with n_r the number of independent samples, and d the relative error of the variance of the noise.
+For a perfect model and known noise, this is the likelihood of white noise.
 """
 
 from collections.abc import Iterable, Sequence
