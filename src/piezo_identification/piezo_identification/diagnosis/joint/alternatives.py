@@ -192,10 +192,7 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
         for turn in range(1 if is_long else SETTINGS.most_effects):
             guesses = _promising(problem, best.fit.regression, best.fit.effects, asked)
             guesses = guesses[: len(since[0]) + (1 if is_long else SETTINGS.fitted)]
-            # After the fit of the model alone.
-            fitted = _each_with_guess(problem, best, guesses, part_of(
-                progress, (turn + 0.2) / SETTINGS.most_effects,
-                (turn + 1) / SETTINGS.most_effects))
+            fitted = _each_with_guess(problem, best, guesses, _turn_of(progress, turn))
             if turn == 0 and not is_long and not any(
                     _is_at_noise(problem, each, problem.new_count) for each in fitted):
                 fitted = _from_afar(problem, best, guesses, fitted)
@@ -274,6 +271,12 @@ def _from_afar(problem: JointProblem, best: Alternative, guesses: Sequence[Seque
         return nearby if fit is nearby.fit else _alternative(nearby.names, fit)
 
     return side_by_side(better, list(zip(guesses, fitted, strict=True)))
+
+
+def _turn_of(progress: Progress, turn: int) -> Progress:
+    """Return the progress function of one turn, after the fit of the model alone."""
+    return part_of(
+        progress, (turn + 0.2) / SETTINGS.most_effects, (turn + 1) / SETTINGS.most_effects)
 
 
 def _logarithms(alternatives: Sequence[Alternative], expected: ExpectedErrors) -> FloatArray:
