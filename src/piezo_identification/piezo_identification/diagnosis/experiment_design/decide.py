@@ -24,8 +24,7 @@ from piezo_identification.diagnosis.experiment_design.alternative_explanations i
 )
 from piezo_identification.diagnosis.experiment_design.expected_outcome import SURE
 from piezo_identification.diagnosis.experiment_design.propose import LONGEST_S, Proposal, propose
-from piezo_identification.diagnosis.joint.alternatives import Alternative as Competitor
-from piezo_identification.diagnosis.joint.alternatives import Appearance, evidence_of
+from piezo_identification.diagnosis.joint.alternatives import Appearance
 from piezo_identification.diagnosis.joint.competition import (
     Competition,
     probabilities_of_named,
@@ -153,15 +152,14 @@ def decided_verdict(model: StageModel, recordings: Sequence[Recording], holdout:
                     diagnosis: Diagnosis, alternatives: Alternatives) -> Diagnosis:
     """Return a diagnosis with the most probable alternative and all probabilities."""
     best = alternatives.alternatives[0]
-    names = tuple(sorted(effect.name for effect in best.effects))
+    names = best.names
     unnamed = diagnosis.probabilities.get(SOMETHING_ELSE, 0.0)
     listed = sum(alternatives.probabilities.values())
     if not names and unnamed >= BELIEVED:
         return diagnosis  # nothing on the list decides, and it names what explains a part
     chances = {name: (1.0 - unnamed) * share / listed
                for name, share in alternatives.probabilities.items()} | {SOMETHING_ELSE: unnamed}
-    competitor = Competitor(names, bool(best.fit.later), best.fit, evidence_of(best.name, best.fit))
-    competition = Competition(chances, competitor)
+    competition = Competition(chances, best)
     alike = competition.indistinguishable()
     found = sorted(entry["name"] for entry in diagnosis.effects if entry["name"] != Outliers.name)
     if list(names) == found:
@@ -170,7 +168,7 @@ def decided_verdict(model: StageModel, recordings: Sequence[Recording], holdout:
     given = condition(model, recordings, holdout)
     first = first_regression(simulate_recordings(model, given.recordings))
     extended = selection_from(
-        replace(diagnosis.selection, regression=first), competition, competitor)
+        replace(diagnosis.selection, regression=first), competition, best)
     selection = replace(
         extended, start=fit_without_effects(extended.regression), indistinguishable=alike)
     validation = Validation(first, given.holdout).for_regression(extended.regression)

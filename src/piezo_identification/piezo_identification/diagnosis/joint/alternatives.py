@@ -150,13 +150,6 @@ class Alternative:
     """Quantities on which its probability depends."""
 
 
-def evidence_of(label: str, fit: JointFit) -> Evidence:
-    """Return the quantities on which the probability of a fit depends."""
-    return Evidence.weighed(
-        label, held_out_of(fit), fit.covariance,
-        expected_widths(fit.effects, fit.regression.dataset.extent), fit.recurrence_count)
-
-
 def settled(problem: JointProblem, progress: Progress) -> JointFit:
     """Fit the model without additional effects until no step is worthwhile."""
     def report(turn: int) -> None:
@@ -176,12 +169,12 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
     since : sequence of sequences of Effect
         Sets that may explain the new recordings alone, the best first.
     """
-    alternatives = [_alternative((), none)]
+    alternatives = [alternative_of((), none)]
     named = {tuple(sorted(effect.name for effect in effects)): effects for effects in since}
     for names, effects in named.items():
         if names and not {effect.name for effect in none.effects} & set(names):
             fit = problem.fit((*none.effects, *effects), names, none)
-            alternatives.append(_alternative(names, fit, True))
+            alternatives.append(alternative_of(names, fit, True))
     if any(_is_at_noise(problem, each) for each in alternatives):
         # No error remains that another effect could explain.
         return _possible(problem, alternatives)
@@ -218,7 +211,7 @@ def converged(problem: JointProblem, alternatives: Sequence[Alternative],
         if not numbers:
             break
         further = side_by_side(
-            lambda each: _alternative(each.names, problem.fit(
+            lambda each: alternative_of(each.names, problem.fit(
                 each.fit.effects, each.fit.later, each.fit), each.since),
             [alternatives[number] for number in numbers])
         for number, each in zip(numbers, further, strict=True):
@@ -237,7 +230,7 @@ def asked_when(problem: JointProblem, alternatives: Sequence[Alternative],
     if not best.since or is_known or not all(
             effect.of_the_stage or effect.recurs for effect in best.fit.effects):
         return list(alternatives)
-    along = _alternative(best.names, problem.fit(best.fit.effects, begun=best.fit))
+    along = alternative_of(best.names, problem.fit(best.fit.effects, begun=best.fit))
     return converged(problem, [*alternatives, along], expected)
 
 
@@ -245,7 +238,7 @@ def fits_of_free_model(problem: JointProblem, sets: Sequence[Sequence[Effect]],
                        expected: ExpectedErrors) -> list[Alternative]:
     """Fit each set of effects together with all parameters of the model."""
     def fitted(effects: Sequence[Effect]) -> Alternative:
-        return _alternative([effect.name for effect in effects],
+        return alternative_of([effect.name for effect in effects],
                             problem.fit((*problem.own, *effects)))
 
     return converged(problem, side_by_side(fitted, sets), expected)
@@ -255,7 +248,7 @@ def _each_with_guess(problem: JointProblem, best: Alternative, guesses: Sequence
                      progress: Progress) -> list[Alternative]:
     """Fit one more effect in addition to those of an alternative, from the best guess of each."""
     def fitted(of_kind: Sequence[Effect]) -> Alternative:
-        return _alternative((*best.names, of_kind[0].name), problem.fit(
+        return alternative_of((*best.names, of_kind[0].name), problem.fit(
             (*best.fit.effects, of_kind[0]), begun=best.fit))
 
     return side_by_side(fitted, guesses, lambda number: progress(
@@ -268,7 +261,7 @@ def _from_afar(problem: JointProblem, best: Alternative, guesses: Sequence[Seque
     def better(entry: tuple[Sequence[Effect], Alternative]) -> Alternative:
         of_kind, nearby = entry
         fit = from_afar(problem, best.fit, of_kind, nearby.fit)
-        return nearby if fit is nearby.fit else _alternative(nearby.names, fit)
+        return nearby if fit is nearby.fit else alternative_of(nearby.names, fit)
 
     return side_by_side(better, list(zip(guesses, fitted, strict=True)))
 
@@ -328,9 +321,13 @@ def _possible(problem: JointProblem, alternatives: Sequence[Alternative]) -> lis
         if not any(effect.impossible(extent) for effect in alternative.fit.effects))]
 
 
-def _alternative(names: Sequence[str], fit: JointFit, since: bool = False) -> Alternative:
+def alternative_of(names: Sequence[str], fit: JointFit, since: bool = False) -> Alternative:
+    """Return an alternative with the quantities on which its probability depends."""
     names = tuple(sorted(names))
-    return Alternative(names, since, fit, evidence_of("+".join(names) or NONE, fit))
+    evidence = Evidence.weighed(
+        "+".join(names) or NONE, held_out_of(fit), fit.covariance,
+        expected_widths(fit.effects, fit.regression.dataset.extent), fit.recurrence_count)
+    return Alternative(names, since, fit, evidence)
 
 
 def _promising(problem: JointProblem, regression: Regression, own: Sequence[Effect],
