@@ -85,25 +85,9 @@ class NonlinearDistortion:
         lines = max(1, int(np.count_nonzero(self.is_odd_detection)))
         return self.noise_of_period_um * float(np.sqrt(3.0 / (self.periods * np.sqrt(lines))))
 
-    @property
-    def noise_percent(self) -> float:
-        """Noise of one period in percent of the response."""
-        return 100.0 * self.noise_of_period_um / self.answer_um
-
-    @property
-    def even_percent(self) -> float:
-        """Even distortion in percent of the response."""
-        return 100.0 * self.even_um / self.answer_um
-
-    @property
-    def odd_percent(self) -> float:
-        """Odd distortion in percent of the response."""
-        return 100.0 * self.odd_um / self.answer_um
-
-    @property
-    def significant_percent(self) -> float:
-        """Smallest significant distortion in percent of the response."""
-        return 100.0 * self.significant_um / self.answer_um
+    def percent(self, part_um: float) -> float:
+        """Return an amplitude in percent of the response."""
+        return 100.0 * part_um / self.answer_um
 
     def _power_um2(self, lines: BoolArray, count: int) -> float:
         """Return the power of `count` lines from the mean over some, less the noise."""

@@ -17,6 +17,7 @@ from piezo_identification.conditioning.outlier_samples import with_outliers_mark
 from piezo_identification.simulation.nuisance import nuisance_regressors
 from piezo_identification.simulation.past_search import simulated_recording
 from piezo_models.cascade import StageModel
+from piezo_models.linear.dynamics_vector import dynamics_of_vector, dynamics_vector
 from piezo_recorder.reading.recording import Recording
 
 
@@ -113,40 +114,35 @@ def parameter_groups(model: StageModel) -> dict[str, tuple[str, ...]]:
     groups: dict[str, tuple[str, ...]] = {"gain": ("gain_um_per_v",)}
     if model.dynamics.time_constant_s > 0.0:
         groups["lag"] = ("time_constant_s",)
-    for index in range(1, len(model.dynamics.mode_frequencies_rad_per_s) + 1):
-        groups[f"mode {index}"] = (
-            f"mode_{index}_frequency_rad_per_s", f"mode_{index}_damping_ratio")
-    return groups
+    return groups | {
+        f"mode {index}": (f"mode_{index}_frequency_rad_per_s", f"mode_{index}_damping_ratio")
+        for index in range(1, len(model.dynamics.damping_ratios) + 1)}
+
+
+def _of_dynamics(model: StageModel) -> list[str]:
+    """Return the names of the parameters in the order of `dynamics_vector`."""
+    modes = range(1, len(model.dynamics.damping_ratios) + 1)
+    return ["time_constant_s", *(f"mode_{index}_frequency_rad_per_s" for index in modes),
+            *(f"mode_{index}_damping_ratio" for index in modes)]
 
 
 def _values(model: StageModel) -> dict[str, float]:
-    low_um, high_um = model.hysteresis.output_range_um
-    dynamics = model.dynamics
-    values = {
-        "gain_um_per_v": float((high_um - low_um) / (
-            model.hysteresis.voltage_max_v - model.hysteresis.voltage_min_v)),
-        "time_constant_s": dynamics.time_constant_s}
-    for index, (frequency, damping) in enumerate(zip(
-            dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios, strict=True), start=1):
-        values[f"mode_{index}_frequency_rad_per_s"] = frequency
-        values[f"mode_{index}_damping_ratio"] = damping
-    return values
+    hysteresis, names = model.hysteresis, _of_dynamics(model)
+    low_um, high_um = hysteresis.output_range_um
+    gain_um_per_v = (high_um - low_um) / (hysteresis.voltage_max_v - hysteresis.voltage_min_v)
+    return {"gain_um_per_v": float(gain_um_per_v)} | dict(
+        zip(names, dynamics_vector(model.dynamics)[: len(names)].tolist(), strict=True))
 
 
 def _changed(model: StageModel, logarithms: dict[str, float]) -> StageModel:
     """Return the model with some parameters multiplied by the exponentials of `logarithms`."""
-    factor = {name: float(np.exp(logarithms.get(name, 0.0))) for name in _values(model)}
-    dynamics, hysteresis = model.dynamics, model.hysteresis
-    modes = range(1, len(dynamics.damping_ratios) + 1)
-    if factor["gain_um_per_v"] != 1.0:
-        hysteresis = hysteresis.scaled(factor["gain_um_per_v"])
-    return replace(model, hysteresis=hysteresis, dynamics=replace(
-        dynamics, time_constant_s=dynamics.time_constant_s * factor["time_constant_s"],
-        mode_frequencies_rad_per_s=tuple(
-            value * factor[f"mode_{index}_frequency_rad_per_s"]
-            for index, value in zip(modes, dynamics.mode_frequencies_rad_per_s, strict=True)),
-        damping_ratios=tuple(value * factor[f"mode_{index}_damping_ratio"]
-                             for index, value in zip(modes, dynamics.damping_ratios, strict=True))))
+    dynamics, hysteresis, names = model.dynamics, model.hysteresis, _of_dynamics(model)
+    vector = dynamics_vector(dynamics)
+    vector[: len(names)] *= np.exp([logarithms.get(name, 0.0) for name in names])
+    if "gain_um_per_v" in logarithms:
+        hysteresis = hysteresis.scaled(float(np.exp(logarithms["gain_um_per_v"])))
+    return replace(model, hysteresis=hysteresis, dynamics=dynamics_of_vector(
+        vector, len(dynamics.damping_ratios), len(dynamics.antiresonance_damping_ratios)))
 
 
 class _Problem:

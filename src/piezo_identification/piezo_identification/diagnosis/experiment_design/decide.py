@@ -103,20 +103,7 @@ def decide(model: StageModel, recordings: Sequence[Recording], play: Play, budge
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from piezo_models import (
-    ...     CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel)
-    >>> from piezo_recorder import recording_of
-    >>> line = PreisachModel.line(0.0, 10.0, 2.0)
-    >>> time_s = 0.01 * np.arange(500)
-    >>> voltage_v = 5.0 - 5.0 * np.cos(3.0 * time_s)
-    >>> stage, model = (StageModel(line, CreepDynamics(), ElectricVibrationDynamics(lag_s))
-    ...                 for lag_s in (0.02, 0.0))
-    >>> noise_um = np.random.default_rng(0).normal(0.0, 0.01, 500)
-    >>> recording = recording_of({
-    ...     "time_s": time_s, "voltage_v": voltage_v,
-    ...     "displacement_um": stage.simulate(voltage_v, 0.01) + noise_um})
-    >>> step, = decide(model, [recording], play=None, budget=0)    # without a further recording
+    >>> step, = decide(model, [recording], play=None, budget=0)    # those of `diagnose`
     >>> step.is_decided, sorted(step.probabilities)
     (False, ['amplifier_lag', 'sensor_lag'])
     """
