@@ -160,18 +160,7 @@ def _linear_um(inputs: ComplexArray, mean_um: ComplexArray, is_excited: BoolArra
 
 
 def distortion_of(recording: Recording) -> NonlinearDistortion | None:
-    """Separate noise and distortion of a recording; the motion settles in the first period.
-
-    Parameters
-    ----------
-    recording : Recording
-        Samples in which the waveform is played, without gaps.
-
-    Returns
-    -------
-    NonlinearDistortion or None
-        None if the voltage is not a repeated multisine that omits odd and even lines.
-    """
+    """Separate noise and distortion of a recording without gaps; see `distortion_of_signal`."""
     return distortion_of_signal(
         np.asarray(recording.voltage_v, dtype=float),
         np.asarray(recording.displacement_um, dtype=float), recording.sample_period_s)

@@ -339,14 +339,9 @@ def decide(selection: Selection, validation: Validation,
 def hold_to_noise(shares: Mapping[str, float], found: Selection, believed: Validation, fit: Fit,
                   outliers: FoundOutliers | None, noise: KnownNoise,
                   stated_um: float) -> HeldToNoise:
-    """Compare the residual of a fit with the noise.
+    """Compare the residual of a fit with the noise, or its predictable part if that is unknown.
 
-    If the noise is unknown, the predictable part of the residual is used instead.
-
-    Parameters
-    ----------
-    shares : dict of str to float
-        Probabilities based on the noise that each recording shows itself.
+    `shares` are probabilities based on the noise that each recording shows itself.
     """
     remainders = believed.remainders(fit)
     known = noise.including(noise_of_residuals(found.regression))
@@ -363,12 +358,9 @@ def _names(fit: Fit) -> list[str]:
 
 
 def ceiling_of(selection: Selection, decision: Decision) -> "Ceiling | None":
-    """Return how much of the residual any learner could predict, if it is more than noise.
+    """Return how much of the residual any learner could predict.
 
-    Returns
-    -------
-    Ceiling or None
-        None if the residual is compatible with known noise, or the comparison was interrupted.
+    It is None if the residual is compatible with known noise, or the comparison was interrupted.
     """
     if decision.held.predicted is not None:
         return decision.held.predicted

@@ -200,11 +200,6 @@ def diagnostic(limits: StageLimits = USUAL_LIMITS, repeats: int = 4) -> Experime
 
     It begins at the lowest voltage, where the memory of the hysteresis is known. The repeats
     separate noise, drift and the response to the voltage.
-
-    Parameters
-    ----------
-    repeats : int
-        How often the waveform is played.
     """
     voltage_v = diagnostic_block(limits)
     return fitting(

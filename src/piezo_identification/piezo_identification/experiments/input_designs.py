@@ -18,10 +18,7 @@ def arc(start: float, end: float, samples: int) -> FloatArray:
 def stair_amplitudes(level_count: int, highest_v: float, below_the_top: float = 0.0) -> FloatArray:
     """Return L equally spaced amplitudes up to the highest voltage, (3.7), (4.7), (4.8).
 
-    Parameters
-    ----------
-    below_the_top : float
-        Fraction of a step by which each amplitude is lowered; 0.5 for (3.6).
+    Each is lowered by a fraction of a step, 0.5 for (3.6).
     """
     return (np.arange(1, level_count + 1) - below_the_top) * highest_v / level_count
 

@@ -73,15 +73,7 @@ def estimate_hysteresis_of(
 ) -> DensityEstimate:
     """Estimate the hysteresis from its recordings, or from all others if there are none.
 
-    Parameters
-    ----------
-    recordings : dict of str to Recording or FrequencyResponse
-        Recordings without gaps.
-
-    Returns
-    -------
-    DensityEstimate
-        For a response alone, a line through 0 V with its gain.
+    The recordings have no gaps. For a response alone, it is a line through 0 V with its gain.
     """
     shown = of_kind(recordings, "hysteresis") or [
         data for name in ("creep", "dynamics") for data in of_kind(recordings, name)

@@ -285,10 +285,7 @@ def report_starts(recordings: Mapping[str, Data], cycled: Mapping[str, Data],
                   note: Callable[[str], object]) -> None:
     """Report the initial state of each recording, and how it is handled.
 
-    Parameters
-    ----------
-    cycled : dict of str to Recording or FrequencyResponse
-        The recordings as if the stage had been cycled before each of them.
+    The `cycled` recordings are those as if the stage had been cycled before each of them.
     """
     for name, data in recordings.items():
         if isinstance(data, FrequencyResponse):
@@ -339,13 +336,7 @@ def identified_model(
     fitted: FittedModel, errors: dict[str, Any], given: Mapping[str, Data],
     rows: Mapping[str, RowDelay],
 ) -> IdentifiedModel:
-    """Return the model with its voltage range, its errors, and its recordings.
-
-    Parameters
-    ----------
-    given : dict of str to Recording or FrequencyResponse
-        Recordings as read from their files.
-    """
+    """Return the model with its voltage range, its errors, and its recordings as read."""
     hysteresis = fitted.model.hysteresis
     return IdentifiedModel(
         model=fitted.model,

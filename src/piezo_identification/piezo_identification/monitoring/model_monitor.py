@@ -321,12 +321,7 @@ def band_powers(signal_um: FloatArray, sample_period_s: float) -> FloatArray:
 
 
 def largest_part(residual_um: FloatArray, offset_um: float, simulated_um: FloatArray) -> str:
-    """Return the largest component of an error: a key of `STATISTICS`.
-
-    Parameters
-    ----------
-    residual_um, simulated_um : ndarray, shape (N,)
-    """
+    """Return the largest component of an error, (N,): a key of `STATISTICS`."""
     remaining_um = residual_um - residual_um.mean()
     powers = {"mean": offset_um**2}
     for name, shape_um in (("gain", simulated_um), ("lag", np.gradient(simulated_um))):

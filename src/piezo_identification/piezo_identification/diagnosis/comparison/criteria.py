@@ -110,10 +110,7 @@ def is_noise(regression: Regression, fit: Fit) -> bool:
 def is_convincing(regression: Regression, start: Fit, before: Fit, after: Fit) -> bool:
     """Return whether a fit is better than another both significantly and noticeably.
 
-    Parameters
-    ----------
-    start : Fit
-        Fit without any effect.
+    `start` is the fit without any effect.
     """
     residual = np.sqrt(mean_square(regression, start))
     least = max(CRITERIA.noticeable, CRITERIA.noticeable_share * residual)
@@ -131,12 +128,7 @@ def is_indistinguishable(regression: Regression, best: Fit, other: Fit,
     """Return whether the data cannot distinguish a set of effects from the best one.
 
     The residual of the best set beyond the noise shows the accuracy of its prediction: sets that
-    differ by less cannot be distinguished.
-
-    Parameters
-    ----------
-    distinguished : float
-        Standard deviations by which the best set must be better.
+    differ by less, or by less than `distinguished` standard deviations, cannot be distinguished.
     """
     return bool(distance(regression, other, best) < _remaining(regression, best)
                 or significance(regression, other, best) < distinguished)

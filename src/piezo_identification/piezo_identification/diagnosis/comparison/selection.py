@@ -133,12 +133,7 @@ def select_effects(regression: Regression, progress: Progress | None = None,
 
     Every round adds each candidate to each of the few best sets of the round before, and fits the
     best of the larger sets as a whole. The larger set must be convincingly better than the best
-    smaller one.
-
-    Parameters
-    ----------
-    share : float
-        Share of the time limit after which the best result so far is returned.
+    smaller one. After a share of the time limit, the best result so far is returned.
     """
     kinds = [kind for kind in known_effects().values() if kind is not Outliers]
     excluded = excluded_by_distortion(regression.dataset.simulated, kinds)

@@ -51,13 +51,7 @@ to that with free parameters. If it is no larger with fixed parameters, no cause
 
 
 def like_the_best(regression: Regression, fits: Sequence[Fit]) -> dict[str, str]:
-    """Return effects of other sets that are equivalent to the best set, and what they replace.
-
-    Parameters
-    ----------
-    fits : sequence of Fit
-        Fits, the best first.
-    """
+    """Return effects of fits that are equivalent to the first, best one, and what they replace."""
     best = fits[0]
     found: dict[str, str] = {}
     names = [effect.name for effect in best.effects]
@@ -73,10 +67,7 @@ def in_place_of_the_found(regression: Regression, kinds: Sequence[type[Effect]],
                           best: Fit) -> dict[str, tuple[str, Fit]]:
     """Try to replace the effects found by effects declared as indistinguishable from them.
 
-    Returns
-    -------
-    dict of str to (str, Fit)
-        Name of each equivalent effect, the effect that it replaces, and the fit with it.
+    Return, by name of each equivalent effect, the effect that it replaces and the fit with it.
     """
     tried = [
         (number, kind) for number, effect in enumerate(best.effects) for kind in kinds

@@ -95,11 +95,7 @@ class Validation:
     def remainders(self, fit: Fit) -> list[Remainder]:
         """Return the residual of a fit for each diagnosed recording and for the held-out one.
 
-        Parameters
-        ----------
-        fit : Fit
-            If it has no effect, the given model is used for the held-out recording if that reduces
-            the error.
+        For a fit without effects, that of the given model is used for the latter if it is smaller.
         """
         regression, dataset = self.regression, self.regression.dataset
         residual_um = fit.residual * regression.tolerance_um

@@ -25,12 +25,9 @@ from piezo_models.effects.outliers import FEWEST, THRESHOLD, Outliers
 def effect_entries(regression: Regression, fit: Fit) -> list[dict[str, Any]]:
     """Return the entry of each effect of a fit, in their order.
 
-    Returns
-    -------
-    list of dict
-        `name`, `parameters`, `error_reduction_percent` and, if known, `standard_deviations` of the
-        fitted parameters. An effect that contributes less than the noise is a stand-in if another
-        contributes more.
+    It has `name`, `parameters`, `error_reduction_percent` and, if known, `standard_deviations` of
+    the fitted parameters. An effect that contributes less than the noise is a stand-in if another
+    contributes more.
     """
     # Removing an effect, with all else unchanged, would increase the error by its contribution.
     added = [contribution_rms(regression, regression.fit(fit.without(number)), fit)
@@ -83,10 +80,7 @@ def with_stand_ins(entries: Sequence[dict[str, Any]], extent: Extent,
                    probabilities: Mapping[str, float]) -> list[dict[str, Any]]:
     """Mark the entries of effects that are not credible, and remove their standard deviations.
 
-    Parameters
-    ----------
-    probabilities : dict of str to float
-        Probabilities of sets of effects, with names joined by +; empty if unknown.
+    The probabilities are those of sets of effects, with names joined by +; empty if unknown.
     """
     return [as_stand_in(entry) if _is_stand_in(entry, extent, probabilities) else entry
             for entry in entries]
@@ -164,10 +158,7 @@ def found_outliers(regression: Regression,
                    effects: Sequence[Effect] = ()) -> FoundOutliers | None:
     """Return the outliers if they are more than expected by chance and large enough to be named.
 
-    Parameters
-    ----------
-    effects : sequence of piezo_models.effects.effect.Effect
-        Named effects. If the sensor has steps, a reading of a neighbouring step is no outlier.
+    If a named effect is that the sensor has steps, a reading of a neighbouring step is no outlier.
     """
     least_um = max((NEXT_STEP * effect.step_um for effect in effects
                     if isinstance(effect, SensorSteps)), default=0.0)

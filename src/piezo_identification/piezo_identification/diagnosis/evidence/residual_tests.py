@@ -129,13 +129,7 @@ class ErrorResponse:
 
 def error_response(residual_um: FloatArray, displacement_um: FloatArray,
                    sample_period_s: float) -> ErrorResponse:
-    """Estimate how the residual depends on the model's displacement at each frequency.
-
-    Parameters
-    ----------
-    residual_um, displacement_um : (N,) array
-        Measured minus simulated displacement, and simulated displacement.
-    """
+    """Estimate how a residual depends on the model's displacement, both (N,), at each frequency."""
     segment = _segment(displacement_um.size)
     options = {"fs": 1.0 / sample_period_s, "nperseg": segment, "detrend": "linear"}
     frequency_hz, cross = csd(displacement_um, residual_um, **options)

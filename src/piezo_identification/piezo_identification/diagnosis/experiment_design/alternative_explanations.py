@@ -180,10 +180,7 @@ def _fit(problem: JointProblem, sets: Mapping[str, Effects], was_there: bool,
 def without_idle(fits: Mapping[str, JointFit], own: int) -> dict[str, JointFit]:
     """Omit sets in which an effect changes nothing, and which are equal to the set without it.
 
-    Parameters
-    ----------
-    own : int
-        Number of effects of the model itself, which come first in every fit.
+    The effects of the model itself, of which there are `own`, come first in every fit.
     """
     def is_another(fit: JointFit) -> bool:
         whole = fit.regression.difference(fit.effects)
@@ -279,17 +276,7 @@ def _probable(regression: Regression, found: Effects,
 
 def sensitivities(simulate: Callable[..., FloatArray],
                   effects: tuple[Effect, ...]) -> FloatArray:
-    """Return the change of a simulation with each fitted parameter of some effects.
-
-    Parameters
-    ----------
-    simulate : callable
-        Returns an array of shape (N,) for given effects.
-
-    Returns
-    -------
-    (N, p) array
-    """
+    """Return the change of a simulation, (N,), with each fitted parameter of effects, (N, p)."""
     middle, columns = simulate(effects), []
     for number, effect in enumerate(effects):
         values, low, high = fitted_values(effect)

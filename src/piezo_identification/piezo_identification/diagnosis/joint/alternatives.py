@@ -164,10 +164,7 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
             expected: ExpectedErrors, progress: Progress) -> list[Alternative]:
     """Fit the alternatives, first the model without additional effects.
 
-    Parameters
-    ----------
-    since : sequence of sequences of Effect
-        Sets that may explain the new recordings alone, the best first.
+    The sets in `since` may explain the new recordings alone, the best first.
     """
     alternatives = [alternative_of((), none)]
     named = {tuple(sorted(effect.name for effect in effects)): effects for effects in since}
@@ -284,13 +281,9 @@ def most_probable(alternatives: Sequence[Alternative], expected: ExpectedErrors)
 
 def times_of_coming(alternatives: Sequence[Alternative],
                     expected: ExpectedErrors) -> dict[tuple[str, ...], Appearance]:
-    """Return when each set of effects appeared, as far as the recordings show.
+    """Return when each set of effects that was tried appeared, as far as the recordings show.
 
-    Returns
-    -------
-    dict of tuple of str to Appearance
-        For each set that was tried in at least one way. A set with an effect that depends on when
-        a recording begins can only have appeared later.
+    A set with an effect that depends on when a recording begins can only have appeared later.
     """
     logarithms = _logarithms(alternatives, expected)
     best: dict[tuple[str, ...], dict[bool, float]] = {}

@@ -97,16 +97,9 @@ def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Re
                    progress: Callable[[str, float], None]) -> Competition:
     """Compare models on all recordings, or sets of effects on the new ones alone.
 
-    The recordings of the identification are not used if the model leaves only noise.
-
-    Parameters
-    ----------
-    new, old : sequence of Recording
-        Recordings to diagnose, and those of the identification, with the sign of the model and
-        with marked outliers.
-    stated_um : float or None
-        RMS of the known error of the model; None if it is estimated from the recordings of the
-        identification.
+    The recordings of the identification, the old ones, are not used if the model leaves only noise.
+    All have the sign of the model, and marked outliers. The known error of the model is estimated
+    from the old ones if `stated_um` is None.
     """
     if not old or is_noise(selection.regression, selection.start):
         stated_um = stated_um or 0.0

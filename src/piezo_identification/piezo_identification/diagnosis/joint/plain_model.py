@@ -45,12 +45,8 @@ def plain_model(model: StageModel, recordings: Sequence[Recording],
                 residual_um: float) -> StageModel | None:
     """Fit a line and the loudest mode of a model, with a held voltage and with a smooth one.
 
-    The recordings have the sign of the model, and marked outliers.
-
-    Returns
-    -------
-    StageModel or None
-        The better one; None if the model has no mode, or both fit far worse than it does.
+    The recordings have the sign of the model, and marked outliers. Return the better one, or None
+    if the model has no mode, or both fit far worse than it does.
     """
     if model.dynamics.is_static and not model.effects_at("modes"):
         return None

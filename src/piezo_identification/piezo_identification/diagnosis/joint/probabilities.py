@@ -105,13 +105,7 @@ class ExpectedErrors:
         return np.asarray(logsumexp(WEIGHTS - against, axis=-1))
 
     def logarithm_of_chance(self, squares_um2: FloatArray, samples: FloatArray) -> float:
-        """Return the logarithm of the probability of so large a residual.
-
-        Parameters
-        ----------
-        squares_um2, samples : (R,) array
-            See `logarithms`.
-        """
+        """Return the logarithm of the probability of so large a residual; see `logarithms`."""
         passing = (self.noise_um**2 + self.accuracy_um**2) * (1.0 + CRITERIA.noise**2)
         wrong = self.model_um**2 - self.accuracy_um**2
         against = 0.5 * np.maximum(0.0, np.log(
@@ -121,26 +115,14 @@ class ExpectedErrors:
 
 def expected_errors(dataset: Dataset, noise_um: Sequence[float],
                     stated_um: float) -> ExpectedErrors:
-    """Return the expected errors of the recordings of a data set with a complete model.
-
-    Parameters
-    ----------
-    noise_um : (R,) sequence of float
-    """
+    """Return the expected errors of recordings, with noise (R,), of a complete model."""
     motion_um = np.array([np.std(part.measured_um[part.begin :]) for part in dataset.simulated])
     return errors_of_model(np.array(noise_um), accuracies_um(dataset), motion_um, stated_um)
 
 
 def errors_of_model(noise_um: FloatArray, accuracy_um: FloatArray, motion_um: FloatArray,
                     stated_um: float | FloatArray) -> ExpectedErrors:
-    """Return the expected errors of recordings of some motion; see `expected_errors`.
-
-    Parameters
-    ----------
-    motion_um : (R,) array
-        RMS of the motion.
-    stated_um : float or (R,) array
-    """
+    """Return the expected errors of recordings with an RMS motion, all (R,)."""
     wrong_um = np.minimum(stated_um, SETTINGS.most_wrong * motion_um)
     return ExpectedErrors(noise_um, np.hypot(accuracy_um, wrong_um), accuracy_um)
 
@@ -184,13 +166,9 @@ class Evidence:
                 widths: FloatArray, recurrence_count: int = 0) -> "Evidence":
         """Weigh the fitted parameters by the number of errors that the evidence counts.
 
-        Parameters
-        ----------
-        covariance, widths
-            As in `model_weights.occam_penalty`.
-        recurrence_count : int
-            Number of additional parameters specific to recordings of the identification. The
-            recordings determine them, and each has the largest cost.
+        For `covariance` and `widths` see `occam_penalty`. There are `recurrence_count` additional
+        parameters specific to recordings of the identification. The recordings determine them, and
+        each has the largest cost.
         """
         counted = sum(min(part.independent, SETTINGS.independent) for part in held_out)
         rows = float(sum(part.residual_um.size for part in held_out))
@@ -275,14 +253,8 @@ def odds_of_something_else(squares_um2: FloatArray, samples: FloatArray,
                            expected: ExpectedErrors) -> float:
     """Return the odds of an unlisted cause that would reduce the residual to noise.
 
-    The odds are relative to an alternative.
-
-    Parameters
-    ----------
-    squares_um2 : (R,) array
-        Mean square residuals of the alternative.
-    samples : (R,) array
-        Number of independent samples of each recording.
+    The odds are relative to an alternative with these mean squares, (R,), of so many independent
+    samples, (R,).
     """
     return ONE_CAUSE * float(
         np.exp(min(-expected.logarithm_of_chance(squares_um2, samples), MOST_GAIN)))

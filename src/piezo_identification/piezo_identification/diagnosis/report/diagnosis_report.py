@@ -78,13 +78,7 @@ def _percent(probability: float) -> str:
 
 
 def render_report(diagnosis: Diagnosis, origin: Sequence[tuple[str, str]] = ()) -> str:
-    """Return the report as one HTML page.
-
-    Parameters
-    ----------
-    origin : sequence of (str, str)
-        Time and files to list on the page, as pairs of name and text.
-    """
+    """Return the report as one HTML page, with time and files as pairs of name and text."""
     dataset = diagnosis.selection.regression.dataset
     sections = [_found(diagnosis), *_alternatives(diagnosis)]
     if diagnosis.effects:
