@@ -18,7 +18,6 @@ from piezo_common.progress_part import Progress, part_of
 from piezo_identification.diagnosis.comparison.criteria import is_noise, lack_of_fit
 from piezo_identification.diagnosis.comparison.selection import (
     Selection,
-    residual_rms_um,
     select_effects,
 )
 from piezo_identification.diagnosis.comparison.undecided import Reason, Undecided
@@ -111,11 +110,6 @@ class Conditioned:
     """Recording on which the errors are measured."""
     faults: list[RecordingFault]
     """Faults that were corrected in them."""
-
-    @property
-    def reversed(self) -> list[str]:
-        """Return the paths of recordings whose sign was changed."""
-        return [fault.recording for fault in self.faults if fault.name == WRONG_SIGN]
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,8 +284,8 @@ def compare_effects(model: StageModel, recordings: Sequence[Recording],
         if selections[-1].interrupted:
             return selections[-1]
     with_past, plain = selections[0], selections[-1]
-    most_um = PastSearchSettings.largest_error_ratio * residual_rms_um(plain)
-    return with_past if residual_rms_um(with_past) < most_um else plain
+    most_um = PastSearchSettings.largest_error_ratio * plain.residual_um
+    return with_past if with_past.residual_um < most_um else plain
 
 
 def decide(selection: Selection, validation: Validation,
@@ -403,7 +397,8 @@ def conclude(model: StageModel, given: Conditioned, selection: Selection, valida
         undecided=undecided,
         confounded_with=_confounded_with(selection, effects),
         left=_description(regression, decision, predictable),
-        reversed=given.reversed, left_out=[*left_out(regression), *validation.left_out()],
+        reversed=[fault.recording for fault in given.faults if fault.name == WRONG_SIGN],
+        left_out=[*left_out(regression), *validation.left_out()],
         ceiling=None if predictable is None else asdict(predictable), selection=selection,
         recording_faults=[fault.document() for fault in given.faults],
     )

@@ -6,7 +6,7 @@ together are fitted by nonlinear least squares, and compared on stretches of the
 excluded from the fit.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -62,17 +62,13 @@ class ChangedParameters:
                 f"{1e3 * self.after_rms_um:.3g} nm")
 
 
-def changed_parameters(model: StageModel, recording: Recording,
-                       progress: Callable[[float], object] = lambda fraction: None,
-                       ) -> ChangedParameters:
+def changed_parameters(model: StageModel, recording: Recording) -> ChangedParameters:
     """Find which parameters of a model have changed in a recording.
 
     Parameters
     ----------
     recording : Recording
         Recording after the change, including the voltages before it.
-    progress : callable
-        Called with the fraction done (0 to 1); an exception that it raises ends the search.
 
     Raises
     ------
@@ -84,14 +80,10 @@ def changed_parameters(model: StageModel, recording: Recording,
     chosen: tuple[str, ...] = ()
     numbers = np.empty(0)
     best = problem.residual_um(chosen, numbers)
-    for taken in range(SETTINGS.most_groups):
-        fits = {}
-        others = [name for name in groups if name not in chosen]
-        for index, name in enumerate(others):
-            progress((taken + index / len(others)) / SETTINGS.most_groups)
-            names = (*chosen, name)
-            start = np.append(numbers, np.zeros(len(groups[name])))
-            fits[names] = problem.fit(names, start)
+    for _ in range(SETTINGS.most_groups):
+        fits = {(*chosen, name): problem.fit(
+            (*chosen, name), np.append(numbers, np.zeros(len(groups[name]))))
+            for name in groups if name not in chosen}
         if not fits:
             break
         residual = {names: problem.residual_um(names, fit) for names, fit in fits.items()}

@@ -126,8 +126,13 @@ class Selection:
     """True if the comparison was ended by Ctrl-C or the time limit: more effects may be missing,
     and some of those found may not be needed."""
 
+    @property
+    def residual_um(self) -> float:
+        """Return the RMS residual on the validation set, including noise."""
+        return self.regression.residual_um(self.end)
 
-def select_effects(regression: Regression, progress: Progress | None = None,
+
+def select_effects(regression: Regression, progress: Progress,
                    share: float = SEARCH) -> Selection:
     """Compare sets of the known effects on held-out data, and select the best.
 
@@ -189,15 +194,8 @@ def select_effects(regression: Regression, progress: Progress | None = None,
         regression, start, best, rounds, indistinguishable, not_shown, tuple(others), parts)
 
 
-def residual_rms_um(selection: Selection) -> float:
-    """Return the RMS residual of a selection on the validation set, including noise."""
-    return selection.regression.residual_um(selection.end)
-
-
-def _share_of(progress: Progress | None, begun: float, share: float) -> Progress:
+def _share_of(progress: Progress, begun: float, share: float) -> Progress:
     """Report the progress of a part of the rounds."""
-    if progress is None:
-        return lambda name, fraction: None
     return lambda name, fraction: progress(
         f"effect {int(begun) + 1}: {name}",
         (begun + share * fraction) / MOST_EFFECTS)
