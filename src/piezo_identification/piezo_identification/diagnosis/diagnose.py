@@ -15,12 +15,16 @@ import numpy as np
 from piezo_common.budget import SEARCH, Budget, spending, while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_common.progress_part import Progress, part_of
-from piezo_identification.diagnosis.comparison.criteria import is_noise, lack_of_fit
+from piezo_identification.diagnosis.comparison.criteria import (
+    Reason,
+    Undecided,
+    is_noise,
+    lack_of_fit,
+)
 from piezo_identification.diagnosis.comparison.selection import (
     Selection,
     select_effects,
 )
-from piezo_identification.diagnosis.comparison.undecided import Reason, Undecided
 from piezo_identification.diagnosis.comparison.validation import Validation
 from piezo_identification.diagnosis.evidence.effect_covariance import with_model_errors
 from piezo_identification.diagnosis.evidence.effect_entries import (

@@ -7,6 +7,7 @@ Instead, fits are compared on held-out data, with a penalty for every fitted par
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
@@ -173,3 +174,27 @@ def simplest_first(regression: Regression, fits: list[Fit]) -> list[Fit]:
 def _remaining(regression: Regression, fit: Fit) -> float:
     """Return the RMS residual beyond the noise on held-out data, in tolerances."""
     return np.sqrt(max(CRITERIA.noticeable**2, lack_of_fit(regression, fit)))
+
+
+class Reason(StrEnum):
+    """Kind of reason, for use by programs; users read the sentence."""
+
+    NOT_EXCITED = "not excited"
+    IMPOSSIBLE = "impossible"
+    SAME_AS_OTHER_PARAMETERS = "same as other parameters"
+    LIKE_ANOTHER = "like another effect"
+    WORSE_ON_HELD_OUT = "worse on held-out data"
+
+
+@dataclass(frozen=True)
+class Undecided:
+    """A reason with its sentence."""
+
+    reason: Reason
+
+    sentence: str
+    """Sentence without its end."""
+
+
+OTHER_PARAMETERS = Undecided(Reason.SAME_AS_OTHER_PARAMETERS,
+                             "here a model with slightly other parameters does the same")

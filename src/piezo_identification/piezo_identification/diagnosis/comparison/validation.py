@@ -9,7 +9,7 @@ import numpy as np
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.conditioning.outlier_samples import outlier_text
 from piezo_identification.conditioning.waveforms import played
-from piezo_identification.diagnosis.comparison.undecided import Reason, Undecided
+from piezo_identification.diagnosis.comparison.criteria import Reason, Undecided
 from piezo_identification.fitting.effect_fit import fit_effects, impossible_effects
 from piezo_identification.fitting.model_weights import HeldOut, Remainder
 from piezo_identification.fitting.regression import Fit, Regression

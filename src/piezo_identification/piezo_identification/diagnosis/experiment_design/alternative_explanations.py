@@ -9,7 +9,7 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_common.side_by_side import side_by_side
-from piezo_identification.diagnosis.comparison.undecided import Reason
+from piezo_identification.diagnosis.comparison.criteria import Reason
 from piezo_identification.diagnosis.joint.alternatives import (
     Alternative,
     Appearance,
