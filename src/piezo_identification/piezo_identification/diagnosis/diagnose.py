@@ -21,10 +21,7 @@ from piezo_identification.diagnosis.comparison.criteria import (
     is_noise,
     lack_of_fit,
 )
-from piezo_identification.diagnosis.comparison.selection import (
-    Selection,
-    select_effects,
-)
+from piezo_identification.diagnosis.comparison.selection import Selection, select_effects
 from piezo_identification.diagnosis.comparison.validation import Validation
 from piezo_identification.diagnosis.evidence.effect_covariance import with_model_errors
 from piezo_identification.diagnosis.evidence.effect_entries import (

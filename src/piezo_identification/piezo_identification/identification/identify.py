@@ -55,14 +55,8 @@ from piezo_identification.identification.linear_dynamics import (
 )
 from piezo_identification.identification.notes import Detail, Implausible
 from piezo_identification.identification.one_fit import fitted_together, reliable
-from piezo_identification.identification.progress import (
-    IdentificationCancelled,
-    Stages,
-)
-from piezo_identification.identification.recorded_hum import (
-    hum_of_each,
-    without_hum,
-)
+from piezo_identification.identification.progress import IdentificationCancelled, Stages
+from piezo_identification.identification.recorded_hum import hum_of_each, without_hum
 from piezo_identification.identification.row_delays import (
     delays_of_rows_s,
     found_readings,

@@ -28,12 +28,7 @@ from piezo_identification.fitting.structure_search import (
     is_better,
     searched,
 )
-from piezo_identification.fitting.whole_model import (
-    NARROW_PRIOR,
-    WIDE_PRIOR,
-    WholeFit,
-    WholeModel,
-)
+from piezo_identification.fitting.whole_model import NARROW_PRIOR, WIDE_PRIOR, WholeFit, WholeModel
 from piezo_identification.identification.given_data import Data
 from piezo_identification.identification.linear_dynamics import FittedModel
 from piezo_identification.identification.notes import Detail

@@ -44,12 +44,7 @@ from piezo_ros.requests.calls import ActionCaller, CallFailed, Cancelled, GoalAb
 from piezo_ros.requests.goals import GoalServers, Progress
 from piezo_ros.spinning import autostart, run_node
 from piezo_ros.stage_runs.described_stage import DescribedStage
-from piezo_ros.stage_runs.recording_calls import (
-    Attachment,
-    RecorderCaller,
-    RunRecording,
-    free_name,
-)
+from piezo_ros.stage_runs.recording_calls import Attachment, RecorderCaller, RunRecording, free_name
 from piezo_ros.stage_runs.run_account import RunAccount, declare_run_limits
 from piezo_ros.stage_runs.stage_tracking import StageTracker
 

@@ -7,14 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from piezo_common.arrays import ComplexArray, FloatArray, IntArray
-from piezo_common.picture_style import (
-    BLACK,
-    MEASURED,
-    MODELLED,
-    label,
-    new_figure,
-    plain_numbers,
-)
+from piezo_common.picture_style import BLACK, MEASURED, MODELLED, label, new_figure, plain_numbers
 from piezo_common.report_page import Picture, pictured
 from piezo_identification.adequacy.component_residual import ComponentResidual
 from piezo_identification.adequacy.lack_of_fit import LackOfFit

@@ -37,10 +37,7 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
 from piezo_identification.diagnosis.joint.probabilities import BELIEVED, SOMETHING_ELSE
 from piezo_identification.experiments.stage_limits import USUAL_LIMITS, StageLimits
 from piezo_identification.fitting.dataset import simulate_recordings
-from piezo_identification.fitting.regression import (
-    first_regression,
-    fit_without_effects,
-)
+from piezo_identification.fitting.regression import first_regression, fit_without_effects
 from piezo_models.cascade import StageModel
 from piezo_models.effects.outliers import Outliers
 from piezo_recorder.reading.recording import Recording
