@@ -24,8 +24,8 @@ from piezo_identification.estimators.frequency_response.response_file import (
     read_frequency_response,
 )
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
+from piezo_identification.identification.estimated_loops import DensityOptions
 from piezo_identification.identification.given_data import given_data
-from piezo_identification.identification.given_hysteresis import DensityOptions
 from piezo_identification.identification.identify import identify
 from piezo_identification.identification.notes import Detail, notes_printed
 from piezo_identification.prediction.prediction_errors import named_errors

@@ -9,8 +9,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.monitoring.model_monitor import MonitorSettings
-from piezo_identification.monitoring.slow_offset import SlowOffset
+from piezo_identification.monitoring.model_monitor import MonitorSettings, SlowOffset
 from piezo_sim.plant.plant_file import PlantConfig
 from piezo_studies.changes_in_operation.reference_kinds import CLOCK, plan_of
 from piezo_studies.changes_in_operation.watched import WatchedStage, opened, samples
