@@ -15,7 +15,7 @@ from piezo_studies.diagnosis_benchmark import records
 from piezo_studies.diagnosis_benchmark.cases import Case
 from piezo_studies.diagnosis_benchmark.plants import draw_plant, noise_um
 from piezo_studies.diagnosis_benchmark.run_case import clean_model
-from piezo_studies.diagnosis_benchmark.short_cases import KINDS, PLANTS, waveform
+from piezo_studies.diagnosis_benchmark.short_case import KINDS, PLANTS, waveform
 
 
 def errors_over_stated(seed, plant, identified):

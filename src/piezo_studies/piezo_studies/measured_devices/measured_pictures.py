@@ -4,10 +4,8 @@
 import numpy as np
 
 from piezo_common.picture_style import (
-    BLACK,
     DIFFERENCE,
     GREEN,
-    LIMIT,
     MEASURED,
     MODELLED,
     VERMILION,
@@ -32,31 +30,6 @@ def draw_loops_and_difference(path, title, prediction):
     right.plot(prediction.time_s, difference_um, **DIFFERENCE)
     label(right, "time (s)", "measured - modelled (um)")
     figure.suptitle(title)
-    figure.savefig(path, dpi=DOTS_PER_INCH)
-
-
-def draw_ringing(path, title, ringing, fitted_s):
-    """Draw the response to a jump, and the difference.
-
-    Parameters
-    ----------
-    fitted_s : float
-        Time after the jump up to which the dynamics were fitted.
-    """
-    response = ringing.response
-    time_ms = 1e3 * response.time_s
-    figure = new_figure(5.0, WIDE_IN)
-    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    above.plot(time_ms, response.displacement_um, **POINTS)
-    above.plot(time_ms, ringing.modelled_um, **MODELLED)
-    above.legend(loc="upper right")
-    label(above, y="displacement (um)", title=title)
-    below.plot(time_ms, response.displacement_um - ringing.modelled_um, **DIFFERENCE)
-    label(below, "time after the jump (ms)", "difference (um)")
-    for axes in above, below:
-        axes.axvline(1e3 * fitted_s, **LIMIT)
-    above.text(1e3 * fitted_s, above.get_ylim()[0], " not fitted from here on", va="bottom",
-               color=BLACK, size="small")
     figure.savefig(path, dpi=DOTS_PER_INCH)
 
 

@@ -37,7 +37,7 @@ def main(arguments=None):
         (options.output / "table.json").write_text(as_json(rows), encoding="utf-8")
         for figure, drawing in result.pictures.items():
             (pictures / f"figure_{figure}.png").write_bytes(small_png(drawing))
-    write_sections(options.page, {SECTION: as_markdown(rows) + "\n"})
+    write_sections(options.page, {SECTION: as_markdown(rows)})
     print(as_text(rows))
     print(f"{len(rows)} rows in {time.monotonic() - begin_s:.0f} s: "
           f"{options.output / 'table.json'}, {options.page}")

@@ -11,7 +11,7 @@ import time
 import numpy as np
 
 from piezo_studies.thesis.figure_table import Row, Study
-from piezo_studies.thesis.wrong_model import wrong_model
+from piezo_studies.thesis.learned_tracking import wrong_model
 
 SECTION = "3.3.2, Algorithm 1"
 HIGHEST_V, LEVELS = 60.0, 180
