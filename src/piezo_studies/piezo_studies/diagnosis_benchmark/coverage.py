@@ -87,19 +87,9 @@ def estimates(cause, effect, entries, nearest=None):
 
 
 def coverage(results, value="true"):
-    """Return how many intervals contain their parameter.
+    """Return the confidence level, the number of intervals, and how many contain their parameter.
 
-    Parameters
-    ----------
-    results : list of dict
-        Results of `run_case`.
-    value : str
-        Value that they should contain: `true` or `drawn`.
-
-    Returns
-    -------
-    dict
-        Confidence `level`, number of `intervals`, and how many are `right`.
+    The value that they should contain is the one named `value`: `true` or `drawn`.
     """
     found = [estimate for result in results for estimate in result.get("estimates", [])]
     half_width = norm.ppf(0.5 + 0.5 * LEVEL)

@@ -21,16 +21,8 @@ from piezo_studies.diagnosis_benchmark.short_case import KINDS, PLANTS, waveform
 def errors_over_stated(seed, plant, identified):
     """Return the errors of a model on clean recordings over the error that its file states.
 
-    Parameters
-    ----------
-    seed, plant : int
-        Seed and number of the plant.
-
-    Returns
-    -------
-    (n,) array
-        RMS beyond the noise on held-out stretches over the stated error, for each kind of waveform
-        at each rate.
+    The errors, (n,), are the RMS beyond the noise on held-out stretches, for each kind of waveform
+    at each rate.
     """
     stage, ratios = draw_plant((seed, plant)), []
     for is_slow in (False, True):

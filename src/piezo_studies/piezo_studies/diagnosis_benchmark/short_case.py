@@ -16,9 +16,13 @@ from piezo_studies.diagnosis_benchmark.coverage import (
     estimates,
     nearest_parameters,
 )
-from piezo_studies.diagnosis_benchmark.effect_draws import CAUSES, CAUSES_OUTSIDE, response_um
+from piezo_studies.diagnosis_benchmark.effect_draws import CAUSES, CAUSES_OUTSIDE
 from piezo_studies.diagnosis_benchmark.plants import draw_plant, noise_um
-from piezo_studies.diagnosis_benchmark.run_case import described, drawn_effect
+from piezo_studies.diagnosis_benchmark.run_case import (
+    described,
+    drawn_effects,
+    responses_um,
+)
 
 PLANTS = 5
 """Number of plants for a seed; few, as an identification takes as long as a dozen diagnoses."""
@@ -55,13 +59,7 @@ def _drawn(number, seed):
 
 
 def waveform(case):
-    """Return the experiment of a case.
-
-    Returns
-    -------
-    Experiment
-        Waveform within 5 to 95 V.
-    """
+    """Return the experiment of a case, a waveform within 5 to 95 V."""
     random, rate_hz = case.random("waveform"), RATES_HZ[case.slow]
     duration_s = DURATIONS_S[case.slow]
     time_s = np.arange(round(duration_s * rate_hz)) / rate_hz
@@ -104,33 +102,19 @@ def _tones(random, turn):
 
 
 def run_short_case(case, clean):
-    """Record a short case, diagnose the recording, and return the result.
+    """Record and diagnose a short case; return those parts of `run_case` that statements need.
 
-    Parameters
-    ----------
-    clean : (IdentifiedModel, tuple of Recording)
-        Model and recordings of the plant without effects; only the model is used.
-
-    Returns
-    -------
-    dict
-        Those parts of the result of `run_case` that are needed to evaluate statements and
-        intervals.
+    Of the plant without effects only the model is used, not its recordings.
     """
     (identified, _), plant, experiment = clean, draw_plant((case.seed, case.plant)), waveform(case)
     seed, noise = int(case.random("noise").integers(2**31)), noise_um(plant)
-    voltage_v, _ = records.commanded(experiment)
-    surroundings = records.surroundings(experiment, seed)
-    drawn = [drawn_effect(cause, plant, voltage_v, surroundings, multiple, seed,
-                          records.clock_samples(experiment))
-             for cause, multiple in zip(case.causes, case.multiples, strict=True)]
-    hidden = drawn[-1].plant if drawn else plant
+    drawn, hidden = drawn_effects(case, plant, experiment, seed)
     recording = records.record(hidden, experiment, seed)
     diagnosis = diagnose(identified.model, [recording], stated_um=stated_error_um(identified),
                          noise=noise_of_model(identified))
     contributions, estimated = [], []
     for effect in drawn:
-        without_um, added_um = _responses_um(plant, hidden, experiment, seed, recording)
+        without_um, added_um = responses_um(plant, hidden, experiment, seed, recording)
         contributions.append({
             "cause": effect.cause, "effect": repr(effect.effect),
             "over_noise": _shown_um(identified.model, recording, added_um) / noise,
@@ -138,17 +122,6 @@ def run_short_case(case, clean):
         estimated += estimates(effect.cause, effect.effect, diagnosis.effects, _nearest(
             effect.cause, diagnosis, without_um, added_um, recording.sample_period_s))
     return described(case, contributions, identified, diagnosis, estimated, noise)
-
-
-def _responses_um(plant, changed, experiment, seed, recording):
-    """Return the noise-free response of a plant, and the contribution of a change, (N,) each."""
-    voltage_v, _ = records.commanded(experiment)
-    surroundings = records.surroundings(experiment, seed)
-    without_um, with_it_um = (
-        response_um(stage, voltage_v, surroundings, records.clock_samples(experiment))[
-            recording.playing]
-        for stage in (plant, changed))
-    return without_um, with_it_um - without_um
 
 
 def _shown_um(model, recording, added_um):
