@@ -59,15 +59,7 @@ class Doubling:
 
 
 def watch_doubling(watched: WatchedStage, kind: str, change: str) -> Doubling:
-    """Track a reference while the stage changes so that the model's error doubles.
-
-    Parameters
-    ----------
-    watched : WatchedStage
-        Stage; it is copied and not modified.
-    change : str
-        Key of `CHANGES`.
-    """
+    """Track a reference on a copy of a stage that changes so that the model's error doubles."""
     voltage_v = plan_of(kind, watched.identified.model, 0).voltage_v(
         0, samples(CHANGE_S + WATCHED_S))
     unchanged, changed = (
@@ -93,10 +85,7 @@ def watch_doubling(watched: WatchedStage, kind: str, change: str) -> Doubling:
 def error_um(residual_um: FloatArray) -> float:
     """Return the RMS error in the time `MEASURED_S` after the change, as the monitor computes it.
 
-    Parameters
-    ----------
-    residual_um : ndarray, shape (N,)
-        Residual from the beginning of a run on.
+    The residual, (N,), is that from the beginning of a run on.
     """
     size, slow, squares = samples(MonitorSettings().block_s), SlowOffset(), []
     for begin in range(size, samples(CHANGE_S + MEASURED_S), size):
@@ -108,13 +97,7 @@ def error_um(residual_um: FloatArray) -> float:
 
 
 def table(rows: list[tuple[str, list[Doubling], list[Doubling]]]) -> str:
-    """Return the results as a Markdown table.
-
-    Parameters
-    ----------
-    rows : list of (str, list of Doubling, list of Doubling)
-        Change, and its results on each reference after hours of tracking and in the first run.
-    """
+    """Return as Markdown each change, with its results after hours and in the first run."""
     return markdown_table(
         ("what changes", "after hours: found in 2 s", "median", "slowest",
          "in the first run: found in 2 s", "median", "slowest"),

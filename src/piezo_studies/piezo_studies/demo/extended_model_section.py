@@ -32,12 +32,7 @@ def _compared(before, after):
 
 
 def draw_model_errors(before, after, sample_period_s):
-    """Draw the spectra of a model's error on one recording, before and after.
-
-    Parameters
-    ----------
-    before, after : piezo_identification.prediction.Prediction
-    """
+    """Draw the spectra of a model's error on one recording, before and after."""
     def density(prediction):
         frequency_hz, power = welch(
             1e3 * (prediction.measured_um - prediction.simulated_um), 1.0 / sample_period_s,
@@ -54,12 +49,7 @@ def draw_model_errors(before, after, sample_period_s):
 
 
 def draw_responses(before, after, sample_period_s):
-    """Draw the magnitude of the sampled linear part of two models.
-
-    Parameters
-    ----------
-    before, after : piezo_models.cascade.StageModel
-    """
+    """Draw the magnitude of the sampled linear part of two models."""
     figure, axes = _compared(*(
         (RESPONSE_HZ, np.abs(zoh_response(model.linear(), RESPONSE_HZ, sample_period_s)))
         for model in (before, after)))
@@ -70,13 +60,7 @@ def draw_responses(before, after, sample_period_s):
 
 
 def draw_tracking_errors(before, after):
-    """Draw the errors of runs over their last periods, a row for each frequency.
-
-    Parameters
-    ----------
-    before, after : dict of float to TrackedRun
-        Runs by frequency in Hz.
-    """
+    """Draw the errors of runs, by frequency in Hz, over their last periods, each in a row."""
     figure = new_figure(1.2 + 1.5 * len(after))
     rows = figure.subplots(len(after), 1, squeeze=False)[:, 0]
     for axes, frequency_hz in zip(rows, sorted(after), strict=True):
@@ -108,13 +92,7 @@ class ExtendedModel:
 
 
 def draw_models(model, extended_model, validation):
-    """Draw errors and responses of a model before and after its extension.
-
-    Parameters
-    ----------
-    validation : path-like
-        Recording on which they are compared.
-    """
+    """Draw errors on a recording, and responses, of a model before and after its extension."""
     return drawn_models(load_model(model).model, load_model(extended_model).model,
                         read_recording(validation))
 
@@ -135,14 +113,7 @@ def drawn_models(model, extended_model, validation):
 
 
 def extended_model_sections(summary, runs, extended):
-    """Return the sections of the report.
-
-    Parameters
-    ----------
-    summary : dict
-        Summary with the keys ``diagnosis`` and ``tracking_after``.
-    extended : ExtendedModel
-    """
+    """Return the sections of the report, from the keys ``diagnosis`` and ``tracking_after``."""
     return (_effects_section(extended.sentence, extended.verdict["effects"]),
             _model_section(summary, extended),
             _tracking_section(summary, runs, extended))

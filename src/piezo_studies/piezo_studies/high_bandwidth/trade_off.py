@@ -62,12 +62,7 @@ def compare(model: StageModel, take: Callable[[Compared], None], kept: Path,
             effort: float = 1.0) -> None:
     """Design with every method for every error of the light mode.
 
-    Parameters
-    ----------
-    kept : pathlib.Path
-        Directory of controller files; a saved design for the same demands is used again.
-    effort : float
-        Passed to `design_by`.
+    A design for the same demands is used again if it is in the directory `kept` of controllers.
     """
     for of_every_stage, error, method in (*product((False,), LIGHT_MODE_ERRORS, TITLES),
                                           *OF_EVERY_STAGE):

@@ -86,12 +86,6 @@ def scanner(directory):
 
     The recordings are slow and have no time base. Only the hysteresis is fitted, so that the creep
     is part of the error.
-
-    Returns
-    -------
-    figures : list of Figure
-    predictions : dict of str to Prediction
-        Predictions for the unseen recordings by title.
     """
     nested, major = (read_recording(Path(directory) / name) for name in (NESTED_LOOPS, MAJOR_LOOPS))
     figures, predictions = [], {}
@@ -118,12 +112,6 @@ def cantilever(directory):
     """Fit the first cycles of the cantilever after its jump, and test on the following ones.
 
     Its modes are so much faster than the cycles that only the hysteresis is fitted.
-
-    Returns
-    -------
-    figures : list of Figure
-    prediction : Prediction
-        Prediction for the unseen cycles.
     """
     recording = read_recording(Path(directory) / CANTILEVER)
     model, begin, period = fitted_cycles(recording)
@@ -143,13 +131,7 @@ def cantilever(directory):
 def fitted_cycles(recording):
     """Fit the hysteresis of the cantilever to its first cycles.
 
-    Returns
-    -------
-    model : PreisachModel
-    end : int
-        First sample after these cycles.
-    period : float
-        Samples of a cycle.
+    The model is returned with the first sample after these cycles, and the samples of a cycle.
     """
     jump, period = first_cycle(recording.voltage_v)
     sample = np.arange(recording.voltage_v.size)
@@ -163,14 +145,8 @@ def fitted_cycles(recording):
 def nanopositioner(directory):
     """Fit the frequency response of the nanopositioner, and predict omitted frequencies.
 
-    Returns
-    -------
-    figures : list of Figure
-    measured : FrequencyResponse
-    modelled : ndarray of complex, shape (N,)
-        Response of the model fitted to all frequencies.
-    predicted : ndarray of complex, shape (N,)
-        Response at each frequency of the model whose fit omitted it.
+    Measured response, that of the model fitted to all frequencies, and that at each frequency of
+    the model whose fit omitted it, are returned with the figures.
     """
     measured = read_frequency_response(Path(directory) / NANOPOSITIONER).between(*BAND_HZ)
     part = np.arange(measured.gain.size) % PARTS

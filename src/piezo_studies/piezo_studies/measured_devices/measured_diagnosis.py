@@ -117,10 +117,6 @@ def symmetric(hysteresis):
     """Return the nearest hysteresis whose falling branches are rising ones turned by 180 degrees.
 
     Its density is unchanged if both thresholds are mirrored at the middle.
-
-    Parameters
-    ----------
-    hysteresis : PreisachModel
     """
     density, reversible = hysteresis.density_um_per_v2, hysteresis.reversible_um_per_v
     return replace(

@@ -34,15 +34,9 @@ def draw_loops_and_difference(path, title, prediction):
 
 
 def draw_frequency_response(path, title, frequency_hz, measured, modelled, predicted):
-    """Draw gain and phase of a measured response and of its model.
+    """Draw gain and phase of a measured response, of its model, and as predicted, (N,) each.
 
-    Parameters
-    ----------
-    frequency_hz : ndarray, shape (N,)
-    measured : ndarray of complex, shape (N,)
-    modelled, predicted : ndarray of complex, shape (N,)
-        Response of the model fitted to all frequencies, and at each frequency of the model whose
-        fit omitted it.
+    Each predicted value is that of the model whose fit omitted this frequency.
     """
     figure = new_figure(5.5, WIDE_IN)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))

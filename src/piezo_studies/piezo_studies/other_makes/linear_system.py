@@ -84,11 +84,8 @@ def coupled_flexures(mass: FloatArray, damping: FloatArray, stiffness: FloatArra
                      force: FloatArray, reading: FloatArray, direct: float) -> LinearSystem:
     """Return bodies on springs moved by a force, with a static gain of 1 including the direct part.
 
-    Parameters
-    ----------
-    mass, damping, stiffness : ndarray, shape (B, B)
-    force, reading : ndarray, shape (B,)
-        Weights of the force on the bodies, and of the bodies in the sensor's reading.
+    The matrices are (B, B). The weights of the force on the bodies, and of the bodies in the
+    sensor's reading, are (B,).
     """
     bodies = len(mass)
     a = np.block([[np.zeros((bodies, bodies)), np.eye(bodies)],
@@ -105,14 +102,9 @@ def coupled_flexures(mass: FloatArray, damping: FloatArray, stiffness: FloatArra
 
 def spectrum(share_of: Callable[[FloatArray], FloatArray], fastest_s: float,
              slowest_s: float) -> LinearSystem:
-    """Return 1 plus a continuum of relaxations.
+    """Return 1 plus a continuum of relaxations between two time constants.
 
-    Parameters
-    ----------
-    share_of : callable
-        Density of the relaxations over the natural logarithm of their time constants (s).
-    fastest_s, slowest_s : float
-        Smallest and largest time constant.
+    Their density is over the natural logarithm of their time constants (s).
     """
     count = round(RATES_PER_DECADE * np.log10(slowest_s / fastest_s)) + 1
     times_s = np.geomspace(fastest_s, slowest_s, count)
@@ -153,21 +145,10 @@ def fractional_creep(share: float, time_s: float, order: float, fastest_s: float
 
 
 def knots_s(period_s: float, fastest_per_s: float, read_s: float) -> FloatArray:
-    """Return times within a row between which signals are approximated by straight lines.
+    """Return increasing times within a row between which signals are approximated by lines.
 
-    They are dense after the edge of the row, and sparse once the front has settled.
-
-    Parameters
-    ----------
-    fastest_per_s : float
-        Magnitude of the fastest pole before the hysteresis; 0 if there is none.
-    read_s : float
-        Time that must be included.
-
-    Returns
-    -------
-    ndarray
-        Increasing times from 0 to the period.
+    They include the time of the reading, are dense after the edge of the row, and sparse once the
+    fastest pole before the hysteresis, 0 if there is none, has settled.
     """
     times = [0.0]
     if fastest_per_s > 0.0:
@@ -186,19 +167,9 @@ steps."""
 
 def held_response(system: LinearSystem, voltage_v: FloatArray, knots: FloatArray,
                   state: ComplexArray) -> tuple[FloatArray, ComplexArray]:
-    """Return the exact response to a voltage held in each row, at the knots of the row.
+    """Return the exact response, (N, K), to a voltage held in each row, at the knots of the row.
 
-    Parameters
-    ----------
-    voltage_v : ndarray, shape (N,)
-    knots : ndarray, shape (K,)
-    state : ndarray of complex, shape (P,)
-        State before the first row.
-
-    Returns
-    -------
-    response_v : ndarray, shape (N, K)
-    state : ndarray of complex, shape (P,)
+    The state, (P,), is that before the first row; the one after the last row is returned with it.
     """
     if system.poles_per_s.size == 0:
         return np.repeat(system.direct * voltage_v[:, None], knots.size, axis=1), state
@@ -209,22 +180,11 @@ def held_response(system: LinearSystem, voltage_v: FloatArray, knots: FloatArray
 
 def straight_response(system: LinearSystem, input_um: FloatArray, knots: FloatArray, read: int,
                       state: ComplexArray) -> tuple[FloatArray, ComplexArray]:
-    """Return the exact response to straight lines between the knots of each row.
+    """Return the exact response, (N,), to straight lines between the knots of each row.
 
-    Parameters
-    ----------
-    input_um : ndarray, shape (N, K)
-        Input; it may jump between the last knot of a row and the first of the next one.
-    knots : ndarray, shape (K,)
-    read : int
-        Number of the knot at which the response is read; at the first one, before the jump.
-    state : ndarray of complex, shape (P,)
-        State before the first row.
-
-    Returns
-    -------
-    response_um : ndarray, shape (N,)
-    state : ndarray of complex, shape (P,)
+    The input, (N, K), may jump between the last knot of a row and the first of the next one; at the
+    first knot the response is read before the jump. The state, (P,), is that before the first row;
+    the one after the last row is returned with it.
     """
     steps = np.diff(knots)[:, None]
     reached: ComplexArray = steps * system.poles_per_s
@@ -301,16 +261,9 @@ class Stage:
     """Delay of the reading."""
 
     def displacement_um(self, past: list[HeldVoltage], played: HeldVoltage) -> FloatArray:
-        """Return the displacement at the times at which the voltages of rows change.
+        """Return the displacement, (N,), at the times at which the voltages of rows change.
 
-        Parameters
-        ----------
-        past : list of HeldVoltage
-            Voltages played before, on a stage that was never cycled and begins at rest at 0 V.
-
-        Returns
-        -------
-        ndarray, shape (N,)
+        The stage was never cycled and begins at rest at 0 V, before the past voltages.
         """
         late_rows = int(np.ceil(self.delay_s / played.period_s - 1e-9))
         read_s = max(late_rows * played.period_s - self.delay_s, 0.0)

@@ -52,13 +52,7 @@ class Make:
 
 
 class Draw:
-    """Random parameters about their nominal values.
-
-    Parameters
-    ----------
-    seed : int
-        Seed; 0 gives the nominal values.
-    """
+    """Random parameters about their nominal values; the seed 0 gives the nominal ones."""
 
     def __init__(self, seed: int) -> None:
         self._random = np.random.default_rng(seed) if seed else None

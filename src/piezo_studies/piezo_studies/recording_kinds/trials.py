@@ -40,16 +40,7 @@ def duhem_stage() -> Stage:
 
 
 def displacement_um(stage: Stage, voltage_v: FloatArray, period_s: float) -> FloatArray:
-    """Return the displacement of a rested stage while a voltage is played.
-
-    Parameters
-    ----------
-    voltage_v : ndarray, shape (N,)
-
-    Returns
-    -------
-    ndarray, shape (N,)
-    """
+    """Return the displacement, (N,), of a rested stage while a voltage is played."""
     past_v = np.append(np.linspace(0.0, voltage_v[0], RISE_ROWS),
                        np.full(RISE_ROWS, voltage_v[0]))
     return stage.displacement_um([HeldVoltage(past_v, REST_S / RISE_ROWS)],
@@ -106,13 +97,7 @@ class Outcome:
 
 
 def trials(stages: tuple[str, ...] = tuple(STAGES)) -> Iterator[Trial]:
-    """Yield trials that vary the kind of one recording, its variant, or the omitted experiment.
-
-    Parameters
-    ----------
-    stages : tuple of str
-        Keys of `STAGES`.
-    """
+    """Yield trials that vary the kind of one recording, its variant, or the omitted experiment."""
     usual = {name: next(iter(kinds)) for name, kinds in KINDS.items()}
     for stage in stages:
         yield Trial(stage, usual)
@@ -130,13 +115,7 @@ def trials(stages: tuple[str, ...] = tuple(STAGES)) -> Iterator[Trial]:
 
 
 def run(trial: Trial, folder: Path) -> Outcome:
-    """Record the stage of a trial, identify it with the command, and read the result.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder for recordings and models; existing recordings are used again.
-    """
+    """Record the stage of a trial unless the folder has it, identify it, and read the result."""
     model = folder / "model.json"
     model.unlink(missing_ok=True)
     arguments = ["--output", str(model), "--no-report"]
@@ -180,12 +159,7 @@ def recordings(stage: str, experiment: str, kind: str, variant: str, folder: Pat
 def recorded(stage: str, name: str, played: Played, variant: str, folder: Path) -> Path:
     """Record a stage for a voltage in a table, unless the folder already has it.
 
-    Parameters
-    ----------
-    stage : str
-        Key of `STAGES`.
-    variant : str
-        One of `VARIANTS` except the last.
+    The variant is one of `VARIANTS` except the last.
     """
     path = folder / f"{stage} {name} {variant}.csv".replace(" ", "_")
     if path.exists():

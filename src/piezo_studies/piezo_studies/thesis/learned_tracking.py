@@ -29,12 +29,9 @@ CELLS = 50
 
 
 def wrong_model(part, seed):
-    """Return the model of the default plant with an error of random sign in every parameter.
+    """Return the default plant's model with a relative error of random sign in every parameter.
 
-    Parameters
-    ----------
-    part : float
-        Relative error of each parameter except the voltage limits.
+    The voltage limits are exact.
     """
     generator = np.random.default_rng(seed)
 
@@ -115,14 +112,9 @@ def study():
 
 
 def learn(frequency_hz, amplitude_um, seed):
-    """Learn a harmonic from a wrong model on the simulated stage.
+    """Learn a harmonic of a frequency and a peak-to-peak amplitude from a wrong model on the stage.
 
-    Parameters
-    ----------
-    frequency_hz, amplitude_um : float
-        Frequency and peak-to-peak amplitude.
-    seed : int
-        Seed of the model's errors and of the stage.
+    The seed is that of the model's errors and of the stage.
     """
     model = wrong_model(MODEL_ERROR, seed)
     controller = design_integral_feedback(model)

@@ -31,14 +31,9 @@ SINE_PERCENT = 100.0 / (2.0 * np.sqrt(2.0))
 
 @cache
 def best_error_percent(frequency_hz):
-    """Return the smallest e_rms of a sine with any PI controller at the sample rate.
+    """Return the smallest e_rms (2.32) of a sine with any PI controller at the sample rate.
 
     It is predicted by the identified model, without offset and noise.
-
-    Returns
-    -------
-    float
-        Error e_rms (2.32) in percent.
     """
     plant, gain_um_per_v = design_plant(identified_stage(), CLOCK_PERIOD_S, CLOCK_PERIOD_S)
     plant = gain_um_per_v * plant

@@ -47,7 +47,6 @@ def invert_by_steps(hysteresis, wanted_um, step_v=STEP_V, tolerance_um=0.0):
 
     Parameters
     ----------
-    hysteresis : PreisachModel
     wanted_um : (N,) array
         Wanted output of the hysteresis.
     step_v : float
