@@ -36,8 +36,6 @@ class Needs:
     held_share: float = 0.3
     """Smallest fraction of a recording at held levels for which ramps between them are accepted; a
     slow sine stays at its ends for less."""
-    slow_branch_s: float = 10.0
-    """Shortest time between reversals for which the creep in the loops can be estimated."""
     rows_per_branch: int = 20
     """Fewest rows between reversals for which fast cycles show loops, if the dynamics are known."""
     rows_per_ringing: float = 5.0
@@ -220,7 +218,7 @@ def _has_loops(check: RecordingCheck) -> bool:
 
 def _creep(check: RecordingCheck) -> Suitability:
     hold_s = _hold_s(check)
-    if hold_s == 0.0 and NEEDS.slow_branch_s <= check.waveform.branch_s < np.inf:
+    if hold_s == 0.0 and NEEDS.hold_s <= check.waveform.branch_s < np.inf:
         return Suitability("partly", "no level is held, so creep shows only in how far loops open: "
                            "a square wave or steps of minutes show more")
     if hold_s == 0.0:
