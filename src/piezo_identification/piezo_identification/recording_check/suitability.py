@@ -148,16 +148,19 @@ def given_as(fit_for: Mapping[str, Mapping[str, Suitability]]) -> dict[str, list
     -------
     dict of str to (list of str)
         Names of the recordings by experiment: those that are suitable, or else those that are
-        partly suitable. The validation is the first recording that no other experiment uses, or
-        else the last one that is not the only one of an experiment. It is missing if there is none.
+        partly suitable; of these, those that no experiment before it uses, if there are any. The
+        validation is the first recording that no other experiment uses, or else the last one that
+        is not the only one of an experiment. It is missing if there is none.
     """
     given: dict[str, list[str]] = {}
     for experiment in EXPERIMENTS[:-1]:
         for verdict in ("yes", "partly"):
             found = [name for name, verdicts in fit_for.items()
                      if experiment in verdicts and verdicts[experiment].verdict == verdict]
+            unused = [name for name in found
+                      if not any(name in names for names in given.values())]
             if found and experiment not in given:
-                given[experiment] = found
+                given[experiment] = unused or found
     unseen = [name for name, verdicts in fit_for.items()
               if "validation" in verdicts and verdicts["validation"].verdict == "yes"]
     rest = [name for name in unseen if not any(name in names for names in given.values())]

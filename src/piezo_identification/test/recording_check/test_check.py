@@ -157,6 +157,12 @@ def test_recordings_are_given_for_what_they_are_fit_for():
     assert given == {"creep": ["steps.csv"], "hysteresis": ["loops.csv"],
                      "validation": ["other.csv"]}
     assert given_as({"other.csv": fit(validation="yes")}) == {}
+    # Loops show creep if nothing else does.
+    loops, held = fit(hysteresis="yes", creep="partly"), fit(creep="partly")
+    assert given_as({"loops.csv": loops, "held.csv": held}) == {
+        "hysteresis": ["loops.csv"], "creep": ["held.csv"]}
+    assert given_as({"loops.csv": loops}) == {
+        "hysteresis": ["loops.csv"], "creep": ["loops.csv"]}
     # Without one to spare, the last of several of a kind is not fitted, so that an error is known.
     given = given_as({
         "steps.csv": fit(dynamics="yes", validation="yes"),
