@@ -13,10 +13,7 @@ BAR_WIDTH = 20
 class ProgressLine:
     """Show the present step, the fraction done and the remaining time.
 
-    Parameters
-    ----------
-    stream : text stream
-        Output; if it is not a terminal, each new step gets its own line without a bar.
+    If the stream is not a terminal, each new step gets its own line without a bar.
     """
 
     def __init__(self, stream: TextIO | None = None) -> None:

@@ -20,15 +20,9 @@ FIRST_ESTIMATE = 0.05
 class ProgressLines:
     """Print the present step of a command, and the time taken so far if it is long.
 
-    A terminal shows one line, which changes; a file or another program gets all lines.
-    The remaining time is estimated at the beginning of a step, and counts down until the next one.
-
-    Parameters
-    ----------
-    budget : Budget
-        Budget of the command, which bounds the remaining time.
-    clock : callable
-        Returns the time in s.
+    A terminal shows one line, which changes; a file or another program gets all lines. The
+    remaining time is estimated at the beginning of a step, and counts down until the next one; the
+    budget of the command bounds it.
     """
 
     def __init__(self, budget: Budget, clock: Callable[[], float] = time.monotonic) -> None:

@@ -160,10 +160,8 @@ def save_axes_model(path: str | PathLike[str], identified: IdentifiedAxes) -> No
 def load_axes_model(path: str | PathLike[str]) -> IdentifiedAxes:
     """Read a model file of several axes.
 
-    Raises
-    ------
-    ModelFileError
-        If the file is missing, is not a model file of this version, or has an invalid field.
+    Raises `ModelFileError` if the file is missing, is not a model file of this version, or has an
+    invalid field.
     """
     try:
         return _built(load_document(AxesDocument, path, LARGEST_FILE_BYTES))

@@ -170,8 +170,7 @@ class StageModel:
             True: the stage has rested for so long that the creep is over, and the linear states
             are in equilibrium with the hysteresis output. False: they are zero.
         highest_v : float
-            Highest voltage in V that the stage has reached so far; by default it was cycled. Only
-            a model with a first rise uses it.
+            Highest voltage so far, for a model with a first rise; by default it was cycled.
         """
         if hysteresis is None:
             hysteresis = self.hysteresis.memory()

@@ -100,16 +100,8 @@ def with_linear_part(model: StageModel, system: control.StateSpace | control.Tra
                      ) -> StageModel:
     """Return a model with another linear part; the inverse of ``to_control(lags=False)``.
 
-    Parameters
-    ----------
-    system : control.StateSpace or control.TransferFunction
-        System as for `from_control`. The hysteresis is scaled by its gain. Effects at other
-        places are kept, except a delay if the system has one.
-
-    Raises
-    ------
-    ValueError
-        If `from_control` rejects the system.
+    The hysteresis is scaled by the gain of the system. Effects at other places are kept, except a
+    delay if the system has one. Raises ValueError if `from_control` rejects the system.
     """
     parts = from_control(system)
     delay = (Delay(parts.delay_s),) if parts.delay_s else ()
@@ -125,17 +117,8 @@ def from_control(system: control.StateSpace | control.TransferFunction) -> Linea
     Each real zero belongs to creep (4.4), together with one of the slowest real poles. The next
     real pole is the electric lag; complex pairs are modes and antiresonances (4.3). Two further
     real poles form an overdamped mode. Zeros in the right half-plane are accepted if they belong to
-    the Pade approximation of a delay, of any order.
-
-    Parameters
-    ----------
-    system : control.StateSpace or control.TransferFunction
-        Continuous, stable, with one input and one output, without other right half-plane zeros.
-
-    Raises
-    ------
-    ValueError
-        If the system cannot be split into these parts.
+    the Pade approximation of a delay, of any order. Raises ValueError if the system, which must be
+    continuous and stable with one input and one output, cannot be split into these parts.
 
     Examples
     --------

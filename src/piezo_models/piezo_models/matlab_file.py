@@ -12,17 +12,12 @@ if TYPE_CHECKING:
 
 
 def write_matlab(path: str | PathLike[str], model: "StageModel") -> None:
-    """Write a model for MATLAB, version 5 of its files.
+    """Write a model for MATLAB, version 5 of its files; an existing file is replaced.
 
     ``ss(A, B, C, D)`` is the continuous system of `piezo_models.control_objects.to_control`, which
     warns of the parts that it omits. ``hysteresis`` is the Preisach model: its voltage range, the
     density in um/V^2 over the upper (rows) and lower thresholds, the reversible part in um/V, and
     the offset in um.
-
-    Parameters
-    ----------
-    path : path-like
-        An existing file is replaced.
     """
     from piezo_models.control_objects import to_control
 

@@ -37,10 +37,7 @@ STATIC_HZ = (1.0, 1000.0)
 def draw_model(model: "StageModel", visited: NDArray[np.bool_] | None = None) -> "Figure":
     """Draw Preisach plane, loops, and gain and phase of the linear part.
 
-    Parameters
-    ----------
-    visited : ndarray of bool, shape (L, L), optional
-        Cells that recordings determine; the others are hatched.
+    Cells that recordings do not determine, by the mask `visited`, (L, L), are hatched.
     """
     figure = new_figure(6.4, WIDE_IN)
     (plane, gain), (loops, phase) = figure.subplots(2, 2)
@@ -53,12 +50,7 @@ def draw_model(model: "StageModel", visited: NDArray[np.bool_] | None = None) ->
 
 def density_on(axes: "Axes", hysteresis: PreisachModel,
                visited: NDArray[np.bool_] | None = None) -> None:
-    """Draw the density of the relays over their thresholds; unvisited cells are hatched.
-
-    Parameters
-    ----------
-    visited : ndarray of bool, shape (L, L), optional
-    """
+    """Draw the density of the relays over their thresholds; hatch unvisited cells, (L, L)."""
     levels_v, density = hysteresis.levels_v, hysteresis.density_um_per_v2
     below = np.tril(np.ones(density.shape, dtype=bool))
     drawn = axes.pcolormesh(levels_v, levels_v, np.ma.array(1e3 * density, mask=~below),

@@ -42,20 +42,11 @@ def bode_of(identified: "IdentifiedModel") -> "Figure":
 def response_deviations(
     identified: "IdentifiedModel", frequency_hz: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the standard deviations of a model's linear response.
+    """Return the standard deviations of a model's linear response, (F,).
 
-    Each parameter of creep and dynamics is varied by itself. The errors are assumed independent,
-    as the model file holds no covariances. Parameters that the recordings do not determine are
-    excluded.
-
-    Parameters
-    ----------
-    frequency_hz : ndarray, shape (F,)
-
-    Returns
-    -------
-    magnitude, phase_rad : ndarray, shape (F,)
-        Standard deviations of the logarithm of the magnitude, and of the phase in rad.
+    They are those of the logarithm of the magnitude, and of the phase in rad. Each parameter of
+    creep and dynamics is varied by itself. The errors are assumed independent, as the model file
+    holds no covariances. Parameters that the recordings do not determine are excluded.
     """
     model = identified.model
     nominal = model.response(frequency_hz)
@@ -87,11 +78,7 @@ def draw_bode(gain: "Axes", phase: "Axes", identified: "IdentifiedModel",
               measured: tuple[FloatArray, ComplexArray] | None = None) -> None:
     """Draw gain and phase of a model's linear part with their bands and a measured response.
 
-    Parameters
-    ----------
-    frequency_hz : ndarray, shape (F,)
-    measured : tuple of ndarray, optional
-        Frequencies in Hz and complex response, as `measured_response` returns them.
+    The latter is frequencies in Hz and complex response, as `measured_response` returns them.
     """
     response = identified.model.response(frequency_hz)
     magnitude, phase_rad = response_deviations(identified, frequency_hz)

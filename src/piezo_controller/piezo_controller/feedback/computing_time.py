@@ -20,19 +20,9 @@ PERCENTILE = 99.0
 def answer_times_s(feedback: MultirateFeedback, samples_per_tick: int,
                    repeats: int = REPEATS,
                    clock_s: Callable[[], float] = time.perf_counter) -> FloatArray:
-    """Time the answers to blocks of noise.
+    """Time the answers to blocks of noise (s), shape (repeats,), without some to warm up.
 
-    Parameters
-    ----------
-    feedback : MultirateFeedback
-        Feedback to time; it is reset afterwards.
-    clock_s : callable
-        Returns the time (s).
-
-    Returns
-    -------
-    ndarray, shape (repeats,)
-        Time of each answer (s), without some to warm up.
+    The feedback is reset afterwards.
     """
     expected_um = np.zeros(samples_per_tick)
     blocks_um = 1e-3 * np.random.default_rng(0).standard_normal((WARM_UP + repeats,

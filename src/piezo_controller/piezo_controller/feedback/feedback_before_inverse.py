@@ -21,17 +21,7 @@ class FeedbackBeforeInverse:
 
     The stage adds one voltage to the feedforward for a whole tick. It is the mean over the tick's
     samples of what the inverse gives, with the hysteresis' memory of the voltage that is played.
-
-    Parameters
-    ----------
-    controller : FeedbackController
-        Designed for the nominal gain of the hysteresis, which is divided out.
-    model : piezo_models.cascade.StageModel
-        Model whose hysteresis is inverted.
-    max_feedback_v : float
-        Largest voltage of the feedback, of either sign (V).
-    rest_voltage_v : float
-        Voltage at which the run begins (V).
+    The nominal gain of the hysteresis, for which the controller was designed, is divided out.
 
     Raises
     ------

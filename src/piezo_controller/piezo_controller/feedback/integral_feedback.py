@@ -19,11 +19,7 @@ def design_integral_feedback(model: StageModel, tick_s: float = 1e-3, clock_peri
 
     A fast feedback amplifies errors near its bandwidth, where its response to a correction also
     depends on the hysteresis' gain. A slow one passes errors and corrections almost unchanged.
-
-    Raises
-    ------
-    UnstableLoop
-        If the loop is unstable, see `feedback_from_control`.
+    Raises `UnstableLoop` as `feedback_from_control`.
     """
     _, gain_um_per_v = design_plant(model, tick_s, clock_period_s)
     rate = 2 * np.pi * BANDWIDTH_HZ * tick_s

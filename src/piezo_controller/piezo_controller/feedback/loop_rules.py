@@ -30,7 +30,7 @@ class LoopRules:
 
 def choose_rates(ultimate_hz: float, clock_hz: float, computing_s: float,
                  usual_samples_per_tick: int, disturbance_hz: float = 20.0) -> LoopRules:
-    """Return the bounds of bandwidth and rate, and the rate to use.
+    """Return the bounds of bandwidth and rate, and the rate to use; ValueError if there is none.
 
     The rate is the usual one if it is within its bounds; otherwise the slowest that is, since a
     high rate amplifies noise and costs computing time.
@@ -45,11 +45,6 @@ def choose_rates(ultimate_hz: float, clock_hz: float, computing_s: float,
         Computing time of one answer of the feedback, T_FB.
     disturbance_hz : float
         Bandwidth of the disturbances, ``omega_d``.
-
-    Raises
-    ------
-    ValueError
-        If no rate or no bandwidth is within the bounds.
     """
     performance_hz = SUPPRESSION * disturbance_hz
     highest_bandwidth_hz = min(clock_hz / 2, 1 / computing_s, ultimate_hz)

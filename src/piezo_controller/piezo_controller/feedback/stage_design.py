@@ -41,14 +41,12 @@ def design_for_stage(
     samples_per_tick: int | None = None, at_once: bool = False, reduce: bool = True,
     delay_ticks: int = 1, model_sha256: str = "", sample_rate_hz: float = SAMPLE_RATE_HZ,
 ) -> StageDesign:
-    """Choose the rate of the feedback by the rules, then design it.
+    """Choose the rate of the feedback by the rules, then design it; see `design_feedback`.
 
     Parameters
     ----------
     weights : str or Path
         "default", "thesis", or a file (YAML); used by `h_infinity` only.
-    method, scaling, at_once, reduce, delay_ticks, model_sha256
-        See `piezo_controller.feedback.feedback_design.design_feedback`.
     disturbance_hz : float
         Bandwidth of the disturbances (Hz).
     samples_per_tick : int, optional

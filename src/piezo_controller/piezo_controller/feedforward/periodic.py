@@ -298,15 +298,7 @@ class FeedforwardPlanner:
 def bandwidth_hz(reference_um: FloatArray, sample_period_s: float) -> float:
     """Return the highest frequency of a period that has to be inverted (Hz).
 
-    Parameters
-    ----------
-    reference_um : ndarray, shape (m,)
-        One period.
-
-    Returns
-    -------
-    float
-        `BANDWIDTH_HZ`, or more if the content above it exceeds `NEGLIGIBLE_PART`.
+    It is `BANDWIDTH_HZ`, or more if the content above it exceeds `NEGLIGIBLE_PART`.
     """
     harmonics_um = np.abs(np.fft.rfft(reference_um)) / reference_um.size
     harmonics_um[1:(reference_um.size + 1) // 2] *= np.sqrt(2)  # those that have a conjugate

@@ -12,19 +12,8 @@ def mean_over_repeats(system: control.StateSpace, once: np.ndarray, period: np.n
     """Return the mean output while an input is repeated, after another input is played once.
 
     The state at the beginning of a period and the sum of the outputs so far follow from those of
-    the previous period by an affine map; a power of its matrix covers all periods.
-
-    Parameters
-    ----------
-    system : control.StateSpace
-        Discrete, with one input, one output and n states, all of which are initially zero.
-    once : ndarray, shape (N,)
-    period : ndarray, shape (m,)
-
-    Returns
-    -------
-    float
-        Mean over ``repeats * m`` samples.
+    the previous period by an affine map; a power of its matrix covers all periods. The system is
+    discrete, with one input and one output, and all its states are initially zero.
     """
     n = system.nstates
     _, first_state = continue_linear(system, once, np.zeros(n))

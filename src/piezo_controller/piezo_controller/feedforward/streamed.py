@@ -182,8 +182,6 @@ def plan_stream(reference: Trajectory, samples: int, model: StageModel,
         Number of samples that are played.
     method : str
         Method of `preview_inverse`.
-    watch : callable, optional
-        Called from time to time with the fraction done; may raise.
 
     Raises
     ------

@@ -13,18 +13,10 @@ from piezo_models.linear.dynamics import zoh_response
 
 def fast_sensitivity(model: StageModel, controller: FeedbackController, frequency_hz: ArrayLike,
                      clock_period_s: float = 25e-6) -> ComplexArray:
-    """Return the response from the displacement without feedback to that with it.
+    """Return the response from the displacement without feedback to that with it, (F,).
 
     The feedback sees the mean of a tick and answers with a held voltage. Only the part of its
     answer at the frequency itself counts, not its images at other multiples of the tick.
-
-    Parameters
-    ----------
-    frequency_hz : (F,) array
-
-    Returns
-    -------
-    (F,) array of complex
     """
     frequency_hz = np.asarray(frequency_hz, dtype=float)
     tick_s = controller.sample_period_s

@@ -88,15 +88,9 @@ def save_learned(path: str | Path, learned: Learned) -> None:
 
 def load_correction(path: str | Path, reference: Reference, model_sha256: str,
                     sample_rate_hz: float) -> FloatArray:
-    """Read the correction of a file that was learned for the same conditions.
+    """Read the correction of a file that was learned for the same conditions, (P,).
 
-    Returns
-    -------
-    (P,) array
-
-    Raises
-    ------
-    LearnedFileError
+    Raises `LearnedFileError` if there is none.
     """
     begin = f"the learned feedforward {str(path)!r}"
     try:
@@ -112,16 +106,11 @@ def load_correction(path: str | Path, reference: Reference, model_sha256: str,
 
 def find_like(directory: str | Path, reference: Reference, model_sha256: str,
               sample_rate_hz: float) -> tuple[Path, FloatArray] | None:
-    """Find the file of the similar reference whose amplitude and centre are nearest.
+    """Find the file of the similar reference with the nearest amplitude and centre.
 
     References are similar if they differ only in their centre and in a common factor of all
-    amplitudes: the errors of a model grow about in proportion to the amplitude.
-
-    Returns
-    -------
-    path : Path
-    correction_um : (P,) array
-        Correction, scaled with the amplitude.
+    amplitudes: the errors of a model grow about in proportion to the amplitude. The correction,
+    (P,), is scaled with the amplitude.
     """
     found = []
     for path in sorted(Path(directory).glob("learned_*.json")):

@@ -54,8 +54,6 @@ def plan_references(mode: str, references: Sequence[Reference], durations_s: Seq
     inversion : str
         Empty for the exact inverse of a period, if there is one; otherwise the method of
         `preview_inverse` for an online inverse.
-    watch : callable, optional
-        Called from time to time with the fraction planned; may raise.
 
     Raises
     ------
@@ -86,14 +84,7 @@ def plan_references(mode: str, references: Sequence[Reference], durations_s: Seq
 
 def plan_topic(mode: str, references: Sequence[Reference], run_samples: int, model: StageModel,
                stage: StageClock, inversion: str, live: LiveReference | None) -> LivePlan:
-    """Plan to follow a reference that is published during the run.
-
-    Parameters
-    ----------
-    mode, references, model, stage, inversion
-        See `plan_references`.
-    live : LiveReference or None
-        What has been published so far.
+    """Plan to follow a reference that is published during the run; `live` is what came so far.
 
     Raises
     ------
@@ -127,11 +118,6 @@ def plan_learning(reference: Reference, run_samples: int, model: StageModel,
         Largest number of iterations.
     correction_um : (P,) array, optional
         Correction to begin with.
-
-    Returns
-    -------
-    feedforward : LearningFeedforward
-    learner : PeriodicLearner
 
     Raises
     ------

@@ -209,13 +209,6 @@ def prepare_learning(request: TrackRequest, model: StageModel, stage: StageClock
                      ) -> tuple[TrackingPlan, Feedback, Learning]:
     """Plan to learn one reference, starting from the contents of its file if there is one.
 
-    Parameters
-    ----------
-    request : TrackRequest
-        Request with one reference, without an inversion.
-    writable : callable
-        Returns the path under which a file may be written; raises ValueError if it may not.
-
     Raises
     ------
     ValueError

@@ -97,17 +97,9 @@ class Evidence:
     def best(self, candidates: Iterable[Candidate],
              contributions: Callable[[Candidate], FloatArray],
              count: int = 1) -> list[tuple[Candidate, FloatArray]]:
-        """Choose the candidates whose contributions remove most of the residual.
+        """Choose the candidates whose contributions, (N, n), remove most of the residual.
 
-        Parameters
-        ----------
-        contributions : callable
-            Returns the contributions, shape (N, n), of a candidate.
-
-        Returns
-        -------
-        list of (candidate, gains)
-            The `count` best, best first.
+        The `count` best are returned with their gains, best first.
         """
         tried = [(candidate, *self.reduction(contributions(candidate))) for candidate in candidates]
         tried.sort(key=lambda entry: -entry[2])
@@ -287,13 +279,7 @@ class Effect(ABC):
 
     @classmethod
     def is_confounded_with(cls, other: type["Effect"]) -> bool:
-        """Return whether this effect names the other as indistinguishable, or the other this one.
-
-        Parameters
-        ----------
-        other : type
-            Another effect.
-        """
+        """Return whether one of two effects names the other as indistinguishable."""
         return other.name in cls.confounded_with or cls.name in other.confounded_with
 
     @classmethod
@@ -375,17 +361,10 @@ class Effect(ABC):
 
 def fitted_values(effect: Effect, extent: Extent | None = None,
                   ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the numbers that a fit may change, as logarithms where the parameter is so fitted.
+    """Return the numbers that a fit may change, with their bounds: values, low, high, (n,).
 
-    Parameters
-    ----------
-    extent : Extent, optional
-        Extent of the recordings, which bound the parameters by `Effect.bounds`.
-
-    Returns
-    -------
-    values, low, high : (n,) arrays
-        Values, each within its bounds.
+    They are logarithms where the parameter is so fitted. The extent of recordings bounds the
+    parameters by `Effect.bounds`. Values are within their bounds.
     """
     closer = {} if extent is None else effect.bounds(extent)
     values, lows, highs = ([np.zeros(0)] for _ in range(3))

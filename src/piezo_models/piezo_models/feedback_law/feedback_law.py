@@ -38,15 +38,8 @@ class LinearBlock:
            d: npt.ArrayLike, axes: int = 0) -> "LinearBlock":
         """Make a block from matrices in any layout: A row by row, B and C as rows or columns.
 
-        Parameters
-        ----------
-        axes : int
-            Number of axes; B, C and D are then row by row. By default a single one, without a name.
-
-        Raises
-        ------
-        FeedbackLawError
-            If the numbers of elements do not fit each other.
+        With a number of axes, B, C and D are row by row; by default there is a single one, without
+        a name. Raises `FeedbackLawError` if the numbers of elements do not fit each other.
         """
         a, b, c, d = (np.ravel(np.asarray(part, dtype=float)) for part in (a, b, c, d))
         if axes:

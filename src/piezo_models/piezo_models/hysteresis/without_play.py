@@ -20,16 +20,8 @@ TAKEN_UP = 3.0
 def without_play(hysteresis: PreisachModel, width_um: float) -> PreisachModel:
     """Return the hysteresis that is equivalent to the given one if a play follows it.
 
-    Parameters
-    ----------
-    width_um : float
-        Width of the play in um.
-
-    Returns
-    -------
-    PreisachModel
-        Hysteresis on the same grid. If the given one has more motion just after a reversal than
-        the play allows, the excess is lost.
+    It has the same grid. If the given one has more motion just after a reversal than the play
+    allows, the excess is lost.
     """
     levels_v, cell_v = hysteresis.levels_v, hysteresis.cell_width_v
     seen_um = hysteresis.everett_um(levels_v[:, None], levels_v[None, :]) + width_um

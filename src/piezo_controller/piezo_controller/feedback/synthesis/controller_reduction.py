@@ -13,21 +13,10 @@ from piezo_controller.feedback.synthesis.h_infinity import is_stable
 
 def reduce_order(controller: control.StateSpace,
                  acceptable: Callable[[control.StateSpace], bool]) -> control.StateSpace:
-    """Return the controller of lowest order that is still acceptable.
+    """Return the controller of lowest order that is still acceptable; itself if no other one is.
 
-    The order is lowered step by step until a controller is not acceptable.
-
-    Parameters
-    ----------
-    controller : control.StateSpace
-        Discrete and stable.
-    acceptable : callable
-        Takes a controller; returns whether it is acceptable.
-
-    Returns
-    -------
-    control.StateSpace
-        `controller` itself if no lower order is acceptable.
+    The order of the discrete and stable controller is lowered step by step until a controller is
+    not acceptable.
     """
     best = controller
     for order in range(controller.nstates - 1, 0, -1):

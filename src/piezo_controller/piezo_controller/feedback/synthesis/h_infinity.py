@@ -18,7 +18,8 @@ def synthesise(plant: control.StateSpace, slack: float = 0.0, largest_norm: floa
     """Find the H-infinity (sub)optimal controller of a generalised plant by bisection.
 
     Only stable controllers are accepted: an unstable one could not be at rest before a run, nor
-    when the voltage is limited.
+    when the voltage is limited. Returned with it is the upper bound of the norm of the closed loop
+    (gamma).
 
     Parameters
     ----------
@@ -33,13 +34,6 @@ def synthesise(plant: control.StateSpace, slack: float = 0.0, largest_norm: floa
         Relative width at which the bisection ends.
     axes : int
         Number of controls, and of measurements.
-
-    Returns
-    -------
-    controller : control.StateSpace
-        From measurement to control.
-    norm : float
-        Upper bound of the norm of the closed loop (gamma).
 
     Raises
     ------
@@ -72,15 +66,7 @@ def synthesise(plant: control.StateSpace, slack: float = 0.0, largest_norm: floa
 def close(plant: control.StateSpace, controller: control.StateSpace) -> control.StateSpace:
     """Close the loop of a generalised plant: the lower linear fractional transformation.
 
-    Parameters
-    ----------
-    plant, controller : control.StateSpace
-        Arguments and result of `synthesise`.
-
-    Returns
-    -------
-    control.StateSpace
-        From the exogenous inputs to the regulated outputs.
+    The result leads from the exogenous inputs to the regulated outputs.
     """
     return plant.lft(controller, nu=controller.noutputs, ny=controller.ninputs)
 

@@ -111,12 +111,7 @@ class DesignWeights(Document):
 
 
 def load_weights(path: str | Path = DEFAULT_WEIGHTS) -> DesignWeights:
-    """Read a weights file.
-
-    Parameters
-    ----------
-    path : path-like
-        YAML file, or the name of built-in weights: ``default`` or ``thesis``.
+    """Read a weights file (YAML), or built-in weights by their name, ``default`` or ``thesis``.
 
     Raises
     ------
