@@ -69,13 +69,10 @@ class Command:
         return parser
 
     def main(self, arguments: Sequence[str] | None = None) -> int:
-        """Run the command.
+        """Run the command; return its exit status.
 
-        Returns
-        -------
-        int
-            Exit status: that of the work, 2 for invalid input, 130 after Ctrl-C, 141 if the output
-            has no reader any more.
+        It is that of the work, 2 for invalid input, 130 after Ctrl-C, and 141 if the output has no
+        reader any more.
         """
         return self.carry_out(self.parser().parse_args(arguments))
 

@@ -104,7 +104,7 @@ class StageModel:
 
     def to_matlab(self, path: str | PathLike[str]) -> None:
         """Write the model for MATLAB; see `piezo_models.matlab_file.write_matlab`."""
-        from piezo_models.matlab_file import write_matlab
+        from piezo_models.control_objects import write_matlab
 
         write_matlab(path, self)
 

@@ -13,10 +13,9 @@ from piezo_controller.feedback.feedback_design import UnstableLoop, h_infinity_f
 from piezo_controller.feedback.loop_measures import measure_axes_loop
 from piezo_controller.feedback.multirate_feedback import observer_gain
 from piezo_controller.feedback.robustness import PARAMETER_ERROR, PlantErrors
-from piezo_controller.feedback.synthesis.controller_reduction import reduce_order
 from piezo_controller.feedback.synthesis.dk_iteration import tick_frequencies
 from piezo_controller.feedback.synthesis.generalised_plant import lift, secant_gain_range
-from piezo_controller.feedback.synthesis.h_infinity import is_stable
+from piezo_controller.feedback.synthesis.h_infinity import is_stable, reduce_order
 from piezo_controller.feedback.synthesis.structured_singular_value import sampled_response
 from piezo_controller.feedback.synthesis.weights import DesignWeights
 from piezo_models.axes.coupled import CoupledModel

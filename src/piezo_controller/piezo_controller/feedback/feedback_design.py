@@ -15,7 +15,6 @@ from piezo_controller.feedback.controller_view import (
     text_of_controller,
 )
 from piezo_controller.feedback.loop_measures import measure_loop
-from piezo_controller.feedback.synthesis.controller_reduction import reduce_order
 from piezo_controller.feedback.synthesis.design_choices import check_choices
 from piezo_controller.feedback.synthesis.dk_iteration import iterate, scale, tick_frequencies
 from piezo_controller.feedback.synthesis.generalised_plant import (
@@ -24,7 +23,7 @@ from piezo_controller.feedback.synthesis.generalised_plant import (
     generalised_plant,
     hysteresis_gain_range,
 )
-from piezo_controller.feedback.synthesis.h_infinity import close, is_stable
+from piezo_controller.feedback.synthesis.h_infinity import close, is_stable, reduce_order
 from piezo_controller.feedback.synthesis.structured_singular_value import (
     sampled_response,
     structured_singular_values,

@@ -106,13 +106,9 @@ def components(reference: Reference, sample_rate_hz: float,
                most: float = math.inf) -> Components:
     """Check the components of a reference; return their frequencies, amplitudes and phases.
 
-    Phases that are not given are zero.
-
-    Raises
-    ------
-    InvalidReference
-        If their numbers differ or exceed `most`, a frequency is not between 0.001 Hz and half the
-        sample rate, an amplitude is not positive, or a phase is not finite.
+    Phases that are not given are zero. Raises `InvalidReference` if their numbers differ or exceed
+    `most`, a frequency is not between 0.001 Hz and half the sample rate, an amplitude is not
+    positive, or a phase is not finite.
     """
     frequencies, amplitudes = reference.frequency_hz, reference.amplitude_um
     phases = reference.phase_rad if len(reference.phase_rad) else (0.0,) * len(frequencies)

@@ -111,10 +111,7 @@ class AcceptedModels:
     def in_place_of(self, model: ModelText, read: Callable[[str], str]) -> ModelText:
         """Return the model to use for a run that names a model; `read` returns the text of a file.
 
-        Raises
-        ------
-        ValueError
-            If the extended model has been changed since it was accepted.
+        Raises ValueError if the extended model has been changed since it was accepted.
         """
         extended = self._extended.get(model.sha256)
         if extended is None:

@@ -27,7 +27,7 @@ from piezo_controller.feedback.synthesis.generalised_plant import nominal_hyster
 from piezo_controller.feedback.synthesis.weights import DesignWeights, load_weights
 from piezo_controller.feedforward.periodic import FeedforwardPlan
 from piezo_controller.feedforward.plan import TrackingPlan
-from piezo_controller.learning.fast_sensitivity import fast_sensitivity
+from piezo_controller.learning.slow_feedback import fast_sensitivity
 from piezo_controller.tracking.foreseen import Sensitivity, open_loop_sensitivity
 from piezo_controller.tracking.tracking_modes import FEEDBACK_METHODS, StageClock, feedback_room_v
 from piezo_models.axes.coupled import CoupledModel
@@ -86,10 +86,7 @@ class Feedbacks:
                 plan: TrackingPlan) -> Feedback:
         """Return the feedback of a mode of `FEEDBACK_METHODS`, which acts together with a plan.
 
-        Raises
-        ------
-        ValueError
-            If the file, the weights or the design cannot be used.
+        Raises ValueError if the file, the weights or the design cannot be used.
         """
         settings, stage = self._settings, self._stage
         composite = FEEDBACK_METHODS[mode] == "h_infinity"
@@ -121,10 +118,8 @@ class Feedbacks:
     def law_of_axes(self, model: CoupledModel, model_sha256: str) -> AxesLaw:
         """Return the feedback of the mode composite for several axes, designed or from its file.
 
-        Raises
-        ------
-        ValueError
-            If the file, the weights or the design cannot be used, or blocks are to be answered.
+        Raises ValueError if the file, the weights or the design cannot be used, or blocks are to be
+        answered.
         """
         if self._settings.loop != "onboard":
             raise ValueError("the blocks of several axes are not answered: set feedback to onboard")
@@ -201,10 +196,7 @@ class Feedbacks:
     def with_controller(self, path: str, mode: str) -> "Feedbacks":
         """Return a copy whose controller of the composite modes comes from a file, if there is one.
 
-        Raises
-        ------
-        ValueError
-            If the feedback of the mode does not come from a file.
+        Raises ValueError if the feedback of the mode does not come from a file.
         """
         if not path:
             return self

@@ -210,13 +210,8 @@ class CoupledModel:
                 pasts: Sequence[str] = (), goes_on: bool = False) -> FloatArray:
         """Return the drive of the modes under a voltage, (N, n), after hysteresis and creep.
 
-        The arguments and errors are those of `simulate`.
-
-        Parameters
-        ----------
-        pasts : sequence of str, optional
-            How each axis reached its first voltage, one of
-            `piezo_models.hysteresis.pasts.PASTS`; by default from the lowest one.
+        The arguments and errors are those of `simulate`. Each axis reached its first voltage in one
+        of `piezo_models.hysteresis.pasts.PASTS`; by default from the lowest one.
         """
         voltages_v = np.asarray(voltage_v, dtype=float)
         if voltages_v.ndim != 2 or voltages_v.shape[1] != len(self.axes) or not voltages_v.size:

@@ -234,13 +234,7 @@ class Effect(ABC):
         raise ValueError(f"no signal gives the wanted one through {self.name}: reduce the motion")
 
     def lag(self) -> control.StateSpace | None:
-        """Return the lag of the effect in a feedback loop; None if it has none.
-
-        Returns
-        -------
-        control.StateSpace or None
-            Continuous system.
-        """
+        """Return the continuous system of the effect's lag in a feedback loop, or None."""
         return None
 
     def state_space(self) -> control.StateSpace:
@@ -294,12 +288,9 @@ class Effect(ABC):
 
     @classmethod
     def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
-        """Return bounds of what the parameters can physically be in recordings of this extent.
+        """Return what the parameters can physically be in recordings of this extent: (low, high).
 
-        Returns
-        -------
-        dict of str to (float, float)
-            Lower and upper bound of each parameter whose bounds are closer than declared.
+        Only parameters whose bounds are closer than declared are in it.
         """
         return {}
 
@@ -323,12 +314,8 @@ class Effect(ABC):
     def hysteresis_ahead(self, hysteresis: PreisachModel) -> PreisachModel | None:
         """Return the hysteresis that is equivalent to the given one if the effect acts behind it.
 
-        The given hysteresis was identified with the effect in the stage.
-
-        Returns
-        -------
-        PreisachModel or None
-            None if the effect cannot be separated from a hysteresis, which is the default.
+        The given hysteresis was identified with the effect in the stage. None, the default, says
+        that the effect cannot be separated from a hysteresis.
         """
         return None
 

@@ -115,11 +115,8 @@ class LawDocument(Document):
 def save_axes_law(path: str | PathLike[str], law: AxesLaw) -> None:
     """Write a law file; an existing file is replaced completely or not at all.
 
-    Raises
-    ------
-    LawFileError
-        If the file cannot be written, exists and is not a law file, or the law holds a value that
-        is not finite.
+    Raises `LawFileError` if the file cannot be written, exists and is not a law file, or the law
+    holds a value that is not finite.
     """
     linear = law.plant.linear
     matrices = {"A": law.tick.a, "B": law.tick.b, "C": law.tick.c, "D": law.tick.d,

@@ -109,14 +109,10 @@ class DeclaredPlant:
 class FeedbackLaw:
     """A feedback at the tick's rate, at the sample rate, or both, with its reference and limits.
 
-    The error is reference minus displacement. The sum of the voltages of both blocks is limited.
-    A law of several axes has a block at the tick's rate only, and no inverse; its limits are those
-    of each axis.
-
-    Raises
-    ------
-    FeedbackLawError
-        If a part is not finite, too large, or does not fit the others.
+    The error is reference minus displacement. The sum of the voltages of both blocks is limited. A
+    law of several axes has a block at the tick's rate only, and no inverse; its limits are those of
+    each axis. Raises `FeedbackLawError` if a part is not finite, too large, or does not fit the
+    others.
     """
 
     tick: LinearBlock

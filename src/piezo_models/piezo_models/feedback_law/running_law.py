@@ -172,13 +172,9 @@ class RunningLaw:
         rate would have given the recent output of the other law. The block at the sample rate
         continues from the other's state if both blocks are equal; otherwise it starts at rest. The
         remaining step is removed by a change of the states. If a block has no state that gives a
-        voltage, the other block gives its share too.
-
-        Raises
-        ------
-        FeedbackLawError
-            If this law passes an inverse whose past the other law does not provide, expects another
-            run, has a lower limit than the present voltage, or begins later than now.
+        voltage, the other block gives its share too. Raises `FeedbackLawError` if this law passes
+        an inverse whose past the other law does not provide, expects another run, has a lower limit
+        than the present voltage, or begins later than now.
         """
         scale = self._volts_per_volt(other)
         self._check_follows(other, scale)

@@ -141,10 +141,7 @@ class ElectricVibrationDynamics:
     def state_space(self, parallel_modes: Sequence[Any] = ()) -> control.StateSpace:
         """Return the continuous state space of the lag and the modes.
 
-        Parameters
-        ----------
-        parallel_modes : sequence of `piezo_models.effects.vibration_mode.VibrationMode`
-            Additional parallel modes; the others keep the rest of the displacement.
+        Additional parallel modes take their share of the displacement; the others keep the rest.
         """
         lag: list[Section] = []
         if self.time_constant_s > 0.0:

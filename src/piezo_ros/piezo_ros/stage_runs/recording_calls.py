@@ -152,12 +152,8 @@ class RecorderCaller:
         """Start a recording under a name that is not used yet.
 
         A number is added to the name if a recording has that name. The texts are stored in the
-        recording, by name. Raises `CallFailed` if the recorder cannot start the recording.
-
-        Parameters
-        ----------
-        unrecorded : bool
-            True if the run may continue after its recording has ended.
+        recording, by name. If `unrecorded`, the run may continue after its recording has ended.
+        Raises `CallFailed` if the recorder cannot start the recording.
         """
         request = StartRecording.Request(
             directory=str(Path(directory).absolute()), name=free_name(directory, name),
