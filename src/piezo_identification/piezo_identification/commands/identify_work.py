@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from piezo_common.command_line import INTERRUPTED, budget_of, print_next, write_report
-from piezo_common.progress_lines import progress_printed
+from piezo_common.progress_line import progress_printed
 from piezo_identification.adequacy.component_adequacy import adequacy_table
 from piezo_identification.commands.axes_work import are_of_axes, identify_axes_files
 from piezo_identification.commands.data_options import (

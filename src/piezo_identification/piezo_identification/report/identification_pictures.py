@@ -16,9 +16,8 @@ from piezo_identification.report import signal_pictures as signals
 from piezo_identification.report.component_evidence import ComponentEvidence
 from piezo_models.cascade import StageModel
 from piezo_models.identified_model import IdentifiedModel
-from piezo_models.model_pictures import density_on, drawn_frequencies
+from piezo_models.model_pictures import density_on, draw_bode, drawn_frequencies
 from piezo_models.model_summary import visited_fraction
-from piezo_models.response_band import draw_bode
 
 FIT_HEIGHT_IN = 6.4
 """Height of the figure of a fit, about that of the two figures next to it."""

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from piezo_controller.feedback.integral_feedback import design_integral_feedback
 from piezo_controller.feedback.multirate_feedback import MultirateFeedback
+from piezo_controller.learning.slow_feedback import design_integral_feedback
 from piezo_controller.references.reference import Reference
 from piezo_controller.tracking.run_plan import plan_learning
 from piezo_controller.tracking.tracking_modes import StageClock
