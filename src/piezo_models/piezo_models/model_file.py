@@ -52,24 +52,12 @@ def save_model(path: str | PathLike[str], identified: IdentifiedModel) -> None:
 
 
 def write_document(path: Path, document: dict[str, Any]) -> None:
-    """Write a checked model document, of one axis or of several; see `save_model`.
-
-    Raises
-    ------
-    ModelFileError
-        If the file cannot be written, or a file that is not a model file is in its place.
-    """
+    """Write a checked model document, of one axis or of several; see `save_model`."""
     replace_document(path, document, KIND, ModelFileError, rendered, LARGEST_FILE_BYTES)
 
 
 def check_model_may_replace(path: str | PathLike[str]) -> None:
-    """Check, also before the work for a model, that its file replaces no other kind of file.
-
-    Raises
-    ------
-    ModelFileError
-        If a file that is not a model file is in its place.
-    """
+    """Raise `ModelFileError`, also before the work, if another kind of file is in place."""
     check_may_replace(path, FORMAT, KIND, ModelFileError, LARGEST_FILE_BYTES)
 
 
@@ -93,11 +81,8 @@ def is_of_several_axes(path: str | PathLike[str]) -> bool:
 def load_model(path: str | PathLike[str]) -> IdentifiedModel:
     """Read a model file of one axis.
 
-    Raises
-    ------
-    ModelFileError
-        If the file is missing, is not a model file of this version, is one of several axes, or has
-        a missing, unknown or invalid field.
+    Raises `ModelFileError` if the file is missing, is not a model file of this version, is one of
+    several axes, or has a missing, unknown or invalid field.
     """
     if is_of_several_axes(path):
         raise ModelFileError(f"{path}: is a model of several axes, which track, simulate, "

@@ -15,17 +15,9 @@ LARGEST_STEP = 3.0
 
 
 def points_of_file(path: str | Path) -> tuple[tuple[str, ...], FloatArray]:
-    """Read the axes and points of a CSV with columns such as ``x_displacement_um``.
+    """Return the axes and points (K, m) of a CSV with columns such as ``x_displacement_um``.
 
-    Returns
-    -------
-    axes : tuple of str
-    points_um : (K, m) array
-
-    Raises
-    ------
-    InvalidReference
-        If there are none, or a row is not of numbers.
+    Raises `InvalidReference` if there are none, or a row is not of numbers.
     """
     columns = _columns(Path(path))
     axes = tuple(name.removesuffix(SUFFIX) for name in columns if name.endswith(SUFFIX))
@@ -39,10 +31,8 @@ def positions_of_file(path: str | Path,
                       sample_period_s: float) -> tuple[tuple[str, ...], FloatArray]:
     """Read one period of a path, sampled at the sample rate; see `points_of_file`.
 
-    Raises
-    ------
-    InvalidReference
-        If its times are not those of the samples, or its end jumps to its beginning.
+    Raises `InvalidReference` if its times are not those of the samples, or its end jumps to its
+    beginning.
     """
     axes, position_um = points_of_file(path)
     time_s = _columns(Path(path)).get("time_s")

@@ -13,10 +13,9 @@ from piezo_controller.feedback.feedback_design import UnstableLoop, h_infinity_f
 from piezo_controller.feedback.loop_measures import measure_axes_loop
 from piezo_controller.feedback.multirate_feedback import observer_gain
 from piezo_controller.feedback.robustness import PARAMETER_ERROR, PlantErrors
-from piezo_controller.feedback.synthesis.controller_reduction import reduce_order
 from piezo_controller.feedback.synthesis.dk_iteration import tick_frequencies
 from piezo_controller.feedback.synthesis.generalised_plant import lift, secant_gain_range
-from piezo_controller.feedback.synthesis.h_infinity import is_stable
+from piezo_controller.feedback.synthesis.h_infinity import is_stable, reduce_order
 from piezo_controller.feedback.synthesis.structured_singular_value import sampled_response
 from piezo_controller.feedback.synthesis.weights import DesignWeights
 from piezo_models.axes.coupled import CoupledModel
@@ -87,21 +86,13 @@ def design_axes_feedback(model: CoupledModel, weights: DesignWeights, model_sha2
 
 
 def scaled_plant(model: CoupledModel, tick_s: float) -> tuple[control.StateSpace, FloatArray]:
-    """Return the plant that the feedback is designed for, at the tick's rate.
+    """Return the plant that the feedback is designed for, at the tick's rate, and its gains.
 
-    Returns
-    -------
-    plant : control.StateSpace
-        From the static displacements that the voltages decided in a tick would cause, to the mean
-        displacements of the tick before (um per um). The voltages act at once.
-    gains_um_per_v : ndarray, shape (n,)
-        Displacement of each axis for its own voltage, by the modes and the nominal gain of the
-        hysteresis.
-
-    Raises
-    ------
-    ValueError
-        If the tick is no multiple of the model's sample period.
+    The plant leads from the static displacements that the voltages decided in a tick would cause,
+    to the mean displacements of the tick before (um per um); the voltages act at once. The gains,
+    (n,), are the displacement of each axis for its own voltage (um/V), by the modes and the nominal
+    gain of the hysteresis. Raises ValueError if the tick is no multiple of the model's sample
+    period.
     """
     samples = round(tick_s / model.sample_period_s)
     if not samples or not math.isclose(samples * model.sample_period_s, tick_s, rel_tol=1e-9):
@@ -165,12 +156,9 @@ def axes_plant_errors(model: CoupledModel, tick_s: float) -> PlantErrors:
 
 
 def with_mode_errors(model: CoupledModel, errors: FloatArray) -> CoupledModel:
-    """Return the model with relative errors of its modes.
+    """Return the model with relative errors of frequency, damping and static share of each mode.
 
-    Parameters
-    ----------
-    errors : (3, K) array
-        Errors of frequency, damping ratio and static share of each mode.
+    The errors have the shape (3, K).
     """
     frequency, damping, share = 1.0 + errors
     poles = model.poles_rad_per_s

@@ -31,14 +31,8 @@ def page_of_loop(report: Mapping[str, Any], rows: Sequence[tuple[str, str]],
                  figures: Mapping[str, Figure], origin: Sequence[str], margins: Section) -> str:
     """Return the page of a design as HTML.
 
-    Parameters
-    ----------
-    rows : sequence of (str, str)
-        Rows that the command prints: rates, rules and measures.
-    figures : dict of str to matplotlib.figure.Figure
-        Figures by the names of `CAPTIONS`.
-    origin : sequence of str
-        Files that the design is based on.
+    The rows are those that the command prints, the figures have the names of `CAPTIONS`, and the
+    origin names the files that the design is based on.
     """
     pictures = [pictured(name, figures[key], caption, closer=True,
                          wide=key in ("bode", "steps", "weights", "mu"))

@@ -45,12 +45,7 @@ def bode_figure(plant: control.StateSpace, controller: control.StateSpace,
                 weights: DesignWeights | None) -> Figure:
     """Draw the open loop with its margins, and below it the closed one with the weights' bounds.
 
-    Parameters
-    ----------
-    plant, controller : control.StateSpace
-        Discrete; the plant with its gain in um/V.
-    weights : DesignWeights or None
-        None for a design without weights.
+    The plant has its gain in um/V. A design without weights has none.
     """
     frequency_hz = _frequencies(plant.dt)
     points = np.exp(2j * np.pi * frequency_hz * plant.dt)
@@ -106,12 +101,7 @@ def nyquist_figure(plant: control.StateSpace, controller: control.StateSpace,
                    gain_spread: float) -> Figure:
     """Draw the open loop in the complex plane, nominal and at both ends of the gain's spread.
 
-    Parameters
-    ----------
-    plant, controller : control.StateSpace
-        Discrete; the plant with its gain in um/V.
-    gain_spread : float
-        The plant's gain may lie within ``1 +- gain_spread`` of its nominal value.
+    The plant has its gain in um/V, which may lie within ``1 +- gain_spread`` of its nominal value.
     """
     figure = new_figure(7.0, 7.0)
     axes = figure.subplots()
@@ -150,16 +140,9 @@ def _mark_in_plane(axes: Axes, margins: Margins) -> None:
 
 def step_figure(plant: control.StateSpace, controller: control.StateSpace, gain_spread: float,
                 drawn: Sequence[control.StateSpace] = ()) -> Figure:
-    """Draw the responses of the displacement to a reference step and of the error to a disturbance.
+    """Draw the responses of displacement to a reference step, and of error to a disturbance.
 
-    Parameters
-    ----------
-    plant, controller : control.StateSpace
-        Discrete; the plant with its gain in um/V.
-    gain_spread : float
-        The plant's gain may lie within ``1 +- gain_spread`` of its nominal value.
-    drawn : sequence of control.StateSpace
-        Perturbed plants, whose responses make the band.
+    Plant and spread are those of `nyquist_figure`; the responses of drawn plants make the band.
     """
     time_s = np.arange(_shown_ticks(plant, controller)) * plant.dt
     figure = new_figure(5.6, WIDE_IN)
@@ -199,12 +182,7 @@ def sensitivity_figure(plant: control.StateSpace, controller: control.StateSpace
                        axes: Sequence[str] = ()) -> Figure:
     """Draw the sensitivity of the loop, and the band of its size for perturbed models.
 
-    Parameters
-    ----------
-    plant, controller : control.StateSpace
-        Discrete; the plant with its gain in um/V.
-    axes : sequence of str
-        Names of the axes, if there are several.
+    The plant has its gain in um/V. Axes are named if there are several.
     """
     frequency_hz = _frequencies(plant.dt)[::4]
     figure = new_figure(4.4)
@@ -256,10 +234,7 @@ def weights_figure(weights: DesignWeights) -> Figure:
 def mu_figure(frequency_hz: FloatArray, mu: FloatArray, history: list[float]) -> Figure:
     """Draw the structured singular value over frequency, and its peak in each iteration.
 
-    Parameters
-    ----------
-    frequency_hz, mu : ndarray, shape (F,)
-        Frequencies without zero, and the value for the final controller.
+    The value is that of the final controller, (F,).
     """
     figure = new_figure(4.0, WIDE_IN)
     over_frequency, over_iterates = figure.subplots(1, 2, sharey=True, width_ratios=(2, 1))

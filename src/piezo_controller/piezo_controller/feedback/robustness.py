@@ -53,12 +53,8 @@ class PlantErrors:
         """Close the loop with plants of random errors, then search for the worst ones.
 
         The worst case is searched for among the extremes of all errors: one error after another is
-        moved to the extreme with the higher peak of the sensitivity, until none raises it.
-
-        Parameters
-        ----------
-        controller : control.StateSpace
-            Discrete, from errors (um) to voltages (V).
+        moved to the extreme with the higher peak of the sensitivity, until none raises it. The
+        controller is discrete, from errors (um) to voltages (V).
         """
         frequency_hz = np.geomspace(0.1, 0.5 / controller.dt, FREQUENCIES)
         points = np.exp(2j * np.pi * frequency_hz * controller.dt)
@@ -94,12 +90,8 @@ def plant_errors(model: StageModel, tick_s: float, clock_period_s: float, gain_s
                  at_once: bool = False, delay_ticks: int = 1) -> PlantErrors:
     """Return the plants of a model with errors of all parameters, and with other gains.
 
-    Parameters
-    ----------
-    gain_spread : float
-        The gain of the hysteresis lies within ``1 +- gain_spread`` of its nominal value.
-    tick_s, clock_period_s, at_once, delay_ticks
-        See `design_plant`.
+    The gain of the hysteresis lies within ``1 +- gain_spread`` of its nominal value. The other
+    arguments are those of `design_plant`.
     """
     def plant_of(errors: FloatArray) -> control.StateSpace:
         plant, gain_um_per_v = design_plant(

@@ -31,14 +31,9 @@ RANGE_MARGIN = 0.02
 
 
 class DeclaredRange:
-    """The range of values that a publisher may give: an amplitude, and optionally a centre.
+    """The range of values that a publisher may give: a peak-to-peak amplitude about a centre (um).
 
-    Parameters
-    ----------
-    centre_um : float
-        Declared centre (um); 0 if it is to be determined from the values.
-    amplitude_um : float
-        Peak-to-peak amplitude.
+    With a centre of 0, it is determined from the values.
     """
 
     def __init__(self, centre_um: float, amplitude_um: float) -> None:
@@ -282,17 +277,6 @@ def plan_live(live: LiveReference, band_hz: float, amplitude_um: float, run_samp
               slew_limit_v_per_s: float = 2e6, sample_period_s: float = 25e-6,
               start_voltage_v: float = 0.0) -> LivePlan:
     """Plan to follow a published reference; see `LivePlan`.
-
-    Parameters
-    ----------
-    live : LiveReference
-        Published values, of which at least one has come.
-    band_hz, amplitude_um : float
-        Highest frequency and peak-to-peak amplitude of the published values.
-    run_samples : int
-        Duration for which the reference is followed.
-    centre_um : float
-        Centre of the published values; 0 if it is not declared.
 
     Raises
     ------

@@ -3,6 +3,7 @@
 
 from dataclasses import dataclass, field, replace
 
+import control
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -22,11 +23,10 @@ from piezo_controller.feedforward.feasibility import (
     unreachable,
 )
 from piezo_controller.feedforward.plan import TrackingPlan
-from piezo_controller.feedforward.repeated_input import mean_over_repeats
 from piezo_controller.references.kind import Watch
 from piezo_controller.references.smooth_rise import minimum_jerk
 from piezo_models.cascade import StageModel
-from piezo_models.linear.dynamics import simulate_linear, zoh
+from piezo_models.linear.dynamics import continue_linear, simulate_linear, zoh
 from piezo_models.linear.periodic_inversion import invert_linear_periodic
 
 MODES = ("open_loop", "feedforward")
@@ -298,15 +298,7 @@ class FeedforwardPlanner:
 def bandwidth_hz(reference_um: FloatArray, sample_period_s: float) -> float:
     """Return the highest frequency of a period that has to be inverted (Hz).
 
-    Parameters
-    ----------
-    reference_um : ndarray, shape (m,)
-        One period.
-
-    Returns
-    -------
-    float
-        `BANDWIDTH_HZ`, or more if the content above it exceeds `NEGLIGIBLE_PART`.
+    It is `BANDWIDTH_HZ`, or more if the content above it exceeds `NEGLIGIBLE_PART`.
     """
     harmonics_um = np.abs(np.fft.rfft(reference_um)) / reference_um.size
     harmonics_um[1:(reference_um.size + 1) // 2] *= np.sqrt(2)  # those that have a conjugate
@@ -322,3 +314,25 @@ def _play(once: FloatArray, period: FloatArray, first: int, count: int) -> Float
     sample = np.arange(first, first + count)
     repeated = period[(sample - len(once)) % len(period)]
     return np.where(sample < len(once), once[np.minimum(sample, len(once) - 1)], repeated)
+
+
+def mean_over_repeats(system: control.StateSpace, once: np.ndarray, period: np.ndarray,
+                      repeats: int) -> float:
+    """Return the mean output while an input is repeated, after another input is played once.
+
+    The state at the beginning of a period and the sum of the outputs so far follow from those of
+    the previous period by an affine map; a power of its matrix covers all periods. The system is
+    discrete, with one input and one output, and all its states are initially zero.
+    """
+    n = system.nstates
+    _, first_state = continue_linear(system, once, np.zeros(n))
+    output, driven = continue_linear(system, period, np.zeros(n))
+    # Map from the state at a period's beginning to that at its end and to the sum of its outputs.
+    free = np.linalg.matrix_power(
+        np.block([[system.A, np.zeros((n, 1))], [system.C, np.ones((1, 1))]]), len(period))
+    step = np.zeros((n + 2, n + 2))
+    step[:n, :n], step[:n, n] = free[:n, :n], driven
+    step[n, n] = step[n + 1, n + 1] = 1.0
+    step[n + 1, :n], step[n + 1, n] = free[n, :n], output.sum()
+    end = np.linalg.matrix_power(step, repeats) @ np.r_[first_state, 1.0, 0.0]
+    return float(end[-1] / (repeats * len(period)))

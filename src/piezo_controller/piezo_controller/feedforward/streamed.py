@@ -108,12 +108,8 @@ class StreamPlan(TrackingPlan):
         """Yield the voltages after `once_voltage_v`, chunk by chunk.
 
         A chunk depends only on the reference up to its end and the preview; computing time and
-        memory do not grow with the length of the stream.
-
-        Raises
-        ------
-        UnreachableReference
-            If a chunk would leave the range or exceed the slew limit; the message gives its time.
+        memory do not grow with the length of the stream. Raises `UnreachableReference` if a chunk
+        would leave the range or exceed the slew limit; the message gives its time.
         """
         computed = self.feedback_start_sample
         try:
@@ -182,8 +178,6 @@ def plan_stream(reference: Trajectory, samples: int, model: StageModel,
         Number of samples that are played.
     method : str
         Method of `preview_inverse`.
-    watch : callable, optional
-        Called from time to time with the fraction done; may raise.
 
     Raises
     ------

@@ -127,10 +127,7 @@ class LearningFeedforward(TrackingPlan):
     def next_voltage_v(self) -> FloatArray | None:
         """Return the next voltages after `once_voltage_v`.
 
-        Returns
-        -------
-        ndarray or None
-            Empty at the end; None while the measurement that they depend on is incomplete.
+        They are empty at the end; None while the measurement that they depend on is incomplete.
         """
         if self._remaining_samples is not None:
             return self._go_on(self._remaining_samples)

@@ -48,7 +48,7 @@ class StageClock:
 
 def plan_mode(mode: str, reference: Reference, model: StageModel, stage: StageClock,
               duration_s: float, watch: Watch | None = None) -> FeedforwardPlan:
-    """Plan the voltages that the stage plays in a mode.
+    """Plan the voltages that the stage plays in a mode, whose periodic part lasts for a duration.
 
     Parameters
     ----------
@@ -56,10 +56,6 @@ def plan_mode(mode: str, reference: Reference, model: StageModel, stage: StageCl
         One of `MODES`. ``pid`` and ``pi`` hold the voltage of the reference's mean, and the rest
         comes from the feedback. ``composite_single_rate`` updates the feedforward once per tick,
         as often as the feedback. ``learning`` begins with the feedforward.
-    duration_s : float
-        Duration of the periodic part (s).
-    watch : callable, optional
-        Called from time to time with the fraction done; may raise.
 
     Raises
     ------

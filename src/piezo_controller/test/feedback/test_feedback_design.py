@@ -12,7 +12,6 @@ from piezo_controller.feedback.feedback_design import (
 )
 from piezo_controller.feedback.loop_measures import loop_responses, measure_loop
 from piezo_controller.feedback.robustness import plant_errors
-from piezo_controller.feedback.synthesis.controller_reduction import reduce_order
 from piezo_controller.feedback.synthesis.dk_iteration import scale
 from piezo_controller.feedback.synthesis.generalised_plant import (
     design_plant,
@@ -24,6 +23,7 @@ from piezo_controller.feedback.synthesis.h_infinity import (
     NoController,
     close,
     is_stable,
+    reduce_order,
     synthesise,
 )
 from piezo_controller.feedback.synthesis.weights import load_weights

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from piezo_controller.feedback.loop_rules import choose_rates
+from piezo_controller.feedback.stage_design import choose_rates
 from piezo_controller.feedback.synthesis.weights import Weight, load_weights
 
 CLOCK_HZ = 40000.0

@@ -133,7 +133,8 @@ def advice_on(component: str, model: StageModel, location: ResidualLocation, pat
         slow = location.band_hz[1] < SLOW_HZ
         missing = "creep" if slow else "dynamics"
         if missing not in recordings:
-            steps.append(f"give a recording for --{missing}")
+            steps.append(f"give a recording for --{missing}" + (
+                f", if only {path} once more" if slow else ""))
     elif component == "creep":
         steps.append("record the creep longer")
     elif "hysteresis" not in recordings and model.hysteresis.density_um_per_v2.any():

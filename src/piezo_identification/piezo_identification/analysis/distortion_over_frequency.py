@@ -43,10 +43,7 @@ def distortion_bands(found: NonlinearDistortion) -> list[NonlinearDistortion]:
 def distortion_rows(found: NonlinearDistortion) -> list[tuple[str, ...]]:
     """Return the table over frequency: its heads, then a row for each band and one for all.
 
-    Returns
-    -------
-    list of tuple of str
-        Cells with RMS values in nm; insignificant distortion is given as an upper bound.
+    Values are RMS in nm; insignificant distortion is given as an upper bound.
     """
     heads = ("frequency (Hz)", "answer (nm)", "noise of a period (nm)", "even (nm)", "odd (nm)")
     bands = distortion_bands(found)

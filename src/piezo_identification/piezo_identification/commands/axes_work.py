@@ -9,7 +9,7 @@ import numpy as np
 
 from piezo_common.command_line import INTERRUPTED, budget_of, print_next
 from piezo_common.picture_style import to_png
-from piezo_common.progress_lines import progress_printed
+from piezo_common.progress_line import progress_printed
 from piezo_common.summary_table import SummaryTable
 from piezo_identification.axes.axes_response import (
     AxesResponse,

@@ -10,10 +10,7 @@ from matplotlib.figure import Figure
 from piezo_common.budget import Budget
 from piezo_common.command_line import budget_of, print_next, write_report
 from piezo_common.picture_style import to_png
-from piezo_identification.analysis.distortion_over_frequency import (
-    distortion_png,
-    distortion_rows,
-)
+from piezo_identification.analysis.distortion_over_frequency import distortion_png, distortion_rows
 from piezo_identification.analysis.nonlinear_distortion import distortion_of
 from piezo_identification.axes.axes_response import is_axes_response
 from piezo_identification.commands.axes_work import check_axes_file

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from piezo_common.command_line import INTERRUPTED, budget_of, print_next, write_report
-from piezo_common.progress_lines import progress_printed
+from piezo_common.progress_line import progress_printed
 from piezo_identification.adequacy.component_adequacy import adequacy_table
 from piezo_identification.commands.axes_work import are_of_axes, identify_axes_files
 from piezo_identification.commands.data_options import (
@@ -24,8 +24,8 @@ from piezo_identification.estimators.frequency_response.response_file import (
     read_frequency_response,
 )
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
+from piezo_identification.identification.estimated_loops import DensityOptions
 from piezo_identification.identification.given_data import given_data
-from piezo_identification.identification.given_hysteresis import DensityOptions
 from piezo_identification.identification.identify import identify
 from piezo_identification.identification.notes import Detail, notes_printed
 from piezo_identification.prediction.prediction_errors import named_errors

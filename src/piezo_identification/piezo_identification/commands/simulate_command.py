@@ -2,7 +2,6 @@
 """`simulate`: compare the displacement of a model with that of a recording."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from piezo_common.command_line import Command, add_report_option
@@ -41,6 +40,3 @@ COMMAND = Command(
     check=_check, inputs=("model", "data", "voltage"), folders=("output",),
     interrupted="pictures that it named are whole")
 main = COMMAND.main
-
-if __name__ == "__main__":
-    sys.exit(main())

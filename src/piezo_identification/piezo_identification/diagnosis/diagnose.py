@@ -15,20 +15,21 @@ import numpy as np
 from piezo_common.budget import SEARCH, Budget, spending, while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_common.progress_part import Progress, part_of
-from piezo_identification.diagnosis.comparison.criteria import is_noise, lack_of_fit
-from piezo_identification.diagnosis.comparison.selection import (
-    Selection,
-    residual_rms_um,
-    select_effects,
+from piezo_identification.diagnosis.comparison.criteria import (
+    Reason,
+    Undecided,
+    is_noise,
+    lack_of_fit,
 )
-from piezo_identification.diagnosis.comparison.undecided import Reason, Undecided
+from piezo_identification.diagnosis.comparison.selection import Selection, select_effects
 from piezo_identification.diagnosis.comparison.validation import Validation
 from piezo_identification.diagnosis.evidence.effect_covariance import with_model_errors
-from piezo_identification.diagnosis.evidence.effect_entries import effect_entries, with_stand_ins
-from piezo_identification.diagnosis.evidence.found_outliers import (
+from piezo_identification.diagnosis.evidence.effect_entries import (
     FoundOutliers,
+    effect_entries,
     found_outliers,
     left_out,
+    with_stand_ins,
 )
 from piezo_identification.diagnosis.evidence.known_noise import (
     KnownNoise,
@@ -110,11 +111,6 @@ class Conditioned:
     """Recording on which the errors are measured."""
     faults: list[RecordingFault]
     """Faults that were corrected in them."""
-
-    @property
-    def reversed(self) -> list[str]:
-        """Return the paths of recordings whose sign was changed."""
-        return [fault.recording for fault in self.faults if fault.name == WRONG_SIGN]
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,8 +285,8 @@ def compare_effects(model: StageModel, recordings: Sequence[Recording],
         if selections[-1].interrupted:
             return selections[-1]
     with_past, plain = selections[0], selections[-1]
-    most_um = PastSearchSettings.largest_error_ratio * residual_rms_um(plain)
-    return with_past if residual_rms_um(with_past) < most_um else plain
+    most_um = PastSearchSettings.largest_error_ratio * plain.residual_um
+    return with_past if with_past.residual_um < most_um else plain
 
 
 def decide(selection: Selection, validation: Validation,
@@ -338,14 +334,9 @@ def decide(selection: Selection, validation: Validation,
 def hold_to_noise(shares: Mapping[str, float], found: Selection, believed: Validation, fit: Fit,
                   outliers: FoundOutliers | None, noise: KnownNoise,
                   stated_um: float) -> HeldToNoise:
-    """Compare the residual of a fit with the noise.
+    """Compare the residual of a fit with the noise, or its predictable part if that is unknown.
 
-    If the noise is unknown, the predictable part of the residual is used instead.
-
-    Parameters
-    ----------
-    shares : dict of str to float
-        Probabilities based on the noise that each recording shows itself.
+    `shares` are probabilities based on the noise that each recording shows itself.
     """
     remainders = believed.remainders(fit)
     known = noise.including(noise_of_residuals(found.regression))
@@ -362,12 +353,9 @@ def _names(fit: Fit) -> list[str]:
 
 
 def ceiling_of(selection: Selection, decision: Decision) -> "Ceiling | None":
-    """Return how much of the residual any learner could predict, if it is more than noise.
+    """Return how much of the residual any learner could predict.
 
-    Returns
-    -------
-    Ceiling or None
-        None if the residual is compatible with known noise, or the comparison was interrupted.
+    It is None if the residual is compatible with known noise, or the comparison was interrupted.
     """
     if decision.held.predicted is not None:
         return decision.held.predicted
@@ -410,7 +398,8 @@ def conclude(model: StageModel, given: Conditioned, selection: Selection, valida
         undecided=undecided,
         confounded_with=_confounded_with(selection, effects),
         left=_description(regression, decision, predictable),
-        reversed=given.reversed, left_out=[*left_out(regression), *validation.left_out()],
+        reversed=[fault.recording for fault in given.faults if fault.name == WRONG_SIGN],
+        left_out=[*left_out(regression), *validation.left_out()],
         ceiling=None if predictable is None else asdict(predictable), selection=selection,
         recording_faults=[fault.document() for fault in given.faults],
     )

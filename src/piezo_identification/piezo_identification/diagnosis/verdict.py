@@ -11,7 +11,7 @@ import numpy as np
 
 from piezo_common.summary_table import Cell, SummaryTable
 from piezo_common.text_file import replace_json
-from piezo_identification.diagnosis.comparison.undecided import Undecided
+from piezo_identification.diagnosis.comparison.criteria import Undecided
 from piezo_identification.diagnosis.evidence.effect_entries import name_of
 from piezo_models.cascade import StageModel
 from piezo_models.identified_model import IdentifiedModel

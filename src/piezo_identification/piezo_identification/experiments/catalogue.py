@@ -17,9 +17,13 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_common.registered import registered
-from piezo_identification.experiments.diagnostic_waveform import diagnostic_block
-from piezo_identification.experiments.distortion_multisine import distortion_period
-from piezo_identification.experiments.input_designs import arc, stair_amplitudes, stair_harmonics
+from piezo_identification.experiments.input_designs import (
+    arc,
+    diagnostic_block,
+    distortion_period,
+    stair_amplitudes,
+    stair_harmonics,
+)
 from piezo_identification.experiments.relay_feedback import RelayExperiment, relay
 from piezo_identification.experiments.stage_limits import USUAL_LIMITS, StageLimits
 
@@ -196,11 +200,6 @@ def diagnostic(limits: StageLimits = USUAL_LIMITS, repeats: int = 4) -> Experime
 
     It begins at the lowest voltage, where the memory of the hysteresis is known. The repeats
     separate noise, drift and the response to the voltage.
-
-    Parameters
-    ----------
-    repeats : int
-        How often the waveform is played.
     """
     voltage_v = diagnostic_block(limits)
     return fitting(

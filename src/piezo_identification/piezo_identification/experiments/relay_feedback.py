@@ -132,13 +132,7 @@ class RelayRun:
         return min(1.0, len(self._means_um) / self._experiment.ticks)
 
     def take(self, displacement_um: FloatArray) -> float:
-        """Take the samples of the next tick.
-
-        Returns
-        -------
-        feedback_v : float
-            Output of the relay; zero until the feedforward has ended.
-        """
+        """Take the samples of the next tick; return the output, 0 V during the feedforward."""
         experiment = self._experiment
         mean_um = float(np.mean(displacement_um))
         self._means_um.append(mean_um)

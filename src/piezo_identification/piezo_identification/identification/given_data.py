@@ -31,12 +31,7 @@ def given_data(
     creep: Recordings | None, dynamics: Recordings | FrequencyResponse | None,
     hysteresis: Recordings | None, validation: Recording | None,
 ) -> dict[str, Data]:
-    """Return the given data by name.
-
-    Returns
-    -------
-    dict of str to Recording or FrequencyResponse
-        Data by the name of the experiment; further ones are numbered: creep, creep 2.
+    """Return the given data by name of the experiment; further ones are numbered: creep, creep 2.
 
     Raises
     ------
@@ -87,14 +82,7 @@ def conditioned_data(given: Mapping[str, Data], note: Callable[[str], object],
 
 
 def without_gaps(recordings: Mapping[str, Data]) -> dict[str, Data]:
-    """Cut recordings at their gaps.
-
-    Returns
-    -------
-    dict of str to Recording or FrequencyResponse
-        Each stretch is a separate recording; recordings without gaps are not changed. Short
-        stretches of the validation are omitted.
-    """
+    """Cut recordings at their gaps, each stretch being a recording; omit a short validation."""
     result: dict[str, Data] = {}
     for name in dict.fromkeys(map(experiment_of, recordings)):
         stretches: list[Any] = []
@@ -144,10 +132,7 @@ def aligned(
 ) -> dict[str, Data]:
     """Align the rows of recordings whose displacements are read late; means are not changed.
 
-    Parameters
-    ----------
-    read_at_samples : float or dict of str to float
-        Instant at which rows are read, in sample periods after their voltage; by name, or common.
+    The instants, by name or common, are in sample periods after the voltage.
     """
     read_at = read_at_samples if isinstance(read_at_samples, Mapping) else dict.fromkeys(
         recordings, read_at_samples)

@@ -32,17 +32,18 @@ from piezo_identification.estimators.frequency_response.response_model import (
     ResponseOrder,
 )
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
-from piezo_identification.identification.estimated_loops import estimate_loops, new_loops
+from piezo_identification.identification.estimated_loops import (
+    CHOSEN_BY_DATA,
+    DensityOptions,
+    estimate_loops,
+    new_loops,
+)
 from piezo_identification.identification.given_data import (
     Data,
     aligned,
     conditioned_data,
     given_data,
     of_kind,
-)
-from piezo_identification.identification.given_hysteresis import (
-    CHOSEN_BY_DATA,
-    DensityOptions,
 )
 from piezo_identification.identification.linear_dynamics import (
     SECOND_PASS,
@@ -53,14 +54,8 @@ from piezo_identification.identification.linear_dynamics import (
 )
 from piezo_identification.identification.notes import Detail, Implausible
 from piezo_identification.identification.one_fit import fitted_together, reliable
-from piezo_identification.identification.progress import (
-    IdentificationCancelled,
-    Stages,
-)
-from piezo_identification.identification.recorded_hum import (
-    hum_of_each,
-    without_hum,
-)
+from piezo_identification.identification.progress import IdentificationCancelled, Stages
+from piezo_identification.identification.recorded_hum import hum_of_each, without_hum
 from piezo_identification.identification.row_delays import (
     delays_of_rows_s,
     found_readings,
@@ -284,10 +279,7 @@ def report_starts(recordings: Mapping[str, Data], cycled: Mapping[str, Data],
                   note: Callable[[str], object]) -> None:
     """Report the initial state of each recording, and how it is handled.
 
-    Parameters
-    ----------
-    cycled : dict of str to Recording or FrequencyResponse
-        The recordings as if the stage had been cycled before each of them.
+    The `cycled` recordings are those as if the stage had been cycled before each of them.
     """
     for name, data in recordings.items():
         if isinstance(data, FrequencyResponse):
@@ -335,13 +327,7 @@ def identified_model(
     fitted: FittedModel, errors: dict[str, Any], given: Mapping[str, Data],
     rows: Mapping[str, RowDelay],
 ) -> IdentifiedModel:
-    """Return the model with its voltage range, its errors, and its recordings.
-
-    Parameters
-    ----------
-    given : dict of str to Recording or FrequencyResponse
-        Recordings as read from their files.
-    """
+    """Return the model with its voltage range, its errors, and its recordings as read."""
     hysteresis = fitted.model.hysteresis
     return IdentifiedModel(
         model=fitted.model,

@@ -16,11 +16,7 @@ from piezo_identification.conditioning.row_alignment import (
     reading_at_jumps,
     rows_read_at_start,
 )
-from piezo_identification.conditioning.settling import (
-    SlowDynamics,
-    slow_delay_s,
-    slow_dynamics,
-)
+from piezo_identification.conditioning.settling import SlowDynamics, slow_delay_s, slow_dynamics
 from piezo_identification.conditioning.waveforms import has_holds, played, square_part, two_levels
 from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep

@@ -16,10 +16,7 @@ class Implausible(str):
 class Detail(str):
     """A sentence or table on how a result was found, which programs may leave out.
 
-    Attributes
-    ----------
-    plot : callable or None
-        Draws the table.
+    The function `plot`, if there is one, draws the table.
     """
 
     plot: "Callable[[], Figure] | None"

@@ -27,12 +27,7 @@ from piezo_identification.fitting.structure_search import (
     is_better,
     searched,
 )
-from piezo_identification.fitting.whole_model import (
-    NARROW_PRIOR,
-    WIDE_PRIOR,
-    WholeFit,
-    WholeModel,
-)
+from piezo_identification.fitting.whole_model import NARROW_PRIOR, WIDE_PRIOR, WholeFit, WholeModel
 from piezo_identification.identification.given_data import Data
 from piezo_identification.identification.linear_dynamics import FittedModel
 from piezo_identification.identification.notes import Detail
@@ -309,11 +304,7 @@ def reliable(uncertainties: Mapping[str, Any], adequacy: Mapping[str, Mapping[st
     Systematic errors of an adequate component are small, but do not average out over periods as
     noise does. The deviations of the parts that it affects are multiplied by its residual over the
     noise in the same samples. Those of parts that an inadequate component affects are omitted.
-
-    Parameters
-    ----------
-    is_response : bool
-        The dynamics come from a frequency response, which loops do not affect.
+    Loops do not affect dynamics from a frequency response.
     """
     factors = dict.fromkeys(("creep", "dynamics", "effects"), 1.0)
     for name, each in adequacy.items():

@@ -7,6 +7,7 @@ import os
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+from piezo_common.text_file import replace_json
 from piezo_identification.diagnosis.report.diagnosis_results import diagnose_files
 from piezo_identification.monitoring.changed_parameters import changed_parameters
 from piezo_models.model_file import load_model, save_model
@@ -121,10 +122,7 @@ def _work(model: str, recording: str, directory: str, usual_rms_um: float) -> No
         explanation = explain_change(model, recording, directory, usual_rms_um)
     except ValueError as error:
         explanation = ChangeExplanation(f"the change cannot be diagnosed: {error}")
-    result = Path(directory, RESULT)
-    complete = result.with_suffix(".part")
-    complete.write_text(json.dumps(asdict(explanation), indent=1), encoding="utf-8")
-    os.replace(complete, result)
+    replace_json(Path(directory, RESULT), asdict(explanation))
 
 
 def _explains(before_um: float, after_um: float, usual_um: float) -> bool:

@@ -8,11 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.monitoring.model_monitor import (
-    ModelMonitor,
-    MonitorSettings,
-    Suspicion,
-)
+from piezo_identification.monitoring.model_monitor import ModelMonitor, MonitorSettings, Suspicion
 from piezo_identification.monitoring.usual_error import KnownError
 from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording

@@ -26,11 +26,8 @@ def check_page(
 ) -> str:
     """Return the page of one check or several as HTML.
 
-    Parameters
-    ----------
-    checks : sequence of (str, RecordingCheck, dict of str to Suitability, Figure)
-        Title of the recording, its measured properties, its suitability for each experiment, and
-        its figure from `check_figure`.
+    Each has the title of the recording, what was measured, its suitability for each experiment, and
+    its figure from `check_figure`.
     """
     count = len(checks)
     title = (checks[0][0] + ": " + suitability_sentence(checks[0][2])) if count == 1 else (

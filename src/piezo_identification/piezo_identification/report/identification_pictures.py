@@ -7,14 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from piezo_common.arrays import ComplexArray, FloatArray, IntArray
-from piezo_common.picture_style import (
-    BLACK,
-    MEASURED,
-    MODELLED,
-    label,
-    new_figure,
-    plain_numbers,
-)
+from piezo_common.picture_style import BLACK, MEASURED, MODELLED, label, new_figure, plain_numbers
 from piezo_common.report_page import Picture, pictured
 from piezo_identification.adequacy.component_residual import ComponentResidual
 from piezo_identification.adequacy.lack_of_fit import LackOfFit
@@ -23,9 +16,8 @@ from piezo_identification.report import signal_pictures as signals
 from piezo_identification.report.component_evidence import ComponentEvidence
 from piezo_models.cascade import StageModel
 from piezo_models.identified_model import IdentifiedModel
-from piezo_models.model_pictures import density_on, drawn_frequencies
+from piezo_models.model_pictures import density_on, draw_bode, drawn_frequencies
 from piezo_models.model_summary import visited_fraction
-from piezo_models.response_band import draw_bode
 
 FIT_HEIGHT_IN = 6.4
 """Height of the figure of a fit, about that of the two figures next to it."""
@@ -139,15 +131,10 @@ def density_picture(identified: IdentifiedModel) -> Picture:
 def _measured_response(
     model: StageModel, residual: ComponentResidual, fit: LackOfFit,
 ) -> tuple[FloatArray, ComplexArray]:
-    """Return the measured response of the linear part of a model.
+    """Return frequencies, (M,), and the measured response, (M,), of the linear part of a model.
 
     It is the response of the model times the response from fitted to measured displacement. It is
     thus valid for any waveform; offset and gain of the hysteresis are those of the fit.
-
-    Returns
-    -------
-    frequency_hz : ndarray, shape (M,)
-    response : ndarray of complex, shape (M,)
     """
     fitted_um = residual.measured_um - residual.residual_um
     frequency_hz: FloatArray
@@ -186,14 +173,9 @@ def _thinned(frequency_hz: FloatArray) -> IntArray:
 
 def _shown_frequencies(model: StageModel, sample_period_s: float | None,
                       measured_hz: FloatArray | None) -> FloatArray:
-    """Return the frequencies of a Bode diagram of a model and a measurement.
+    """Return the frequencies of a Bode diagram of a model, including those of a measurement.
 
-    Parameters
-    ----------
-    sample_period_s : float or None
-        Sample period of the fast recording; half its sample rate is the highest frequency.
-    measured_hz : ndarray or None
-        Measured frequencies that the range must include.
+    Half the sample rate of the fast recording, if there is one, is the highest frequency.
     """
     low, high = drawn_frequencies(model)[[0, -1]]
     if measured_hz is not None and measured_hz.size:

@@ -49,12 +49,7 @@ def draw_difference(axes: Axes, view: WaveformView, difference_um: FloatArray,
                     noise_um: float | None, deviation_um: FloatArray | None = None) -> None:
     """Draw the residual of a model with bands of two standard deviations of noise and model.
 
-    Parameters
-    ----------
-    noise_um : float or None
-        Standard deviation of a single sample; it is reduced for a mean period.
-    deviation_um : ndarray, shape (N,), optional
-        Standard deviation of the modelled displacement; not drawn if it is 0 throughout.
+    The noise is reduced for a mean period. The deviation of the model is not drawn if it is 0.
     """
     if deviation_um is not None and deviation_um.any():
         band_nm = NANOMETRES * BAND * view.mean(deviation_um)
@@ -128,14 +123,9 @@ def loops_figure(height_in: float, voltage_v: FloatArray, measured_um: FloatArra
 
 def draw_creep(above: Axes, below: Axes, steps: NDArray[np.intp], voltage_v: FloatArray,
                measured_um: FloatArray, modelled_um: FloatArray, sample_period_s: float) -> None:
-    """Draw the mean creep after the steps of a voltage over the logarithm of time.
+    """Draw the mean creep after steps, and the residual, over the logarithm of time.
 
-    Parameters
-    ----------
-    above, below : matplotlib.axes.Axes
-        Axes for the creep and for the residual of the model.
-    steps : ndarray of int
-        Samples of the steps, at least one.
+    There is at least one step, given by the number of its sample.
     """
     since_s, (measured, modelled), count = mean_hold(
         steps, voltage_v, (measured_um, modelled_um), sample_period_s)
@@ -162,13 +152,7 @@ def draw_step_response(axes: Axes, response: FloatArray, sample_period_s: float)
 
 def draw_gain(axes: Axes, voltage_v: FloatArray, measured_um: FloatArray, sample_period_s: float,
               modelled_um: FloatArray | None = None) -> None:
-    """Draw the gain from voltage to displacement at the excited frequencies.
-
-    Parameters
-    ----------
-    modelled_um : ndarray, shape (N,), optional
-        Displacement of a model for the same voltage.
-    """
+    """Draw the gain from voltage to displacement, also of a model, at the excited frequencies."""
     of_measured = ALONE if modelled_um is None else MEASURED
     for values, style in ((measured_um, of_measured), (modelled_um, MODELLED)):
         if values is not None:
@@ -192,17 +176,9 @@ def draw_coherence(axes: Axes, voltage_v: FloatArray, measured_um: FloatArray,
 
 
 def smoothed(frequency_hz: FloatArray, power: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Average a dense spectrum in cells of equal width in log frequency.
+    """Average a spectrum, (F,), without zero frequency, in cells of equal width in log frequency.
 
-    Parameters
-    ----------
-    frequency_hz, power : ndarray, shape (F,)
-        Spectrum without zero frequency.
-
-    Returns
-    -------
-    frequency_hz, power : ndarray, shape (M,)
-        Averaged spectrum; unchanged if it has no more lines than cells.
+    It is unchanged if it has no more lines than cells.
     """
     if frequency_hz.size <= SPECTRUM_CELLS:
         return frequency_hz, power
@@ -218,13 +194,7 @@ def smoothed(frequency_hz: FloatArray, power: FloatArray) -> tuple[FloatArray, F
 
 def picture_over_frequency(name: str, residual_um: FloatArray, measured_um: FloatArray,
                            sample_period_s: float, noise_um: float, source: str) -> Picture:
-    """Return the spectral densities of residual, displacement and white noise.
-
-    Parameters
-    ----------
-    source : str
-        Words that say how large the noise is.
-    """
+    """Return the spectral densities of residual, displacement and white noise from some source."""
     figure = new_figure(3.4)
     axes = figure.subplots()
     segment = min(residual_um.size, max(256, residual_um.size // 8), 8192)

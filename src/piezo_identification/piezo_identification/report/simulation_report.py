@@ -20,12 +20,8 @@ def simulation_page(prediction: Prediction, origin: Sequence[str], texts: Sequen
                     deviation_um: FloatArray | None = None) -> str:
     """Return the page of a simulation as HTML.
 
-    Parameters
-    ----------
-    origin : sequence of str
-        Lines that name the files of model and recording.
-    texts : sequence of str
-        Remarks on the start, on outliers, and on motion outside the identified range.
+    `origin` names the files of model and recording; `texts` are remarks on the start, on outliers,
+    and on motion outside the identified range.
     """
     noise_um = noise_of(prediction)
     residual_um = residual_of(prediction)[prediction.good]
@@ -65,10 +61,7 @@ def displacement_figure(prediction: Prediction, deviation_um: FloatArray | None 
                         noise_um: float | None = None) -> Figure:
     """Draw measured and simulated displacement and the residual, by the kind of waveform.
 
-    Parameters
-    ----------
-    deviation_um : ndarray, shape (N,), optional
-        Standard deviation of the simulated displacement, drawn as a band of twice its size.
+    The standard deviation of the simulation, (N,), is drawn as a band of twice its size.
     """
     view = view_of(prediction.voltage_v, _sample_period_s(prediction))
     figure = signals.time_figure(

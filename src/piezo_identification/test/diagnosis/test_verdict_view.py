@@ -3,7 +3,7 @@
 
 import pytest
 
-from piezo_identification.diagnosis.comparison.undecided import Reason, Undecided
+from piezo_identification.diagnosis.comparison.criteria import Reason, Undecided
 from piezo_identification.diagnosis.verdict import Verdict, extended_model
 from piezo_models import CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel
 from piezo_models.identified_model import IdentifiedModel

@@ -77,10 +77,7 @@ __all__ = [
 def known_effects() -> dict[str, type[Effect]]:
     """Return all effects by name, those of this package first.
 
-    Raises
-    ------
-    ValueError
-        If two have the same name, or one of another package cannot be imported.
+    Raises ValueError if two have the same name, or one of another package cannot be imported.
 
     Examples
     --------

@@ -26,7 +26,6 @@ class StateRunner:
         returns the new state, a tuple. With normals, an array of them follows the samples.
     at_rest : callable
         Returns the state and the output at a constant input.
-    constants : tuple
     normals : NormalStream, optional
         Standard normal numbers, one for each sample.
     """

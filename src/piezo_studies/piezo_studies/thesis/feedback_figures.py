@@ -6,8 +6,8 @@ import numpy as np
 from piezo_common.picture_style import CURVES, label, new_figure
 from piezo_controller.feedback.feedback_design import design_feedback
 from piezo_controller.feedback.loop_measures import loop_responses
-from piezo_controller.feedback.loop_rules import choose_rates
 from piezo_controller.feedback.robustness import plant_errors
+from piezo_controller.feedback.stage_design import choose_rates
 from piezo_controller.feedback.synthesis.generalised_plant import design_plant
 from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_controller.feedback.synthesis.ziegler_nichols import ultimate_point_by_relay

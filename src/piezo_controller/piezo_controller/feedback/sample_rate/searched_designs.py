@@ -61,21 +61,8 @@ def design_by(method: str, model: StageModel, demands: Demands, clock_period_s: 
               effort: float = 1.0) -> FeedbackController:
     """Design a feedback that the stage evaluates at every sample by a method of `METHODS`.
 
-    Parameters
-    ----------
-    clock_period_s, effort
-        See `design_at_sample_rate`.
-
-    Returns
-    -------
-    FeedbackController
-        See `measured_design`; its report also holds the ``numbers`` of the family, and for
-        ``h_infinity`` ``gamma`` and ``mu``.
-
-    Raises
-    ------
-    UnstableLoop, ValueError
-        See `design_at_sample_rate`.
+    For the arguments and errors see `design_at_sample_rate`. The report of `measured_design` also
+    holds the ``numbers`` of the family, and for ``h_infinity`` ``gamma`` and ``mu``.
     """
     if method == METHOD:
         return design_at_sample_rate(model, demands, clock_period_s, effort)

@@ -111,17 +111,10 @@ class DesignWeights(Document):
 
 
 def load_weights(path: str | Path = DEFAULT_WEIGHTS) -> DesignWeights:
-    """Read a weights file.
+    """Read a weights file (YAML), or built-in weights by their name, ``default`` or ``thesis``.
 
-    Parameters
-    ----------
-    path : path-like
-        YAML file, or the name of built-in weights: ``default`` or ``thesis``.
-
-    Raises
-    ------
-    WeightsError
-        If the file is not valid; the message names the file, the entry and what it should be.
+    Raises `WeightsError` if the file is not valid; the message names the file, the entry and what
+    it should be.
     """
     built_in = BUILT_IN.get(str(path))
     try:

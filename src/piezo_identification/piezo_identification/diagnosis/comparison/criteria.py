@@ -7,6 +7,7 @@ Instead, fits are compared on held-out data, with a penalty for every fitted par
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
@@ -110,10 +111,7 @@ def is_noise(regression: Regression, fit: Fit) -> bool:
 def is_convincing(regression: Regression, start: Fit, before: Fit, after: Fit) -> bool:
     """Return whether a fit is better than another both significantly and noticeably.
 
-    Parameters
-    ----------
-    start : Fit
-        Fit without any effect.
+    `start` is the fit without any effect.
     """
     residual = np.sqrt(mean_square(regression, start))
     least = max(CRITERIA.noticeable, CRITERIA.noticeable_share * residual)
@@ -131,12 +129,7 @@ def is_indistinguishable(regression: Regression, best: Fit, other: Fit,
     """Return whether the data cannot distinguish a set of effects from the best one.
 
     The residual of the best set beyond the noise shows the accuracy of its prediction: sets that
-    differ by less cannot be distinguished.
-
-    Parameters
-    ----------
-    distinguished : float
-        Standard deviations by which the best set must be better.
+    differ by less, or by less than `distinguished` standard deviations, cannot be distinguished.
     """
     return bool(distance(regression, other, best) < _remaining(regression, best)
                 or significance(regression, other, best) < distinguished)
@@ -181,3 +174,27 @@ def simplest_first(regression: Regression, fits: list[Fit]) -> list[Fit]:
 def _remaining(regression: Regression, fit: Fit) -> float:
     """Return the RMS residual beyond the noise on held-out data, in tolerances."""
     return np.sqrt(max(CRITERIA.noticeable**2, lack_of_fit(regression, fit)))
+
+
+class Reason(StrEnum):
+    """Kind of reason, for use by programs; users read the sentence."""
+
+    NOT_EXCITED = "not excited"
+    IMPOSSIBLE = "impossible"
+    SAME_AS_OTHER_PARAMETERS = "same as other parameters"
+    LIKE_ANOTHER = "like another effect"
+    WORSE_ON_HELD_OUT = "worse on held-out data"
+
+
+@dataclass(frozen=True)
+class Undecided:
+    """A reason with its sentence."""
+
+    reason: Reason
+
+    sentence: str
+    """Sentence without its end."""
+
+
+OTHER_PARAMETERS = Undecided(Reason.SAME_AS_OTHER_PARAMETERS,
+                             "here a model with slightly other parameters does the same")

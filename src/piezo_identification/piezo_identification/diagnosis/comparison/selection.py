@@ -13,9 +13,13 @@ from piezo_common.side_by_side import side_by_side
 from piezo_identification.analysis.error_distortion import excluded_by_distortion
 from piezo_identification.diagnosis.comparison.criteria import (
     CRITERIA,
+    OTHER_PARAMETERS,
+    Reason,
+    Undecided,
     alternatives,
     distance,
     is_convincing,
+    is_indistinguishable,
     is_noise,
     lack_of_fit,
     mean_square,
@@ -24,14 +28,6 @@ from piezo_identification.diagnosis.comparison.criteria import (
     simplest_first,
     visible_part,
 )
-from piezo_identification.diagnosis.comparison.undecided import (
-    OTHER_PARAMETERS,
-    Reason,
-    Undecided,
-    explained_by_parameters,
-    in_place_of_the_found,
-    like_the_best,
-)
 from piezo_identification.fitting.effect_fit import fit_effects, fit_one_more, impossible_effects
 from piezo_identification.fitting.recording_evidence import recording_evidence
 from piezo_identification.fitting.regression import (
@@ -39,6 +35,7 @@ from piezo_identification.fitting.regression import (
     Regression,
     fit_without_effects,
     reweighted,
+    with_fixed_parameters,
 )
 from piezo_models.effects import Effect, Evidence, known_effects
 from piezo_models.effects.outliers import Outliers
@@ -101,6 +98,10 @@ MOST_EFFECTS = 3
 STUCK = 0.7
 """Ratio of the lack of fit after and before a round above which the search ends."""
 
+AS_GOOD = 2.0
+"""Largest lack of fit of a cause that is equivalent to a change of the model's parameters, relative
+to that with free parameters. If it is no larger with fixed parameters, no cause is sought."""
+
 
 @dataclass(frozen=True, eq=False)
 class Selection:
@@ -126,19 +127,19 @@ class Selection:
     """True if the comparison was ended by Ctrl-C or the time limit: more effects may be missing,
     and some of those found may not be needed."""
 
+    @property
+    def residual_um(self) -> float:
+        """Return the RMS residual on the validation set, including noise."""
+        return self.regression.residual_um(self.end)
 
-def select_effects(regression: Regression, progress: Progress | None = None,
+
+def select_effects(regression: Regression, progress: Progress,
                    share: float = SEARCH) -> Selection:
     """Compare sets of the known effects on held-out data, and select the best.
 
     Every round adds each candidate to each of the few best sets of the round before, and fits the
     best of the larger sets as a whole. The larger set must be convincingly better than the best
-    smaller one.
-
-    Parameters
-    ----------
-    share : float
-        Share of the time limit after which the best result so far is returned.
+    smaller one. After a share of the time limit, the best result so far is returned.
     """
     kinds = [kind for kind in known_effects().values() if kind is not Outliers]
     excluded = excluded_by_distortion(regression.dataset.simulated, kinds)
@@ -194,15 +195,8 @@ def select_effects(regression: Regression, progress: Progress | None = None,
         regression, start, best, rounds, indistinguishable, not_shown, tuple(others), parts)
 
 
-def residual_rms_um(selection: Selection) -> float:
-    """Return the RMS residual of a selection on the validation set, including noise."""
-    return selection.regression.residual_um(selection.end)
-
-
-def _share_of(progress: Progress | None, begun: float, share: float) -> Progress:
+def _share_of(progress: Progress, begun: float, share: float) -> Progress:
     """Report the progress of a part of the rounds."""
-    if progress is None:
-        return lambda name, fraction: None
     return lambda name, fraction: progress(
         f"effect {int(begun) + 1}: {name}",
         (begun + share * fraction) / MOST_EFFECTS)
@@ -242,3 +236,60 @@ def _parts(regression: Regression, best: Fit) -> tuple[Fit, ...]:
     smaller = [effects for size in range(len(best.effects) - 1, 0, -1)
                for effects in combinations(best.effects, size)]
     return tuple(side_by_side(lambda effects: fit_effects(regression, effects), smaller))
+
+
+def like_the_best(regression: Regression, fits: Sequence[Fit]) -> dict[str, str]:
+    """Return effects of fits that are equivalent to the first, best one, and what they replace."""
+    best = fits[0]
+    found: dict[str, str] = {}
+    names = [effect.name for effect in best.effects]
+    for other in fits[1:]:
+        if is_indistinguishable(regression, best, other):
+            others = [effect.name for effect in other.effects]
+            missing = [name for name in names if name not in others]
+            found |= {name: missing[0] for name in others if name not in names and missing}
+    return found
+
+
+def in_place_of_the_found(regression: Regression, kinds: Sequence[type[Effect]],
+                          best: Fit) -> dict[str, tuple[str, Fit]]:
+    """Try to replace the effects found by effects declared as indistinguishable from them.
+
+    Return, by name of each equivalent effect, the effect that it replaces and the fit with it.
+    """
+    tried = [
+        (number, kind) for number, effect in enumerate(best.effects) for kind in kinds
+        if kind.is_confounded_with(type(effect))
+        and kind.name not in {other.name for other in best.without(number)}]
+
+    def in_place(entry: tuple[int, type[Effect]]) -> Fit | None:
+        number, kind = entry
+        others = best.without(number)
+        fit = fit_one_more(regression, kind, others, recording_evidence(regression, others))
+        whole = fit and fit_effects(regression, fit.effects)
+        return whole if whole and is_indistinguishable(regression, best, whole) else None
+
+    return {kind.name: (best.effects[number].name, whole)
+            for (number, kind), whole in zip(tried, side_by_side(in_place, tried), strict=True)
+            if whole}
+
+
+def explained_by_parameters(regression: Regression, kinds: Sequence[type[Effect]],
+                            best: Fit) -> dict[str, Undecided]:
+    """Return the effects that alone explain what the model's parameters explain, and why."""
+    fixed = with_fixed_parameters(regression, best.effects)
+    remaining = max(CRITERIA.noise**2, lack_of_fit(regression, best))
+    if lack_of_fit(fixed, fixed.fit(best.effects)) <= AS_GOOD * remaining:
+        return {}
+    evidence = recording_evidence(fixed, best.effects)
+    present = {effect.name for effect in best.effects}
+
+    def does_as_well(kind: type[Effect]) -> bool:
+        if kind.name in present or all(map(kind.lacks_excitation, evidence)):
+            return False
+        fit = fit_one_more(fixed, kind, best.effects, evidence)
+        return fit is not None and lack_of_fit(fixed, fit) <= AS_GOOD * remaining
+
+    as_well = side_by_side(does_as_well, kinds)
+    return {kind.name: OTHER_PARAMETERS
+            for kind, is_enough in zip(kinds, as_well, strict=True) if is_enough}

@@ -9,7 +9,7 @@ import numpy as np
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.conditioning.outlier_samples import outlier_text
 from piezo_identification.conditioning.waveforms import played
-from piezo_identification.diagnosis.comparison.undecided import Reason, Undecided
+from piezo_identification.diagnosis.comparison.criteria import Reason, Undecided
 from piezo_identification.fitting.effect_fit import fit_effects, impossible_effects
 from piezo_identification.fitting.model_weights import HeldOut, Remainder
 from piezo_identification.fitting.regression import Fit, Regression
@@ -95,11 +95,7 @@ class Validation:
     def remainders(self, fit: Fit) -> list[Remainder]:
         """Return the residual of a fit for each diagnosed recording and for the held-out one.
 
-        Parameters
-        ----------
-        fit : Fit
-            If it has no effect, the given model is used for the held-out recording if that reduces
-            the error.
+        For a fit without effects, that of the given model is used for the latter if it is smaller.
         """
         regression, dataset = self.regression, self.regression.dataset
         residual_um = fit.residual * regression.tolerance_um

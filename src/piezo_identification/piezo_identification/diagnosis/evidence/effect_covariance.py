@@ -72,10 +72,7 @@ def with_model_errors(regression: Regression, fit: Fit) -> Fit:
 def derivatives(regression: Regression, fit: Fit) -> FloatArray:
     """Return the derivatives of the difference by the fitted values, without the regressors.
 
-    Returns
-    -------
-    (n + p, m) array
-        Rows as in `Regression.remainder`.
+    They have the shape (n + p, m), with rows as in `Regression.remainder`.
     """
     columns = []
     for number, effect in enumerate(fit.effects):

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import irfft, next_fast_len, prev_fast_len, rfft
-from scipy.signal import csd, welch
+from scipy.fft import prev_fast_len
+from scipy.signal import correlate, csd, welch
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.waveforms import turning_points
@@ -84,9 +84,7 @@ def input_correlation(residual_um: FloatArray, input: FloatArray) -> Correlation
 def _whitened(signal: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Make a signal white by an autoregressive filter; return it, and the filter."""
     order = SETTINGS.whitening_order
-    lagged = np.column_stack(
-        [signal[order - lag : signal.size - lag] for lag in range(1, order + 1)]
-    )
+    lagged = np.lib.stride_tricks.sliding_window_view(signal, order + 1)[:, -2::-1]
     weights = np.linalg.lstsq(lagged, signal[order:], rcond=1e-10)[0]
     coefficients = np.concatenate([[1.0], -weights])
     return np.convolve(signal, coefficients, mode="valid"), coefficients
@@ -129,13 +127,7 @@ class ErrorResponse:
 
 def error_response(residual_um: FloatArray, displacement_um: FloatArray,
                    sample_period_s: float) -> ErrorResponse:
-    """Estimate how the residual depends on the model's displacement at each frequency.
-
-    Parameters
-    ----------
-    residual_um, displacement_um : (N,) array
-        Measured minus simulated displacement, and simulated displacement.
-    """
+    """Estimate how a residual depends on the model's displacement, both (N,), at each frequency."""
     segment = _segment(displacement_um.size)
     options = {"fs": 1.0 / sample_period_s, "nperseg": segment, "detrend": "linear"}
     frequency_hz, cross = csd(displacement_um, residual_um, **options)
@@ -221,10 +213,7 @@ def _correlated_samples(residual_um: FloatArray) -> float:
     energy = residual @ residual
     if energy == 0.0:
         return 1.0
-    # A length with large prime factors takes ten times as long.
-    padded = next_fast_len(2 * residual.size, real=True)
-    power = np.abs(rfft(residual, padded)) ** 2
-    correlation = irfft(power, padded)[: residual.size] / energy
+    correlation = correlate(residual, residual, method="fft")[residual.size - 1 :] / energy
     below = np.flatnonzero(correlation < 0.05)
     end = int(below[0]) if below.size else residual.size
     return float(max(1.0, 1.0 + 2.0 * np.sum(correlation[1:end])))

@@ -9,8 +9,13 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_common.side_by_side import side_by_side
-from piezo_identification.diagnosis.comparison.undecided import Reason
-from piezo_identification.diagnosis.joint.alternatives import Appearance, continued, evidence_of
+from piezo_identification.diagnosis.comparison.criteria import Reason
+from piezo_identification.diagnosis.joint.alternatives import (
+    Alternative,
+    Appearance,
+    alternative_of,
+    continued,
+)
 from piezo_identification.diagnosis.joint.probabilities import (
     ALTERNATIVE,
     NONE,
@@ -39,14 +44,8 @@ Effects = tuple[Effect, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class Alternative:
+class WeighedAlternative(Alternative):
     """A set of effects, estimated with the model on all recordings together."""
-
-    name: str
-    """Names of the effects joined by +, or "none"."""
-    effects: Effects
-    """Effects without those that the model already had."""
-    fit: JointFit
 
     probability: float
     """Probability from the recordings so far; the sum over all listed alternatives is less than one
@@ -56,12 +55,22 @@ class Alternative:
     fitted parameters of the effects, (p, p): a change x costs ``|information x|^2`` in standard
     deviations."""
 
+    @property
+    def name(self) -> str:
+        """Return the names of the effects joined by +, or "none"."""
+        return self.evidence.label
+
+    @property
+    def effects(self) -> Effects:
+        """Return the effects without those that the model already had."""
+        return self.fit.effects[len(self.fit.effects) - len(self.names) :]
+
 
 @dataclass(frozen=True, eq=False)
 class Alternatives:
     """The alternatives, and the errors to expect in the next recording."""
 
-    alternatives: tuple[Alternative, ...]
+    alternatives: tuple[WeighedAlternative, ...]
     """Alternatives, the most probable first."""
     problem: JointProblem
     """Problem with the recordings so far and those of the identification."""
@@ -171,10 +180,7 @@ def _fit(problem: JointProblem, sets: Mapping[str, Effects], was_there: bool,
 def without_idle(fits: Mapping[str, JointFit], own: int) -> dict[str, JointFit]:
     """Omit sets in which an effect changes nothing, and which are equal to the set without it.
 
-    Parameters
-    ----------
-    own : int
-        Number of effects of the model itself, which come first in every fit.
+    The effects of the model itself, of which there are `own`, come first in every fit.
     """
     def is_another(fit: JointFit) -> bool:
         whole = fit.regression.difference(fit.effects)
@@ -191,19 +197,18 @@ def without_idle(fits: Mapping[str, JointFit], own: int) -> dict[str, JointFit]:
 def _weighed(problem: JointProblem, fitted: Mapping[str, JointFit],
              stated_um: float) -> Alternatives:
     """Calculate the probabilities of the fits."""
-    own = len(problem.own)
-    roots = {name: _information(fit) for name, fit in fitted.items()}
-    evidence = {name: evidence_of(name, fit) for name, fit in fitted.items()}
-    chances = dict(zip(fitted, listed_probabilities(
-        list(evidence.values()), expected_errors(
-            problem.dataset, problem.noise.noise_um, stated_um)).tolist(),
-        strict=True))
+    compared = [alternative_of(
+        [] if name == NONE else name.split("+"), fit, bool(fit.later))
+        for name, fit in fitted.items()]
+    chances = listed_probabilities([each.evidence for each in compared], expected_errors(
+        problem.dataset, problem.noise.noise_um, stated_um)).tolist()
     alternatives = sorted(
-        (Alternative(name, fit.effects[own:], fit, chances[name], roots[name])
-         for name, fit in fitted.items() if chances[name] >= ALTERNATIVE),
+        (WeighedAlternative(each.names, each.since, each.fit, each.evidence, chance,
+                            _information(each.fit))
+         for each, chance in zip(compared, chances, strict=True) if chance >= ALTERNATIVE),
         key=lambda alternative: -alternative.probability)
     return Alternatives(tuple(alternatives), problem,
-                        *_errors(problem, evidence[alternatives[0].name].held_out))
+                        *_errors(problem, alternatives[0].evidence.held_out))
 
 
 def _errors(problem: JointProblem, residuals: Sequence[HeldOut]) -> tuple[float, float]:
@@ -271,17 +276,7 @@ def _probable(regression: Regression, found: Effects,
 
 def sensitivities(simulate: Callable[..., FloatArray],
                   effects: tuple[Effect, ...]) -> FloatArray:
-    """Return the change of a simulation with each fitted parameter of some effects.
-
-    Parameters
-    ----------
-    simulate : callable
-        Returns an array of shape (N,) for given effects.
-
-    Returns
-    -------
-    (N, p) array
-    """
+    """Return the change of a simulation, (N,), with each fitted parameter of effects, (N, p)."""
     middle, columns = simulate(effects), []
     for number, effect in enumerate(effects):
         values, low, high = fitted_values(effect)

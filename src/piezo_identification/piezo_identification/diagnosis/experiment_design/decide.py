@@ -16,7 +16,7 @@ from piezo_identification.diagnosis.diagnose import (
     diagnose,
     hold_to_noise,
 )
-from piezo_identification.diagnosis.evidence.found_outliers import found_outliers
+from piezo_identification.diagnosis.evidence.effect_entries import found_outliers
 from piezo_identification.diagnosis.evidence.known_noise import KnownNoise
 from piezo_identification.diagnosis.experiment_design.alternative_explanations import (
     Alternatives,
@@ -24,8 +24,7 @@ from piezo_identification.diagnosis.experiment_design.alternative_explanations i
 )
 from piezo_identification.diagnosis.experiment_design.expected_outcome import SURE
 from piezo_identification.diagnosis.experiment_design.propose import LONGEST_S, Proposal, propose
-from piezo_identification.diagnosis.joint.alternatives import Alternative as Competitor
-from piezo_identification.diagnosis.joint.alternatives import Appearance, evidence_of
+from piezo_identification.diagnosis.joint.alternatives import Appearance
 from piezo_identification.diagnosis.joint.competition import (
     Competition,
     probabilities_of_named,
@@ -38,10 +37,7 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
 from piezo_identification.diagnosis.joint.probabilities import BELIEVED, SOMETHING_ELSE
 from piezo_identification.experiments.stage_limits import USUAL_LIMITS, StageLimits
 from piezo_identification.fitting.dataset import simulate_recordings
-from piezo_identification.fitting.regression import (
-    first_regression,
-    fit_without_effects,
-)
+from piezo_identification.fitting.regression import first_regression, fit_without_effects
 from piezo_models.cascade import StageModel
 from piezo_models.effects.outliers import Outliers
 from piezo_recorder.reading.recording import Recording
@@ -104,20 +100,7 @@ def decide(model: StageModel, recordings: Sequence[Recording], play: Play, budge
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from piezo_models import (
-    ...     CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel)
-    >>> from piezo_recorder import recording_of
-    >>> line = PreisachModel.line(0.0, 10.0, 2.0)
-    >>> time_s = 0.01 * np.arange(500)
-    >>> voltage_v = 5.0 - 5.0 * np.cos(3.0 * time_s)
-    >>> stage, model = (StageModel(line, CreepDynamics(), ElectricVibrationDynamics(lag_s))
-    ...                 for lag_s in (0.02, 0.0))
-    >>> noise_um = np.random.default_rng(0).normal(0.0, 0.01, 500)
-    >>> recording = recording_of({
-    ...     "time_s": time_s, "voltage_v": voltage_v,
-    ...     "displacement_um": stage.simulate(voltage_v, 0.01) + noise_um})
-    >>> step, = decide(model, [recording], play=None, budget=0)    # without a further recording
+    >>> step, = decide(model, [recording], play=None, budget=0)    # those of `diagnose`
     >>> step.is_decided, sorted(step.probabilities)
     (False, ['amplifier_lag', 'sensor_lag'])
     """
@@ -153,15 +136,14 @@ def decided_verdict(model: StageModel, recordings: Sequence[Recording], holdout:
                     diagnosis: Diagnosis, alternatives: Alternatives) -> Diagnosis:
     """Return a diagnosis with the most probable alternative and all probabilities."""
     best = alternatives.alternatives[0]
-    names = tuple(sorted(effect.name for effect in best.effects))
+    names = best.names
     unnamed = diagnosis.probabilities.get(SOMETHING_ELSE, 0.0)
     listed = sum(alternatives.probabilities.values())
     if not names and unnamed >= BELIEVED:
         return diagnosis  # nothing on the list decides, and it names what explains a part
     chances = {name: (1.0 - unnamed) * share / listed
                for name, share in alternatives.probabilities.items()} | {SOMETHING_ELSE: unnamed}
-    competitor = Competitor(names, bool(best.fit.later), best.fit, evidence_of(best.name, best.fit))
-    competition = Competition(chances, competitor)
+    competition = Competition(chances, best)
     alike = competition.indistinguishable()
     found = sorted(entry["name"] for entry in diagnosis.effects if entry["name"] != Outliers.name)
     if list(names) == found:
@@ -170,7 +152,7 @@ def decided_verdict(model: StageModel, recordings: Sequence[Recording], holdout:
     given = condition(model, recordings, holdout)
     first = first_regression(simulate_recordings(model, given.recordings))
     extended = selection_from(
-        replace(diagnosis.selection, regression=first), competition, competitor)
+        replace(diagnosis.selection, regression=first), competition, best)
     selection = replace(
         extended, start=fit_without_effects(extended.regression), indistinguishable=alike)
     validation = Validation(first, given.holdout).for_regression(extended.regression)

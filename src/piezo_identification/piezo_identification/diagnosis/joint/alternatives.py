@@ -40,6 +40,9 @@ def from_afar(problem: JointProblem, simpler: JointFit, guesses: Sequence[Effect
               nearby: JointFit) -> JointFit:
     """Return the best fit of an effect: the given one, or one that starts from a changed model.
 
+    The model's parameters compensate for most of an effect that was present at the identification.
+    The effect then looks smaller than it is, and a fit from there underestimates it.
+
     Parameters
     ----------
     simpler : JointFit
@@ -147,13 +150,6 @@ class Alternative:
     """Quantities on which its probability depends."""
 
 
-def evidence_of(label: str, fit: JointFit) -> Evidence:
-    """Return the quantities on which the probability of a fit depends."""
-    return Evidence.weighed(
-        label, held_out_of(fit), fit.covariance,
-        expected_widths(fit.effects, fit.regression.dataset.extent), fit.recurrence_count)
-
-
 def settled(problem: JointProblem, progress: Progress) -> JointFit:
     """Fit the model without additional effects until no step is worthwhile."""
     def report(turn: int) -> None:
@@ -168,17 +164,14 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
             expected: ExpectedErrors, progress: Progress) -> list[Alternative]:
     """Fit the alternatives, first the model without additional effects.
 
-    Parameters
-    ----------
-    since : sequence of sequences of Effect
-        Sets that may explain the new recordings alone, the best first.
+    The sets in `since` may explain the new recordings alone, the best first.
     """
-    alternatives = [_alternative((), none)]
+    alternatives = [alternative_of((), none)]
     named = {tuple(sorted(effect.name for effect in effects)): effects for effects in since}
     for names, effects in named.items():
         if names and not {effect.name for effect in none.effects} & set(names):
             fit = problem.fit((*none.effects, *effects), names, none)
-            alternatives.append(_alternative(names, fit, True))
+            alternatives.append(alternative_of(names, fit, True))
     if any(_is_at_noise(problem, each) for each in alternatives):
         # No error remains that another effect could explain.
         return _possible(problem, alternatives)
@@ -189,10 +182,7 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
         for turn in range(1 if is_long else SETTINGS.most_effects):
             guesses = _promising(problem, best.fit.regression, best.fit.effects, asked)
             guesses = guesses[: len(since[0]) + (1 if is_long else SETTINGS.fitted)]
-            # After the fit of the model alone.
-            fitted = _each_with_guess(problem, best, guesses, part_of(
-                progress, (turn + 0.2) / SETTINGS.most_effects,
-                (turn + 1) / SETTINGS.most_effects))
+            fitted = _each_with_guess(problem, best, guesses, _turn_of(progress, turn))
             if turn == 0 and not is_long and not any(
                     _is_at_noise(problem, each, problem.new_count) for each in fitted):
                 fitted = _from_afar(problem, best, guesses, fitted)
@@ -218,7 +208,7 @@ def converged(problem: JointProblem, alternatives: Sequence[Alternative],
         if not numbers:
             break
         further = side_by_side(
-            lambda each: _alternative(each.names, problem.fit(
+            lambda each: alternative_of(each.names, problem.fit(
                 each.fit.effects, each.fit.later, each.fit), each.since),
             [alternatives[number] for number in numbers])
         for number, each in zip(numbers, further, strict=True):
@@ -237,7 +227,7 @@ def asked_when(problem: JointProblem, alternatives: Sequence[Alternative],
     if not best.since or is_known or not all(
             effect.of_the_stage or effect.recurs for effect in best.fit.effects):
         return list(alternatives)
-    along = _alternative(best.names, problem.fit(best.fit.effects, begun=best.fit))
+    along = alternative_of(best.names, problem.fit(best.fit.effects, begun=best.fit))
     return converged(problem, [*alternatives, along], expected)
 
 
@@ -245,7 +235,7 @@ def fits_of_free_model(problem: JointProblem, sets: Sequence[Sequence[Effect]],
                        expected: ExpectedErrors) -> list[Alternative]:
     """Fit each set of effects together with all parameters of the model."""
     def fitted(effects: Sequence[Effect]) -> Alternative:
-        return _alternative([effect.name for effect in effects],
+        return alternative_of([effect.name for effect in effects],
                             problem.fit((*problem.own, *effects)))
 
     return converged(problem, side_by_side(fitted, sets), expected)
@@ -255,7 +245,7 @@ def _each_with_guess(problem: JointProblem, best: Alternative, guesses: Sequence
                      progress: Progress) -> list[Alternative]:
     """Fit one more effect in addition to those of an alternative, from the best guess of each."""
     def fitted(of_kind: Sequence[Effect]) -> Alternative:
-        return _alternative((*best.names, of_kind[0].name), problem.fit(
+        return alternative_of((*best.names, of_kind[0].name), problem.fit(
             (*best.fit.effects, of_kind[0]), begun=best.fit))
 
     return side_by_side(fitted, guesses, lambda number: progress(
@@ -268,9 +258,15 @@ def _from_afar(problem: JointProblem, best: Alternative, guesses: Sequence[Seque
     def better(entry: tuple[Sequence[Effect], Alternative]) -> Alternative:
         of_kind, nearby = entry
         fit = from_afar(problem, best.fit, of_kind, nearby.fit)
-        return nearby if fit is nearby.fit else _alternative(nearby.names, fit)
+        return nearby if fit is nearby.fit else alternative_of(nearby.names, fit)
 
     return side_by_side(better, list(zip(guesses, fitted, strict=True)))
+
+
+def _turn_of(progress: Progress, turn: int) -> Progress:
+    """Return the progress function of one turn, after the fit of the model alone."""
+    return part_of(
+        progress, (turn + 0.2) / SETTINGS.most_effects, (turn + 1) / SETTINGS.most_effects)
 
 
 def _logarithms(alternatives: Sequence[Alternative], expected: ExpectedErrors) -> FloatArray:
@@ -285,13 +281,9 @@ def most_probable(alternatives: Sequence[Alternative], expected: ExpectedErrors)
 
 def times_of_coming(alternatives: Sequence[Alternative],
                     expected: ExpectedErrors) -> dict[tuple[str, ...], Appearance]:
-    """Return when each set of effects appeared, as far as the recordings show.
+    """Return when each set of effects that was tried appeared, as far as the recordings show.
 
-    Returns
-    -------
-    dict of tuple of str to Appearance
-        For each set that was tried in at least one way. A set with an effect that depends on when
-        a recording begins can only have appeared later.
+    A set with an effect that depends on when a recording begins can only have appeared later.
     """
     logarithms = _logarithms(alternatives, expected)
     best: dict[tuple[str, ...], dict[bool, float]] = {}
@@ -322,9 +314,13 @@ def _possible(problem: JointProblem, alternatives: Sequence[Alternative]) -> lis
         if not any(effect.impossible(extent) for effect in alternative.fit.effects))]
 
 
-def _alternative(names: Sequence[str], fit: JointFit, since: bool = False) -> Alternative:
+def alternative_of(names: Sequence[str], fit: JointFit, since: bool = False) -> Alternative:
+    """Return an alternative with the quantities on which its probability depends."""
     names = tuple(sorted(names))
-    return Alternative(names, since, fit, evidence_of("+".join(names) or NONE, fit))
+    evidence = Evidence.weighed(
+        "+".join(names) or NONE, held_out_of(fit), fit.covariance,
+        expected_widths(fit.effects, fit.regression.dataset.extent), fit.recurrence_count)
+    return Alternative(names, since, fit, evidence)
 
 
 def _promising(problem: JointProblem, regression: Regression, own: Sequence[Effect],

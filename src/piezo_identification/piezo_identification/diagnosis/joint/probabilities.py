@@ -2,7 +2,7 @@
 """Probabilities of what a model lacks, from the errors of each alternative on held-out data.
 
 The evidence of an alternative includes the noise and the possible errors of the model
-(`expected_errors`), and the cost of its fitted parameters (`model_weights.occam_penalty`). Every
+(see below), and the cost of its fitted parameters (`model_weights.occam_penalty`). Every
 additional cause has the same prior odds, whether it is on the list or not. An effect that explains
 no more than the possible errors of the model is therefore not named, alone or with another.
 
@@ -11,6 +11,17 @@ therefore means over a Bayesian bootstrap of the stretches (pseudo-BMA+: Yao, Ve
 Gelman, Using stacking to average Bayesian predictive distributions, Bayesian Analysis 13, 2018). A
 cause that is not on the list, `something_else`, would reduce the residual of the new recordings to
 noise.
+
+Errors of a model have a long correlation: at most k_r of them are independent in recording r. They
+are at least as large as those of a good model, l_r, and as the known error of this model, w_r. They
+are larger by a factor f, the logarithm of which has a half-normal distribution, and over which the
+evidence is averaged. For a mean square m_r with noise of variance s_r^2 the evidence is
+
+    ln p = ln E_f exp(- sum_r k_r / 2 (ln v_r + (m_r - s_r^2) / v_r))
+    v_r = f^2 (l_r^2 + w_r^2) + s_r^2 (k_r / n_r + d)
+
+with n_r the number of independent samples, and d the relative error of the variance of the noise.
+For a perfect model and known noise, this is the likelihood of white noise.
 """
 
 from collections.abc import Iterable, Sequence
@@ -94,13 +105,7 @@ class ExpectedErrors:
         return np.asarray(logsumexp(WEIGHTS - against, axis=-1))
 
     def logarithm_of_chance(self, squares_um2: FloatArray, samples: FloatArray) -> float:
-        """Return the logarithm of the probability of so large a residual.
-
-        Parameters
-        ----------
-        squares_um2, samples : (R,) array
-            See `logarithms`.
-        """
+        """Return the logarithm of the probability of so large a residual; see `logarithms`."""
         passing = (self.noise_um**2 + self.accuracy_um**2) * (1.0 + CRITERIA.noise**2)
         wrong = self.model_um**2 - self.accuracy_um**2
         against = 0.5 * np.maximum(0.0, np.log(
@@ -110,26 +115,14 @@ class ExpectedErrors:
 
 def expected_errors(dataset: Dataset, noise_um: Sequence[float],
                     stated_um: float) -> ExpectedErrors:
-    """Return the expected errors of the recordings of a data set with a complete model.
-
-    Parameters
-    ----------
-    noise_um : (R,) sequence of float
-    """
+    """Return the expected errors of recordings, with noise (R,), of a complete model."""
     motion_um = np.array([np.std(part.measured_um[part.begin :]) for part in dataset.simulated])
     return errors_of_model(np.array(noise_um), accuracies_um(dataset), motion_um, stated_um)
 
 
 def errors_of_model(noise_um: FloatArray, accuracy_um: FloatArray, motion_um: FloatArray,
                     stated_um: float | FloatArray) -> ExpectedErrors:
-    """Return the expected errors of recordings of some motion; see `expected_errors`.
-
-    Parameters
-    ----------
-    motion_um : (R,) array
-        RMS of the motion.
-    stated_um : float or (R,) array
-    """
+    """Return the expected errors of recordings with an RMS motion, all (R,)."""
     wrong_um = np.minimum(stated_um, SETTINGS.most_wrong * motion_um)
     return ExpectedErrors(noise_um, np.hypot(accuracy_um, wrong_um), accuracy_um)
 
@@ -173,13 +166,9 @@ class Evidence:
                 widths: FloatArray, recurrence_count: int = 0) -> "Evidence":
         """Weigh the fitted parameters by the number of errors that the evidence counts.
 
-        Parameters
-        ----------
-        covariance, widths
-            As in `model_weights.occam_penalty`.
-        recurrence_count : int
-            Number of additional parameters specific to recordings of the identification. The
-            recordings determine them, and each has the largest cost.
+        For `covariance` and `widths` see `occam_penalty`. There are `recurrence_count` additional
+        parameters specific to recordings of the identification. The recordings determine them, and
+        each has the largest cost.
         """
         counted = sum(min(part.independent, SETTINGS.independent) for part in held_out)
         rows = float(sum(part.residual_um.size for part in held_out))
@@ -264,14 +253,8 @@ def odds_of_something_else(squares_um2: FloatArray, samples: FloatArray,
                            expected: ExpectedErrors) -> float:
     """Return the odds of an unlisted cause that would reduce the residual to noise.
 
-    The odds are relative to an alternative.
-
-    Parameters
-    ----------
-    squares_um2 : (R,) array
-        Mean square residuals of the alternative.
-    samples : (R,) array
-        Number of independent samples of each recording.
+    The odds are relative to an alternative with these mean squares, (R,), of so many independent
+    samples, (R,).
     """
     return ONE_CAUSE * float(
         np.exp(min(-expected.logarithm_of_chance(squares_um2, samples), MOST_GAIN)))

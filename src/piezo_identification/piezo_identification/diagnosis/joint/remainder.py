@@ -85,10 +85,7 @@ def held_to_prediction(held: HeldToNoise, predicted: "Ceiling", remainders: Sequ
                        stated_um: float) -> HeldToNoise:
     """Return the probability of something else if the noise of the sensor is unknown.
 
-    Parameters
-    ----------
-    held : HeldToNoise
-        Result of the comparison with the smallest bound of the noise.
+    The residual was compared with the smallest bound of the noise before.
     """
     # Less than a learner may predict from noise by chance, or than is relevant.
     least_um = CRITERIA.noticeable * predicted.left_um

@@ -65,12 +65,8 @@ def histories(rows: Sequence[DiagnosisRow],
               results: Sequence[dict[str, Any]]) -> list[StageHistory]:
     """Return the history of each stage, those with the longest lack first.
 
-    Parameters
-    ----------
-    rows : sequence of DiagnosisRow
-        Rows without a stage or a time of recording are omitted.
-    results : sequence of dict
-        Results of `diagnose_row`, in the same order.
+    Rows without a stage or a time of recording are omitted. The results are in the order of the
+    rows.
     """
     of_stages: dict[str, list[tuple[datetime, dict[str, Any]]]] = defaultdict(list)
     for row, result in zip(rows, results, strict=True):
@@ -125,13 +121,7 @@ HEADS = ("name", "verdict", "effects", "most probable", "probability", "before (
 
 def many_page(rows: Sequence[DiagnosisRow], results: Sequence[dict[str, Any]],
               origin: Sequence[str]) -> str:
-    """Return the page of many diagnoses as HTML; that of a fleet begins with its stages.
-
-    Parameters
-    ----------
-    results : sequence of dict
-        Results of `diagnose_row`, in the order of the rows.
-    """
+    """Return the page of many diagnoses, in the order of the rows, as HTML; a fleet first."""
     verdicts = [result for result in results if "verdict" in result]
     counts = Counter(result["verdict"]["verdict"] for result in verdicts)
     effects = Counter(entry["name"] for result in verdicts

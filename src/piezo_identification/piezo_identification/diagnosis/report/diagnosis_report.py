@@ -9,10 +9,7 @@ from matplotlib.figure import Figure
 
 from piezo_common.arrays import FloatArray
 from piezo_common.report_page import Picture, Section, pictured, render_page
-from piezo_identification.analysis.distortion_over_frequency import (
-    distortion_png,
-    distortion_rows,
-)
+from piezo_identification.analysis.distortion_over_frequency import distortion_png, distortion_rows
 from piezo_identification.analysis.error_distortion import error_distortion
 from piezo_identification.diagnosis.comparison.criteria import CRITERIA
 from piezo_identification.diagnosis.comparison.selection import Attempt, Selection
@@ -78,13 +75,7 @@ def _percent(probability: float) -> str:
 
 
 def render_report(diagnosis: Diagnosis, origin: Sequence[tuple[str, str]] = ()) -> str:
-    """Return the report as one HTML page.
-
-    Parameters
-    ----------
-    origin : sequence of (str, str)
-        Time and files to list on the page, as pairs of name and text.
-    """
+    """Return the report as one HTML page, with time and files as pairs of name and text."""
     dataset = diagnosis.selection.regression.dataset
     sections = [_found(diagnosis), *_alternatives(diagnosis)]
     if diagnosis.effects:

@@ -199,12 +199,9 @@ def write_results(given: GivenFiles, diagnosis: Diagnosis,
 
 
 def stated_error_um(identified: IdentifiedModel) -> float | None:
-    """Return the known error of a model: the largest residual of its components.
+    """Return the known error of a model: the largest residual of its components, RMS beyond noise.
 
-    Returns
-    -------
-    float or None
-        RMS beyond the noise; None if the model file contains none, as for responses.
+    It is None if the model file contains none, as for responses.
     """
     parts = [max(0.0, part["residual_rms_um"] ** 2 - part["noise_rms_um"] ** 2) ** 0.5
              for name, part in identified.adequacy.items() if name in identified.sample_periods_s]

@@ -10,7 +10,7 @@ import numpy as np
 from piezo_common.arrays import ComplexArray
 from piezo_common.budget import Budget, spending, while_time_lasts
 from piezo_common.progress_part import Progress
-from piezo_identification.diagnosis.comparison.undecided import Reason, Undecided
+from piezo_identification.diagnosis.comparison.criteria import Reason, Undecided
 from piezo_identification.diagnosis.evidence.effect_entries import with_stand_ins
 from piezo_identification.diagnosis.evidence.recording_faults import wrong_sign
 from piezo_identification.diagnosis.response.response_effect_fit import (

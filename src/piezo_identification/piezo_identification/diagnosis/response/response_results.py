@@ -7,15 +7,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from piezo_common.budget import Budget
-from piezo_common.picture_style import (
-    AFTER,
-    BEFORE,
-    BLACK,
-    WIDE_IN,
-    label,
-    new_figure,
-    to_png,
-)
+from piezo_common.picture_style import AFTER, BEFORE, BLACK, WIDE_IN, label, new_figure, to_png
 from piezo_common.progress_part import Progress
 from piezo_common.report_page import Section, pictured, render_page
 from piezo_identification.diagnosis.evidence.effect_entries import name_of

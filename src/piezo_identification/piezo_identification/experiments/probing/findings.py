@@ -115,14 +115,7 @@ def _smallest_change_um(displacement_um: FloatArray) -> float:
 
 
 def measure_pulse(displacement_um: FloatArray, rise: int, fall: int, noise_um: float) -> Pulse:
-    """Measure the response to one pulse.
-
-    Parameters
-    ----------
-    displacement_um : ndarray, shape (N,)
-    rise, fall : int
-        Samples at which the voltage begins to rise and to fall.
-    """
+    """Measure the response, (N,), to a pulse that begins to rise and to fall at these samples."""
     before_um = float(displacement_um[:rise].mean())
     quarter = max(1, (fall - rise) // 4)
     top_um = float(displacement_um[fall - quarter:fall].mean())

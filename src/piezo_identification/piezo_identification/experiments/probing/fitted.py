@@ -103,18 +103,7 @@ def fitted_limits(findings: Findings, limits: StageLimits) -> StageLimits:
 
 
 def fitted_parameters(findings: Findings, limits: StageLimits) -> dict[str, dict[str, Any]]:
-    """Choose the parameters of each experiment.
-
-    Parameters
-    ----------
-    limits : StageLimits
-        Limits from `fitted_limits`.
-
-    Returns
-    -------
-    dict of str to dict
-        Arguments of the functions of the catalogue by name of the experiment.
-    """
+    """Choose the arguments of each experiment, by name, with limits from `fitted_limits`."""
     clock_s, settling_s = 1.0 / limits.sample_rate_hz, findings.response.settling_s
     swing_v = min(SWING_FRACTION * limits.span_v, 0.99 * limits.slew_limit_v_per_s * clock_s)
     return {
@@ -214,14 +203,8 @@ def expected_errors(findings: Findings, limits: StageLimits,
     """Estimate the model errors that noise causes, and what cannot be identified.
 
     Errors are standard deviations of the means that decide on each component, in percent of what
-    its experiment moves.
-
-    Parameters
-    ----------
-    limits : StageLimits
-        Limits from `fitted_limits`.
-    parameters : dict of str to dict
-        Parameters from `fitted_parameters`.
+    its experiment moves. Limits and parameters are those of `fitted_limits` and
+    `fitted_parameters`.
     """
     rate_hz, gain_um_per_v = limits.sample_rate_hz, abs(findings.gain_um_per_v)
     creep, dynamics, hysteresis = (

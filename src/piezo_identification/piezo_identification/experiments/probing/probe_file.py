@@ -155,12 +155,7 @@ class ProbeDocument(Document):
         return part.model_dump() if isinstance(part, Part) else {}
 
     def usable(self, limits: StageLimits) -> StageLimits:
-        """Return the limits within which the experiments stay.
-
-        Parameters
-        ----------
-        limits : StageLimits
-            Limits of the stage that will play them.
+        """Return the limits within which the experiments stay on a stage.
 
         Raises
         ------
