@@ -147,8 +147,10 @@ class AxesDocument(Document):
 def save_axes_model(path: str | PathLike[str], identified: IdentifiedAxes) -> None:
     """Write a model file of several axes; the file at `path` is replaced in one step or not at all.
 
-    Raises `ModelFileError` if the file cannot be written, or a file that is not a model file is in
-    its place.
+    Raises
+    ------
+    ModelFileError
+        If the file cannot be written, or a file that is not a model file is in its place.
     """
     document = _document_of(identified)
     checked(AxesDocument, document)
@@ -158,8 +160,10 @@ def save_axes_model(path: str | PathLike[str], identified: IdentifiedAxes) -> No
 def load_axes_model(path: str | PathLike[str]) -> IdentifiedAxes:
     """Read a model file of several axes.
 
-    Raises `ModelFileError` if the file is missing, is not a model file of this version, or has an
-    invalid field.
+    Raises
+    ------
+    ModelFileError
+        If the file is missing, is not a model file of this version, or has an invalid field.
     """
     try:
         return _built(load_document(AxesDocument, path, LARGEST_FILE_BYTES))

@@ -133,8 +133,17 @@ def from_control(system: control.StateSpace | control.TransferFunction) -> Linea
     Each real zero belongs to creep (4.4), together with one of the slowest real poles. The next
     real pole is the electric lag; complex pairs are modes and antiresonances (4.3). Two further
     real poles form an overdamped mode. Zeros in the right half-plane are accepted if they belong to
-    the Pade approximation of a delay, of any order. Raises ValueError if the system, which must be
-    continuous and stable with one input and one output, cannot be split into these parts.
+    the Pade approximation of a delay, of any order.
+
+    Parameters
+    ----------
+    system : control.StateSpace or control.TransferFunction
+        Continuous, stable, with one input and one output, without other right half-plane zeros.
+
+    Raises
+    ------
+    ValueError
+        If the system cannot be split into these parts.
 
     Examples
     --------

@@ -11,8 +11,21 @@ def e_rms_percent(reference_um: ArrayLike, displacement_um: ArrayLike,
                   remove_offset: bool = False) -> float:
     """Return the RMS tracking error in percent of the reference's peak-to-peak value, eq. (2.32).
 
-    With `remove_offset` the mean of the error is subtracted first. Raises ValueError if the lengths
-    differ, or the reference is empty or constant.
+    Parameters
+    ----------
+    reference_um, displacement_um : (N,) array_like
+    remove_offset : bool
+        Subtract the mean of the error first.
+
+    Returns
+    -------
+    float
+        Percent.
+
+    Raises
+    ------
+    ValueError
+        If the lengths differ, or the reference is empty or constant.
 
     Examples
     --------
@@ -30,8 +43,21 @@ def e_y_percent(measured_um: ArrayLike, estimated_um: ArrayLike,
                 remove_offset: bool = True) -> float:
     """Return the norm of the model's error in percent of that of the measurement, eq. (4.20).
 
-    By default the mean of each signal is subtracted first, as chapter 4 does. Raises ValueError if
-    the lengths differ, or the measured displacement is empty or has no norm.
+    Parameters
+    ----------
+    measured_um, estimated_um : (N,) array_like
+    remove_offset : bool
+        Subtract the mean of each signal first, as chapter 4 does.
+
+    Returns
+    -------
+    float
+        Percent.
+
+    Raises
+    ------
+    ValueError
+        If the lengths differ, or the measured displacement is empty or has no norm.
 
     Examples
     --------

@@ -81,8 +81,11 @@ def is_of_several_axes(path: str | PathLike[str]) -> bool:
 def load_model(path: str | PathLike[str]) -> IdentifiedModel:
     """Read a model file of one axis.
 
-    Raises `ModelFileError` if the file is missing, is not a model file of this version, is one of
-    several axes, or has a missing, unknown or invalid field.
+    Raises
+    ------
+    ModelFileError
+        If the file is missing, is not a model file of this version, is one of several axes, or has
+        a missing, unknown or invalid field.
     """
     if is_of_several_axes(path):
         raise ModelFileError(f"{path}: is a model of several axes, which track, simulate, "

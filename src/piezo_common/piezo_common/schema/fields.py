@@ -45,15 +45,27 @@ else:
 def violation(problem: str, cure: str, field: str = "") -> PydanticCustomError:
     """Return the error that a validator of a part raises for contradicting fields.
 
-    The problem is the end of a sentence that begins with the field, whose path is empty for the
-    whole part; the cure is the remedy.
+    Parameters
+    ----------
+    problem, cure : str
+        Problem, as the end of a sentence that begins with the field; remedy.
+    field : str
+        Path in the part; empty for the whole part.
     """
     return PydanticCustomError(VIOLATION, "{problem}", {
         "problem": problem, "cure": cure, "field": field})
 
 
 def require_matrices(part: BaseModel, shapes: Mapping[str, tuple[int, int]], cure: str) -> None:
-    """Raise a `violation` unless fields hold matrices of these numbers of rows and columns."""
+    """Raise a violation unless fields hold matrices of these numbers of rows and columns.
+
+    Parameters
+    ----------
+    shapes : dict of str to (int, int)
+        Rows and columns by the name of the field.
+    cure : str
+        See `violation`.
+    """
     for name, (rows, columns) in shapes.items():
         matrix = getattr(part, name)
         if len(matrix) != rows or any(len(row) != columns for row in matrix):

@@ -15,10 +15,24 @@ D = TypeVar("D", bound=Document)
 
 def load_document(kind: type[D], path: str | PathLike[str],
                   largest_bytes: int = LARGEST_BYTES) -> D:
-    """Read and check a file, of a size limit in bytes, for a class of documents.
+    """Read and check a file.
 
-    Raises `SchemaError` if the file cannot be read, has another format or version, or does not fit
-    the schema.
+    Parameters
+    ----------
+    kind : type
+        Class of documents.
+    largest_bytes : int
+        Size limit of the file.
+
+    Returns
+    -------
+    Document
+        Instance of `kind`.
+
+    Raises
+    ------
+    SchemaError
+        If the file cannot be read, has another format or version, or does not fit the schema.
     """
     try:
         text = read_bounded_text(path, largest_bytes)

@@ -192,7 +192,10 @@ class TrackingRun:
     def e_rms_percent(self, running: bool = False) -> float:
         """Return the error (2.32) of the counted part so far; with `running`, of its last samples.
 
-        It is NaN before that part begins.
+        Returns
+        -------
+        float
+            In percent; NaN before that part begins.
         """
         if running:
             return 100.0 * self._window.rms / self._travel_um

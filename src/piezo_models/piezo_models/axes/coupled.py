@@ -367,8 +367,17 @@ class CoupledModel:
     ) -> Self:
         """Return the modal model of a discrete system of python-control.
 
-        The system is stable, with as many inputs as outputs and distinct poles; else ValueError is
-        raised. The operating point is in V and um, (n,); 0 by default.
+        Parameters
+        ----------
+        system : control.StateSpace or control.TransferFunction
+            Discrete and stable, with as many inputs as outputs and distinct poles.
+        operating_voltage_v, operating_displacement_um : (n,) array_like, optional
+            Operating point in V and um; 0 by default.
+
+        Raises
+        ------
+        ValueError
+            If the system does not satisfy these conditions.
         """
         n = len(axes)
         if (system.ninputs, system.noutputs) != (n, n):

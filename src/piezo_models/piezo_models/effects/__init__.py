@@ -77,7 +77,10 @@ __all__ = [
 def known_effects() -> dict[str, type[Effect]]:
     """Return all effects by name, those of this package first.
 
-    Raises ValueError if two have the same name, or one of another package cannot be imported.
+    Raises
+    ------
+    ValueError
+        If two have the same name, or one of another package cannot be imported.
 
     Examples
     --------

@@ -348,10 +348,17 @@ class Effect(ABC):
 
 def fitted_values(effect: Effect, extent: Extent | None = None,
                   ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the numbers that a fit may change, with their bounds: values, low, high, (n,).
+    """Return the numbers that a fit may change, as logarithms where the parameter is so fitted.
 
-    They are logarithms where the parameter is so fitted. The extent of recordings bounds the
-    parameters by `Effect.bounds`. Values are within their bounds.
+    Parameters
+    ----------
+    extent : Extent, optional
+        Extent of the recordings, which bound the parameters by `Effect.bounds`.
+
+    Returns
+    -------
+    values, low, high : (n,) arrays
+        Values, each within its bounds.
     """
     closer = {} if extent is None else effect.bounds(extent)
     values, lows, highs = ([np.zeros(0)] for _ in range(3))

@@ -72,12 +72,27 @@ def advance(error: float, a: FloatArray, b: FloatArray, c: FloatArray, d: float,
 def decide(error: float, a: FloatArray, b: FloatArray, c: FloatArray, d: float,
            observer: FloatArray, state: FloatArray, work: FloatArray, last_v: float,
            limit_v: float, step_v: float) -> tuple[float, bool]:
-    """Return the voltage (V) of the block at the tick's rate within its limits.
+    """Return the voltage of the block at the tick's rate within its limits.
 
-    They are the largest voltage of either sign, and the largest change from the last one (V). If
-    they cut the voltage, the observer, the factors of the anti-windup, corrects the state to agree
-    with the limited voltage. Also returned is True if the change was limited. For the block see
-    `advance`.
+    If they cut the voltage, the observer corrects the state to agree with the limited voltage.
+
+    Parameters
+    ----------
+    error : float
+        Mean error of the tick (um).
+    a, b, c, d, observer
+        Matrices of the block, and the factors of its anti-windup.
+    state, work : ndarray, shape (n,)
+        State and work array; changed in place.
+    last_v, limit_v, step_v : float
+        Previous voltage, largest voltage of either sign, and largest change (V).
+
+    Returns
+    -------
+    voltage_v : float
+        Limited voltage (V).
+    stepped : bool
+        True if the change from `last_v` was limited to `step_v`.
     """
     wanted_v = advance(error, a, b, c, d, state, work)
     voltage_v = min(max(wanted_v, -limit_v), limit_v)

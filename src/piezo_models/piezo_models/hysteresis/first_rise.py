@@ -22,7 +22,10 @@ CYCLED = float("inf")
 class FirstRise:
     """Displacement that irreversible relays add when the voltage first reaches a level.
 
-    Raises ValueError if the lengths differ, or the numbers are not in order.
+    Raises
+    ------
+    ValueError
+        If the lengths differ, or the numbers are not in order.
     """
 
     voltages_v: tuple[float, ...]
@@ -47,10 +50,18 @@ class FirstRise:
         return self.remanence_um[-1]
 
     def simulate(self, voltage_v: ArrayLike, highest_v: float = CYCLED) -> FloatArray:
-        """Return the displacement (um) of the first rise minus that of a cycled stage, (N,).
+        """Return the displacement of the first rise minus that of a cycled stage, not positive.
 
-        It is not positive, and 0 once the voltage has reached the last of `voltages_v`. The stage
-        has risen to `highest_v` before; by default it was cycled.
+        Parameters
+        ----------
+        voltage_v : array_like, shape (N,)
+        highest_v : float
+            Voltage up to which the stage has risen before; by default it was cycled.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            In um; 0 once the voltage has reached the last of `voltages_v`.
         """
         voltage_v = np.asarray(voltage_v, dtype=float)
         if highest_v >= self.voltages_v[-1]:

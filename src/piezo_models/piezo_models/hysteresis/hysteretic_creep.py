@@ -76,9 +76,18 @@ class HystereticCreep:
 
     def simulate(self, voltage_v: ArrayLike, sample_period_s: float,
                  memory: HystereticCreepMemory) -> FloatArray:
-        """Return the output in um, (N,), under voltages that are held for a sample period each.
+        """Return the output at the sample instants, in um.
 
-        The memory of the operators is continued, and updated in place.
+        Parameters
+        ----------
+        voltage_v : (N,) array_like
+            Voltages, each held for a sample period.
+        memory : HystereticCreepMemory
+            Past of the operators; continued, and updated in place.
+
+        Returns
+        -------
+        (N,) array
         """
         decays = np.exp(-sample_period_s / np.array(self.time_constants_s))
         return _simulate(

@@ -71,8 +71,11 @@ class PreisachMemory:
 class PreisachModel:
     """Preisach hysteresis, eq. (2.1), whose density is constant on each cell of a uniform grid.
 
-    Raises ValueError if the limits are not increasing, or the density is not square, not finite, or
-    not zero above the diagonal, or the reversible part is not finite or of another length.
+    Raises
+    ------
+    ValueError
+        If the limits are not increasing, or the density is not square, not finite, or not zero
+        above the diagonal, or the reversible part is not finite or of another length.
     """
 
     voltage_min_v: float

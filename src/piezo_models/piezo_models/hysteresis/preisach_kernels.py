@@ -245,9 +245,20 @@ def simulate_while_room(voltage_v: FloatArray, output_um: FloatArray, n: int,
 @njit(cache=True, nogil=True)
 def simulate(voltage_v: FloatArray, extremes: FloatArray, outputs: FloatArray, top: int,
              grid: Grid, table: Table) -> Past:
-    """Return the hysteresis output (um) for voltages, (N,), that continue a stored past.
+    """Return the hysteresis output for voltages that continue a stored past.
 
-    The stacks of the memory are changed in place, and replaced by longer ones if they are full.
+    Parameters
+    ----------
+    voltage_v : (N,) array
+    extremes, outputs : array
+        Stacks of the memory; changed in place, and replaced by longer ones if they are full.
+
+    Returns
+    -------
+    (N,) array
+        Output in um.
+    extremes, outputs : array
+    top : int
     """
     output = np.empty(voltage_v.size)
     n, top = simulate_while_room(voltage_v, output, 0, extremes, outputs, top, grid, table)

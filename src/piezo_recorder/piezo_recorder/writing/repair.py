@@ -18,6 +18,13 @@ from piezo_recorder.writing.writer import STAGE_METADATA, RecordingWriter
 def repair(path: str | PathLike[str], output: str | PathLike[str]) -> int:
     """Copy every complete message into a new recording with an index; return their number.
 
+    Parameters
+    ----------
+    path : str or Path
+        Directory of a recording, or an MCAP file.
+    output : str or Path
+        Directory to create.
+
     Raises
     ------
     RecordingError

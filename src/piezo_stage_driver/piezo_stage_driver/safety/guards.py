@@ -25,6 +25,11 @@ RESPONSE_PATIENCE_SAMPLES = 800
 class StopLatch:
     """Store the cause of a stop until it is reset; any thread may stop the stage.
 
+    Parameters
+    ----------
+    clock : callable
+        Returns the time (s).
+
     Attributes
     ----------
     cause : str
