@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.monitoring.change_evidence import ChangeEvidence
-from piezo_identification.monitoring.usual_error import KnownError, UsualError
+from piezo_identification.monitoring.usual_error import ChangeEvidence, KnownError, UsualError
 from piezo_models.cascade import StageMemory, StageModel
 from piezo_models.effects import Effect
 

@@ -10,7 +10,7 @@ import numpy as np
 from piezo_common.budget import SEARCH, while_time_lasts
 from piezo_common.progress_part import Progress
 from piezo_common.side_by_side import side_by_side
-from piezo_identification.analysis.error_distortion import excluded_by_distortion
+from piezo_identification.analysis.nonlinear_distortion import excluded_by_distortion
 from piezo_identification.diagnosis.comparison.criteria import (
     CRITERIA,
     OTHER_PARAMETERS,
