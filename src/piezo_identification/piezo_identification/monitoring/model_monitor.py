@@ -2,8 +2,8 @@
 """A model that runs next to the stage, and the evidence that its error has grown.
 
 The residual is divided into blocks. The usual error for the motion of a block is taken from the
-model file and updated with all blocks so far; see `usual_error`. A sum of Bayes factors shows
-whether the error has grown; see `change_evidence`. The memory is bounded, however long it runs.
+model file and updated with all blocks so far. A sum of Bayes factors shows whether the error has
+grown; see `usual_error` for both. The memory is bounded, however long it runs.
 """
 
 from collections import deque

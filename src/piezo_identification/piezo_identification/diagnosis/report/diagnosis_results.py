@@ -43,8 +43,10 @@ from piezo_recorder.reading.recording import Recording
 READ_FRACTION, DESIGN_FRACTION, REPORT_FRACTION = 0.05, 0.7, 0.9
 """Fractions of the work done before the diagnosis, the next experiment and the report."""
 
-
 AnyPath = str | PathLike[str]
+
+PlayToFile = Callable[[Experiment, Path, Progress], AnyPath]
+"""Takes an experiment, the directory for its recording, and the progress; returns the recording."""
 
 
 @dataclass(frozen=True)
@@ -212,8 +214,6 @@ def _outside(identified: IdentifiedModel, recordings: Sequence[Recording]) -> tu
     return tuple(
         f"{recording.path}: {sentence}" for recording in recordings
         for sentence in outside_identified(identified, played(recording).voltage_v).sentences())
-PlayToFile = Callable[[Experiment, Path, Progress], AnyPath]
-"""Takes an experiment, the directory for its recording, and the progress; returns the recording."""
 
 
 def decide_files(model: AnyPath, recordings: Sequence[AnyPath], holdout: AnyPath | None,
