@@ -31,6 +31,14 @@ FEWEST_LINES = 8
 FEWEST_PERIODS = 2
 """Fewest periods after the one in which the motion settles; their differences are the noise."""
 
+ABSENT = 0.02
+"""Fraction of the linear error below which distortion counts as absent. A spring or sensor with a
+curved characteristic has distortion of at least a tenth of its linear error over the quarter of the
+range that the experiment uses; play has more."""
+
+NEGLIGIBLE = 1e-3
+"""Error that is acceptable for a good model, as a fraction of the response."""
+
 
 @dataclass(frozen=True)
 class NonlinearDistortion:
@@ -200,15 +208,6 @@ def distortion_of_signal(voltage_v: FloatArray, signal_um: FloatArray, sample_pe
     return nonlinear_distortion(
         voltage_v[whole].reshape(-1, period), signal_um[whole].reshape(-1, period),
         sample_period_s, None if driving is None else driving[whole].reshape(-1, period))
-
-
-ABSENT = 0.02
-"""Fraction of the linear error below which distortion counts as absent. A spring or sensor with a
-curved characteristic has distortion of at least a tenth of its linear error over the quarter of the
-range that the experiment uses; play has more."""
-
-NEGLIGIBLE = 1e-3
-"""Error that is acceptable for a good model, as a fraction of the response."""
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,10 @@ E_Y = ("e_y: norm of the difference over that of the measured displacement witho
 READINGS = {"start": 0.0, "end": 1.0}
 """Reading times, in sample periods after the change of the voltage of a row."""
 
+HELD = "zero-order-hold"
+
+USUAL_RATE_HZ = 40000.0
+
 
 def add_rows_option(parser: argparse.ArgumentParser) -> None:
     """Add ``--rows-read``."""
@@ -17,10 +21,6 @@ def add_rows_option(parser: argparse.ArgumentParser) -> None:
         "--rows-read", choices=tuple(READINGS), default="start",
         help="when the displacement of a row is read: as its voltage changes (default), or at the "
         "end of the hold, just before the next voltage")
-
-
-HELD = "zero-order-hold"
-USUAL_RATE_HZ = 40000.0
 
 
 def add_response_options(parser: argparse.ArgumentParser) -> None:

@@ -43,6 +43,9 @@ MULTISINE_TONES = (
 """Frequency (Hz) and amplitude, as a fraction of the voltage range, proportioned as in the
 thesis."""
 
+GROUP = "piezo_identification.experiments"
+"""Entry points through which other packages add experiments: functions of the stage's limits."""
+
 
 @dataclass(frozen=True)
 class Experiment:
@@ -246,10 +249,6 @@ EXPERIMENTS = {
 FURTHER_EXPERIMENTS = {"multisine": multisine, "relay": relay, "diagnostic": diagnostic,
                        "distortion": distortion}
 """Experiments that run only on request; `relay` acts in feedback, the others play a waveform."""
-
-
-GROUP = "piezo_identification.experiments"
-"""Entry points through which other packages add experiments: functions of the stage's limits."""
 
 
 def named_experiment(

@@ -38,6 +38,10 @@ ANY_VOLTAGE_V = 1000.0
 """Limit above the voltage of piezo amplifiers. The voltages of a response are unknown, so its line
 is valid between minus and plus this voltage."""
 
+MOST_NOISE = 0.9
+"""Largest part of the residual with a remanence that may count as noise. Even if the residual is
+only noise, it must then be a fifth smaller than that without the remanence."""
+
 
 @dataclass(frozen=True)
 class DensityOptions:
@@ -92,11 +96,6 @@ def _line_of_response(linear: LinearDynamics) -> DensityEstimate:
         LINE_OF_RESPONSE, np.array([-ANY_VOLTAGE_V, ANY_VOLTAGE_V]), np.zeros((1, 1)),
         -gain * ANY_VOLTAGE_V, np.ones((1, 1), dtype=bool),
         reversible_um_per_v=np.array([gain]))
-
-
-MOST_NOISE = 0.9
-"""Largest part of the residual with a remanence that may count as noise. Even if the residual is
-only noise, it must then be a fifth smaller than that without the remanence."""
 
 
 def estimate_loops(

@@ -25,6 +25,27 @@ FEWEST_BLOCKS = 3
 SETTLED_BLOCKS = 10
 """Number of blocks after which the line is known and the age of a run no longer counts."""
 
+STATISTICS = {
+    "mean": "as an offset",
+    "gain": "in proportion to the motion",
+    "lag": "in proportion to the speed",
+    "scatter": "neither in proportion to the motion nor to the speed",
+}
+"""Components of the error of a block; the largest is reported."""
+
+BAND_EDGES_HZ = (0.0, 10.0, 100.0, 1000.0, np.inf)
+"""Edges (Hz) of the frequency bands in which the powers of motion and error are computed."""
+
+LEAST_PART = 0.01
+"""Motion in a band below this fraction of the whole motion makes no difference between kinds of
+motion, nor does motion below this fraction of the travel."""
+
+REMEMBERED_BLOCKS = 4096
+"""Number of blocks whose start times are kept, to report when a change began."""
+
+HOURS_BETWEEN_CHANGES = 1.0
+"""Expected time between changes (h), from which the prior probability of a change follows."""
+
 
 class SlowOffset:
     """Least-squares line through the means of a run over log time, with older ones fading.
@@ -59,28 +80,6 @@ class SlowOffset:
         self._normal = kept * self._normal + np.outer(at, at)
         self._right = kept * self._right + mean_um * at
         return offset_um
-
-
-STATISTICS = {
-    "mean": "as an offset",
-    "gain": "in proportion to the motion",
-    "lag": "in proportion to the speed",
-    "scatter": "neither in proportion to the motion nor to the speed",
-}
-"""Components of the error of a block; the largest is reported."""
-
-BAND_EDGES_HZ = (0.0, 10.0, 100.0, 1000.0, np.inf)
-"""Edges (Hz) of the frequency bands in which the powers of motion and error are computed."""
-
-LEAST_PART = 0.01
-"""Motion in a band below this fraction of the whole motion makes no difference between kinds of
-motion, nor does motion below this fraction of the travel."""
-
-REMEMBERED_BLOCKS = 4096
-"""Number of blocks whose start times are kept, to report when a change began."""
-
-HOURS_BETWEEN_CHANGES = 1.0
-"""Expected time between changes (h), from which the prior probability of a change follows."""
 
 
 @dataclass(frozen=True)

@@ -46,6 +46,14 @@ FURTHEST = 4.0
 STEPS = 3
 """Gauss-Newton steps at each update; few suffice, as the fractions change little."""
 
+FACTORS = np.geomspace(2.5, 250.0, 19)
+"""Factors by which an error may have grown, all equally likely. An error that has doubled is nearer
+to the smallest factor than to no growth."""
+
+STRAY, STRAY_RANGE = 0.05, 10.0
+"""Fraction of blocks with an error of any size, for example from a spike, and the range of the
+logarithm of that error. They keep a single block from indicating a change."""
+
 
 @dataclass(frozen=True)
 class KnownError:
@@ -240,15 +248,6 @@ def _wandering(middle: float, variance: float, freedom: float) -> Expected:
     """Add the variance of `WANDER`, with the degrees of freedom of Satterthwaite (1946)."""
     whole = variance + WANDER**2
     return Expected(middle, float(np.sqrt(whole)), freedom * (whole / variance) ** 2)
-
-
-FACTORS = np.geomspace(2.5, 250.0, 19)
-"""Factors by which an error may have grown, all equally likely. An error that has doubled is nearer
-to the smallest factor than to no growth."""
-
-STRAY, STRAY_RANGE = 0.05, 10.0
-"""Fraction of blocks with an error of any size, for example from a spike, and the range of the
-logarithm of that error. They keep a single block from indicating a change."""
 
 
 @dataclass(frozen=True)

@@ -43,6 +43,12 @@ SLOWEST = 10
 FEWEST_FREQUENCIES = 4 * SETTINGS.block * SPLIT.held_out
 """Fewest frequencies of a response, of which four blocks are held out."""
 
+GUESSED_MODES = 27
+"""Number of initial frequencies of a mode, so close that one is near any resonance in the range."""
+
+RELAXATIONS = 3
+"""Number of time constants of creep over the lower half of the range."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ResponseDiagnosis(Verdict):
@@ -210,13 +216,6 @@ def _diagnosis(problem: ResponseProblem, selection: ResponseSelection,
         tried=selection.tried, measured=problem.measured,
         before_gain=problem.gain(given), after_gain=problem.gain(final),
     )
-
-
-GUESSED_MODES = 27
-"""Number of initial frequencies of a mode, so close that one is near any resonance in the range."""
-
-RELAXATIONS = 3
-"""Number of time constants of creep over the lower half of the range."""
 
 
 def fit_each_candidate(problem: ResponseProblem, current: ResponseFit) -> list[ResponseFit]:
