@@ -117,17 +117,14 @@ def nonlinear_distortion(voltage_v: FloatArray, displacement_um: FloatArray,
                          ) -> NonlinearDistortion:
     """Separate noise, even and odd distortion.
 
+    Raise ValueError if there are too few periods, or the voltage omits no odd or no even line.
+
     Parameters
     ----------
     voltage_v, displacement_um : ndarray, shape (P, N)
         Periods of the multisine, without the one in which the motion settles.
     driving : ndarray, shape (P, N), optional
         Input of a linear cause, including its distortion; the voltage by default.
-
-    Raises
-    ------
-    ValueError
-        If there are too few periods, or the voltage omits no odd or no even line.
     """
     periods, samples = displacement_um.shape
     if periods < FEWEST_PERIODS:

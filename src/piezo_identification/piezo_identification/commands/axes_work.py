@@ -37,10 +37,7 @@ OF_ONE_AXIS = ("creep_pairs", "antiresonances", "band", "grid", "smoothing", "tr
 def are_of_axes(paths: Iterable[Path]) -> bool:
     """Return whether files are recordings or responses of several axes.
 
-    Raises
-    ------
-    ValueError
-        If some files are of one axis and others of several.
+    Raise ValueError if some files are of one axis and others of several.
     """
     listed = list(paths)
     of_axes = [is_of_axes(path) or is_axes_response(path) for path in listed]

@@ -39,10 +39,7 @@ def add_response_options(parser: argparse.ArgumentParser) -> None:
 def hold_s_of(options: argparse.Namespace) -> float:
     """Return the hold time included in a response, 0 if there is none, and print it.
 
-    Raises
-    ------
-    ValueError
-        If the rate does not apply to the response, or is not positive.
+    Raise ValueError if the rate does not apply to the response, or is not positive.
     """
     if options.response != HELD:
         if options.response_rate_hz is not None:
@@ -57,10 +54,7 @@ def hold_s_of(options: argparse.Namespace) -> float:
 def rate_hz_of(options: argparse.Namespace) -> float:
     """Return the rate of the samples, the default one if none is given.
 
-    Raises
-    ------
-    ValueError
-        If it is not positive.
+    Raise ValueError if it is not positive.
     """
     rate_hz = options.response_rate_hz
     rate_hz = USUAL_RATE_HZ if rate_hz is None else float(rate_hz)

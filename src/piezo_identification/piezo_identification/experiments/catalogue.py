@@ -217,6 +217,8 @@ def distortion(
 ) -> Experiment:
     """Design odd tones, some omitted, which separate noise, even distortion and odd distortion.
 
+    Raise ValueError if there are fewer than three periods, or the band holds too few lines.
+
     Parameters
     ----------
     swing : float
@@ -226,11 +228,6 @@ def distortion(
         Period (the reciprocal of the line spacing) and highest excited frequency.
     periods : int
         Number of periods. The motion settles in the first; the others give the noise.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than three periods, or the band holds too few lines.
     """
     if periods < 3:
         raise ValueError(f"experiment 'distortion' has {periods} periods: give at least 3, of "

@@ -112,12 +112,8 @@ def distortion_period(limits: StageLimits, swing: float, period_s: float,
                       highest_hz: float) -> FloatArray:
     """Return one period (N,) of the multisine around mid-range, at the sample clock.
 
-    Pintelon and Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., 4.3.
-
-    Raises
-    ------
-    ValueError
-        If the band holds too few lines.
+    Pintelon and Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., 4.3. Raise
+    ValueError if the band holds too few lines.
     """
     random = np.random.default_rng(SEED)
     samples = round(period_s * limits.sample_rate_hz)
@@ -135,10 +131,7 @@ def distortion_period(limits: StageLimits, swing: float, period_s: float,
 def diagnostic_block(limits: StageLimits) -> FloatArray:
     """Return one block (N,), in V, from the lowest voltage back to it, at the sample clock.
 
-    Raises
-    ------
-    ValueError
-        If the sample clock is too slow for the fastest loop.
+    Raise ValueError if the sample clock is too slow for the fastest loop.
     """
     rate_hz = limits.sample_rate_hz
     if rate_hz <= 2.0 * max(RATES_HZ):

@@ -64,15 +64,12 @@ class ChangedParameters:
 def changed_parameters(model: StageModel, recording: Recording) -> ChangedParameters:
     """Find which parameters of a model have changed in a recording.
 
+    Raise ValueError if the recording has gaps, or is too short.
+
     Parameters
     ----------
     recording : Recording
         Recording after the change, including the voltages before it.
-
-    Raises
-    ------
-    ValueError
-        If the recording has gaps, or is too short.
     """
     problem = _Problem(model, with_outliers_marked(recording))
     groups = parameter_groups(model)

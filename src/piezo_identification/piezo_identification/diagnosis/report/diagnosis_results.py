@@ -102,6 +102,8 @@ def diagnose_files(
 ) -> DiagnosisResults:
     """Diagnose recordings and write verdict, extended model and report.
 
+    Raise ValueError if a file cannot be read or written, or a recording cannot be used.
+
     Parameters
     ----------
     holdout : path-like or None
@@ -115,11 +117,6 @@ def diagnose_files(
         file.
     budget : Budget, optional
         Time limit, see `diagnose`.
-
-    Raises
-    ------
-    ValueError
-        If a file cannot be read or written, or a recording cannot be used.
     """
     budget = budget or Budget()
     progress("read the recordings", 0.0)
@@ -149,10 +146,7 @@ def read_given(
 ) -> GivenFiles:
     """Read the data to diagnose, and create the directory of the results.
 
-    Raises
-    ------
-    ValueError
-        If a file cannot be read, or the directory cannot be made.
+    Raise ValueError if a file cannot be read, or the directory cannot be made.
     """
     identified = load_model(model)
     given = [recording for path in recordings for recording in read_file(path)]
@@ -223,7 +217,8 @@ def decide_files(model: AnyPath, recordings: Sequence[AnyPath], holdout: AnyPath
                  ) -> tuple[DiagnosisResults, list[DecisionStep]]:
     """Decide by experiments, and write verdict, extended model, report and recordings.
 
-    The files of each proposal and its recording are in `experiment_1` and so on.
+    The files of each proposal and its recording are in `experiment_1` and so on. Raise ValueError
+    if a file cannot be read or written, or a recording cannot be used.
 
     Parameters
     ----------
@@ -231,11 +226,6 @@ def decide_files(model: AnyPath, recordings: Sequence[AnyPath], holdout: AnyPath
         As in `diagnose_files`.
     budget, longest_s, begin_budget
         As in `decide`.
-
-    Raises
-    ------
-    ValueError
-        If a file cannot be read or written, or a recording cannot be used.
     """
     progress("read the recordings", 0.0)
     given = read_given(model, recordings, holdout, directory)

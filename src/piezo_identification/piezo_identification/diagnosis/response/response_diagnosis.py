@@ -95,6 +95,8 @@ def diagnose_response(
     the model's dynamics within their prior width. They are compared on the other frequencies.
     Nonlinear effects do not show in a response.
 
+    Raise ValueError if there are too few frequencies.
+
     Parameters
     ----------
     measured : FrequencyResponse
@@ -102,11 +104,6 @@ def diagnose_response(
     budget : Budget, optional
         Time limit. When it is reached, or with Ctrl-C, the comparison ends with the effects found
         so far.
-
-    Raises
-    ------
-    ValueError
-        If there are too few frequencies.
     """
     if measured.frequency_hz.size < FEWEST_FREQUENCIES:
         raise ValueError(

@@ -31,6 +31,8 @@ def diagnose_response_file(
 ) -> ResponseDiagnosis:
     """Diagnose a frequency response and write verdict, extended model, picture and report.
 
+    Raise ValueError if a file cannot be read or written, or the response cannot be used.
+
     Parameters
     ----------
     directory : path-like
@@ -39,11 +41,6 @@ def diagnose_response_file(
         Sample period of a hold in the response, in s; see `FrequencyResponse`.
     progress, budget
         As in `diagnose_response`.
-
-    Raises
-    ------
-    ValueError
-        If a file cannot be read or written, or the response cannot be used.
     """
     identified, directory = load_model(model), Path(directory)
     measured = read_frequency_response(Path(response)).held(hold_s)

@@ -88,10 +88,7 @@ NOTABLE_PERCENT = 0.05
 def fitted_limits(findings: Findings, limits: StageLimits) -> StageLimits:
     """Narrow the voltage range so that the displacement stays within the range of the sensor.
 
-    Raises
-    ------
-    ValueError
-        If the narrowed range is too small to identify a model.
+    Raise ValueError if the narrowed range is too small to identify a model.
     """
     size = abs(findings.step_v) / limits.span_v
     gain_um_per_v = findings.gain_um_per_v * float(
