@@ -117,14 +117,10 @@ def nonlinear_distortion(voltage_v: FloatArray, displacement_um: FloatArray,
                          ) -> NonlinearDistortion:
     """Separate noise, even and odd distortion.
 
-    Raise ValueError if there are too few periods, or the voltage omits no odd or no even line.
-
-    Parameters
-    ----------
-    voltage_v, displacement_um : ndarray, shape (P, N)
-        Periods of the multisine, without the one in which the motion settles.
-    driving : ndarray, shape (P, N), optional
-        Input of a linear cause, including its distortion; the voltage by default.
+    Voltage and displacement are periods of the multisine, (P, N), without the one in which the
+    motion settles. `driving`, (P, N), is the input of a linear cause, including its distortion; by
+    default, it is the voltage. Raise ValueError if there are too few periods, or the voltage omits
+    no odd or no even line.
     """
     periods, samples = displacement_um.shape
     if periods < FEWEST_PERIODS:

@@ -51,12 +51,8 @@ def identify_axes_files(options: argparse.Namespace,
                         paths: Mapping[str, Sequence[Path]]) -> int | None:
     """Identify a model of several axes, write it, and print a summary.
 
-    Return the exit status if the work was interrupted.
-
-    Parameters
-    ----------
-    paths : dict of str to list of Path
-        Files by experiment; see `identify_several_axes`.
+    The files are listed by experiment; see `identify_several_axes`. Return the exit status if the
+    work was interrupted.
     """
     for name in OF_ONE_AXIS:
         if getattr(options, name) is not None:

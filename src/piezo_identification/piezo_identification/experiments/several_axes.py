@@ -66,13 +66,11 @@ def orthogonal_multisines(
 
     There are as many realisations as axes, and the spectra of the axes are orthogonal at every
     line. The response is then obtained as if each axis had moved alone, with the power of all
-    (Dobrowiecki and Schoukens, Automatica 43, 2007). Raise ValueError if a waveform leaves the
-    range of an axis, or exceeds its slew limit.
+    (Dobrowiecki and Schoukens, Automatica 43, 2007).
 
-    Parameters
-    ----------
-    period_s, highest_hz : float
-        Period (the reciprocal of the line spacing) and highest excited frequency.
+    `period_s` is the reciprocal of the line spacing, and `highest_hz` the highest excited
+    frequency. Raise ValueError if a waveform leaves the range of an axis, or exceeds its slew
+    limit.
     """
     axes = len(limits)
     first = next(iter(limits.values()))

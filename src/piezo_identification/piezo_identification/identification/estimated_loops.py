@@ -103,14 +103,9 @@ def estimate_loops(
 ) -> tuple[DensityEstimate, FirstRise | None, Mapping[str, Data]]:
     """Estimate the density, and the first-cycle remanence if a recording shows it.
 
-    Returns
-    -------
-    DensityEstimate
-    FirstRise or None
-        None unless the remanence fits the recording that shows it far better, and all recordings
-        together no worse.
-    dict of str to Recording or FrequencyResponse
-        The recordings as if the stage had been cycled before each of them.
+    The remanence is None unless it fits the recording that shows it far better, and all recordings
+    together no worse. The returned recordings are as if the stage had been cycled before each of
+    them.
     """
     density = estimate_hysteresis_of(recordings, linear, options)
     shown = _shown_first_rises(recordings, linear)

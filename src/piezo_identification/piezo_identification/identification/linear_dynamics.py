@@ -178,12 +178,8 @@ def estimate_linear_dynamics(
     together with the dynamics if it was not recorded. If their sample periods differ, those with
     the shortest are used here, and all in the fit of the whole model.
 
-    Raise ValueError if a recording does not fit its purpose.
-
-    Parameters
-    ----------
-    creep, hysteresis : sequence of Recording
-        Recordings without gaps; empty for none.
+    The recordings of creep and hysteresis have no gaps; an empty sequence stands for none. Raise
+    ValueError if a recording does not fit its purpose.
     """
     found = LinearDynamics()
     fast = [] if isinstance(dynamics, FrequencyResponse) else of_the_fastest_clock(dynamics)

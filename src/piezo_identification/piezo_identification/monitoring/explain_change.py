@@ -42,14 +42,9 @@ def explain_change(model: str | Path, recording: str | Path, directory: str | Pa
                    usual_rms_um: float) -> ChangeExplanation:
     """Explain a change by changed parameters of the model, or else by missing effects.
 
-    Raise ValueError if a file cannot be used.
-
-    Parameters
-    ----------
-    directory : path-like
-        Directory for ``extended_model.json``, and for the files of the diagnosis if one is made.
-    usual_rms_um : float
-        RMS of the model's residual before the change.
+    The directory is for ``extended_model.json``, and for the files of the diagnosis if one is made.
+    `usual_rms_um` is the RMS of the model's residual before the change. Raise ValueError if a file
+    cannot be used.
     """
     identified, directory = load_model(model), Path(directory)
     found = changed_parameters(identified.model, read_recording(recording))

@@ -130,12 +130,7 @@ class Expected:
 class UsualError:
     """The usual error of a model for each kind of motion.
 
-    Parameters
-    ----------
-    bands : int
-        Number of frequency bands of the motion.
-    memory : int
-        Number of blocks of a kind after which older ones fade.
+    The motion has `bands` frequency bands. After `memory` blocks of a kind, older ones fade.
     """
 
     def __init__(self, known: KnownError, bands: int, memory: int) -> None:
@@ -154,12 +149,8 @@ class UsualError:
     def expected(self, motion_um: FloatArray, features: FloatArray) -> Expected:
         """Return the expected error of a block.
 
-        Parameters
-        ----------
-        motion_um : ndarray, shape (B,)
-            RMS of the motion in each band.
-        features : ndarray, shape (F,)
-            Features of the motion; two blocks are of one kind if none differs by more than 1.
+        `motion_um` is the RMS of the motion in each band, (B,). Two blocks are of one kind if none
+        of their features, (F,), differs by more than 1.
         """
         kind = self._kind(features)
         # The prediction from all kinds; for a known kind, it is weighted with the kind's blocks.

@@ -70,16 +70,10 @@ class DiagnosisRow:
 def read_table(table: Path, output: Path) -> list[DiagnosisRow]:
     """Read the table of recordings to diagnose.
 
-    Raise ValueError if a column is missing or unknown, a cell is empty, two rows have the same
-    name, or a time of recording is not in ISO 8601 format.
-
-    Parameters
-    ----------
-    table : Path
-        CSV with the columns model and data, and optionally those of `OPTIONAL`. Several files in a
-        cell are separated by semicolons; relative paths are relative to the table's folder.
-    output : Path
-        Folder that contains the folder of each row.
+    It is a CSV with the columns model and data, and optionally those of `OPTIONAL`. Several files
+    in a cell are separated by semicolons; relative paths are relative to the table's folder.
+    `output` contains the folder of each row. Raise ValueError if a column is missing or unknown, a
+    cell is empty, two rows have the same name, or a time of recording is not in ISO 8601 format.
     """
     try:
         with table.open(newline="", encoding="utf-8-sig") as stream:

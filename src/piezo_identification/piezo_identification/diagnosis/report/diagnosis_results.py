@@ -217,15 +217,9 @@ def decide_files(model: AnyPath, recordings: Sequence[AnyPath], holdout: AnyPath
                  ) -> tuple[DiagnosisResults, list[DecisionStep]]:
     """Decide by experiments, and write verdict, extended model, report and recordings.
 
-    The files of each proposal and its recording are in `experiment_1` and so on. Raise ValueError
-    if a file cannot be read or written, or a recording cannot be used.
-
-    Parameters
-    ----------
-    model, recordings, holdout, directory, progress
-        As in `diagnose_files`.
-    budget, longest_s, begin_budget
-        As in `decide`.
+    The arguments are those of `diagnose_files` and `decide`. The files of each proposal and its
+    recording are in `experiment_1` and so on. Raise ValueError if a file cannot be read or written,
+    or a recording cannot be used.
     """
     progress("read the recordings", 0.0)
     given = read_given(model, recordings, holdout, directory)

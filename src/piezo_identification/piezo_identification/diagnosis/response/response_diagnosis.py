@@ -95,15 +95,9 @@ def diagnose_response(
     the model's dynamics within their prior width. They are compared on the other frequencies.
     Nonlinear effects do not show in a response.
 
-    Raise ValueError if there are too few frequencies.
-
-    Parameters
-    ----------
-    measured : FrequencyResponse
-        A hold in it is removed.
-    budget : Budget, optional
-        Time limit. When it is reached, or with Ctrl-C, the comparison ends with the effects found
-        so far.
+    A hold in the response is removed. When the time limit is reached, or with Ctrl-C, the
+    comparison ends with the effects found so far. Raise ValueError if there are too few
+    frequencies.
     """
     if measured.frequency_hz.size < FEWEST_FREQUENCIES:
         raise ValueError(
