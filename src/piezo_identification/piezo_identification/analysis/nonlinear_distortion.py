@@ -4,8 +4,13 @@
 This is the fast method of Pintelon and Schoukens, System Identification: A Frequency Domain
 Approach, 2nd ed., 4.3. Differences between periods are noise. A periodic response is even
 distortion at even lines, and odd distortion at odd lines that are not excited.
+
+The error of a model, separated in the same way, narrows down its cause before any fit. An error
+only at the excited lines has a linear cause. Odd distortion has a symmetric cause such as play or a
+cubic spring, even distortion an asymmetric one.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +18,8 @@ import numpy as np
 from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
 from piezo_identification.conditioning.sensor_noise import SETTINGS as NOISE
 from piezo_identification.conditioning.sensor_noise import repeated_period
+from piezo_identification.simulation.simulated_recording import SimulatedRecording
+from piezo_models.effects import Effect
 from piezo_recorder.reading.recording import Recording
 
 EXCITED = 1e-3
@@ -23,6 +30,14 @@ FEWEST_LINES = 8
 
 FEWEST_PERIODS = 2
 """Fewest periods after the one in which the motion settles; their differences are the noise."""
+
+ABSENT = 0.02
+"""Fraction of the linear error below which distortion counts as absent. A spring or sensor with a
+curved characteristic has distortion of at least a tenth of its linear error over the quarter of the
+range that the experiment uses; play has more."""
+
+NEGLIGIBLE = 1e-3
+"""Error that is acceptable for a good model, as a fraction of the response."""
 
 
 @dataclass(frozen=True)
@@ -102,17 +117,10 @@ def nonlinear_distortion(voltage_v: FloatArray, displacement_um: FloatArray,
                          ) -> NonlinearDistortion:
     """Separate noise, even and odd distortion.
 
-    Parameters
-    ----------
-    voltage_v, displacement_um : ndarray, shape (P, N)
-        Periods of the multisine, without the one in which the motion settles.
-    driving : ndarray, shape (P, N), optional
-        Input of a linear cause, including its distortion; the voltage by default.
-
-    Raises
-    ------
-    ValueError
-        If there are too few periods, or the voltage omits no odd or no even line.
+    Voltage and displacement are periods of the multisine, (P, N), without the one in which the
+    motion settles. `driving`, (P, N), is the input of a linear cause, including its distortion; by
+    default, it is the voltage. Raise ValueError if there are too few periods, or the voltage omits
+    no odd or no even line.
     """
     periods, samples = displacement_um.shape
     if periods < FEWEST_PERIODS:
@@ -193,3 +201,77 @@ def distortion_of_signal(voltage_v: FloatArray, signal_um: FloatArray, sample_pe
     return nonlinear_distortion(
         voltage_v[whole].reshape(-1, period), signal_um[whole].reshape(-1, period),
         sample_period_s, None if driving is None else driving[whole].reshape(-1, period))
+
+
+@dataclass(frozen=True)
+class ErrorDistortion:
+    """The response of a stage to an odd multisine, and the error of a model."""
+
+    answer: NonlinearDistortion
+    error: NonlinearDistortion
+    """Distortion of the measured displacement, and of measured minus simulated displacement."""
+
+    def shown(self) -> frozenset[str]:
+        """Return those of "linear", "even" and "odd" that the error contains significantly."""
+        parts = {"linear": self.error.linear_um, "even": self.error.even_um,
+                 "odd": self.error.odd_um}
+        least_um = max(self.error.significant_um, NEGLIGIBLE * self.answer.answer_um)
+        return frozenset(name for name, part_um in parts.items() if part_um > least_um
+                         and not (name != "linear" and self.is_absent(name)))
+
+    def is_absent(self, kind: str) -> bool:
+        """Return whether "even" or "odd" distortion is so small that the linear cause has none."""
+        part_um = {"even": self.error.even_um, "odd": self.error.odd_um}[kind]
+        most_um = max(part_um, self.error.significant_um)
+        return most_um < ABSENT * self.error.linear_um
+
+    def sentence(self) -> str:
+        """Describe the parts of the error and the causes that they indicate."""
+        answer_um = self.answer.answer_um
+        parts = ", ".join(f"{name} {100.0 * part_um / answer_um:.3g} %" for name, part_um in (
+            ("linear", self.error.linear_um), ("even", self.error.even_um),
+            ("odd", self.error.odd_um), ("noise of a period", self.error.noise_of_period_um)))
+        return f"Error of the model over the answer: {parts}. {self._speaks_of()}."
+
+    def _speaks_of(self) -> str:
+        shown = self.shown()
+        if not shown:
+            return "The multisine shows no missing effect"
+        if shown == {"linear"}:
+            return "No distortion remains: the cause is linear"
+        if "even" not in shown:
+            return "The distortion is odd alone: the cause is symmetric, such as play"
+        if "odd" not in shown:
+            return "The distortion is even alone: the cause is asymmetric"
+        return "The distortion is even and odd: the cause is nonlinear and not symmetric"
+
+
+def error_distortion(part: SimulatedRecording, residual_um: FloatArray) -> ErrorDistortion | None:
+    """Separate the error of a model into linear error, even and odd distortion, and noise.
+
+    It is None if the voltage is not a repeated multisine that omits odd and even lines.
+    """
+    answer = distortion_of_signal(part.voltage_v, part.measured_um, part.sample_period_s)
+    # A linear cause such as a delay also acts on the distortion of the hysteresis.
+    error = distortion_of_signal(
+        part.voltage_v, residual_um, part.sample_period_s, part.simulate())
+    return None if answer is None or error is None else ErrorDistortion(answer, error)
+
+
+def excluded_by_distortion(parts: Sequence[SimulatedRecording],
+                           kinds: Sequence[type[Effect]]) -> dict[str, str]:
+    """Return why effects are excluded: the error lacks their distortion.
+
+    Nothing is excluded without an odd multisine among the recordings.
+    """
+    excluded: dict[str, str] = {}
+    for part in parts:
+        found = error_distortion(part, part.measured_um - part.simulate())
+        if found is None:
+            continue
+        absent = {kind for kind in ("even", "odd") if found.is_absent(kind)}
+        for kind in kinds:
+            if kind.distortion and kind.distortion <= absent:
+                missing = " or ".join(sorted(kind.distortion))
+                excluded[kind.name] = f"the multisine shows no {missing} distortion"
+    return excluded

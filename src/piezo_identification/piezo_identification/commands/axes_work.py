@@ -37,10 +37,7 @@ OF_ONE_AXIS = ("creep_pairs", "antiresonances", "band", "grid", "smoothing", "tr
 def are_of_axes(paths: Iterable[Path]) -> bool:
     """Return whether files are recordings or responses of several axes.
 
-    Raises
-    ------
-    ValueError
-        If some files are of one axis and others of several.
+    Raise ValueError if some files are of one axis and others of several.
     """
     listed = list(paths)
     of_axes = [is_of_axes(path) or is_axes_response(path) for path in listed]
@@ -54,12 +51,8 @@ def identify_axes_files(options: argparse.Namespace,
                         paths: Mapping[str, Sequence[Path]]) -> int | None:
     """Identify a model of several axes, write it, and print a summary.
 
-    Return the exit status if the work was interrupted.
-
-    Parameters
-    ----------
-    paths : dict of str to list of Path
-        Files by experiment; see `identify_several_axes`.
+    The files are listed by experiment; see `identify_several_axes`. Return the exit status if the
+    work was interrupted.
     """
     for name in OF_ONE_AXIS:
         if getattr(options, name) is not None:

@@ -10,6 +10,10 @@ E_Y = ("e_y: norm of the difference over that of the measured displacement witho
 READINGS = {"start": 0.0, "end": 1.0}
 """Reading times, in sample periods after the change of the voltage of a row."""
 
+HELD = "zero-order-hold"
+
+USUAL_RATE_HZ = 40000.0
+
 
 def add_rows_option(parser: argparse.ArgumentParser) -> None:
     """Add ``--rows-read``."""
@@ -17,10 +21,6 @@ def add_rows_option(parser: argparse.ArgumentParser) -> None:
         "--rows-read", choices=tuple(READINGS), default="start",
         help="when the displacement of a row is read: as its voltage changes (default), or at the "
         "end of the hold, just before the next voltage")
-
-
-HELD = "zero-order-hold"
-USUAL_RATE_HZ = 40000.0
 
 
 def add_response_options(parser: argparse.ArgumentParser) -> None:
@@ -39,10 +39,7 @@ def add_response_options(parser: argparse.ArgumentParser) -> None:
 def hold_s_of(options: argparse.Namespace) -> float:
     """Return the hold time included in a response, 0 if there is none, and print it.
 
-    Raises
-    ------
-    ValueError
-        If the rate does not apply to the response, or is not positive.
+    Raise ValueError if the rate does not apply to the response, or is not positive.
     """
     if options.response != HELD:
         if options.response_rate_hz is not None:
@@ -57,10 +54,7 @@ def hold_s_of(options: argparse.Namespace) -> float:
 def rate_hz_of(options: argparse.Namespace) -> float:
     """Return the rate of the samples, the default one if none is given.
 
-    Raises
-    ------
-    ValueError
-        If it is not positive.
+    Raise ValueError if it is not positive.
     """
     rate_hz = options.response_rate_hz
     rate_hz = USUAL_RATE_HZ if rate_hz is None else float(rate_hz)

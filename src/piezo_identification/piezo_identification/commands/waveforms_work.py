@@ -23,10 +23,7 @@ SWEEP_ARC_S, SWEEPS = 2.0, 2
 def write_waveforms(options: argparse.Namespace) -> None:
     """Write a file for each selected experiment.
 
-    Raises
-    ------
-    ValueError
-        If an experiment does not fit the range, the rate or the slew limit.
+    Raise ValueError if an experiment does not fit the range, the rate or the slew limit.
     """
     lowest_v, highest_v = options.range
     rest_v = options.rest

@@ -227,11 +227,8 @@ def refuse_known_holdout(holdout: Recording | None, recordings: Sequence[Recordi
                          identified_from: IdentificationRecordings | None) -> None:
     """Raise an error if the held-out recording is also diagnosed, or used in the identification.
 
-    Raises
-    ------
-    ValueError
-        If it has the SHA-256 of one of them. The validation recording of an identification is
-        allowed, because it was not fitted.
+    Raise ValueError if it has the SHA-256 of one of them. The validation recording of an
+    identification is allowed, because it was not fitted.
     """
     digest = "" if holdout is None else digest_of(holdout)
     if holdout is None or not digest:
@@ -251,10 +248,7 @@ def condition(model: StageModel, recordings: Sequence[Recording],
               holdout: Recording | None) -> Conditioned:
     """Give the recordings the sign and rows of the model, and mark their outliers.
 
-    Raises
-    ------
-    ValueError
-        If there is no recording.
+    Raise ValueError if there is no recording.
     """
     if not recordings:
         raise ValueError("there is no recording to diagnose: give one")

@@ -43,6 +43,9 @@ MULTISINE_TONES = (
 """Frequency (Hz) and amplitude, as a fraction of the voltage range, proportioned as in the
 thesis."""
 
+GROUP = "piezo_identification.experiments"
+"""Entry points through which other packages add experiments: functions of the stage's limits."""
+
 
 @dataclass(frozen=True)
 class Experiment:
@@ -214,6 +217,8 @@ def distortion(
 ) -> Experiment:
     """Design odd tones, some omitted, which separate noise, even distortion and odd distortion.
 
+    Raise ValueError if there are fewer than three periods, or the band holds too few lines.
+
     Parameters
     ----------
     swing : float
@@ -223,11 +228,6 @@ def distortion(
         Period (the reciprocal of the line spacing) and highest excited frequency.
     periods : int
         Number of periods. The motion settles in the first; the others give the noise.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than three periods, or the band holds too few lines.
     """
     if periods < 3:
         raise ValueError(f"experiment 'distortion' has {periods} periods: give at least 3, of "
@@ -246,10 +246,6 @@ EXPERIMENTS = {
 FURTHER_EXPERIMENTS = {"multisine": multisine, "relay": relay, "diagnostic": diagnostic,
                        "distortion": distortion}
 """Experiments that run only on request; `relay` acts in feedback, the others play a waveform."""
-
-
-GROUP = "piezo_identification.experiments"
-"""Entry points through which other packages add experiments: functions of the stage's limits."""
 
 
 def named_experiment(

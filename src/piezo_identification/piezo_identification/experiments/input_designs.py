@@ -9,6 +9,47 @@ import numpy as np
 from piezo_common.arrays import FloatArray, IntArray
 from piezo_identification.experiments.stage_limits import StageLimits
 
+HIGHEST_OF_CLOCK = 0.1
+"""Highest excited frequency over the sample rate. Above it, the held voltage is a coarse
+staircase."""
+
+GROUP = 3
+"""Number of consecutive odd lines of which one is not excited; that line shows odd distortion."""
+
+CREST_DRAWS = 32
+"""Number of random phase sets; the one with the lowest crest factor is used."""
+
+SEED = 0
+"""Seed of the omitted lines and of the phases."""
+
+REST_S = 0.8
+"""Time at rest, which shows noise, disturbances from outside, outliers and drift."""
+
+LOOPS = (0.0, 1.0, 0.12, 0.78, 0.35, 0.61, 0.0, 0.93, 0.05, 0.5)
+"""Turning points as fractions of the range: the major loop, loops within it, then the middle."""
+
+ARC_S, DWELL_S = 0.1, 0.25
+"""Durations of an arc from one turning point to the next and of the dwell there. They show
+hysteresis, play, creep and, at the ends of the range, clipping."""
+
+RATES_HZ, CYCLES, RATE_SWING = (4.0, 25.0, 150.0), (1, 5, 20), 0.16
+"""Frequencies, cycles and amplitude (fraction of the range) of a loop about the middle. It is
+repeated at rising rates, which shows rate dependence."""
+
+STEPS = (0.3, -0.05, 0.1, -0.2, 0.05, -0.3, 0.2, -0.1) * 3
+
+STEP_S = 0.025
+"""Heights as fractions of the range, and duration of each: they show slewing, ringing, delay."""
+
+TONES_HZ, TONES_S, TONE_SWINGS = (20.0, 3000.0), 1.0, (0.02, 0.07)
+"""Band of the tones, their duration and their total RMS (fraction of the range), a small one and a
+large one. They show modes, delay, lags and how these depend on the amplitude."""
+
+TONES_PER_S = 10
+
+PHASES = 0
+"""Seed of the phases of the tones."""
+
 
 def arc(start: float, end: float, samples: int) -> FloatArray:
     """Return half a cosine (samples,) from start to end, reached one sample after the last."""
@@ -44,20 +85,6 @@ def stair_harmonics(
     return 0.5 * np.asarray(amplitudes_v)[harmonic] * (1.0 - np.cos(2.0 * np.pi * periods))
 
 
-HIGHEST_OF_CLOCK = 0.1
-"""Highest excited frequency over the sample rate. Above it, the held voltage is a coarse
-staircase."""
-
-GROUP = 3
-"""Number of consecutive odd lines of which one is not excited; that line shows odd distortion."""
-
-CREST_DRAWS = 32
-"""Number of random phase sets; the one with the lowest crest factor is used."""
-
-SEED = 0
-"""Seed of the omitted lines and of the phases."""
-
-
 def excited_lines(highest_line: int, random: np.random.Generator) -> IntArray:
     """Draw the increasing lines of a random odd multisine, omitting one of each group."""
     odd = np.arange(1, highest_line + 1, 2)
@@ -85,12 +112,8 @@ def distortion_period(limits: StageLimits, swing: float, period_s: float,
                       highest_hz: float) -> FloatArray:
     """Return one period (N,) of the multisine around mid-range, at the sample clock.
 
-    Pintelon and Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., 4.3.
-
-    Raises
-    ------
-    ValueError
-        If the band holds too few lines.
+    Pintelon and Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., 4.3. Raise
+    ValueError if the band holds too few lines.
     """
     random = np.random.default_rng(SEED)
     samples = round(period_s * limits.sample_rate_hz)
@@ -105,38 +128,10 @@ def distortion_period(limits: StageLimits, swing: float, period_s: float,
     return np.asarray(limits.middle_v + amplitude_v * wave)
 
 
-REST_S = 0.8
-"""Time at rest, which shows noise, disturbances from outside, outliers and drift."""
-
-LOOPS = (0.0, 1.0, 0.12, 0.78, 0.35, 0.61, 0.0, 0.93, 0.05, 0.5)
-"""Turning points as fractions of the range: the major loop, loops within it, then the middle."""
-ARC_S, DWELL_S = 0.1, 0.25
-"""Durations of an arc from one turning point to the next and of the dwell there. They show
-hysteresis, play, creep and, at the ends of the range, clipping."""
-
-RATES_HZ, CYCLES, RATE_SWING = (4.0, 25.0, 150.0), (1, 5, 20), 0.16
-"""Frequencies, cycles and amplitude (fraction of the range) of a loop about the middle. It is
-repeated at rising rates, which shows rate dependence."""
-
-STEPS = (0.3, -0.05, 0.1, -0.2, 0.05, -0.3, 0.2, -0.1) * 3
-STEP_S = 0.025
-"""Heights as fractions of the range, and duration of each: they show slewing, ringing, delay."""
-
-TONES_HZ, TONES_S, TONE_SWINGS = (20.0, 3000.0), 1.0, (0.02, 0.07)
-"""Band of the tones, their duration and their total RMS (fraction of the range), a small one and a
-large one. They show modes, delay, lags and how these depend on the amplitude."""
-TONES_PER_S = 10
-PHASES = 0
-"""Seed of the phases of the tones."""
-
-
 def diagnostic_block(limits: StageLimits) -> FloatArray:
     """Return one block (N,), in V, from the lowest voltage back to it, at the sample clock.
 
-    Raises
-    ------
-    ValueError
-        If the sample clock is too slow for the fastest loop.
+    Raise ValueError if the sample clock is too slow for the fastest loop.
     """
     rate_hz = limits.sample_rate_hz
     if rate_hz <= 2.0 * max(RATES_HZ):

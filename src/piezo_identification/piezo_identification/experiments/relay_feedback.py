@@ -81,10 +81,7 @@ def relay(limits: StageLimits, oscillation_s: float = 0.5) -> RelayExperiment:
     of the relay's amplitude. That shows the gains of the hysteresis (3.16): the secant from the
     lowest voltage, and the gain of the minor loop in which the relay moves.
 
-    Raises
-    ------
-    ValueError
-        If the stage's slew limit does not allow the relay's step.
+    Raise ValueError if the stage's slew limit does not allow the relay's step.
     """
     amplitude_v, working_v = AMPLITUDE_FRACTION * limits.span_v, limits.middle_v
     if 2.0 * amplitude_v * limits.sample_rate_hz > limits.slew_limit_v_per_s:
@@ -219,10 +216,7 @@ class RelayOscillation:
 def relay_oscillation(recording: Recording, experiment: RelayExperiment) -> RelayOscillation:
     """Evaluate the recording of a relay experiment.
 
-    Raises
-    ------
-    ValueError
-        If samples are missing, or the stage did not oscillate steadily.
+    Raise ValueError if samples are missing, or the stage did not oscillate steadily.
     """
     part = recording.select(recording.tracking)
     if part.gaps:

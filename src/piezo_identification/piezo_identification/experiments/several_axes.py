@@ -28,6 +28,9 @@ SEED = 1
 def axes_experiments(name: str, limits: Mapping[str, StageLimits]) -> list[Experiment]:
     """Make the experiments of one name for a stage of several axes.
 
+    Raise ValueError if the experiment acts in feedback, or for the reasons given in
+    `named_experiment`.
+
     Parameters
     ----------
     name : str
@@ -41,11 +44,6 @@ def axes_experiments(name: str, limits: Mapping[str, StageLimits]) -> list[Exper
     -------
     list of Experiment
         Experiments with voltages of shape (N, axes); their names begin with `name`.
-
-    Raises
-    ------
-    ValueError
-        If the experiment acts in feedback, or for the reasons given in `named_experiment`.
     """
     if name == "multisine":
         return orthogonal_multisines(limits)
@@ -70,15 +68,9 @@ def orthogonal_multisines(
     line. The response is then obtained as if each axis had moved alone, with the power of all
     (Dobrowiecki and Schoukens, Automatica 43, 2007).
 
-    Parameters
-    ----------
-    period_s, highest_hz : float
-        Period (the reciprocal of the line spacing) and highest excited frequency.
-
-    Raises
-    ------
-    ValueError
-        If a waveform leaves the range of an axis, or exceeds its slew limit.
+    `period_s` is the reciprocal of the line spacing, and `highest_hz` the highest excited
+    frequency. Raise ValueError if a waveform leaves the range of an axis, or exceeds its slew
+    limit.
     """
     axes = len(limits)
     first = next(iter(limits.values()))

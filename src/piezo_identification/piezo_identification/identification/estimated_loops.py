@@ -38,6 +38,10 @@ ANY_VOLTAGE_V = 1000.0
 """Limit above the voltage of piezo amplifiers. The voltages of a response are unknown, so its line
 is valid between minus and plus this voltage."""
 
+MOST_NOISE = 0.9
+"""Largest part of the residual with a remanence that may count as noise. Even if the residual is
+only noise, it must then be a fifth smaller than that without the remanence."""
+
 
 @dataclass(frozen=True)
 class DensityOptions:
@@ -94,24 +98,14 @@ def _line_of_response(linear: LinearDynamics) -> DensityEstimate:
         reversible_um_per_v=np.array([gain]))
 
 
-MOST_NOISE = 0.9
-"""Largest part of the residual with a remanence that may count as noise. Even if the residual is
-only noise, it must then be a fifth smaller than that without the remanence."""
-
-
 def estimate_loops(
     recordings: Mapping[str, Any], linear: LinearDynamics, options: DensityOptions,
 ) -> tuple[DensityEstimate, FirstRise | None, Mapping[str, Data]]:
     """Estimate the density, and the first-cycle remanence if a recording shows it.
 
-    Returns
-    -------
-    DensityEstimate
-    FirstRise or None
-        None unless the remanence fits the recording that shows it far better, and all recordings
-        together no worse.
-    dict of str to Recording or FrequencyResponse
-        The recordings as if the stage had been cycled before each of them.
+    The remanence is None unless it fits the recording that shows it far better, and all recordings
+    together no worse. The returned recordings are as if the stage had been cycled before each of
+    them.
     """
     density = estimate_hysteresis_of(recordings, linear, options)
     shown = _shown_first_rises(recordings, linear)

@@ -33,10 +33,7 @@ def given_data(
 ) -> dict[str, Data]:
     """Return the given data by name of the experiment; further ones are numbered: creep, creep 2.
 
-    Raises
-    ------
-    ValueError
-        If nothing is given to identify.
+    Raise ValueError if nothing is given to identify.
     """
     if creep is None and dynamics is None and hysteresis is None:
         raise ValueError(

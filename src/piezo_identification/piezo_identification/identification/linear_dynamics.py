@@ -177,15 +177,8 @@ def estimate_linear_dynamics(
     together with the dynamics if it was not recorded. If their sample periods differ, those with
     the shortest are used here, and all in the fit of the whole model.
 
-    Parameters
-    ----------
-    creep, hysteresis : sequence of Recording
-        Recordings without gaps; empty for none.
-
-    Raises
-    ------
-    ValueError
-        If a recording does not fit its purpose.
+    The recordings of creep and hysteresis have no gaps; an empty sequence stands for none. Raise
+    ValueError if a recording does not fit its purpose.
     """
     found = LinearDynamics()
     fast = [] if isinstance(dynamics, FrequencyResponse) else of_the_fastest_clock(dynamics)

@@ -52,6 +52,9 @@ LOOPS = 2
 """Largest number of times that the loops are estimated again at the end; a further time only if the
 last one reduced the error."""
 
+Tried = Sequence[tuple[str, WholeFit]]
+"""What was changed, and the fit, in the order in which they were tried."""
+
 
 @dataclass(frozen=True, eq=False)
 class _State:
@@ -323,10 +326,6 @@ def _scaled(deviations: Any, factor: float) -> Any:
     if isinstance(deviations, list | tuple):
         return type(deviations)(_scaled(each, factor) for each in deviations)
     return factor * deviations
-
-
-Tried = Sequence[tuple[str, WholeFit]]
-"""What was changed, and the fit, in the order in which they were tried."""
 
 
 def structure_table(tried: Tried, best: WholeFit) -> str:

@@ -64,15 +64,8 @@ class ChangedParameters:
 def changed_parameters(model: StageModel, recording: Recording) -> ChangedParameters:
     """Find which parameters of a model have changed in a recording.
 
-    Parameters
-    ----------
-    recording : Recording
-        Recording after the change, including the voltages before it.
-
-    Raises
-    ------
-    ValueError
-        If the recording has gaps, or is too short.
+    The recording was made after the change, and includes the voltages before it. Raise ValueError
+    if it has gaps, or is too short.
     """
     problem = _Problem(model, with_outliers_marked(recording))
     groups = parameter_groups(model)

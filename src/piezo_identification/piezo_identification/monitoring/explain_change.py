@@ -42,17 +42,9 @@ def explain_change(model: str | Path, recording: str | Path, directory: str | Pa
                    usual_rms_um: float) -> ChangeExplanation:
     """Explain a change by changed parameters of the model, or else by missing effects.
 
-    Parameters
-    ----------
-    directory : path-like
-        Directory for ``extended_model.json``, and for the files of the diagnosis if one is made.
-    usual_rms_um : float
-        RMS of the model's residual before the change.
-
-    Raises
-    ------
-    ValueError
-        If a file cannot be used.
+    The directory is for ``extended_model.json``, and for the files of the diagnosis if one is made.
+    `usual_rms_um` is the RMS of the model's residual before the change. Raise ValueError if a file
+    cannot be used.
     """
     identified, directory = load_model(model), Path(directory)
     found = changed_parameters(identified.model, read_recording(recording))
@@ -81,10 +73,7 @@ def explain_change(model: str | Path, recording: str | Path, directory: str | Pa
 class Explainer:
     """Explain a change in a separate process.
 
-    Raises
-    ------
-    OSError
-        If the recording cannot be written.
+    Raise OSError if the recording cannot be written.
     """
 
     def __init__(self, model: str, recording: Recording, directory: Path,

@@ -2,8 +2,8 @@
 """A model that runs next to the stage, and the evidence that its error has grown.
 
 The residual is divided into blocks. The usual error for the motion of a block is taken from the
-model file and updated with all blocks so far; see `usual_error`. A sum of Bayes factors shows
-whether the error has grown; see `change_evidence`. The memory is bounded, however long it runs.
+model file and updated with all blocks so far. A sum of Bayes factors shows whether the error has
+grown; see `usual_error` for both. The memory is bounded, however long it runs.
 """
 
 from collections import deque
@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.monitoring.change_evidence import ChangeEvidence
-from piezo_identification.monitoring.usual_error import KnownError, UsualError
+from piezo_identification.monitoring.usual_error import ChangeEvidence, KnownError, UsualError
 from piezo_models.cascade import StageMemory, StageModel
 from piezo_models.effects import Effect
 
@@ -25,6 +24,27 @@ FEWEST_BLOCKS = 3
 
 SETTLED_BLOCKS = 10
 """Number of blocks after which the line is known and the age of a run no longer counts."""
+
+STATISTICS = {
+    "mean": "as an offset",
+    "gain": "in proportion to the motion",
+    "lag": "in proportion to the speed",
+    "scatter": "neither in proportion to the motion nor to the speed",
+}
+"""Components of the error of a block; the largest is reported."""
+
+BAND_EDGES_HZ = (0.0, 10.0, 100.0, 1000.0, np.inf)
+"""Edges (Hz) of the frequency bands in which the powers of motion and error are computed."""
+
+LEAST_PART = 0.01
+"""Motion in a band below this fraction of the whole motion makes no difference between kinds of
+motion, nor does motion below this fraction of the travel."""
+
+REMEMBERED_BLOCKS = 4096
+"""Number of blocks whose start times are kept, to report when a change began."""
+
+HOURS_BETWEEN_CHANGES = 1.0
+"""Expected time between changes (h), from which the prior probability of a change follows."""
 
 
 class SlowOffset:
@@ -60,28 +80,6 @@ class SlowOffset:
         self._normal = kept * self._normal + np.outer(at, at)
         self._right = kept * self._right + mean_um * at
         return offset_um
-
-
-STATISTICS = {
-    "mean": "as an offset",
-    "gain": "in proportion to the motion",
-    "lag": "in proportion to the speed",
-    "scatter": "neither in proportion to the motion nor to the speed",
-}
-"""Components of the error of a block; the largest is reported."""
-
-BAND_EDGES_HZ = (0.0, 10.0, 100.0, 1000.0, np.inf)
-"""Edges (Hz) of the frequency bands in which the powers of motion and error are computed."""
-
-LEAST_PART = 0.01
-"""Motion in a band below this fraction of the whole motion makes no difference between kinds of
-motion, nor does motion below this fraction of the travel."""
-
-REMEMBERED_BLOCKS = 4096
-"""Number of blocks whose start times are kept, to report when a change began."""
-
-HOURS_BETWEEN_CHANGES = 1.0
-"""Expected time between changes (h), from which the prior probability of a change follows."""
 
 
 @dataclass(frozen=True)

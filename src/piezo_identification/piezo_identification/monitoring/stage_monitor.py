@@ -38,6 +38,7 @@ class StageMonitor:
 
     Runs of the loop are tested from the end of their approach on; all other samples only update the
     state of the model. After a gap, the model starts anew, as the past of the stage is unknown.
+    Raise ValueError if the model or a block is not suitable; see `ModelMonitor`.
 
     Parameters
     ----------
@@ -52,11 +53,6 @@ class StageMonitor:
     ----------
     lost_samples : int
         Number of samples lost in gaps.
-
-    Raises
-    ------
-    ValueError
-        If the model or a block is not suitable; see `ModelMonitor`.
     """
 
     def __init__(self, model: StageModel, sample_rate_hz: float,
@@ -135,12 +131,8 @@ class StageMonitor:
     def recording(self, time_s: float) -> Recording:
         """Return the kept samples of the last run since a time on the sample clock as a recording.
 
-        They are preceded by the voltages in the memory of the hysteresis, flagged as a ramp.
-
-        Raises
-        ------
-        ValueError
-            If nothing is kept since then.
+        They are preceded by the voltages in the memory of the hysteresis, flagged as a ramp. Raise
+        ValueError if nothing is kept since then.
         """
         pieces = self._since(time_s)
         if not pieces:

@@ -7,6 +7,11 @@ of motion differs from this prediction by a factor, and that of each of its bloc
 Both factors are log-normal, with spreads pooled over all kinds (A. Gelman et al., Bayesian Data
 Analysis, 2013, chapter 5). The uncertainty of a new kind is thus the spread between kinds, and that
 of a known kind is the spread of its blocks.
+
+The evidence that an error has grown since some time sums the Bayes factors of all times of change
+and all factors of growth (Shiryaev 1963; Roberts 1966). Without a change, this sum grows by one per
+block on average, whatever the distribution of the blocks. It therefore takes at least A blocks on
+average to exceed a threshold A (M. Pollak, Annals of Statistics 15, 1987).
 """
 
 from collections.abc import Iterator, Mapping
@@ -14,6 +19,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from scipy.stats import t
 
 from piezo_common.arrays import FloatArray
 from piezo_models.identified_model import IdentifiedModel
@@ -39,6 +45,14 @@ FURTHEST = 4.0
 
 STEPS = 3
 """Gauss-Newton steps at each update; few suffice, as the fractions change little."""
+
+FACTORS = np.geomspace(2.5, 250.0, 19)
+"""Factors by which an error may have grown, all equally likely. An error that has doubled is nearer
+to the smallest factor than to no growth."""
+
+STRAY, STRAY_RANGE = 0.05, 10.0
+"""Fraction of blocks with an error of any size, for example from a spike, and the range of the
+logarithm of that error. They keep a single block from indicating a change."""
 
 
 @dataclass(frozen=True)
@@ -116,12 +130,7 @@ class Expected:
 class UsualError:
     """The usual error of a model for each kind of motion.
 
-    Parameters
-    ----------
-    bands : int
-        Number of frequency bands of the motion.
-    memory : int
-        Number of blocks of a kind after which older ones fade.
+    The motion has `bands` frequency bands. After `memory` blocks of a kind, older ones fade.
     """
 
     def __init__(self, known: KnownError, bands: int, memory: int) -> None:
@@ -140,12 +149,8 @@ class UsualError:
     def expected(self, motion_um: FloatArray, features: FloatArray) -> Expected:
         """Return the expected error of a block.
 
-        Parameters
-        ----------
-        motion_um : ndarray, shape (B,)
-            RMS of the motion in each band.
-        features : ndarray, shape (F,)
-            Features of the motion; two blocks are of one kind if none differs by more than 1.
+        `motion_um` is the RMS of the motion in each band, (B,). Two blocks are of one kind if none
+        of their features, (F,), differs by more than 1.
         """
         kind = self._kind(features)
         # The prediction from all kinds; for a known kind, it is weighted with the kind's blocks.
@@ -234,3 +239,43 @@ def _wandering(middle: float, variance: float, freedom: float) -> Expected:
     """Add the variance of `WANDER`, with the degrees of freedom of Satterthwaite (1946)."""
     whole = variance + WANDER**2
     return Expected(middle, float(np.sqrt(whole)), freedom * (whole / variance) ** 2)
+
+
+@dataclass(frozen=True)
+class Change:
+    """The evidence for a change."""
+
+    blocks: int
+    """Number of blocks since the most likely beginning."""
+    factor: float
+    """Most likely factor by which the error has grown."""
+    logarithm: float
+    """Logarithm of the Bayes factor."""
+
+
+class ChangeEvidence:
+    """Sums of the Bayes factors over all beginnings, one for each factor of growth."""
+
+    def __init__(self) -> None:
+        self._growth = np.log(FACTORS)
+        self._step = float(self._growth[1] - self._growth[0])
+        self._logarithms = np.full(FACTORS.size, -np.inf)
+        self._blocks = np.zeros(FACTORS.size, dtype=int)
+
+    def add(self, value: float, expected: Expected) -> Change:
+        """Add the logarithm of the error (um) of a block, and return the evidence of all blocks."""
+        usual = _log_density(value, expected.middle, expected.scale, expected.freedom)
+        grown = _log_density(value, expected.middle + self._growth,
+                             np.hypot(expected.scale, 0.5 * self._step), expected.freedom)
+        self._blocks = np.where(self._logarithms > 0.0, self._blocks + 1, 1)
+        self._logarithms = np.logaddexp(0.0, self._logarithms) + grown - usual
+        likely = int(np.argmax(self._logarithms))
+        return Change(int(self._blocks[likely]), float(FACTORS[likely]), float(
+            np.logaddexp.reduce(self._logarithms) - np.log(FACTORS.size)))
+
+
+def _log_density(value: float, middle: FloatArray | float, scale: FloatArray | float,
+                 freedom: float) -> FloatArray:
+    """Return the log density of a block's error, including blocks with stray errors."""
+    student = t.logpdf(value, freedom, middle, scale)
+    return np.logaddexp(np.log1p(-STRAY) + student, np.log(STRAY / STRAY_RANGE))

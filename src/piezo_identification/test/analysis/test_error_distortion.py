@@ -12,7 +12,7 @@ from piezo_identification.analysis.distortion_over_frequency import (
     distortion_png,
     distortion_rows,
 )
-from piezo_identification.analysis.error_distortion import (
+from piezo_identification.analysis.nonlinear_distortion import (
     error_distortion,
     excluded_by_distortion,
 )

@@ -4,8 +4,7 @@
 import numpy as np
 import pytest
 
-from piezo_identification.monitoring.change_evidence import STRAY, STRAY_RANGE, ChangeEvidence
-from piezo_identification.monitoring.usual_error import Expected
+from piezo_identification.monitoring.usual_error import STRAY, STRAY_RANGE, ChangeEvidence, Expected
 
 EXPECTED = Expected(np.log(0.02), 0.25, 40.0)
 

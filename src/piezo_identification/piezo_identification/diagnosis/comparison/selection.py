@@ -10,7 +10,7 @@ import numpy as np
 from piezo_common.budget import SEARCH, while_time_lasts
 from piezo_common.progress_part import Progress
 from piezo_common.side_by_side import side_by_side
-from piezo_identification.analysis.error_distortion import excluded_by_distortion
+from piezo_identification.analysis.nonlinear_distortion import excluded_by_distortion
 from piezo_identification.diagnosis.comparison.criteria import (
     CRITERIA,
     OTHER_PARAMETERS,
@@ -39,6 +39,16 @@ from piezo_identification.fitting.regression import (
 )
 from piezo_models.effects import Effect, Evidence, known_effects
 from piezo_models.effects.outliers import Outliers
+
+MOST_EFFECTS = 3
+"""Largest size of a set: in larger ones, some effects compensate for errors of others."""
+
+STUCK = 0.7
+"""Ratio of the lack of fit after and before a round above which the search ends."""
+
+AS_GOOD = 2.0
+"""Largest lack of fit of a cause that is equivalent to a change of the model's parameters, relative
+to that with free parameters. If it is no larger with fixed parameters, no cause is sought."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,17 +100,6 @@ def _attempt(regression: Regression, kind: type[Effect], current: Fit,
         float(100.0 * (1.0 - np.sqrt(after / before))), distance(regression, current, fit),
         None if is_visible else OTHER_PARAMETERS,
     )
-
-
-MOST_EFFECTS = 3
-"""Largest size of a set: in larger ones, some effects compensate for errors of others."""
-
-STUCK = 0.7
-"""Ratio of the lack of fit after and before a round above which the search ends."""
-
-AS_GOOD = 2.0
-"""Largest lack of fit of a cause that is equivalent to a change of the model's parameters, relative
-to that with free parameters. If it is no larger with fixed parameters, no cause is sought."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,18 @@ from piezo_models.effects import Effect, Extent, known_effects
 from piezo_models.effects.converter_steps import SensorSteps
 from piezo_models.effects.outliers import FEWEST, THRESHOLD, Outliers
 
+AT_BOUND = 0.01
+"""Relative distance from a bound within which a fitted parameter counts as at the bound."""
+
+LEAST_PROBABILITY = 1e-3
+"""Probability below which an effect is a guess, and the uncertainty of its parameters is
+invalid."""
+
+STAND_IN = "stand_in"
+
+NEXT_STEP = 1.6
+"""Largest error of a reading that is rounded to the neighbouring step, in steps of the sensor."""
+
 
 def effect_entries(regression: Regression, fit: Fit) -> list[dict[str, Any]]:
     """Return the entry of each effect of a fit, in their order.
@@ -64,16 +76,6 @@ def _add_deviations(entries: list[dict[str, Any]], effects: Sequence[Effect],
                 [float(number) for number in spread] if isinstance(value, tuple)
                 else float(spread[0])
             )
-
-
-AT_BOUND = 0.01
-"""Relative distance from a bound within which a fitted parameter counts as at the bound."""
-
-LEAST_PROBABILITY = 1e-3
-"""Probability below which an effect is a guess, and the uncertainty of its parameters is
-invalid."""
-
-STAND_IN = "stand_in"
 
 
 def with_stand_ins(entries: Sequence[dict[str, Any]], extent: Extent,
@@ -121,10 +123,6 @@ def _is_at_a_bound(kind: type[Effect], parameters: Mapping[str, Any], extent: Ex
 def name_of(entry: Mapping[str, Any]) -> str:
     """Return the name of an effect for use in a sentence."""
     return f"what behaves like {entry['name']}" if entry.get(STAND_IN) else str(entry["name"])
-
-
-NEXT_STEP = 1.6
-"""Largest error of a reading that is rounded to the neighbouring step, in steps of the sensor."""
 
 
 @dataclass(frozen=True)

@@ -74,12 +74,8 @@ def without_faults(model: StageModel,
                    recording: Recording) -> tuple[Recording, list[RecordingFault]]:
     """Return a recording with the sign and the rows of the model and its outliers marked.
 
-    Also return the faults that were corrected.
-
-    Raises
-    ------
-    ValueError
-        If the recording has gaps, or is too short to settle.
+    Also return the faults that were corrected. Raise ValueError if the recording has gaps, or is
+    too short to settle.
     """
     signed = with_outliers_marked(recording)
     run = after_saturation(model, signed)

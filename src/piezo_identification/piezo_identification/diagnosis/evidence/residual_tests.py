@@ -13,6 +13,12 @@ from piezo_identification.conditioning.waveforms import turning_points
 from piezo_identification.fitting.noise_estimate import residual_um
 from piezo_identification.fitting.regression import Fit, Regression
 
+WORTH_REPORTING = 0.05
+"""Smallest share of the residual power related to a quantity for which the quantity is named."""
+
+MOST_OF_IT = 0.1, 0.9
+"""Quantiles of the power that limit the named band."""
+
 
 @dataclass(frozen=True)
 class ResidualTestSettings:
@@ -217,13 +223,6 @@ def _correlated_samples(residual_um: FloatArray) -> float:
     below = np.flatnonzero(correlation < 0.05)
     end = int(below[0]) if below.size else residual.size
     return float(max(1.0, 1.0 + 2.0 * np.sum(correlation[1:end])))
-
-
-WORTH_REPORTING = 0.05
-"""Smallest share of the residual power related to a quantity for which the quantity is named."""
-
-MOST_OF_IT = 0.1, 0.9
-"""Quantiles of the power that limit the named band."""
 
 
 def describe_residual(regression: Regression, fit: Fit) -> str:

@@ -88,10 +88,7 @@ class Alternatives:
 def effects_of(verdict: Mapping[str, Any]) -> tuple[Effect, ...]:
     """Return the effects that a verdict (content of `verdict.json`) found.
 
-    Raises
-    ------
-    ValueError
-        If an effect is unknown, or its parameters do not match.
+    Raise ValueError if an effect is unknown, or its parameters do not match.
     """
     kinds, found = known_effects(), []
     for entry in verdict.get("effects", []):

@@ -45,6 +45,8 @@ from piezo_recorder.reading.recording import Recording
 DIAGNOSED, COMPARED, DESIGNED = 0.6, 0.7, 0.8
 """Fractions of the work of a step done after its diagnosis, its comparison, and its design."""
 
+Play = Callable[[Proposal, Progress], Recording]
+
 
 @dataclass(frozen=True, eq=False)
 class DecisionStep:
@@ -66,9 +68,6 @@ class DecisionStep:
     def is_decided(self) -> bool:
         """Return whether one alternative is sufficiently probable, or the only one."""
         return _is_decided(self.alternatives)
-
-
-Play = Callable[[Proposal, Progress], Recording]
 
 
 def decide(model: StageModel, recordings: Sequence[Recording], play: Play, budget: int,

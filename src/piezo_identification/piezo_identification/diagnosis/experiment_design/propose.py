@@ -50,6 +50,17 @@ MOST_OF_RANGE = 0.95
 SEED = 0
 """Seed for random levels and phases."""
 
+LONGEST_S = 30.0
+
+FACTORS = (1.6, 1.25)
+"""Factors by which level and rate of the best waveform of the grid are varied, in turn."""
+
+WAVEFORM, OUTCOME = "next_experiment.csv", "next_experiment.json"
+"""File names of a proposal."""
+
+COMPARED = 0.3
+"""Part of the work for estimating the alternatives."""
+
 
 @dataclass(frozen=True)
 class Family:
@@ -178,14 +189,6 @@ def waveform(limits: StageLimits, longest_s: float, point: Point) -> Experiment:
         f"{family.name}_{point.level:.3g}_{rate_hz:.4g}Hz",
         limits.clip(limits.middle_v + amplitude_v * wave), period_s, 1,
         f"{family.name.replace('_', ' ')} of {2.0 * amplitude_v:.3g} V, {rate_hz:.3g} Hz")
-
-
-LONGEST_S = 30.0
-FACTORS = (1.6, 1.25)
-"""Factors by which level and rate of the best waveform of the grid are varied, in turn."""
-
-WAVEFORM, OUTCOME = "next_experiment.csv", "next_experiment.json"
-"""File names of a proposal."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -344,10 +347,6 @@ def _within_model(limits: StageLimits, model: StageModel) -> StageLimits:
             f"is for {model.hysteresis.voltage_min_v:g}..{model.hysteresis.voltage_max_v:g} V: "
             "give limits within the model's")
     return replace(limits, voltage_min_v=lowest_v, voltage_max_v=highest_v)
-
-
-COMPARED = 0.3
-"""Part of the work for estimating the alternatives."""
 
 
 def several_remain(verdict: Mapping[str, Any]) -> bool:

@@ -62,18 +62,9 @@ def find_identification_recordings(
     """Find the recordings from which a model was identified, and read those that are unchanged.
 
     Relative paths are relative to the working directory, or else to the folder of the model.
-
-    Parameters
-    ----------
-    moved : sequence of path-like or Recording
-        Recordings of the identification at their present paths.
-    others : sequence of path-like or Recording
-        Recordings that are diagnosed or held out, which are excluded.
-
-    Raises
-    ------
-    ValueError
-        If a file in `moved` does not belong to the identification, or cannot be read.
+    `moved` are recordings of the identification at their present paths; `others`, which are
+    diagnosed or held out, are excluded. Raise ValueError if one of `moved` does not belong to the
+    identification, or cannot be read.
     """
     hashes = {entry["sha256"]: entry["path"] for entry in identified.recordings}
     given = {digest_of(each) or f"no file {number}": each for number, each in enumerate(moved)}

@@ -38,6 +38,31 @@ from piezo_identification.fitting.model_weights import HeldOut, occam_penalty
 from piezo_identification.fitting.regression import accuracies_um
 from piezo_models.effects import Effect
 
+DEVIATIONS = np.linspace(0.0, 4.0, 41)
+"""Values of the logarithm of the factor, relative to its width, at which the evidence is summed."""
+
+WEIGHTS = -0.5 * DEVIATIONS**2 - logsumexp(-0.5 * DEVIATIONS**2)
+"""Logarithms of their probabilities."""
+
+NONE, SOMETHING_ELSE = "none", "something_else"
+
+ONE_CAUSE = 0.05
+"""Prior odds of one more cause, whether it is on the list or not: there are twenty kinds."""
+
+BELIEVED = 0.5
+"""Probability of something else above which a recording is unexplained."""
+
+DRAWS = 4000
+"""Number of draws of the bootstrap, which determine a probability near 0.95 to 0.003."""
+
+SEED = 0
+
+LISTED, ALTERNATIVE = 1e-3, 0.01
+"""Smallest probability of a set of effects that is listed, and that is an alternative to others."""
+
+MOST_GAIN = 500.0
+"""Logarithm of odds that are practically certain, with a finite exponential."""
+
 
 @dataclass(frozen=True)
 class ErrorSettings:
@@ -59,12 +84,8 @@ class ErrorSettings:
 
 SETTINGS = ErrorSettings()
 
-DEVIATIONS = np.linspace(0.0, 4.0, 41)
-"""Values of the logarithm of the factor, relative to its width, at which the evidence is summed."""
 SIZES = np.exp(2.0 * SETTINGS.carried_spread * DEVIATIONS)[:, None]
 """Squares of the factor."""
-WEIGHTS = -0.5 * DEVIATIONS**2 - logsumexp(-0.5 * DEVIATIONS**2)
-"""Logarithms of their probabilities."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,24 +146,6 @@ def errors_of_model(noise_um: FloatArray, accuracy_um: FloatArray, motion_um: Fl
     """Return the expected errors of recordings with an RMS motion, all (R,)."""
     wrong_um = np.minimum(stated_um, SETTINGS.most_wrong * motion_um)
     return ExpectedErrors(noise_um, np.hypot(accuracy_um, wrong_um), accuracy_um)
-
-
-NONE, SOMETHING_ELSE = "none", "something_else"
-
-
-ONE_CAUSE = 0.05
-"""Prior odds of one more cause, whether it is on the list or not: there are twenty kinds."""
-
-BELIEVED = 0.5
-"""Probability of something else above which a recording is unexplained."""
-
-DRAWS = 4000
-"""Number of draws of the bootstrap, which determine a probability near 0.95 to 0.003."""
-SEED = 0
-LISTED, ALTERNATIVE = 1e-3, 0.01
-"""Smallest probability of a set of effects that is listed, and that is an alternative to others."""
-MOST_GAIN = 500.0
-"""Logarithm of odds that are practically certain, with a finite exponential."""
 
 
 def label_of(effects: Iterable[Effect]) -> str:

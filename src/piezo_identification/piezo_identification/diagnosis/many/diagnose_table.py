@@ -24,6 +24,9 @@ from piezo_identification.diagnosis.many.many_recordings import (
     read_table,
 )
 
+HEADS = ("name", "verdict", "effects", "most probable", "probability", "before (nm)", "after (nm)",
+         "noise (nm)")
+
 FLEET_HEADS = ("stage", "recordings", "from", "to", "last verdict", "effects", "since",
                "error, first (nm)", "error, last (nm)")
 
@@ -113,10 +116,6 @@ def fleet_figure(found: Sequence[StageHistory]) -> Figure:
 
 def _day(time: datetime) -> str:
     return time.date().isoformat()
-
-
-HEADS = ("name", "verdict", "effects", "most probable", "probability", "before (nm)", "after (nm)",
-         "noise (nm)")
 
 
 def many_page(rows: Sequence[DiagnosisRow], results: Sequence[dict[str, Any]],

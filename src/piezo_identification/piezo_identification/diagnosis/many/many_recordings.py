@@ -70,19 +70,10 @@ class DiagnosisRow:
 def read_table(table: Path, output: Path) -> list[DiagnosisRow]:
     """Read the table of recordings to diagnose.
 
-    Parameters
-    ----------
-    table : Path
-        CSV with the columns model and data, and optionally those of `OPTIONAL`. Several files in a
-        cell are separated by semicolons; relative paths are relative to the table's folder.
-    output : Path
-        Folder that contains the folder of each row.
-
-    Raises
-    ------
-    ValueError
-        If a column is missing or unknown, a cell is empty, two rows have the same name, or a time
-        of recording is not in ISO 8601 format.
+    It is a CSV with the columns model and data, and optionally those of `OPTIONAL`. Several files
+    in a cell are separated by semicolons; relative paths are relative to the table's folder.
+    `output` contains the folder of each row. Raise ValueError if a column is missing or unknown, a
+    cell is empty, two rows have the same name, or a time of recording is not in ISO 8601 format.
     """
     try:
         with table.open(newline="", encoding="utf-8-sig") as stream:
@@ -256,10 +247,7 @@ def _why_not(future: "Future[Any]") -> str:
 def cluster_client(scheduler: str | None) -> "Client":
     """Return a client of a Dask scheduler (as tcp://host:8786), or of processes of this machine.
 
-    Raises
-    ------
-    ValueError
-        If Dask is not installed, or the scheduler does not respond.
+    Raise ValueError if Dask is not installed, or the scheduler does not respond.
     """
     try:
         from distributed import Client, LocalCluster

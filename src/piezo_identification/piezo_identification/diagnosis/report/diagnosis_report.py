@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from piezo_common.arrays import FloatArray
 from piezo_common.report_page import Picture, Section, pictured, render_page
 from piezo_identification.analysis.distortion_over_frequency import distortion_png, distortion_rows
-from piezo_identification.analysis.error_distortion import error_distortion
+from piezo_identification.analysis.nonlinear_distortion import error_distortion
 from piezo_identification.diagnosis.comparison.criteria import CRITERIA
 from piezo_identification.diagnosis.comparison.selection import Attempt, Selection
 from piezo_identification.diagnosis.diagnose import Diagnosis

@@ -43,8 +43,10 @@ from piezo_recorder.reading.recording import Recording
 READ_FRACTION, DESIGN_FRACTION, REPORT_FRACTION = 0.05, 0.7, 0.9
 """Fractions of the work done before the diagnosis, the next experiment and the report."""
 
-
 AnyPath = str | PathLike[str]
+
+PlayToFile = Callable[[Experiment, Path, Progress], AnyPath]
+"""Takes an experiment, the directory for its recording, and the progress; returns the recording."""
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,8 @@ def diagnose_files(
 ) -> DiagnosisResults:
     """Diagnose recordings and write verdict, extended model and report.
 
+    Raise ValueError if a file cannot be read or written, or a recording cannot be used.
+
     Parameters
     ----------
     holdout : path-like or None
@@ -113,11 +117,6 @@ def diagnose_files(
         file.
     budget : Budget, optional
         Time limit, see `diagnose`.
-
-    Raises
-    ------
-    ValueError
-        If a file cannot be read or written, or a recording cannot be used.
     """
     budget = budget or Budget()
     progress("read the recordings", 0.0)
@@ -147,10 +146,7 @@ def read_given(
 ) -> GivenFiles:
     """Read the data to diagnose, and create the directory of the results.
 
-    Raises
-    ------
-    ValueError
-        If a file cannot be read, or the directory cannot be made.
+    Raise ValueError if a file cannot be read, or the directory cannot be made.
     """
     identified = load_model(model)
     given = [recording for path in recordings for recording in read_file(path)]
@@ -212,8 +208,6 @@ def _outside(identified: IdentifiedModel, recordings: Sequence[Recording]) -> tu
     return tuple(
         f"{recording.path}: {sentence}" for recording in recordings
         for sentence in outside_identified(identified, played(recording).voltage_v).sentences())
-PlayToFile = Callable[[Experiment, Path, Progress], AnyPath]
-"""Takes an experiment, the directory for its recording, and the progress; returns the recording."""
 
 
 def decide_files(model: AnyPath, recordings: Sequence[AnyPath], holdout: AnyPath | None,
@@ -223,19 +217,9 @@ def decide_files(model: AnyPath, recordings: Sequence[AnyPath], holdout: AnyPath
                  ) -> tuple[DiagnosisResults, list[DecisionStep]]:
     """Decide by experiments, and write verdict, extended model, report and recordings.
 
-    The files of each proposal and its recording are in `experiment_1` and so on.
-
-    Parameters
-    ----------
-    model, recordings, holdout, directory, progress
-        As in `diagnose_files`.
-    budget, longest_s, begin_budget
-        As in `decide`.
-
-    Raises
-    ------
-    ValueError
-        If a file cannot be read or written, or a recording cannot be used.
+    The arguments are those of `diagnose_files` and `decide`. The files of each proposal and its
+    recording are in `experiment_1` and so on. Raise ValueError if a file cannot be read or written,
+    or a recording cannot be used.
     """
     progress("read the recordings", 0.0)
     given = read_given(model, recordings, holdout, directory)

@@ -43,6 +43,12 @@ SLOWEST = 10
 FEWEST_FREQUENCIES = 4 * SETTINGS.block * SPLIT.held_out
 """Fewest frequencies of a response, of which four blocks are held out."""
 
+GUESSED_MODES = 27
+"""Number of initial frequencies of a mode, so close that one is near any resonance in the range."""
+
+RELAXATIONS = 3
+"""Number of time constants of creep over the lower half of the range."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ResponseDiagnosis(Verdict):
@@ -89,18 +95,9 @@ def diagnose_response(
     the model's dynamics within their prior width. They are compared on the other frequencies.
     Nonlinear effects do not show in a response.
 
-    Parameters
-    ----------
-    measured : FrequencyResponse
-        A hold in it is removed.
-    budget : Budget, optional
-        Time limit. When it is reached, or with Ctrl-C, the comparison ends with the effects found
-        so far.
-
-    Raises
-    ------
-    ValueError
-        If there are too few frequencies.
+    A hold in the response is removed. When the time limit is reached, or with Ctrl-C, the
+    comparison ends with the effects found so far. Raise ValueError if there are too few
+    frequencies.
     """
     if measured.frequency_hz.size < FEWEST_FREQUENCIES:
         raise ValueError(
@@ -210,13 +207,6 @@ def _diagnosis(problem: ResponseProblem, selection: ResponseSelection,
         tried=selection.tried, measured=problem.measured,
         before_gain=problem.gain(given), after_gain=problem.gain(final),
     )
-
-
-GUESSED_MODES = 27
-"""Number of initial frequencies of a mode, so close that one is near any resonance in the range."""
-
-RELAXATIONS = 3
-"""Number of time constants of creep over the lower half of the range."""
 
 
 def fit_each_candidate(problem: ResponseProblem, current: ResponseFit) -> list[ResponseFit]:

@@ -31,19 +31,9 @@ def diagnose_response_file(
 ) -> ResponseDiagnosis:
     """Diagnose a frequency response and write verdict, extended model, picture and report.
 
-    Parameters
-    ----------
-    directory : path-like
-        Created if it does not exist.
-    hold_s : float
-        Sample period of a hold in the response, in s; see `FrequencyResponse`.
-    progress, budget
-        As in `diagnose_response`.
-
-    Raises
-    ------
-    ValueError
-        If a file cannot be read or written, or the response cannot be used.
+    The directory is created if it does not exist. `hold_s` is the sample period (s) of a hold in
+    the response; see `FrequencyResponse`. Progress and budget are those of `diagnose_response`.
+    Raise ValueError if a file cannot be read or written, or the response cannot be used.
     """
     identified, directory = load_model(model), Path(directory)
     measured = read_frequency_response(Path(response)).held(hold_s)

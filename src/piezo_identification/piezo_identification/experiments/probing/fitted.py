@@ -75,14 +75,20 @@ LARGEST_PEAK = 1.5
 RELAY_S, RELAY_SETTLINGS = 0.5, 100.0
 """Shortest duration of the relay, and its duration in settling times."""
 
+FEWEST_SAMPLES_PER_CYCLE = 4.0
+"""A vibration with fewer samples per cycle may be an alias of one above half the sample rate."""
+
+FEWEST_SETTLING_SAMPLES = 8.0
+"""A motion that ends within fewer samples cannot be decomposed into modes and lags."""
+
+NOTABLE_PERCENT = 0.05
+"""Error caused by noise above which a remark is made: some times that with a quiet sensor."""
+
 
 def fitted_limits(findings: Findings, limits: StageLimits) -> StageLimits:
     """Narrow the voltage range so that the displacement stays within the range of the sensor.
 
-    Raises
-    ------
-    ValueError
-        If the narrowed range is too small to identify a model.
+    Raise ValueError if the narrowed range is too small to identify a model.
     """
     size = abs(findings.step_v) / limits.span_v
     gain_um_per_v = findings.gain_um_per_v * float(
@@ -176,16 +182,6 @@ def _rounded(time_s: float, unit_s: float) -> float:
 
 def _two_digits(value: float) -> float:
     return float(f"{value:.1e}")
-
-
-FEWEST_SAMPLES_PER_CYCLE = 4.0
-"""A vibration with fewer samples per cycle may be an alias of one above half the sample rate."""
-
-FEWEST_SETTLING_SAMPLES = 8.0
-"""A motion that ends within fewer samples cannot be decomposed into modes and lags."""
-
-NOTABLE_PERCENT = 0.05
-"""Error caused by noise above which a remark is made: some times that with a quiet sensor."""
 
 
 class ExpectedErrors(Part):

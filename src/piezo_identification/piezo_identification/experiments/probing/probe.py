@@ -108,11 +108,8 @@ class Probe:
     def take(self, recording: Recording) -> None:
         """Evaluate the recording of the present step, and choose the next.
 
-        Raises
-        ------
-        ValueError
-            If samples are missing, the sensor does not follow the voltage, or its reading at rest
-            is outside its range.
+        Raise ValueError if samples are missing, the sensor does not follow the voltage, or its
+        reading at rest is outside its range.
         """
         try:
             self.step = self._course.send(recording)

@@ -157,10 +157,7 @@ class ProbeDocument(Document):
     def usable(self, limits: StageLimits) -> StageLimits:
         """Return the limits within which the experiments stay on a stage.
 
-        Raises
-        ------
-        ProbeFileError
-            If the file belongs to a stage with other limits.
+        Raise ProbeFileError if the file belongs to a stage with other limits.
         """
         for name in OF_THE_LIMITS:
             probed, present = getattr(self.limits, name), getattr(limits, name)
@@ -173,10 +170,7 @@ class ProbeDocument(Document):
 def probe_document(findings: Findings, limits: StageLimits) -> ProbeDocument:
     """Choose the experiments from the results, and return both.
 
-    Raises
-    ------
-    ValueError
-        If the sensor's range leaves no room for the experiments.
+    Raise ValueError if the sensor's range leaves no room for the experiments.
     """
     usable, response = fitted_limits(findings, limits), findings.response
     parameters = fitted_parameters(findings, usable)
@@ -203,10 +197,7 @@ def probe_document(findings: Findings, limits: StageLimits) -> ProbeDocument:
 def save_probe(path: str | Path, document: ProbeDocument) -> None:
     """Write the file in one step, and replace an existing one.
 
-    Raises
-    ------
-    ProbeFileError
-        If it cannot be written.
+    Raise ProbeFileError if it cannot be written.
     """
     replace_document(path, document.model_dump(), "file of a probe", ProbeFileError)
 
@@ -214,10 +205,7 @@ def save_probe(path: str | Path, document: ProbeDocument) -> None:
 def load_probe(path: str | Path) -> ProbeDocument:
     """Read the file of a probe.
 
-    Raises
-    ------
-    ProbeFileError
-        If it cannot be read or does not fit its schema.
+    Raise ProbeFileError if it cannot be read or does not fit its schema.
     """
     try:
         return load_document(ProbeDocument, path)
