@@ -21,7 +21,7 @@ from std_srvs.srv import Trigger
 
 from piezo_bringup.processes import USUAL_NODES, Processes
 from piezo_client import client as client_module
-from piezo_client import overview, rejections
+from piezo_client import overview
 from piezo_client.client import Client, GoalFailed
 from piezo_client.stage import Stage
 from piezo_controller.feedback.feedback_design import design_feedback
@@ -302,7 +302,7 @@ def patient_clients():
         patch.setattr(client_module, "SERVER_TIMEOUT_S", TIMEOUT_S)
         patch.setattr(client_module, "CALL_TIMEOUT_S", TIMEOUT_S)
         patch.setattr(client_module, "CANCEL_TIMEOUT_S", TIMEOUT_S)
-        for module in overview, rejections:
+        for module in client_module, overview:
             patch.setattr(module, "DIAGNOSTICS_S", TIMEOUT_S)
         patch.setattr(client_module, "ACCEPTANCE_TIMEOUT_S", TIMEOUT_S)
         yield

@@ -7,15 +7,16 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Self
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from piezo_interfaces.action import Diagnose, Identify, PlayWaveform, RunExperiment, Track
 from piezo_interfaces.msg import Reference, StageDescription
 from rclpy.action.client import ClientGoalHandle
+from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from unique_identifier_msgs.msg import UUID
 
 from piezo_client.interrupts import HeldSignals
 from piezo_client.paths import AnyPath, with_absolute_paths
-from piezo_client.rejections import why_rejected
 from piezo_ros.deadlines import set_deadline
 from piezo_ros.discovery import LONGEST_STANDSTILL_S, prepare_discovery
 from piezo_ros.executor import make_executor, spin_once
@@ -23,6 +24,7 @@ from piezo_ros.heartbeat import Heartbeat
 from piezo_ros.messages import Message, MessageType
 from piezo_ros.process_watch import ProcessWatch
 from piezo_ros.requests.calls import may_be_repeated
+from piezo_ros.requests.goals import GOAL, GoalState
 from piezo_ros.requests.lost_answers import PatientActionClient
 from piezo_ros.requests.servers import WORD_AFTER_S, Waiting, described_server
 from piezo_ros.stage_runs.described_stage import DescribedStage
@@ -37,6 +39,8 @@ CANCEL_TIMEOUT_S = 10.0
 CALL_TIMEOUT_S = 120.0
 # A node that ends may be gone before its response is read.
 LAST_ANSWER_S = 1.0
+DIAGNOSTICS_S = 5.0
+"""Time to wait for diagnostics, which nodes publish every second."""
 ALIVE_PERIOD_S = 1.0
 WATCH_PERIOD_S = 0.2
 ACTIONS = {
@@ -261,8 +265,24 @@ class Client:
         if not handle.accepted:
             raise GoalFailed(name, action_type.Result(message=(
                 f"the node that serves {topic} rejected the goal: "
-                f"{why_rejected(self.node, self.spin_until, topic)}")))
+                f"{self._why_rejected(topic)}")))
         return handle
+
+    def _why_rejected(self, topic: str) -> str:
+        """Return what the server of an action reports about its present goal.
+
+        The rejection itself contains no reason.
+        """
+        server = f"{self.node.get_namespace().rstrip('/')}/{topic.partition('/')[0]}"
+
+        def of_goal(messages: list[Message]) -> list[DiagnosticStatus]:
+            return [status for message in messages for status in message.status
+                    if status.name == f"{server}: goal"]
+
+        reported = of_goal(self.heard(DiagnosticArray, "/diagnostics", 10, of_goal, DIAGNOSTICS_S))
+        if reported and KeyValue(key=GOAL, value=str(GoalState.NONE)) not in reported[-1].values:
+            return f"it is {reported[-1].message}"
+        return "it is busy with another goal or not active, its log states which"
 
     def _accepted(self, client: PatientActionClient, topic: str, sent: list[Future],
                   ask: Callable[[], Future]) -> ClientGoalHandle | None:
@@ -404,6 +424,18 @@ class Client:
             raise GoalFailed(self._running, action_type.Result(
                 message=f"the node that serves {topic} has ended: start it again"))
         self._actions[self._running].ask_again()
+
+    def heard(self, message_type: MessageType, topic: str, quality: QoSProfile | int,
+              enough: Callable[[list[Message]], object], timeout_s: float) -> list[Message]:
+        """Return the messages of a topic that come until they are enough or the time is up."""
+        messages: list[Message] = []
+        subscription = self.node.create_subscription(
+            message_type, topic, messages.append, quality)
+        try:
+            self.spin_until(lambda: bool(enough(messages)), timeout_s)
+        finally:
+            self.node.destroy_subscription(subscription)
+        return messages
 
     def spin_until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Spin until a condition holds or the time is up; return whether it holds.

@@ -28,29 +28,18 @@ def monitor_follows(client: Client, from_s: float, to_s: float, wait_s: float) -
     wait_s : float
         Time to wait for the monitor's report in s.
     """
-    until_s: list[float] = []
+    def follows(messages: list[DiagnosticArray]) -> bool:
+        until_s = [float(entry.value) for message in messages for status in message.status
+                   for entry in status.values if entry.key == "watched_until_s"]
+        return bool(until_s) and from_s <= until_s[-1] < to_s
 
-    def hear(message: DiagnosticArray) -> None:
-        until_s.extend(float(entry.value) for status in message.status for entry in status.values
-                       if entry.key == "watched_until_s")
-
-    subscription = client.node.create_subscription(
-        DiagnosticArray, "/diagnostics", hear, DIAGNOSTICS_DEPTH)
-    try:
-        return client.spin_until(lambda: bool(until_s) and from_s <= until_s[-1] < to_s, wait_s)
-    finally:
-        client.node.destroy_subscription(subscription)
+    return follows(client.heard(
+        DiagnosticArray, "/diagnostics", DIAGNOSTICS_DEPTH, follows, wait_s))
 
 
 def offered_model(client: Client, wait_s: float = LATCHED_S) -> OfferedModel | None:
     """Return the last model that the monitor has offered; see `Stage.offered_model`."""
-    heard: list[ExtendedModel] = []
-    subscription = client.node.create_subscription(
-        ExtendedModel, "monitor/extended_model", heard.append, DESCRIPTION)
-    try:
-        client.spin_until(lambda: bool(heard), wait_s)
-    finally:
-        client.node.destroy_subscription(subscription)
+    heard = client.heard(ExtendedModel, "monitor/extended_model", DESCRIPTION, bool, wait_s)
     if not heard:
         return None
     offer = heard[-1]

@@ -7,8 +7,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.srv import GetState
 
-from piezo_client.client import Client, nobody_serves
-from piezo_client.rejections import DIAGNOSTICS_S
+from piezo_client.client import DIAGNOSTICS_S, Client, nobody_serves
 from piezo_ros.stage_runs.described_stage import DescribedStage
 
 NODES = ("stage", "recorder", "identification", "controller")

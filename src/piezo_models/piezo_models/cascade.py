@@ -103,7 +103,7 @@ class StageModel:
         return to_control(self, sample_period_s, lags)
 
     def to_matlab(self, path: str | PathLike[str]) -> None:
-        """Write the model for MATLAB; see `piezo_models.matlab_file.write_matlab`."""
+        """Write the model for MATLAB; see `piezo_models.control_objects.write_matlab`."""
         from piezo_models.control_objects import write_matlab
 
         write_matlab(path, self)

@@ -96,7 +96,7 @@ class IdentifiedModel:
         return self.model.to_control(sample_period_s, lags)
 
     def to_matlab(self, path: str | PathLike[str]) -> None:
-        """Write the model for MATLAB; see `piezo_models.matlab_file.write_matlab`."""
+        """Write the model for MATLAB; see `piezo_models.control_objects.write_matlab`."""
         self.model.to_matlab(path)
 
     def bode(self) -> "Figure":
