@@ -74,19 +74,9 @@ class SampleCount:
 
 
 def block_span(data: bytes) -> tuple[int, float, int]:
-    """Return the position of a serialised SampleBlock, without decoding its samples.
+    """Return first sample, sample period (s) and number of voltages of a block, from its CDR.
 
-    Parameters
-    ----------
-    data : bytes
-        CDR as received.
-
-    Returns
-    -------
-    first_sample : int
-    sample_period_s : float
-    values : int
-        Number of voltages: one per sample and axis.
+    Its samples are not decoded; a sample has a voltage of each axis.
     """
     order = "<" if data[1] & 1 else ">"
     frame_id_length, = struct.unpack_from(order + "I", data, 12)

@@ -61,12 +61,8 @@ def error_by_specimen(image: ScanImage, specimen: Field) -> GeometricError:
 
     To the shifts that the sensors saw, each of 8 x 8 blocks adds one that minimises the squared
     difference from the specimen, without an offset (damped Gauss-Newton). Blocks that were not
-    reached as a whole do not count.
-
-    Parameters
-    ----------
-    specimen : Field
-        What the image shows, in its unit and in the coordinates of the stage.
+    reached as a whole do not count. The specimen is in the unit of the image and in the coordinates
+    of the stage.
     """
     numbers, reached = _blocks(image.values.shape), _reached(image)
     share = np.bincount(numbers.ravel(), reached.ravel()) / np.bincount(numbers.ravel())

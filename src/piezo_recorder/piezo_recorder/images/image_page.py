@@ -33,14 +33,9 @@ def distortion(images: Mapping[str, ScanImage], specimen: Field | None = None) -
 
 def write_images(images: Mapping[str, ScanImage], folder: Path,
                  specimen: Field | None = None) -> list[str]:
-    """Write the files of images and their page; return lines to print.
+    """Write the files of images, named by their keys, and their page; return lines to print.
 
-    Parameters
-    ----------
-    images : mapping
-        Images by what they are, which also names their files.
-    specimen : Field, optional
-        What they show; adds the geometric error to the page.
+    What the images show, if it is known, adds the geometric error to the page.
     """
     folder.mkdir(parents=True, exist_ok=True)
     lines = [line for name, image in images.items()

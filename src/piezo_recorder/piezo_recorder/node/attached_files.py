@@ -17,10 +17,7 @@ def read_attachments(request: StartRecording.Request, readable: Callable[[str], 
                      ) -> tuple[dict[str, bytes], list[str], str]:
     """Read the attachments of a recording.
 
-    Parameters
-    ----------
-    readable : callable
-        Returns the path of a file to read; raises ValueError if it must not be read.
+    `readable` returns the path of a file to read, and raises ValueError if it must not be read.
 
     Returns
     -------

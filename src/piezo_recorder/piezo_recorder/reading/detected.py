@@ -42,14 +42,9 @@ def is_detected(label: str) -> bool:
 
 
 def columns_of_blocks(blocks: Sequence[Any], counts: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the columns of signals, and of marks if any sample has one.
+    """Return the columns of signals, and of marks if any sample has one; older blocks have neither.
 
-    Parameters
-    ----------
-    blocks : sequence
-        Decoded sample blocks; older ones have neither.
-    counts : ndarray
-        Samples of each block.
+    The counts are the samples of each block.
     """
     names = list(getattr(blocks[0], "signals", ()))
     columns = {}

@@ -82,15 +82,10 @@ def implausible(recording: Recording) -> list[str]:
 
 
 def runs_ahead(voltage_v: FloatArray, displacement_um: FloatArray) -> bool:
-    """Return whether loops have a sense that is impossible for a passive stage.
+    """Return whether loops of two signals, (N,), not constant, are impossible for a passive stage.
 
     With hysteresis, creep and lags the displacement lags behind the voltage, so that loops over
     the voltage are counterclockwise.
-
-    Parameters
-    ----------
-    voltage_v, displacement_um : ndarray, shape (N,)
-        Signals, neither of which is constant.
     """
     late = USUAL.rows_ahead
     driving, driven = voltage_v[late:], displacement_um[:-late]
@@ -131,16 +126,8 @@ def clipped_ends(displacement_um: FloatArray, voltage_v: FloatArray,
     """Return the ends of the range at which the sensor is clipped.
 
     A clipped sensor repeats one value while the voltage moves on, or without its noise. A sensor
-    with coarse steps repeats values, too, and is not examined.
-
-    Parameters
-    ----------
-    displacement_um, voltage_v : ndarray, shape (N,)
-
-    Returns
-    -------
-    list of (str, float, float)
-        ``lowest`` or ``highest``, the value there (um), and the part of the samples at it.
+    with coarse steps repeats values, too, and is not examined. An end is ``lowest`` or ``highest``,
+    with the value there (um), and the part of the samples at it.
     """
     steps_um = np.diff(np.unique(displacement_um))
     step_um = float(np.quantile(steps_um, USUAL.common)) if steps_um.size else np.inf
@@ -162,15 +149,8 @@ def _is_stuck(voltage_v: FloatArray, starts: NDArray[np.intp], lengths: NDArray[
               at_end: NDArray[np.bool_], quantum_v: float) -> bool:
     """Return whether the displacement is constant while the voltage moves, or lacks its noise.
 
-    Parameters
-    ----------
-    voltage_v : ndarray, shape (N,)
-    starts, lengths : ndarray of int, shape (M,)
-        Starts and lengths of the runs of equal displacements.
-    at_end : ndarray of bool, shape (M,)
-        Which of the runs are at the end of the range.
-    quantum_v : float
-        Voltage that changes the displacement by its smallest step.
+    Runs of equal displacements have starts, lengths, and are at the end of the range or not, (M,)
+    each. The quantum is the voltage that changes the displacement by its smallest step.
     """
     # The last row may show the displacement from before a jump of its voltage.
     shown_v = np.append(voltage_v[:1], voltage_v[:-1])

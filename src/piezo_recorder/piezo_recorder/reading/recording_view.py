@@ -110,16 +110,9 @@ def draw_recording(recording: "Recording") -> "Figure":
 
 
 def close_look(voltage_v: FloatArray) -> slice | None:
-    """Return the samples of a few periods from the middle of a voltage.
+    """Return the samples of a few periods from the middle of a voltage, (N,).
 
-    Parameters
-    ----------
-    voltage_v : ndarray, shape (N,)
-
-    Returns
-    -------
-    slice or None
-        None if the voltage crosses its mid value so rarely that the whole can be drawn.
+    It is None if the voltage crosses its mid value so rarely that the whole can be drawn.
     """
     low_v, high_v = voltage_v.min(), voltage_v.max()
     part = (voltage_v - 0.5 * (low_v + high_v)) / max(high_v - low_v, np.finfo(float).tiny)

@@ -14,13 +14,7 @@ GAPS_STATUS = 1
 
 
 def report(recording: Recording) -> list[str]:
-    """Return a description of a recording, including what is missing.
-
-    Returns
-    -------
-    lines : list of str
-        Lines on missing samples begin with ``error``.
-    """
+    """Return a description of a recording; lines on missing samples begin with ``error``."""
     periods_s = np.unique(recording.sample_periods_s)
     lines = [
         f"{recording.path}: {len(recording.voltage_v)} samples, index "

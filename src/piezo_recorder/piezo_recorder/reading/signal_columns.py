@@ -56,12 +56,9 @@ class SignalSource:
 
 
 def needed_columns(table: Table, described: ColumnsDocument) -> dict[str, SignalSource]:
-    """Choose the columns of the signals.
+    """Choose the columns of ``time``, ``voltage`` and ``displacement``.
 
-    Returns
-    -------
-    dict of str to SignalSource
-        Sources by ``time``, ``voltage`` and ``displacement``; without time if the rate is known.
+    There is none of the time if the rate is known.
 
     Raises
     ------

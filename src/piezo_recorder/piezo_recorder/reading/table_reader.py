@@ -58,12 +58,7 @@ def read_table_recordings(path: Path, columns: ColumnsDocument = GUESSED,
 
 
 def recordings_of(tables: Sequence[Table], described: ColumnsDocument) -> list[Recording]:
-    """Return the recordings in tables.
-
-    Parameters
-    ----------
-    tables : sequence of Table
-        The groups of a file, then the whole file; at least one.
+    """Return the recordings in tables: the groups of a file, then the whole file; at least one.
 
     Raises
     ------

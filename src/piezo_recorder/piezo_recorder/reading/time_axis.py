@@ -68,10 +68,7 @@ def first_decrease(time_s: FloatArray) -> int | None:
 def restarts(time_s: FloatArray) -> list[int]:
     """Return the rows at which the time starts again near its first value.
 
-    Returns
-    -------
-    list of int
-        Empty if the time also decreases in another way.
+    There is none if the time also decreases in another way.
     """
     rows = (np.flatnonzero(np.diff(time_s) < 0.0) + 1).tolist()
     for begin, row in zip([0, *rows], rows, strict=False):
@@ -82,17 +79,9 @@ def restarts(time_s: FloatArray) -> list[int]:
 
 
 def repeated_rows(time_s: FloatArray, signals: Sequence[FloatArray]) -> NDArray[np.bool_]:
-    """Mark the rows that a logger wrote twice: they equal the row above in all numbers.
+    """Mark the rows, (N,), that a logger wrote twice: they equal the row above in all numbers.
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (N,)
-    signals : sequence of ndarray, shape (N,)
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
-        False everywhere if the time repeats in many rows: its clock is rounded, or does not run.
+    No row is marked if the time repeats in many rows: its clock is rounded, or does not run.
     """
     stands = np.diff(time_s, prepend=-np.inf) == 0.0
     if np.mean(stands) > SETTINGS.most_repeated:
@@ -103,12 +92,7 @@ def repeated_rows(time_s: FloatArray, signals: Sequence[FloatArray]) -> NDArray[
 
 
 def time_axis(time_s: FloatArray, place: Callable[[int], str], label: str) -> TimeAxis:
-    """Determine the period of rows whose times do not decrease.
-
-    Parameters
-    ----------
-    time_s : ndarray, shape (N,)
-        At least two rows.
+    """Determine the period of at least two rows whose times do not decrease.
 
     Raises
     ------
@@ -237,10 +221,7 @@ def _gap_notes(gaps: np.ndarray, steps_s: FloatArray, place: Callable[[int], str
 def _grid(tick: FloatArray, gaps: np.ndarray) -> tuple[np.ndarray, FloatArray]:
     """Return the samples of an even clock in each segment, and their positions among the rows.
 
-    Parameters
-    ----------
-    tick : (N,) array
-        Time of each row in periods of the clock.
+    The ticks are the times of the rows in periods of the clock, (N,).
     """
     edges = [0, *(gaps + 1).tolist(), tick.size]
     indices, places = [], []

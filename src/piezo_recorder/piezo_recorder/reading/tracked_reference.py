@@ -12,19 +12,9 @@ TYPE_NAME = "piezo_interfaces/msg/TrackedReference"
 
 
 def reference_of(messages: Iterable[Any], sample_index: np.ndarray) -> FloatArray:
-    """Return the reference of each sample of a recording.
+    """Return the reference (um) of each sample, NaN if none was published; empty without any.
 
-    Parameters
-    ----------
-    messages : iterable of TrackedReference
-        Messages of one run or several, in any order.
-    sample_index : ndarray, shape (N,), int64
-        Indices of the samples, in rising order.
-
-    Returns
-    -------
-    ndarray, shape (N,) or (0,)
-        In um; NaN if none was published. Empty if no sample has one.
+    The messages are of one run or several, in any order; the indices of the samples rise.
     """
     reference_um = np.full(sample_index.size, np.nan)
     for message in messages:

@@ -57,10 +57,7 @@ def is_unit(text: str) -> bool:
 def name_and_unit(label: str) -> tuple[str, str]:
     """Split the label of a column, such as ``Time [s]``, ``t/ms``, ``U (V)`` or ``pos_nm``.
 
-    Returns
-    -------
-    name, unit : str
-        The unit is empty if the label has no known one.
+    The unit is empty if the label has no known one.
     """
     found = _BRACKETED.fullmatch(label)
     if found:
@@ -79,11 +76,7 @@ def name_and_unit(label: str) -> tuple[str, str]:
 def factor_and_unit(text: str) -> tuple[float, str]:
     """Split the text in brackets: ``nm``, ``20V``, or ``2.5um/V`` for a sensor in volts.
 
-    Returns
-    -------
-    factor : float
-        1 if there is none.
-    unit : str
+    The factor is 1 if there is none.
     """
     found = _FACTORED.fullmatch(text)
     if not found:

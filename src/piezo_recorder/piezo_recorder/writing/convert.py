@@ -48,12 +48,9 @@ def write_csv(recording: Recording, path: Path) -> None:
 
 
 def write_recording(recording: Recording, path: Path) -> None:
-    """Write a recording as a rosbag2 directory of sample blocks.
+    """Write a recording as a rosbag2 directory of sample blocks, with its gaps.
 
-    Parameters
-    ----------
-    recording : Recording
-        Recording; of its further columns only marks and signals are written, and gaps are.
+    Of its further columns only marks and signals are written.
 
     Raises
     ------

@@ -12,17 +12,9 @@ DURATIONS = ("deadline", "lifespan")
 
 
 def offered_profile(quality: Any) -> dict[str, Any]:
-    """Return the entry of ``offered_qos_profiles`` for the quality that a publisher offers.
+    """Return the entry of ``offered_qos_profiles``, as of version 9, for a publisher's quality.
 
-    Parameters
-    ----------
-    quality : rclpy.qos.QoSProfile
-        Quality reported by the graph; the history, which it does not contain, is ``unknown``.
-
-    Returns
-    -------
-    dict
-        Entry in the format of rosbag2 since version 9 of its metadata.
+    The graph does not report the history, which is ``unknown``.
     """
     return {
         "history": quality.history.short_key,

@@ -7,8 +7,7 @@ from functools import cache
 import numpy as np
 
 from piezo_common.picture_style import BLUE, label, new_figure
-from piezo_studies.baselines.projection import projection
-from piezo_studies.baselines.relay_regression import NormalEquations, relay_rows
+from piezo_studies.baselines.relay_regression import NormalEquations, projection, relay_rows
 from piezo_studies.baselines.svd_estimate import truncated_svd
 from piezo_studies.thesis.figure_table import Row, Study
 from piezo_studies.thesis.pictures import draw_plane

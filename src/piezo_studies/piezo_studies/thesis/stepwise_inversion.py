@@ -42,22 +42,10 @@ def study():
     return Study(rows)
 
 
-def invert_by_steps(hysteresis, wanted_um, step_v=STEP_V, tolerance_um=0.0):
-    """Invert the hysteresis by steps from the voltage of the previous sample.
+def invert_by_steps(hysteresis, wanted_um):
+    """Invert the hysteresis by steps (3.15) from the voltage of the previous sample.
 
-    Parameters
-    ----------
-    wanted_um : (N,) array
-        Wanted output of the hysteresis.
-    step_v : float
-        Step delta_h of (3.15).
-    tolerance_um : float
-        Tolerance e_r at which the search ends.
-
-    Returns
-    -------
-    (N,) array
-        Voltages in V.
+    The search for each output, (N,), ends with the tolerance e_r = 0.
     """
     memory = hysteresis.memory()
     voltage_v = np.empty(len(wanted_um))
@@ -65,8 +53,8 @@ def invert_by_steps(hysteresis, wanted_um, step_v=STEP_V, tolerance_um=0.0):
         direction = np.sign(wanted - memory.hysteresis_um)
         for _ in range(MOST_STEPS):
             missing_um = direction * (wanted - memory.hysteresis_um)
-            if missing_um <= tolerance_um:
+            if missing_um <= 0.0:
                 break
-            hysteresis.simulate([memory.voltage_v + direction * step_v], memory)
+            hysteresis.simulate([memory.voltage_v + direction * STEP_V], memory)
         voltage_v[k] = memory.voltage_v
     return voltage_v

@@ -7,12 +7,12 @@ from piezo_identification.experiments.input_designs import (
     stair_harmonics,
 )
 from piezo_studies.baselines.polynomial_drift import remove_polynomial_drift
-from piezo_studies.baselines.projection import projection
 from piezo_studies.baselines.relay_grid import simulate_relays
 from piezo_studies.baselines.relay_regression import (
     NormalEquations,
     accumulate,
     excitation_rank,
+    projection,
     relay_rows,
 )
 from piezo_studies.baselines.sampling_rules import stair_sample_times

@@ -4,7 +4,7 @@ import pytest
 
 from piezo_sim.plant.plant_file import read_plant
 from piezo_sim.simulated_stage import SimulatedStage
-from piezo_studies.demo.changed_plants import with_faster_mode, with_sensor_lag, write_plant
+from piezo_studies.demo.operation import with_faster_mode, with_sensor_lag, write_plant
 
 RATE_HZ = 40_000.0
 STEP_V = np.r_[np.zeros(40), np.full(2000, 1.0)]

@@ -38,15 +38,8 @@ Needed = Callable[[Table], Sequence[str]]
 def read_text_table(path: Path, needed: Needed, progress: Progress) -> Table:
     """Read the table of a text file; a preamble, comments and empty lines are skipped.
 
-    Parameters
-    ----------
-    needed : callable
-        Returns the needed columns; called with the table without rows.
-
-    Returns
-    -------
-    Table
-        A column that is not needed and contains text is omitted, with a note.
+    The needed columns are asked for with the table without rows. A column that is not needed and
+    contains text is omitted, with a note.
 
     Raises
     ------
@@ -360,11 +353,8 @@ MOST_LINES = 40
 def footer_lines(path: Path, encoding: str, dialect: Dialect) -> list[str]:
     """Return the lines at the end of a file that begin with text, unlike the rows.
 
-    Returns
-    -------
-    list of str
-        Includes comments and empty lines between and below them; empty if the last line with any
-        content is a row, or the end without rows is long.
+    Comments and empty lines between and below them are included. There are none if the last line
+    with any content is a row, or the end without rows is long.
     """
     if dialect.kinds[0] == "text":
         return []

@@ -81,20 +81,10 @@ def is_comment(line: str) -> bool:
 
 def dialect_of(lines: Sequence[str],
                delimiters: Sequence[str | None] = DELIMITERS) -> Dialect | None:
-    """Determine the format from the first lines of a file.
+    """Determine the format from the first lines of a file; None if no line is a row.
 
     Rows are lines with the same number of cells, at least one of which is a number and none is
     text; in a table with a column of text at least two are numbers.
-
-    Parameters
-    ----------
-    delimiters : sequence of (str or None)
-        Possible delimiters; all known ones by default.
-
-    Returns
-    -------
-    Dialect or None
-        None if no line is a row.
     """
     found = (_best(lines, delimiters, text_allowed=False)
              or _best(lines, delimiters, text_allowed=True))

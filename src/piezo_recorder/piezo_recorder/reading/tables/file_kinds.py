@@ -40,17 +40,7 @@ MATLAB_HDF5_OFFSET = 512
 
 
 def read_tables(path: Path, needed: Needed, progress: Progress) -> list[Table]:
-    """Read the tables of a file.
-
-    Parameters
-    ----------
-    needed : callable
-        Returns the columns that a table must have in every row.
-
-    Returns
-    -------
-    list of Table
-        For a file with groups one table for each of them, followed by one of all together.
+    """Read the tables of a file; groups have a table each, followed by one of all together.
 
     Raises
     ------

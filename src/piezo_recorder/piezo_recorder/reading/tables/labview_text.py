@@ -25,13 +25,7 @@ class LabviewPreamble:
 
 
 def labview_preamble(lines: Sequence[str]) -> LabviewPreamble | None:
-    """Read the preamble of a LabVIEW measurement file.
-
-    Returns
-    -------
-    LabviewPreamble or None
-        None for any other file.
-    """
+    """Read the preamble of a LabVIEW measurement file; None for any other file."""
     if not lines or not lines[0].startswith(FIRST_LINE):
         return None
     rest = lines[0][len(FIRST_LINE):]

@@ -17,18 +17,10 @@ from scipy.io import loadmat
 
 
 def numeric_arrays(name: str, value: Any) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the numeric arrays of a variable; those of structures are named NAME.FIELD.
+    """Yield names and numeric arrays of a variable; those of structures are named NAME.FIELD.
 
-    Parameters
-    ----------
-    value : object
-        Result of `scipy.io.loadmat`, squeezed, with structures as objects.
-
-    Yields
-    ------
-    name : str
-    values : ndarray
-        For an array of structures NAME.NUMBER.FIELD, or NAME.FIELD if each field is one number.
+    The value is a result of `scipy.io.loadmat`, squeezed, with structures as objects. An array of
+    structures yields NAME.NUMBER.FIELD, or NAME.FIELD if each field is one number.
     """
     fields = getattr(value, "_fieldnames", None)
     if fields is not None:
@@ -80,10 +72,7 @@ def _of_capture(name: str, capture: Any) -> Iterator[tuple[str, np.ndarray]]:
 def distinct_labels(paths: list[str]) -> list[str]:
     """Return the distinguishing words of block paths, without their common beginning and end.
 
-    Parameters
-    ----------
-    paths : list of str
-        Paths such as ``"Model Root"/"Sensor"/"In1"``.
+    A path is such as ``"Model Root"/"Sensor"/"In1"``.
     """
     words = [[_printable(word) for word in path.strip('"').split('"/"')] for path in paths]
     if len(words) == 1:
