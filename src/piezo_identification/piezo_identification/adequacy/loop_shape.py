@@ -40,7 +40,8 @@ class LoopSettings:
     """Largest distance of a falling branch below a rising one, as a fraction of the displacement
     range."""
     open_loop: float = 0.25
-    """Largest gap of a minor loop, as a fraction of its swing."""
+    """Largest gap of a minor loop, and largest step between rows of a branch, as a fraction of its
+    swing."""
     fewest_minor_loops: int = 3
     """Fewest minor loops for which closing is tested."""
 
@@ -84,12 +85,14 @@ class Loops:
 
     @property
     def branches(self) -> list[Branch]:
-        """Branches that are long enough to test their shape."""
+        """Branches that are long enough to test their shape, and do not jump."""
         long_v = SETTINGS.long_branch * float(np.ptp(self.voltage_v))
         return [
             _binned(self.voltage_v[start : end + 1], self.output_um[start : end + 1])
             for start, end in pairwise(self.points)
-            if abs(self.voltage_v[end] - self.voltage_v[start]) > long_v]
+            if abs(self.voltage_v[end] - self.voltage_v[start]) > long_v
+            and not _jumps(np.diff(self.voltage_v[start : end + 1]),
+                           self.voltage_v[end] - self.voltage_v[start])]
 
 
 def refuse_impossible_loops(
@@ -204,8 +207,10 @@ def _refuse_open_loops(loops: Loops) -> None:
         if origin == 0 or passed.size == 0 or passed[0] == 0:
             continue
         after = turn + passed[0]
-        part = ((voltage_v[origin] - voltage_v[after - 1])
-                / (voltage_v[after] - voltage_v[after - 1]))
+        step_v = voltage_v[after] - voltage_v[after - 1]
+        if _jumps(step_v, voltage_v[turn] - voltage_v[origin]):
+            continue
+        part = (voltage_v[origin] - voltage_v[after - 1]) / step_v
         returned_um = (1.0 - part) * output_um[after - 1] + part * output_um[after]
         swing_um = abs(output_um[turn] - output_um[origin])
         open_parts.append((returned_um - output_um[origin]) / max(swing_um, np.finfo(float).tiny))
@@ -218,6 +223,14 @@ def _refuse_open_loops(loops: Loops) -> None:
             f"{100 * typical:+.0f} % of their swing off where they began, so that a former extreme "
             "does not wipe out later extremes, which no Preisach model can do: look for drift, "
             "or give the creep")
+
+
+def _jumps(steps_v: FloatArray, swing_v: float) -> bool:
+    """Return whether rows are so far apart that they do not show the motion between them.
+
+    The row of a jump may also show the displacement before it.
+    """
+    return bool(np.max(np.abs(steps_v)) > SETTINGS.open_loop * abs(swing_v))
 
 
 def _binned(voltage_v: FloatArray, output_um: FloatArray) -> Branch:

@@ -44,6 +44,15 @@ def test_loops_of_a_stage_are_let_through(independent_stage, check, settings):
         assert check(voltage_v, stage.displacement_um(voltage_v, PERIOD_S)) == []
 
 
+def test_levels_between_which_the_voltage_jumps_are_let_through(independent_stage, check):
+    """The row of a jump shows the displacement before it, and no row that within it."""
+    levels_v = np.random.default_rng(8).uniform(0.0, 100.0, 40)
+    voltage_v = np.repeat(levels_v, 20)
+    displacement_um = independent_stage().displacement_um(voltage_v, PERIOD_S)
+    for displaced_um in (displacement_um, np.append(displacement_um[0], displacement_um[:-1])):
+        assert check(voltage_v, displaced_um) == []
+
+
 @pytest.mark.parametrize(("wrong", "name"), [
     ({"delay_s": -0.3}, "a butterfly loop"),
     ({"delay_s": 0.15}, "loops that are run through clockwise"),
