@@ -108,7 +108,7 @@ def _sorted(path: Path, table: Table, frequency_hz: FloatArray,
     once_hz, line, rows = np.unique(frequency_hz[used], return_inverse=True, return_counts=True)
     total = np.zeros(once_hz.size, dtype=complex)
     np.add.at(total, line, gain[used])
-    return once_hz, total / rows
+    return once_hz, np.asarray(total / rows)
 
 
 def _columns(path: Path, table: Table) -> dict[str, ResponseColumn]:
