@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.conditioning.settling import AT_REST
+from piezo_identification.conditioning.recording_start import AT_REST
 from piezo_models.axes.coupled import CoupledModel
 from piezo_models.hysteresis.pasts import PASTS
 from piezo_models.measures import e_y_percent

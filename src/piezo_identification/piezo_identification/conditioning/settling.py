@@ -40,9 +40,6 @@ STANDS_OUT = 0.1
 out most, from which a slower mode is believed. For a lag: the speed after a step, relative to that
 of the modes."""
 
-AT_REST = 20
-"""Number of first samples with constant voltage for which a recording begins at rest."""
-
 MOST_OF_RECORDING = 0.25
 """Largest fraction of a recording that is excluded while it settles, however slowly a mode
 decays."""

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.outlier_samples import OUTLIER, good_samples
+from piezo_identification.conditioning.recording_start import rests_at_first
 from piezo_identification.conditioning.sensor_noise import repeated_period
 from piezo_identification.conditioning.sensor_sign import moves_against
-from piezo_identification.conditioning.settling import AT_REST, NEGLIGIBLE, first_settled
+from piezo_identification.conditioning.settling import NEGLIGIBLE, first_settled
 from piezo_identification.conditioning.waveforms import (
     played,
     samples_per_mean,
@@ -90,7 +91,7 @@ class SimulatedRecording:
     off_um : (N,) array
         Error of the outliers before they were replaced by interpolation; 0 elsewhere.
     begin : int
-        First sample after the start has settled.
+        First sample after the start has settled; 0 if the recording begins at rest.
     settled, good : (n,) array of int
         Samples after the start has settled, and those of them that are not outliers.
     hysteresis_um, input_um : (N parts,) array
@@ -119,8 +120,9 @@ class SimulatedRecording:
         self.outlier = ~good_samples(part)
         self.off_um = part.columns.get(OUTLIER, np.zeros(self.time_s.size))
         self._joined_v, self._samples_before = with_voltage_before(recording, part)
-        self._moves_at_first = bool(np.ptp(recording.voltage_v[:AT_REST]))
-        self.begin = first_settled(model.dynamics, self.time_s, model.effects)
+        self._rests_at_first = rests_at_first(recording)
+        self.begin = 0 if self._rests_at_first else first_settled(
+            model.dynamics, self.time_s, model.effects)
         self.settled = np.arange(self.begin, self.time_s.size)
         self.good = self.settled[~self.outlier[self.settled]]
         if self.good.size <= self._initial_motion(self.good[:1]).shape[1]:
@@ -229,7 +231,7 @@ class SimulatedRecording:
         """Return the regressors of offset, initial creep and initial ringing, (n, k)."""
         time_s = self.time_s[rows]
         columns = [offset_and_decays(self.model, time_s)]
-        if self._moves_at_first:
+        if not self._rests_at_first:
             poles = _linear_part(self.model, ()).poles()
             poles = poles[(poles.imag > 0.0)
                           & (poles.real * self.time_s[self.begin] > np.log(NEGLIGIBLE))]

@@ -31,3 +31,12 @@ def test_motion_beyond_a_resonance_does_not_turn_the_sign(sign):
     late = np.roll(moved, 2)
     assert np.corrcoef(given, late)[0, 1] < 0.0
     assert moves_against(sign * late, given) == (sign < 0.0)
+
+
+def test_step_that_overshoots_does_not_turn_the_sign():
+    time_s = 2e-3 * np.arange(2000)
+    since_s = np.maximum(time_s - 0.1, 0.0)
+    moved = 1.0 - np.exp(-20.0 * since_s)
+    overshooting = moved * (0.65 + 0.6 * np.exp(-3.0 * since_s))
+    assert not moves_against(moved, overshooting)
+    assert moves_against(-moved, overshooting)

@@ -7,7 +7,9 @@ import pytest
 from piezo_identification.conditioning.waveforms import slow_branches
 from piezo_identification.experiments import catalogue as experiments
 from piezo_identification.prediction import predict, unseen_errors
+from piezo_models import CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel
 from piezo_models.effects.backlash import Backlash
+from piezo_recorder import recording_of
 
 
 @pytest.mark.parametrize("experiment, clock_hz", [
@@ -22,6 +24,24 @@ def test_the_plant_predicts_its_own_recording_whatever_crept_before(
     recording = play(experiment, clock_hz=clock_hz, memory=memory, noise_um=0.0)
     prediction = predict(plant, recording)
     assert np.abs(prediction.measured_um - prediction.simulated_um).max() < 1e-5
+
+
+def test_slow_ringing_behind_a_rest_is_predicted_from_the_first_row_on():
+    dynamics = ElectricVibrationDynamics(0.0, (30.0,), (0.1,))
+    model = StageModel(PreisachModel.line(0.0, 10.0, 2.0), CreepDynamics(), dynamics)
+    voltage_v = np.where(np.arange(2000) < 50, 0.0, 8.0)
+    noise_um = 1e-4 * np.random.default_rng(7).normal(size=2000)
+    measured_um = model.simulate(voltage_v, 1e-3) + noise_um
+
+    def recording(first):
+        return recording_of({"time_s": 1e-3 * np.arange(first, 2000),
+                             "voltage_v": voltage_v[first:],
+                             "displacement_um": measured_um[first:]})
+
+    prediction = predict(model, recording(0))
+    assert prediction.time_s.size == 2000
+    assert np.std(prediction.measured_um - prediction.simulated_um) < 2e-4
+    assert predict(model, recording(100)).time_s.size < 1900
 
 
 def test_errors_on_unseen_data_tell_hysteresis_from_dynamics(plant, play):

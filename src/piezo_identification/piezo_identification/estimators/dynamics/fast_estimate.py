@@ -14,9 +14,15 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.generator_edges import generator_edges
+from piezo_identification.conditioning.recording_start import (
+    AT_REST,
+    LONGEST_LOOK,
+    STILL,
+    rings,
+)
 from piezo_identification.conditioning.segments import Recordings, listed
 from piezo_identification.conditioning.sensor_noise import noise_floor_um
-from piezo_identification.conditioning.settling import AT_REST, USUAL_SETTLING_S
+from piezo_identification.conditioning.settling import USUAL_SETTLING_S
 from piezo_identification.conditioning.waveforms import (
     SquareWave,
     first_settled_step,
@@ -57,14 +63,6 @@ MODES_OF_A_LINE = 2
 
 AT_END = 20
 """Number of samples at the end of a visit of a level that show where it ended."""
-
-LONGEST_LOOK = 200
-"""Largest number of samples at the end of a rest, or at the start if there is no rest, that show
-whether the stage still rings."""
-
-STILL = 3.0
-"""Multiple of the sensor noise up to which these samples, minus the best parabola, show no ringing,
-and up to which the ends of visits of a level are the same."""
 
 MOST_LEFT_OUT = 0.4
 """Largest part of a recording that is omitted until its past no longer matters."""
@@ -227,7 +225,7 @@ def _first_kept(part: Recording) -> int:
     rest = int(moved[0]) if moved.size else voltage_v.size
     # Only the end of a rest is used: its beginning may still ring after an earlier step.
     end = rest if rest >= AT_REST else min(LONGEST_LOOK, voltage_v.size)
-    is_still = not _rings(part, slice(max(0, end - LONGEST_LOOK), end))
+    is_still = not rings(part, slice(max(0, end - LONGEST_LOOK), end))
     warm = max(0, rest - AT_REST) if is_still else round(WARM_UP_S / part.sample_period_s)
     near_v = NEAR_AN_EXTREME * range_v
     high = int(np.argmax(voltage_v >= voltage_v.max() - near_v))
@@ -258,13 +256,3 @@ def _comes_back(part: Recording) -> bool:
                for step in wave.steps[::2]]
     noise_um = noise_floor_um(part.displacement_um)
     return bool(np.abs(np.mean(ends_um) - ends_um[0]) <= STILL * noise_um)
-
-
-def _rings(part: Recording, rows: slice) -> bool:
-    """Return whether the displacement does more than creep and follow a slow voltage."""
-    displacement_um = part.displacement_um[rows]
-    trend = np.column_stack([
-        np.vander(np.linspace(-1.0, 1.0, displacement_um.size), 3), part.voltage_v[rows]])
-    residual_um = displacement_um - trend @ np.linalg.lstsq(trend, displacement_um, rcond=None)[0]
-    noise_um = noise_floor_um(part.displacement_um)
-    return bool(np.std(residual_um) > STILL * noise_um)

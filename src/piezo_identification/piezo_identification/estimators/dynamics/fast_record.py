@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_common.cancellation import check_cancelled
+from piezo_identification.conditioning.settling import RINGING
 from piezo_identification.estimators.dynamics.fast_dynamics import (
     STEP,
     ModeOrder,
@@ -381,17 +382,20 @@ class FastRecord:
         slopes = _without(slopes, span)
         return residual, left @ (left.T @ slopes) - slopes, poles, residues
 
-    def slower_than_record(self, fit: FastFit) -> str:
-        """Return which part of a fit is too slow for the record; an empty text if none is."""
+    def beyond_record(self, fit: FastFit) -> str:
+        """Return which part of a fit the record cannot show; an empty text if none is."""
         longest = self._bounds(fit.order, fit.vector.size)[1][0]
         if fit.vector[0] > longest - NEIGHBOURS:
             return "a lag as long as the record"
         dynamics, effects = fast_dynamics_of(fit.vector, fit.order)
-        modes = [*dynamics.mode_frequencies_rad_per_s, *(
-            effect.frequency_rad_per_s for effect in effects if isinstance(effect, VibrationMode))]
-        period_s = 2.0 * np.pi / min(modes, default=np.inf)
-        is_longer = period_s > self.input.samples.size * self.input.sample_period_s
-        return "a mode whose period is longer than the record" if is_longer else ""
+        modes = [*zip(dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios, strict=True), *(
+            (mode.frequency_rad_per_s, mode.damping_ratio) for mode in effects
+            if isinstance(mode, VibrationMode))]
+        period_s = self.input.sample_period_s
+        if any(2.0 * np.pi > rate * period_s * self.input.samples.size for rate, _ in modes):
+            return "a mode whose period is longer than the record"
+        is_faster = any(damping < RINGING and rate * period_s > np.pi for rate, damping in modes)
+        return "a mode that rings faster than the rows show" if is_faster else ""
 
     def _bounds(self, order: ModeOrder, size: int) -> tuple[FloatArray, FloatArray]:
         """Return bounds of the vector and the delay, from what the samples can show."""

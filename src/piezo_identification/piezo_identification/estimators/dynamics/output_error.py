@@ -199,7 +199,7 @@ class _Search:
     def _trials(self) -> tuple[OrderTrial, ...]:
         return tuple(OrderTrial(
             order, self._numbers(order), float(np.sqrt(fit.cost / fit.residual.size)),
-            self._information(fit), self._record.slower_than_record(fit))
+            self._information(fit), self._record.beyond_record(fit))
             for order, fit in self._fits.items())
 
     def _try_forms(self, free: FreeFit) -> None:
