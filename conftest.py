@@ -27,11 +27,11 @@ from hypothesis import HealthCheck, settings
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from PIL import Image
+from undrawn import save_point
 
 from piezo_common import report_page, side_by_side
 from piezo_common.interactive_picture import interactive_item
 from piezo_ros.discovery import prepare_discovery
-from piezo_studies.undrawn import save_point
 
 LONG = bool(os.environ.get("LONG_TESTS"))
 DOCS = Path(__file__).parent / "docs"

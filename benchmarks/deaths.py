@@ -21,7 +21,9 @@ from piezo_client.client import Client, GoalFailed
 from piezo_recorder.reading.reader import read_recording
 from piezo_recorder.reading.recording import RecordingError
 from piezo_ros.quality import SAMPLES
-from piezo_studies.forked_processes import ForkedProcesses
+
+sys.path.append(str(Path(__file__).parents[1] / "test"))
+from forked_processes import ForkedProcesses
 
 # Asks for one goal after the other, as any client of ours does; each outcome goes into a file.
 OPERATOR = """

@@ -19,9 +19,8 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
 )
 from piezo_models.model_file import load_model
 from piezo_studies.recording_kinds.laboratory_voltages import KINDS, Played, validation
-from piezo_studies.recording_kinds.stages import displacement_um as displacement_of_stage
-from piezo_studies.recording_kinds.stages import play_stage
-from piezo_studies.recording_kinds.trials import NOISE, recorded
+from piezo_studies.recording_kinds.trials import NOISE, play_stage, recorded
+from piezo_studies.recording_kinds.trials import displacement_um as displacement_of_stage
 from piezo_studies.thesis.laboratory import recording
 
 WAVEFORMS = {"creep": KINDS["creep"]["square wave"], "dynamics": KINDS["dynamics"]["steps"],

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from forked_processes import ForkedProcesses
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
@@ -31,9 +32,8 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 from piezo_recorder.reading.reader import read_recording
 from piezo_recorder.reading.recording import RecordingError
 from piezo_ros.quality import FEEDBACK, SAMPLES
-from piezo_studies.forked_processes import ForkedProcesses
 
-sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[1] / "benchmarks")]
+sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 from probes import write_endless_probe, write_short_probe
 
 TIMEOUT_S = 300.0

@@ -73,8 +73,8 @@ def test_distortion_experiment_separates_the_noise_of_the_sensor_from_the_hyster
     noise_um = np.sqrt(np.median(found.noise_um**2) / 4.0 * designed.voltage_v.size)
     assert noise_um == pytest.approx(0.009, rel=0.3)
     # Hysteresis is odd about the middle of its loops; the stage's is nearly so.
-    assert found.odd_percent > 10.0 * found.significant_percent
-    assert found.even_percent < 0.5 * found.odd_percent
+    assert found.odd_um > 10.0 * found.significant_um
+    assert found.even_um < 0.5 * found.odd_um
 
 
 def test_unknown_experiment_is_refused_and_nothing_moves(suite, tmp_path):

@@ -143,7 +143,7 @@ def learned_content(path):
 
 
 def weights_content(path):
-    return load_weights(path).as_dict()
+    return load_weights(path).model_dump()
 
 
 def calibration_content(path):

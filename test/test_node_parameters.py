@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from ament_index_python.packages import get_package_prefix
+from forked_processes import ForkedProcesses
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, ListParameters
 
@@ -22,7 +23,6 @@ from piezo_identification.experiments.catalogue import EXPERIMENTS, named_experi
 from piezo_identification.experiments.stage_limits import StageLimits
 from piezo_stage_driver.node import stage_node
 from piezo_stage_driver.node.stage_settings import StageSettings
-from piezo_studies.forked_processes import ForkedProcesses
 
 CALIBRATION = (Path(__file__).parents[1]
                / "src/piezo_stage_driver/config/nidaqmx_calibration.yaml")

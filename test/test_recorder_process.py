@@ -12,6 +12,7 @@ import pytest
 import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from forked_processes import ForkedProcesses
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from piezo_interfaces.msg import FeedbackVoltage, SampleBlock, StageDescription
@@ -25,7 +26,6 @@ from piezo_bringup.processes import Processes
 from piezo_client.client import Client
 from piezo_recorder.reading.reader import read_recording
 from piezo_ros.quality import DESCRIPTION, SAMPLES
-from piezo_studies.forked_processes import ForkedProcesses
 
 TIMEOUT_S = 300.0
 NAMESPACE = "/recorded"

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray
+from forked_processes import ForkedProcesses
 from lifecycle_msgs.msg import Transition
 from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
 from piezo_interfaces.srv import LoadFeedforward, StartTracking
 from std_srvs.srv import Trigger
 
 from piezo_ros.quality import FEEDBACK
-from piezo_studies.forked_processes import ForkedProcesses
 
 MAX_STEP_V, MAX_FEEDBACK_V = 2.0, 20.0
 HANGS_S = 3.0

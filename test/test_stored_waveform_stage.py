@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import stored_waveform_node
 from action_msgs.msg import GoalStatus
+from forked_processes import ForkedProcesses
 
 from piezo_client.client import GoalFailed
 from piezo_identification.experiments.catalogue import USUAL_LIMITS, multisine
 from piezo_recorder.reading.reader import read_recording
-from piezo_studies.forked_processes import ForkedProcesses
 
 ROOT = Path(__file__).parents[1]
 RATE_HZ = 10_000.0

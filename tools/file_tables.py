@@ -24,7 +24,7 @@ DOCUMENTS = {
     "axes_model": "piezo_models.axes_model_file:AxesDocument",
     "controller": "piezo_controller.feedback.controller_file:ControllerDocument",
     "law": "piezo_models.feedback_law.axes_law:LawDocument",
-    "weights": "piezo_controller.feedback.synthesis.weights_document:WeightsDocument",
+    "weights": "piezo_controller.feedback.synthesis.weights:DesignWeights",
     "learned": "piezo_controller.learning.learned_file:LearnedDocument",
     "calibration": "piezo_stage_driver.backends.calibration:Calibration",
     "axes_calibration": "piezo_stage_driver.backends.calibration:AxesCalibration",

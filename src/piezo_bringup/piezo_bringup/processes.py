@@ -87,8 +87,6 @@ class Processes:
 
         Parameters
         ----------
-        parameters : dict, optional
-            ROS parameters.
         parameter_file : path-like, optional
             YAML file of ROS parameters.
         """

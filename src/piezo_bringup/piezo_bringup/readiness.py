@@ -21,13 +21,6 @@ class Readiness:
 
     Every node has a parameter service, which responds once the node spins, after its set-up.
 
-    Parameters
-    ----------
-    names : iterable of str
-        Names of the nodes.
-    namespace : str
-        Namespace of all of them.
-
     Raises
     ------
     RuntimeError

@@ -81,11 +81,8 @@ class StoodStill(ServiceFailed):
 class Client:
     """A node that sends goals and calls services; a context manager.
 
-    Parameters
-    ----------
-    wait_s : float
-        Time to look for any node in the namespace in s; if there is one, a server has
-        `SERVER_TIMEOUT_S` to appear.
+    It looks for any node in the namespace for a time (s); if there is one, a server has
+    `SERVER_TIMEOUT_S` to appear.
     """
 
     _signals = HeldSignals()  # shared by all clients of the process
@@ -225,10 +222,7 @@ class Client:
              **fields: Any) -> ClientGoalHandle:
         """Send a goal and return its handle without waiting for the end.
 
-        Raises
-        ------
-        GoalFailed
-            If there is no server, or it rejected the goal.
+        Raises `GoalFailed` if there is no server, or it rejected the goal.
         """
         action_type, topic = ACTIONS[name]
         client = self._actions[name]
@@ -316,12 +310,8 @@ class Client:
         """Call a service and return its response.
 
         The request is sent again if no response comes and a repetition does no harm: a request with
-        a number acts once for its number.
-
-        Raises
-        ------
-        ServiceFailed
-            If there is no server, or its node ends before it responds.
+        a number acts once for its number. Raises `ServiceFailed` if there is no server, or its node
+        ends before it responds.
         """
         with self._signals.hold():
             # A server may respond to a new client before discovery is complete: the response is
@@ -397,13 +387,7 @@ class Client:
                 and name != self.node.get_name()}
 
     def wait(self, future: Future, waiting: Waiting | None = None) -> Message:
-        """Spin until a future is done; return its result.
-
-        Parameters
-        ----------
-        waiting : Waiting, optional
-            Logs the wait, if nothing else does.
-        """
+        """Spin until a future is done; return its result. `waiting` logs the wait."""
         begun_s = time.monotonic()
         while not self.spin_until(future.done, ALIVE_PERIOD_S):
             self.check()
@@ -424,12 +408,9 @@ class Client:
     def spin_until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Spin until a condition holds or the time is up; return whether it holds.
 
-        Raises
-        ------
-        StoodStill
-            If this process was suspended, as by Ctrl-Z, for so long that the nodes ended its goals.
-        KeyboardInterrupt
-            After Ctrl-C, once the present message has been processed.
+        Raises `StoodStill` if this process was suspended, as by Ctrl-Z, for so long that the nodes
+        ended its goals, and KeyboardInterrupt after Ctrl-C, once the present message has been
+        processed.
         """
         deadline = time.monotonic() + timeout_s
         with self._signals.hold():

@@ -61,10 +61,7 @@ def offered_model(client: Client, wait_s: float = LATCHED_S) -> OfferedModel | N
 def accept_extended_model(client: Client, model: AnyPath, extended_model: AnyPath) -> str:
     """Make the controller use an extended model; see `Stage.accept_extended_model`.
 
-    Raises
-    ------
-    GoalFailed
-        If the controller rejects it.
+    Raises `GoalFailed` if the controller rejects it.
     """
     response = client.call(
         AcceptExtendedModel, SERVICE, model=model, extended_model=extended_model)

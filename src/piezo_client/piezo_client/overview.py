@@ -19,15 +19,7 @@ SERVE_GOALS = {"identification", "controller"}
 def stages_seen(client: Client, wait_s: float) -> dict[str, set[str]]:
     """Return the nodes of each namespace that has a stage, the stage included.
 
-    Parameters
-    ----------
-    wait_s : float
-        Time to look for a stage in s.
-
-    Raises
-    ------
-    ServiceFailed
-        If there is no stage.
+    It looks for a stage for some seconds, and raises `ServiceFailed` if there is none.
     """
     client.spin_until(lambda: bool(_namespaces(client)), wait_s)
     found = _namespaces(client)
@@ -46,18 +38,10 @@ def _namespaces(client: Client) -> dict[str, set[str]]:
 
 
 def status_lines(client: Client) -> tuple[list[str], bool]:
-    """Return the status of the stage in a client's namespace.
+    """Return lines with the status of the stage in a client's namespace.
 
-    Returns
-    -------
-    lines : list of str
-    is_stopped : bool
-        Whether the stage stays at rest until it is reset.
-
-    Raises
-    ------
-    ServiceFailed
-        If there is no such stage.
+    Also returned is whether the stage stays at rest until it is reset. Raises `ServiceFailed` if
+    there is no such stage.
     """
     heard: dict[str, DiagnosticStatus] = {}
 

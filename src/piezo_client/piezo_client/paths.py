@@ -25,17 +25,9 @@ def absolute(path: AnyPath) -> str:
 
 
 def with_absolute_paths(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of a goal or a request with all paths made absolute.
+    """Return a copy of the fields of a goal or a request with all paths made absolute.
 
-    Parameters
-    ----------
-    fields : mapping of str to object
-        Fields; paths may be path-like; references are messages or other objects with a ``file``.
-
-    Returns
-    -------
-    dict
-        A copy; ``fields`` is not changed.
+    Paths may be path-like; references are messages or other objects with a ``file``.
     """
     made = dict(fields)
     for names, convert in ((ONE_PATH, absolute), (ONE_REFERENCE, _with_absolute_file)):

@@ -11,43 +11,20 @@ from numpy.typing import ArrayLike
 
 
 def harmonic(frequency_hz: float, amplitude_um: float, centre_um: float) -> dict[str, Any]:
-    """Return a sine of one frequency.
-
-    Parameters
-    ----------
-    amplitude_um : float
-        Peak-to-peak amplitude.
-    centre_um : float
-        Mean displacement.
-    """
+    """Return a sine of one frequency, with its peak-to-peak amplitude and mean displacement."""
     return _of_components("harmonic", [frequency_hz], [amplitude_um], [], centre_um)
 
 
 def triangle(frequency_hz: float, amplitude_um: float, centre_um: float) -> dict[str, Any]:
-    """Return a triangle that consists of its harmonics up to 2 kHz.
-
-    Parameters
-    ----------
-    amplitude_um : float
-        Peak-to-peak amplitude.
-    centre_um : float
-        Mean displacement.
-    """
+    """Return a triangle that consists of its harmonics up to 2 kHz; see `harmonic`."""
     return _of_components("triangle", [frequency_hz], [amplitude_um], [], centre_um)
 
 
 def multi_frequency(frequencies_hz: Sequence[float], amplitudes_um: Sequence[float],
                     centre_um: float, phases_rad: Sequence[float] = ()) -> dict[str, Any]:
-    """Return a sum of sines, equation (4.21).
+    """Return a sum of sines with peak-to-peak amplitudes, equation (4.21), about a mean.
 
-    Parameters
-    ----------
-    frequencies_hz, amplitudes_um : sequence of float
-        Frequency and peak-to-peak amplitude of each sine.
-    centre_um : float
-        Mean displacement.
-    phases_rad : sequence of float, optional
-        Phase of each sine; zero by default.
+    The phases are zero by default.
     """
     return _of_components("multi_frequency", frequencies_hz, amplitudes_um, phases_rad, centre_um)
 

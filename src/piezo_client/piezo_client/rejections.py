@@ -16,12 +16,8 @@ def why_rejected(node: Node, spin_until: Callable[[Callable[[], bool], float], b
                  topic: str) -> str:
     """Return what the server of an action reports about its present goal.
 
-    Parameters
-    ----------
-    spin_until : callable
-        Function ``spin_until(condition, timeout_s)`` that spins the node.
-    topic : str
-        Name of the action, relative to the namespace of both.
+    ``spin_until(condition, timeout_s)`` spins the node. The name of the action is relative to the
+    namespace of both.
     """
     name = f"{node.get_namespace().rstrip('/')}/{topic.partition('/')[0]}: goal"
     heard: list[DiagnosticStatus] = []

@@ -26,17 +26,9 @@ class ScanFollower:
                progress: Progress | None) -> int:
         """Follow a path; return the last sample of the run, with the return to rest.
 
-        Parameters
-        ----------
-        why_stop : callable
-            Called periodically; a text that is not empty ends the run, which fails with it.
-        progress : callable, optional
-            See `piezo_client.stage.Stage`.
-
-        Raises
-        ------
-        ServiceFailed
-            If the stage rejects the run, or stops before its end.
+        ``why_stop`` is called periodically; a text that is not empty ends the run, which fails with
+        it. For the progress see `piezo_client.stage.Stage`. Raises `ServiceFailed` if the stage
+        rejects the run, or stops before its end.
         """
         samples, cancelled = 0, threading.Event()
 

@@ -23,17 +23,8 @@ fifth; at higher frequencies there is noise, and no model is known."""
 def learned(run: Scanned, model: CoupledModel) -> StoredScan:
     """Return the scan with voltages that compensate the error of a run.
 
-    The offset is not corrected, as creep changes it.
-
-    Parameters
-    ----------
-    model : CoupledModel
-        Model of the same axes, at the sample period of the scan.
-
-    Raises
-    ------
-    ValueError
-        If the model has other axes or another sample period.
+    The offset is not corrected, as creep changes it. Raises ValueError if the model has other axes
+    or another sample period than the scan.
     """
     scan, samples = run.scan, len(run.scan.voltage_v)
     if model.axes != scan.axes or abs(

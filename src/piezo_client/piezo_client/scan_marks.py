@@ -13,12 +13,8 @@ from piezo_controller.axes.stored_scan import StoredScan
 def marked(run: Scanned) -> StoredScan:
     """Return the scan with its marks when the axes passed their places in the last period of a run.
 
-    The delays of the sensors are those of the plan. The voltages do not change.
-
-    Raises
-    ------
-    ValueError
-        If the scan has no pixels.
+    The delays of the sensors are those of the plan. The voltages do not change. Raises ValueError
+    if the scan has no pixels.
     """
     scan, frame = run.scan, run.scan.checked_frame()
     delay_s = np.zeros(len(scan.axes))

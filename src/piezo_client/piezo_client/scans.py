@@ -22,15 +22,8 @@ MAX_FEEDBACK_V = 20.0
 def images_of(run: "Scanned", name: str, signal: str = "") -> "dict[str, ScanImage]":
     """Return the images of a run, by the commanded positions and by the measured ones.
 
-    Parameters
-    ----------
-    name : str
-        What the run is; begins the names of the images.
-
-    Raises
-    ------
-    ValueError
-        If the recording has no signal, or the scan no pixels.
+    Their names begin with what the run is. Raises ValueError if the recording has no signal, or the
+    scan no pixels.
     """
     # Imported here, since SciPy takes as long as all that drives a stage.
     from piezo_recorder.images.scan_image import image_of
@@ -87,15 +80,8 @@ class Scanned(Played):
 def scanned(scan: StoredScan, played: Played, periods: int, before: int = 0) -> Scanned:
     """Return how the last of the periods was followed.
 
-    Parameters
-    ----------
-    before : int
-        Samples of the run before the first period; by default those of the way into the path.
-
-    Raises
-    ------
-    ValueError
-        If the recording does not contain the whole scan.
+    The samples before the first period are by default those of the way into the path. Raises
+    ValueError if the recording does not contain the whole scan.
     """
     recording = played.recording()
     displacement_um = recording.displacement_um[recording.playing | recording.tracking]

@@ -332,13 +332,7 @@ class Stage:
                          tuple(map(Path, result.recordings)))
 
     def offered_model(self, wait_s: float = LATCHED_S) -> OfferedModel | None:
-        """Return the last extended model that the monitor has offered; None without an offer.
-
-        Parameters
-        ----------
-        wait_s : float
-            Time to wait for an offer in s.
-        """
+        """Return the last extended model that the monitor has offered within a time (s), if any."""
         return offered_model(self.client, wait_s)
 
     def accept_extended_model(self, model: AnyPath, extended_model: AnyPath = "") -> str:

@@ -25,13 +25,9 @@ IDENTIFY = "`./run piezo_client stage identify --output DIR`"
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command.
+    """Run the command; return 1 if a node of the stage rejects or fails, 2 for invalid input.
 
-    Returns
-    -------
-    int
-        Exit status: 0, 1 if a node of the stage rejects or fails, 2 for invalid input, 130 after
-        Ctrl-C.
+    The status is 130 after Ctrl-C, else 0.
     """
     given = sys.argv[1:] if arguments is None else arguments
     options = _parser().parse_args(without_ros_arguments(given))  # a launch file adds these

@@ -100,17 +100,11 @@ class Part:
 
 @contextmanager
 def while_time_lasts(what: str, share: float = SEARCH) -> Iterator[Part]:
-    """End a block early without an exception, once a share of the budget's time is over.
+    """End a block early without an exception, once a share (0 to 1) of the budget's time is over.
 
     It ends at a call of `check_cancelled`, or at Ctrl-C; its results so far are used. Without a
-    budget it ends only at Ctrl-C.
-
-    Parameters
-    ----------
-    what : str
-        Name of the part, noted as not tried if the block ends early.
-    share : float
-        Share of the time of the budget, 0 to 1.
+    budget it ends only at Ctrl-C. The name of the part is noted as not tried if the block ends
+    early.
     """
     budget, part = _budget.get() or Budget(), Part()
 

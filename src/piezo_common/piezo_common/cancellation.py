@@ -10,14 +10,9 @@ _check: ContextVar[Callable[[], object]] = ContextVar("check", default=lambda: N
 
 @contextmanager
 def checking(check: Callable[[], object]) -> Iterator[None]:
-    """Make `check_cancelled` call a function within the context.
+    """Make `check_cancelled` call a function, which ends the work by an exception, in the context.
 
     This applies to the present thread, and to those in which `side_by_side` runs parts of the work.
-
-    Parameters
-    ----------
-    check : callable
-        Ends the work by raising an exception.
     """
     token = _check.set(check)
     try:

@@ -69,13 +69,10 @@ class Command:
         return parser
 
     def main(self, arguments: Sequence[str] | None = None) -> int:
-        """Run the command.
+        """Run the command; return its exit status.
 
-        Returns
-        -------
-        int
-            Exit status: that of the work, 2 for invalid input, 130 after Ctrl-C, 141 if the output
-            has no reader any more.
+        It is that of the work, 2 for invalid input, 130 after Ctrl-C, and 141 if the output has no
+        reader any more.
         """
         return self.carry_out(self.parser().parse_args(arguments))
 
@@ -116,24 +113,13 @@ class Command:
 
 
 def add_report_option(parser: argparse.ArgumentParser, where: str) -> None:
-    """Add ``--no-report``, for work whose page is not needed.
-
-    Parameters
-    ----------
-    where : str
-        Where the page is written otherwise, for the help text.
-    """
+    """Add ``--no-report``, for work whose page is not needed; the help says where it goes."""
     parser.add_argument("--no-report", dest="report", action="store_false",
                         help=f"do not write the page, {where}")
 
 
 def namespace(text: str) -> str:
-    """Return the namespace of nodes from an argument, such as ``/left``.
-
-    Raises
-    ------
-    argparse.ArgumentTypeError
-        If it cannot be one.
+    """Return the namespace of nodes from an argument, such as ``/left``; raise if it is none.
 
     Examples
     --------
@@ -147,12 +133,7 @@ def namespace(text: str) -> str:
 
 
 def count(text: str) -> int:
-    """Return a whole number of 1 or more from an argument.
-
-    Raises
-    ------
-    argparse.ArgumentTypeError
-        If it is none.
+    """Return a whole number of 1 or more from an argument; raise if it is none.
 
     Examples
     --------
@@ -165,12 +146,9 @@ def count(text: str) -> int:
 
 
 def check_output_file(output: Path) -> None:
-    """Check before the work that a file can be written.
+    """Raise ValueError, before the work, if a file cannot be written.
 
-    Raises
-    ------
-    ValueError
-        If it is a directory, or its directory does not exist.
+    It is a directory then, or its directory does not exist.
     """
     if output.is_dir():
         raise ValueError(f"{output} is a folder: name a file as --output")
@@ -188,35 +166,20 @@ def add_budget_option(parser: argparse.ArgumentParser) -> None:
 def budget_of(options: argparse.Namespace, to_write_s: float = 0.0) -> Budget:
     """Return the budget of the option ``--budget``, whose time began with the command.
 
-    Parameters
-    ----------
-    to_write_s : float
-        Time in s to reserve for writing the results.
+    It reserves time in s for writing the results.
     """
     return Budget(options.budget, taken_s=time.monotonic() - options.begun_s,
                   to_write_s=to_write_s)
 
 
 def write_report(path: Path, page: str) -> None:
-    """Write the page of a command, and print its path.
-
-    Parameters
-    ----------
-    page : str
-        HTML text.
-    """
+    """Write the page of a command, an HTML text, and print its path."""
     path.write_text(page, encoding="utf-8")
     print(f"report: {path}")
 
 
 def print_next(options: argparse.Namespace, package: str, name: str, *arguments: object) -> None:
-    """Print the command that a user may enter next; see `next_line`.
-
-    Parameters
-    ----------
-    options : argparse.Namespace
-        Options from a parser of `Command.fill`.
-    """
+    """Print the command that a user may enter next; see `next_line`."""
     print(next_line(options.prog, package, name, *arguments))
 
 

@@ -59,15 +59,9 @@ class DataRoot:
     def readable(self, path: str) -> str:
         """Return the path of a file, or of a recording's directory, to read.
 
-        Parameters
-        ----------
-        path : str
-            Path; a relative one starts at the folder. An empty path is returned unchanged.
-
-        Raises
-        ------
-        DataRootError
-            If it, or a file in the directory, lies outside the folder, or it is not a valid path.
+        A relative path starts at the folder; an empty one is returned unchanged. Raises
+        `DataRootError` if it, or a file in the directory, lies outside the folder, or it is not a
+        valid path.
         """
         if not path:
             return path
@@ -79,22 +73,10 @@ class DataRoot:
         return str(self.folder / path)
 
     def writable(self, path: str | os.PathLike) -> Path:
-        """Return the real path of a directory or a file to write.
+        """Return the real path of a directory or a file to write, with all symbolic links resolved.
 
-        Parameters
-        ----------
-        path : path-like
-            Path; a relative one starts at the folder. It need not exist.
-
-        Returns
-        -------
-        Path
-            Absolute path with all symbolic links resolved.
-
-        Raises
-        ------
-        DataRootError
-            If it lies outside the folder, or is not a valid path.
+        A relative path starts at the folder; it need not exist. Raises `DataRootError` if it lies
+        outside the folder, or is not a valid path.
         """
         return self._inside(os.fspath(path), "writes", "directory")
 
@@ -133,20 +115,11 @@ def _check_path(text: str) -> None:
 
 
 def check_file_name(name: str, what: str) -> None:
-    """Check that a name is a plain name of a file or a directory.
+    """Raise `DataRootError` unless a name is a plain name of a file or a directory.
 
-    Parameters
-    ----------
-    name : str
-        At most `LONGEST_NAME` characters and `LONGEST_NAME_BYTES` bytes, without separators and
-        control characters, not hidden by a leading dot.
-    what : str
-        What the name is for, in the error message; for example ``a recording``.
-
-    Raises
-    ------
-    DataRootError
-        If the name is not allowed.
+    It has at most `LONGEST_NAME` characters and `LONGEST_NAME_BYTES` bytes, without separators and
+    control characters, and is not hidden by a leading dot. The message says what the name is for,
+    for example ``a recording``.
     """
     problem = _problem(name)
     if problem:

@@ -36,17 +36,7 @@ class Field:
     title: str = ""
 
     def pixels_at(self, position_um: FloatArray) -> FloatArray:
-        """Return positions as fractional numbers of rows and columns.
-
-        Parameters
-        ----------
-        position_um : (N, 2) array
-            Positions along x and y.
-
-        Returns
-        -------
-        (2, N) array
-        """
+        """Return positions along x and y, (N, 2), as fractional rows and columns, (2, N)."""
         shape = np.array(self.values.shape[::-1])
         pixels = (position_um - self.corner_um) / self.size_um * shape - 0.5
         return np.ascontiguousarray(pixels.T[::-1])
@@ -71,13 +61,7 @@ def write_gsf(path: str | PathLike[str], field: Field) -> None:
 
 
 def read_gsf(path: str | PathLike[str]) -> Field:
-    """Read a field.
-
-    Raises
-    ------
-    FieldError
-        If the file is of another kind, or incomplete.
-    """
+    """Read a field; raise `FieldError` if the file is of another kind, or incomplete."""
     try:
         with open_regular(path, LARGEST_BYTES) as file:
             content = file.readall()

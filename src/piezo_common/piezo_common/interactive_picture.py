@@ -78,18 +78,10 @@ def packed(text: str) -> str:
 def interactive_item(figure: Figure, columns: Sequence[FloatArray]) -> dict[str, Any] | None:
     """Return the lines, areas and maps of a figure as an item that Bokeh embeds.
 
-    Panels are placed as in the figure; those that share an axis zoom together.
-
-    Parameters
-    ----------
-    columns : sequence of ndarray
-        Columns of the picture's table. Where the item has the same numbers, it has
-        ``{"type": "column", "index": ...}``, which the page's script replaces.
-
-    Returns
-    -------
-    dict or None
-        None without Bokeh, or for a figure without lines, areas and maps.
+    Panels are placed as in the figure; those that share an axis zoom together. Where the item has
+    the same numbers as a column of the picture's table, it has ``{"type": "column", "index":
+    ...}``, which the page's script replaces. It is None without Bokeh, or for a figure without
+    lines, areas and maps.
     """
     if not is_available():
         return None

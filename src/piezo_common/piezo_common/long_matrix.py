@@ -13,10 +13,6 @@ def triangle_of(columns: FloatArray) -> FloatArray:
     """Return the triangle of the QR factors of a long matrix, (min(m, n), n).
 
     The triangles of blocks that fit into the cache are factored again, in half the time.
-
-    Parameters
-    ----------
-    columns : (m, n) array
     """
     width, whole = columns.shape[1], len(columns) // BLOCK * BLOCK
     blocks = np.asarray(

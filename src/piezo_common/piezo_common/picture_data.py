@@ -120,13 +120,7 @@ def legend_name(artist: object) -> str:
 
 
 def axis_label(axes: Axes, direction: str) -> str:
-    """Return the label of an axis, or that of an adjacent axis that shares its scale.
-
-    Parameters
-    ----------
-    direction : str
-        Direction of the axis, "x" or "y".
-    """
+    """Return the label of the axis "x" or "y", or that of an adjacent one that shares its scale."""
     shared = getattr(axes, f"get_shared_{direction}_axes")().get_siblings(axes)
     texts = [str(getattr(one, f"get_{direction}label")()) for one in (axes, *reversed(shared))]
     return next(filter(None, texts), direction)

@@ -91,17 +91,8 @@ def outline(x: FloatArray, y: FloatArray,
             most: int = MOST_POINTS) -> tuple[FloatArray, FloatArray]:
     """Return a line of few points that looks like the whole: its envelope where it is dense.
 
-    Parameters
-    ----------
-    x, y : ndarray, shape (N,)
-        Points in the order of x.
-    most : int
-        Largest number of points.
-
-    Returns
-    -------
-    x, y : ndarray, shape (M,)
-        Minimum and maximum of y of each stretch, at its first x; unchanged if N <= `most`.
+    The points, (N,), are in the order of x. If there are more than `most`, the result has minimum
+    and maximum of y of each stretch, at its first x.
     """
     if x.size <= most:
         return x, y
@@ -114,16 +105,7 @@ def outline(x: FloatArray, y: FloatArray,
 
 def thinned(x: FloatArray, y: FloatArray,
             most: int = MOST_POINTS) -> tuple[FloatArray, FloatArray]:
-    """Return few points of a curve: its `outline` for rising x, else every n-th point.
-
-    Parameters
-    ----------
-    x, y : ndarray, shape (N,)
-
-    Returns
-    -------
-    x, y : ndarray, shape (M,)
-    """
+    """Return few points of a curve, (N,): its `outline` for rising x, else every n-th point."""
     if x.size <= most:
         return x, y
     if np.all(np.diff(x) >= 0.0):
@@ -136,10 +118,7 @@ def to_png(figure: Figure, dots_per_inch: float = DOTS_PER_INCH,
            colours: int | None = None) -> bytes:
     """Return a figure as the bytes of a PNG file.
 
-    Parameters
-    ----------
-    colours : int, optional
-        Number of colours of a palette, which reduces the file to a third; all by default.
+    A number of colours of a palette reduces the file to a third; by default it has all.
     """
     stream = io.BytesIO()
     # Pillow's search for the smallest file takes as long as the drawing, and saves 5 %.

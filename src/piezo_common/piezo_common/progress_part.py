@@ -8,14 +8,9 @@ Progress = Callable[[str, float], None]
 
 
 def part_of(progress: Progress | None, begin: float, end: float) -> Progress:
-    """Return the progress function for a part of the work.
+    """Return the progress function for a part of the work between two fractions of the whole.
 
-    Parameters
-    ----------
-    progress : callable or None
-        Progress function of the whole; None for no reports.
-    begin, end : float
-        Fractions of the whole at which the part begins and ends.
+    Without a progress function of the whole, nothing is reported.
     """
     if progress is None:
         return lambda what, fraction: None

@@ -17,12 +17,8 @@ class UnreadableFile(ValueError):
 def open_regular(path: str | PathLike[str], largest_bytes: int) -> FileIO:
     """Open a regular file of a bounded size for reading, without a buffer.
 
-    Pipes, which would block, and devices, which may have no end, are rejected.
-
-    Returns
-    -------
-    raw binary stream
-        A read returns the available data at once, so that reading a slow file can be stopped.
+    Pipes, which would block, and devices, which may have no end, are rejected. A read returns the
+    available data at once, so that reading a slow file can be stopped.
 
     Raises
     ------

@@ -116,13 +116,7 @@ class Section:
 
 def pictured(name: str, figure: Figure, caption: str, tall: bool = False, wide: bool = False,
              closer: bool = False) -> Picture:
-    """Return a matplotlib figure as a `Picture` with its numbers.
-
-    Parameters
-    ----------
-    closer : bool
-        True to add an interactive version for zooming.
-    """
+    """Return a matplotlib figure as a `Picture` with its numbers, and to be zoomed if `closer`."""
     png = to_png(figure, PAGE_DOTS_PER_INCH, PAGE_COLOURS)
     table = picture_table(figure)
     return Picture(name, caption, png, tall, wide, table.csv(),
@@ -130,13 +124,7 @@ def pictured(name: str, figure: Figure, caption: str, tall: bool = False, wide: 
 
 
 def render_page(title: str, paragraphs: Sequence[str], sections: Sequence[Section]) -> str:
-    """Return the HTML of a page as text.
-
-    Parameters
-    ----------
-    paragraphs : sequence of str
-        Text below the title.
-    """
+    """Return the HTML of a page as text, with paragraphs below the title."""
     body = "\n".join([f"<h1>{escape(title)}</h1>", *map(_paragraph, paragraphs),
                       *map(_section, sections)])
     if any(picture.closer for section in sections for picture in section.pictures):

@@ -31,10 +31,7 @@ def json_text(document: Mapping[str, Any]) -> str:
 def read_bounded_text(path: str | PathLike[str], largest_bytes: int = LARGEST_BYTES) -> str:
     """Read a text file of a bounded size; this can be cancelled between its parts.
 
-    Raises
-    ------
-    UnreadableFile
-        If the file is missing, not regular, too large or not UTF-8.
+    Raises `UnreadableFile` if the file is missing, not regular, too large or not UTF-8.
     """
     content = bytearray()
     try:
@@ -56,12 +53,7 @@ def read_bounded_text(path: str | PathLike[str], largest_bytes: int = LARGEST_BY
 def replace_text(path: str | PathLike[str], text: str) -> None:
     """Write a file; an existing one is replaced in one step or not at all.
 
-    An existing file with another text is kept, see `keep_previous`.
-
-    Raises
-    ------
-    OSError
-        If it cannot be written.
+    An existing file with another text is kept, see `keep_previous`. Raises OSError.
     """
     path = Path(path)
     temporary, earlier = (
@@ -83,17 +75,8 @@ def replace_text(path: str | PathLike[str], text: str) -> None:
 def keep_previous(path: Path, earlier: Path | None = None) -> None:
     """Rename the earlier version of a file, and report it as a warning of `logging`.
 
-    That of ``NAME.json`` becomes ``NAME.previous.json`` and replaces an older one.
-
-    Parameters
-    ----------
-    earlier : Path, optional
-        Where the earlier version is; by default at `path`.
-
-    Raises
-    ------
-    OSError
-        If it cannot be renamed.
+    That of ``NAME.json`` becomes ``NAME.previous.json`` and replaces an older one. By default the
+    earlier version is at the path. Raises OSError if it cannot be renamed.
     """
     previous = path.with_name(f"{path.stem}{PREVIOUS}{path.suffix}")
     os.replace(earlier or path, previous)
@@ -101,15 +84,7 @@ def keep_previous(path: Path, earlier: Path | None = None) -> None:
 
 
 def replace_json(path: str | PathLike[str], document: Mapping[str, Any]) -> None:
-    """Write a document as JSON; see `replace_text`.
-
-    Raises
-    ------
-    OSError
-        If it cannot be written.
-    ValueError
-        If a value is not finite.
-    """
+    """Write a document as JSON; see `replace_text`. Raises ValueError if a value is not finite."""
     replace_text(path, json_text(document) + "\n")
 
 
@@ -151,10 +126,7 @@ def check_may_replace(path: str | PathLike[str], file_format: str, kind: str,
                       error: type[ValueError], largest_bytes: int = LARGEST_BYTES) -> None:
     """Raise an error if a file of another format is in a place, also before the work for it.
 
-    Parameters
-    ----------
-    file_format, kind, error
-        As in `replace_document`, with the format of its document.
+    For the arguments see `replace_document`.
     """
     if is_something_else(path, file_format, largest_bytes):
         raise error(f"{path}: is there already and is no {kind}, so it is not overwritten; "
@@ -165,10 +137,7 @@ def is_something_else(path: str | PathLike[str], file_format: str,
                       largest_bytes: int = LARGEST_BYTES) -> bool:
     """Return True if a file exists that is not JSON of a format, for example a recording.
 
-    Parameters
-    ----------
-    file_format : str
-        Expected value of its entry ``format``.
+    The format is the value of its entry ``format``.
     """
     if not Path(path).exists():
         return False

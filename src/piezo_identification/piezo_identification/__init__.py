@@ -16,8 +16,7 @@ if TYPE_CHECKING:
         propose,
     )
     from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
-    from piezo_identification.estimators.dynamics.multisine import estimate_dynamics_multisine
-    from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics
+    from piezo_identification.estimators.dynamics.fast_estimate import estimate_dynamics
     from piezo_identification.estimators.estimate import Estimate
     from piezo_identification.estimators.frequency_response.response_file import (
         FrequencyResponse,
@@ -46,8 +45,8 @@ __all__ = [
     "AxesPrediction", "AxesResponse", "DensityEstimate", "Estimate", "Experiment",
     "FrequencyResponse", "IdentificationCancelled", "ModelMonitor", "Prediction", "ResponseOrder",
     "StageLimits", "alternatives_of_files", "decide", "diagnose", "estimate_creep",
-    "estimate_density", "estimate_dynamics", "estimate_dynamics_multisine",
-    "estimate_from_response", "identify", "identify_several_axes", "named_experiment", "predict",
-    "predict_several_axes", "propose", "read_axes_response", "read_frequency_response",
+    "estimate_density", "estimate_dynamics", "estimate_from_response", "identify",
+    "identify_several_axes", "named_experiment", "predict", "predict_several_axes", "propose",
+    "read_axes_response", "read_frequency_response",
     "unseen_errors",
 ]

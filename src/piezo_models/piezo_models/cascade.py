@@ -104,7 +104,7 @@ class StageModel:
 
     def to_matlab(self, path: str | PathLike[str]) -> None:
         """Write the model for MATLAB; see `piezo_models.matlab_file.write_matlab`."""
-        from piezo_models.matlab_file import write_matlab
+        from piezo_models.control_objects import write_matlab
 
         write_matlab(path, self)
 
@@ -170,8 +170,7 @@ class StageModel:
             True: the stage has rested for so long that the creep is over, and the linear states
             are in equilibrium with the hysteresis output. False: they are zero.
         highest_v : float
-            Highest voltage in V that the stage has reached so far; by default it was cycled. Only
-            a model with a first rise uses it.
+            Highest voltage so far, for a model with a first rise; by default it was cycled.
         """
         if hysteresis is None:
             hysteresis = self.hysteresis.memory()

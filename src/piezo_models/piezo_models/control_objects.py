@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Convert the linear part of a model to an object of python-control, and back."""
+"""Convert the linear part of a model to an object of python-control or MATLAB, and back."""
 
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from os import PathLike
 from typing import NamedTuple
 
 import control
 import numpy as np
+from scipy.io import savemat
 
 from piezo_common.arrays import ComplexArray
 from piezo_models.cascade import StageModel
@@ -96,20 +98,26 @@ def to_control(model: StageModel, sample_period_s: float | None = None, lags: bo
     return control.ss(sampled, inputs=["hysteresis_um"], outputs=["displacement_um"])
 
 
+def write_matlab(path: str | PathLike[str], model: StageModel) -> None:
+    """Write a model for MATLAB, version 5 of its files; an existing file is replaced.
+
+    ``ss(A, B, C, D)`` is the continuous system of `to_control`, which warns of the parts that it
+    omits. ``hysteresis`` is the Preisach model: its voltage range, the density in um/V^2 over the
+    upper (rows) and lower thresholds, the reversible part in um/V, and the offset in um.
+    """
+    system, hysteresis = to_control(model), model.hysteresis
+    parts = {name: getattr(hysteresis, name) for name in (
+        "voltage_min_v", "voltage_max_v", "density_um_per_v2", "reversible_um_per_v", "offset_um")}
+    savemat(path, {**{name: np.asarray(getattr(system, name)) for name in "ABCD"},
+                   "hysteresis": parts}, appendmat=False)
+
+
 def with_linear_part(model: StageModel, system: control.StateSpace | control.TransferFunction,
                      ) -> StageModel:
     """Return a model with another linear part; the inverse of ``to_control(lags=False)``.
 
-    Parameters
-    ----------
-    system : control.StateSpace or control.TransferFunction
-        System as for `from_control`. The hysteresis is scaled by its gain. Effects at other
-        places are kept, except a delay if the system has one.
-
-    Raises
-    ------
-    ValueError
-        If `from_control` rejects the system.
+    The hysteresis is scaled by the gain of the system. Effects at other places are kept, except a
+    delay if the system has one. Raises ValueError if `from_control` rejects the system.
     """
     parts = from_control(system)
     delay = (Delay(parts.delay_s),) if parts.delay_s else ()

@@ -105,7 +105,7 @@ class IdentifiedModel:
         The band follows from the standard deviations of the parameters, assumed independent. It
         does not include errors in the form of the model.
         """
-        from piezo_models.response_band import bode_of
+        from piezo_models.model_pictures import bode_of
 
         return bode_of(self)
 

@@ -52,24 +52,12 @@ def save_model(path: str | PathLike[str], identified: IdentifiedModel) -> None:
 
 
 def write_document(path: Path, document: dict[str, Any]) -> None:
-    """Write a checked model document, of one axis or of several; see `save_model`.
-
-    Raises
-    ------
-    ModelFileError
-        If the file cannot be written, or a file that is not a model file is in its place.
-    """
+    """Write a checked model document, of one axis or of several; see `save_model`."""
     replace_document(path, document, KIND, ModelFileError, rendered, LARGEST_FILE_BYTES)
 
 
 def check_model_may_replace(path: str | PathLike[str]) -> None:
-    """Check, also before the work for a model, that its file replaces no other kind of file.
-
-    Raises
-    ------
-    ModelFileError
-        If a file that is not a model file is in its place.
-    """
+    """Raise `ModelFileError`, also before the work, if another kind of file is in place."""
     check_may_replace(path, FORMAT, KIND, ModelFileError, LARGEST_FILE_BYTES)
 
 

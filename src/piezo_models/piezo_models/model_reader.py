@@ -31,19 +31,10 @@ T = TypeVar("T")
 
 
 def identified_model_of(document: object, path: str | PathLike[str]) -> IdentifiedModel:
-    """Return the model that a document describes, checked field by field.
+    """Return the model that a document of `document_of` describes, checked field by field.
 
-    Parameters
-    ----------
-    document : dict
-        Document as `model_document.document_of` returns it.
-    path : path-like
-        Path to name in error messages.
-
-    Raises
-    ------
-    ModelFileError
-        If the document is not of this version, or has a missing, unknown or invalid field.
+    Raises `ModelFileError`, which names the path, if the document is not of this version, or has a
+    missing, unknown or invalid field.
     """
     try:
         return built_model(checked(ModelDocument, document))
@@ -54,10 +45,7 @@ def identified_model_of(document: object, path: str | PathLike[str]) -> Identifi
 def built_model(document: ModelDocument) -> IdentifiedModel:
     """Build the model of a document that fits its schema.
 
-    Raises
-    ------
-    SchemaError
-        If the parts contradict each other, or an effect is not installed.
+    Raises `SchemaError` if the parts contradict each other, or an effect is not installed.
     """
     hysteretic, first_rise = document.hysteretic_creep, document.first_rise
     low_v, high_v = document.voltage_range_v

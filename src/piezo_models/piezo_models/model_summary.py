@@ -33,10 +33,7 @@ CREEP_ROWS = tuple(text for component, _, text, _, _ in PARAMETERS if component 
 def visited_fraction(visited: NDArray[np.bool_]) -> float:
     """Return the fraction of the area of the Preisach plane that recordings have visited.
 
-    Parameters
-    ----------
-    visited : ndarray of bool, shape (L, L)
-        Lower triangular; a cell on the diagonal counts half.
+    The mask, (L, L), is lower triangular; a cell on the diagonal counts half.
     """
     area = np.tril(np.ones(visited.shape)) - 0.5 * np.eye(len(visited))
     return float(area[visited].sum() / area.sum())
@@ -55,17 +52,9 @@ def model_rows(model: "StageModel", uncertainties: Mapping[str, Any]) -> list[tu
 
 
 def parameter_rows(model: "StageModel", uncertainties: Mapping[str, Any]) -> list[tuple[Cell, ...]]:
-    """Return table rows for the parameters, in the order of the signal path.
+    """Return table rows of `HEADS` for the parameters, in the order of the signal path.
 
-    Parameters
-    ----------
-    uncertainties : dict
-        Standard deviations, as in `piezo_models.identified_model.IdentifiedModel`.
-
-    Returns
-    -------
-    list of tuple
-        One tuple for each row, with as many cells as `HEADS`.
+    The uncertainties are those of `piezo_models.identified_model.IdentifiedModel`.
     """
     rows: list[tuple[Cell, ...]] = []
     for component, name, text, unit, scale in PARAMETERS:
@@ -146,17 +135,8 @@ def shortfall(adequacy: Mapping[str, Mapping[str, Any]], errors: Mapping[str, An
               unfinished: str) -> str:
     """Return what is unfinished or inadequate and the resulting error; empty if nothing is.
 
-    Parameters
-    ----------
-    adequacy, errors : dict
-        Fields of an `IdentifiedModel` or of its file.
-    unfinished : str
-        The field of the same name.
-
-    Returns
-    -------
-    str
-        One line without a full stop.
+    It is one line without a full stop. The arguments are fields of an `IdentifiedModel` or its
+    file.
     """
     parts = []
     for component, part in adequacy.items():

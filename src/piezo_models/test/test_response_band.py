@@ -8,7 +8,7 @@ from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
-from piezo_models.response_band import response_deviations
+from piezo_models.model_pictures import response_deviations
 
 LAG_S, DEVIATION_S = 1e-3, 2e-5
 MODEL = StageModel(PreisachModel(0.0, 100.0, np.array([[0.01]])), CreepDynamics(),

@@ -16,13 +16,7 @@ def print_completion(options: argparse.Namespace) -> None:
 
 
 def script_for(shell: str, parser: argparse.ArgumentParser) -> str:
-    """Return the script by which a shell completes the arguments of a parser.
-
-    Parameters
-    ----------
-    shell : str
-        Shell, "bash" or "zsh".
-    """
+    """Return the script by which a shell completes the arguments of a parser."""
     for action in _actions(parser):
         if action.type is Path:
             action.complete = shtab.FILE  # type: ignore[attr-defined]

@@ -22,7 +22,7 @@ from piezo_controller.feedback.synthesis.design_choices import (
 from piezo_identification.axes.diagnose_axes import AxesDiagnosis, diagnose_axes
 from piezo_identification.axes.identify_axes import identify_several_axes
 from piezo_identification.axes.predict_axes import AxesPrediction, predict_several_axes
-from piezo_identification.commands.row_options import READINGS
+from piezo_identification.commands.data_options import READINGS
 from piezo_identification.diagnosis.diagnose import Diagnosis
 from piezo_identification.diagnosis.diagnose import diagnose as diagnose_recordings
 from piezo_identification.diagnosis.evidence.known_noise import noise_of_model
@@ -33,7 +33,7 @@ from piezo_identification.diagnosis.report.diagnosis_results import stated_error
 from piezo_identification.diagnosis.response.response_diagnosis import diagnose_response
 from piezo_identification.diagnosis.verdict import Verdict, extended_model
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
-from piezo_identification.identification.given_hysteresis import DensityOptions
+from piezo_identification.identification.estimated_loops import DensityOptions
 from piezo_identification.identification.identify import identify as identify_recordings
 from piezo_identification.identification.notes import Implausible
 from piezo_identification.prediction.prediction import Prediction

@@ -14,11 +14,7 @@ def keep_clock(node: Node, why_busy: Callable[[], str]) -> None:
     """Reject a change of the parameter ``use_sim_time`` while the node is busy.
 
     Time stamps before and after such a change belong to two clocks, which may differ by decades.
-
-    Parameters
-    ----------
-    why_busy : callable
-        Returns what runs, for example ``"a goal runs"``; empty if nothing does.
+    The function returns what runs, for example ``"a goal runs"``; empty if nothing does.
     """
     def examine(parameters: list[Parameter]) -> SetParametersResult:
         changes = any(parameter.name == PARAMETER

@@ -14,14 +14,10 @@ LONGEST_DELAY_S = 10.0
 
 
 def set_deadline(request: Message, patience_s: float) -> None:
-    """Set the deadline of a request, if it has such a field, to when its client gives it up.
+    """Set the deadline of a request or a goal, if it has such a field, to when its client gives up.
 
-    Parameters
-    ----------
-    request : message
-        A request or a goal; an existing deadline is not changed.
-    patience_s : float
-        Time from now that its client waits in s, for all its attempts.
+    The client waits for a time from now (s), for all its attempts. An existing deadline is not
+    changed.
     """
     if getattr(request, "deadline", None) == NEVER:
         nanoseconds = time.time_ns() + round(patience_s * NANOSECONDS)
@@ -29,14 +25,10 @@ def set_deadline(request: Message, patience_s: float) -> None:
 
 
 def why_too_late(request: Message, age_s: float = 0.0) -> str:
-    """Return why a request must not act any more; empty if it may.
+    """Return why a request or a goal must not act any more; empty if it may.
 
-    Parameters
-    ----------
-    request : message
-        A request or a goal; one with an empty deadline may always act.
-    age_s : float
-        Time since it was sent in s, used if it has no field for a deadline.
+    One with an empty deadline may always act. The age, in s, is used if it has no field for a
+    deadline.
     """
     deadline = getattr(request, "deadline", None)
     if deadline is None:
@@ -55,10 +47,7 @@ def why_too_late(request: Message, age_s: float = 0.0) -> str:
 def seconds_since(sent_ns: int) -> float:
     """Return the time since a request was sent in s; 0 if it is not known.
 
-    Parameters
-    ----------
-    sent_ns : int
-        Source time stamp of the middleware, by the wall clock of the client.
+    It was sent at the source time stamp of the middleware, by the wall clock of the client.
     """
     return max(time.time_ns() - sent_ns, 0) / NANOSECONDS if sent_ns > 0 else 0.0
 

@@ -9,13 +9,7 @@ from rclpy.node import Node
 
 def diagnostic(node: Node, name: str, level: bytes, message: str, values: Mapping[str, object],
                hardware_id: str = "") -> DiagnosticArray:
-    """Return the present state of a part of a node.
-
-    Parameters
-    ----------
-    level : bytes
-        Level from ``DiagnosticStatus``.
-    """
+    """Return the present state of a part of a node, with a level from ``DiagnosticStatus``."""
     status = DiagnosticStatus(
         name=f"{node.get_fully_qualified_name()}: {name}", hardware_id=hardware_id, level=level,
         message=message,

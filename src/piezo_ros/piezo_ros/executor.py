@@ -33,13 +33,7 @@ class _Task(rclpy.task.Task):
 
 
 def make_executor(context: Context | None = None) -> Executor:
-    """Return an events executor, for use with `spin_once`.
-
-    Parameters
-    ----------
-    context : rclpy.context.Context, optional
-        Context; the default one if omitted.
-    """
+    """Return an events executor, for use with `spin_once`; by default in the default context."""
     names = vars(rclpy.task)
     usual, names["Task"] = names["Task"], _Task  # the executor looks it up when it is created
     try:
@@ -49,17 +43,9 @@ def make_executor(context: Context | None = None) -> Executor:
 
 
 def spin_once(executor: Executor, timeout_s: float) -> None:
-    """Run the callbacks that are ready, or wait for one.
+    """Run the callbacks that are ready, or wait for one; raise the first exception of a task.
 
-    Parameters
-    ----------
-    executor : rclpy.executors.Executor
-        Executor of `make_executor`.
-
-    Raises
-    ------
-    Exception
-        The first one that a task raised.
+    The executor is one of `make_executor`.
     """
     executor.spin_once(timeout_sec=timeout_s)
     if _raised.errors:

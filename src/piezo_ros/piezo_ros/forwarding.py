@@ -12,15 +12,7 @@ from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 def forward(package: str, executable: str) -> NoReturn:
     """Replace this process by an executable of another package, with the same arguments.
 
-    Parameters
-    ----------
-    package, executable : str
-        Package and name of the executable now.
-
-    Raises
-    ------
-    SystemExit
-        With status 2 if that package is not installed.
+    It exits with status 2 if that package is not installed.
     """
     print(f"{executable} has moved: ./run {package} {executable}", file=sys.stderr, flush=True)
     try:

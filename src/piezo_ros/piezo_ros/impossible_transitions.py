@@ -16,12 +16,8 @@ def answer_impossible_transitions(node: Node) -> None:
     """Make a node respond to an impossible ``change_state`` with false, and log the reason.
 
     rclpy raises an error in the executor instead, which ends the node without a response. A request
-    that comes too late is rejected as well, as its client may have given it up.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Node; one without a lifecycle is not changed.
+    that comes too late is rejected as well, as its client may have given it up. A node without a
+    lifecycle is not changed.
     """
     for service in node.services:
         if service.srv_type is ChangeState:

@@ -16,16 +16,8 @@ class LateResponse:
     """The response of one call; `give` sends it once, from any thread.
 
     A coroutine could do the same, but the executor of this rclpy polls a waiting one continuously.
-
-    Parameters
-    ----------
-    response : message
-        Response to fill in.
-
-    Attributes
-    ----------
-    asked_s : float
-        Time at which the client sent its request, by the monotonic clock in s.
+    Attribute `asked_s` is the time at which the client sent its request, by the monotonic clock in
+    s.
     """
 
     def __init__(self, node: Node, response: Message) -> None:

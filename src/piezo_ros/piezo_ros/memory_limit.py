@@ -23,15 +23,10 @@ def machine_bytes() -> int:
 
 
 def limit_memory(percent: float) -> None:
-    """Make allocations of this process fail beyond a share of the machine's memory.
+    """Make allocations of this process fail beyond a share of `machine_bytes`, in percent.
 
     Memory mapped from files or shared with others does not count, and neither does address space
     that is only reserved, as for the heaps of threads.
-
-    Parameters
-    ----------
-    percent : float
-        Share of `machine_bytes` in percent.
     """
     _, most = resource.getrlimit(resource.RLIMIT_DATA)
     limit = int(machine_bytes() * percent / 100.0)

@@ -71,15 +71,8 @@ def declare(node: Node, name: str, default: Value, description: str, minimum: fl
 def declare_data_root(node: Node) -> DataRoot:
     """Declare the parameter ``data_root`` and return the folder of the node's files.
 
-    Returns
-    -------
-    DataRoot
-        By default the folder in which the node was started.
-
-    Raises
-    ------
-    DataRootError
-        If the folder does not exist.
+    It is by default the folder in which the node was started. Raises `DataRootError` if it does not
+    exist.
     """
     folder = declare(node, "data_root", str(Path.cwd()),
                      "Folder under which the node reads and writes the files that goals name.")

@@ -15,15 +15,10 @@ COMMON_TOPIC = "/parameter_events"
 
 
 class Presence:
-    """Determine whether a node is gone.
+    """Determine whether a node, given by its full name, is gone; without a name, it never is.
 
     A node that was killed and one that was restarted under its name are distinguished by the
     identities of their publishers in the middleware: the second does not count as the first.
-
-    Parameters
-    ----------
-    name : str
-        Full name of the watched node; with an empty name, nothing is ever gone.
     """
 
     def __init__(self, node: Node, name: str) -> None:

@@ -39,12 +39,7 @@ class ProcessWatch:
     """A thread that announces participants of this machine whose process died or was suspended.
 
     It needs the transport of `prepare_discovery` that stays on this machine, and `/proc`; without
-    them it does nothing.
-
-    Parameters
-    ----------
-    node : Node
-        Node by which the participants are found; end the watch before the node is destroyed.
+    them it does nothing. End it before its node, by which the participants are found, is destroyed.
     """
 
     def __init__(self, node: Node) -> None:

@@ -25,11 +25,7 @@ def sent_again(send: Send) -> Send:
     """Return a function that repeats sending a response until the middleware knows the client.
 
     rclpy sends once and warns that the client will not receive it; the client then waits for ever.
-
-    Parameters
-    ----------
-    send : callable
-        Function like `rclpy.service.Service.send_response`.
+    The function given is like `rclpy.service.Service.send_response`.
     """
     @functools.wraps(send)
     def patient(service: Service, response: Message, header: Message) -> None:
@@ -49,12 +45,8 @@ def answered_again(send: Callable[..., None]) -> Callable[..., None]:
     """Return a function that repeats a response of an action until the middleware knows the client.
 
     rclpy would not start a goal whose acceptance could not be sent. Here it starts, and the status
-    of the action informs the client.
-
-    Parameters
-    ----------
-    send : callable
-        A ``send_..._response`` of the action servers underlying those of rclpy.
+    of the action informs the client. The function given is a ``send_..._response`` of the action
+    servers underlying those of rclpy.
     """
     @functools.wraps(send)
     def patient(server: object, header: Message, response: Message) -> None:

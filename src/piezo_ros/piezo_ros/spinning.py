@@ -71,15 +71,7 @@ class Ending:
 def autostart(node: LifecycleNode, default: bool = True) -> None:
     """Configure and activate a lifecycle node if its parameter ``autostart`` is true.
 
-    Parameters
-    ----------
-    default : bool
-        Default of the parameter.
-
-    Raises
-    ------
-    SystemExit
-        If a transition fails; the reason has then been logged.
+    The process exits if a transition fails; the reason has then been logged.
     """
     if not declare(node, "autostart", default, "Configure and activate at start."):
         name = node.get_fully_qualified_name()

@@ -16,18 +16,11 @@ INTERRUPTED_STATUS = 130
 
 
 def node_entry(module: str, description: str) -> Callable[[list[str] | None], None]:
-    """Return the main function of a node's executable.
+    """Return the main function of a node's executable, ``main`` of the module with this full name.
 
     Importing a node takes seconds in which nothing needs an orderly end, so a signal ends the
     process at once with one line. Once the node exists, it ends in order. Help and invalid
     arguments are handled before the import.
-
-    Parameters
-    ----------
-    module : str
-        Full name of the node's module, whose function ``main`` runs the node.
-    description : str
-        Description of the node, a sentence.
     """
     def main(args: list[str] | None = None) -> None:
         given = sys.argv[1:] if args is None else args

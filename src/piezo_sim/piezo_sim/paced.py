@@ -11,13 +11,7 @@ LARGEST_LAG_S = 0.1
 
 
 class PacedStage:
-    """A backend whose exchanges take as long as their samples.
-
-    Parameters
-    ----------
-    backend : StageBackend
-        The wrapped backend; its other attributes are available unchanged.
-    """
+    """A backend whose exchanges take as long as their samples."""
 
     def __init__(self, backend: Any) -> None:
         self._backend = backend

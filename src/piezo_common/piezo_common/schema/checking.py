@@ -40,28 +40,16 @@ class SchemaError(ValueError):
 
 
 def check(kind: type[P], content: object, where: str = "", renew: str = "correct the file") -> P:
-    """Check content against a schema.
+    """Check content, as a parser of JSON or YAML returns it, against a class of parts.
+
+    Raises `SchemaError` if a field is missing, unknown, of a wrong type or out of range.
 
     Parameters
     ----------
-    kind : type
-        Class of parts.
-    content : object
-        Content as a parser of JSON or YAML returns it.
     where : str
         Path of the content in its file; empty for the whole.
     renew : str
         Remedy for a missing or unknown field.
-
-    Returns
-    -------
-    Part
-        Instance of `kind`.
-
-    Raises
-    ------
-    SchemaError
-        If a field is missing, unknown, of a wrong type or out of range.
     """
     try:
         return kind.model_validate(content)
@@ -107,15 +95,7 @@ def _problem(kind: str, context: Mapping[str, Any], found: object, renew: str) -
 
 
 def path_of(location: tuple[str | int, ...], where: str = "") -> str:
-    """Return a path such as ``hysteresis.density_um_per_v2[3][2]``.
-
-    Parameters
-    ----------
-    location : tuple of str or int
-        Location as pydantic gives it.
-    where : str
-        Prefix of the path.
-    """
+    """Return a path such as ``hysteresis.density_um_per_v2[3][2]`` for a location of pydantic."""
     path = where
     for name in location:
         if isinstance(name, int):

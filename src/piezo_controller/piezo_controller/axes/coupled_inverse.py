@@ -126,13 +126,7 @@ def _ahead_of_actuators(drive_v: FloatArray, model: CoupledModel) -> FloatArray:
 
 
 def spectral_square(lines: ComplexArray | FloatArray, samples: int) -> FloatArray:
-    """Return the mean squares of signals with these spectra (Parseval), by column.
-
-    Parameters
-    ----------
-    lines : (F, n) array
-        Of `numpy.fft.rfft` over `samples`.
-    """
+    """Return the mean squares of signals, by column, from their lines of `numpy.fft.rfft`."""
     twice = np.full(len(lines), 2.0)
     twice[0] = 1.0
     if samples % 2 == 0:

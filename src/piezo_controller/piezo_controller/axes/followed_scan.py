@@ -64,19 +64,10 @@ class FollowedScan(NamedTuple):
 
 def followed_scan(scan: StoredScan, stage: AxesStage, samples: int, law: AxesLaw | None = None,
                   max_feedback_v: float = math.inf) -> FollowedScan:
-    """Return the run that follows a planned path, with a feedback if there is a law.
+    """Return the run that follows a planned path for some samples at least, with an optional law.
 
-    Parameters
-    ----------
-    samples : int
-        Samples for which the path is followed at least.
-    max_feedback_v : float
-        Largest voltage of the feedback of each axis, of either sign (V).
-
-    Raises
-    ------
-    ValueError
-        If scan or law do not fit the stage, see `check_fit`.
+    The feedback of each axis has at most `max_feedback_v`, of either sign. Raises ValueError if
+    scan or law do not fit the stage, see `check_fit`.
     """
     check_fit("scan", scan, stage)
     if law is not None:

@@ -22,17 +22,9 @@ LARGEST_STEP = 3.0
 
 
 def points_of_file(path: str | Path) -> tuple[tuple[str, ...], FloatArray]:
-    """Read the axes and points of a CSV with columns such as ``x_displacement_um``.
+    """Return the axes and points (K, m) of a CSV with columns such as ``x_displacement_um``.
 
-    Returns
-    -------
-    axes : tuple of str
-    points_um : (K, m) array
-
-    Raises
-    ------
-    InvalidReference
-        If there are none, or a row is not of numbers.
+    Raises `InvalidReference` if there are none, or a row is not of numbers.
     """
     return _points_in(_columns(Path(path)), path)
 
@@ -54,10 +46,8 @@ def positions_of_file(
     The marks are those of columns such as ``pixel`` and ``line``. A plan of `scan` has them earlier
     than their places by the delay of its sensors, which its description beside it contains.
 
-    Raises
-    ------
-    InvalidReference
-        If its times are not those of the samples, or its end jumps to its beginning.
+    Raises `InvalidReference` if its times are not those of the samples, or its end jumps to its
+    beginning.
     """
     columns = _columns(Path(path))
     axes, position_um = _points_in(columns, path)

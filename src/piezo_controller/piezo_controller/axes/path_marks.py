@@ -42,7 +42,7 @@ def lead_samples(position_um: FloatArray, marks: NDArray[np.integer],
 
 def marks_by_position(position_um: FloatArray, marks: NDArray[np.uint8], reading_um: FloatArray,
                       delay_samples: FloatArray) -> NDArray[np.uint8]:
-    """Move the marks of a periodic path to where the axes passed their places.
+    """Move the marks of a periodic path to where the axes passed their places, (N,).
 
     A place is passed where the axes come closest to it, across the direction in which the path
     leads at that time. The difference of the readings to the path is averaged, over the time of a
@@ -60,10 +60,6 @@ def marks_by_position(position_um: FloatArray, marks: NDArray[np.uint8], reading
         Readings of a period that was played with the same voltages.
     delay_samples : (n,) array
         By how much the reading of each axis is late.
-
-    Returns
-    -------
-    (N,) array of uint8
     """
     samples, marked = len(marks), np.flatnonzero(marks)
     pixels = np.flatnonzero(marks & Mark.PIXEL)

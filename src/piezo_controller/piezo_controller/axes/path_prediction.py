@@ -70,16 +70,9 @@ def _cells(values: dict[str, FloatArray], *at: int) -> tuple[Cell, ...]:
 
 def predict_path(path: ScanPath, model: CoupledModel, voltage_v: FloatArray, gain_limit: float,
                  identified: IdentifiedAxes | None = None) -> PathPrediction:
-    """Simulate a path by each inverse, and one axis of it at a time.
+    """Simulate a path of all axes of the model by each inverse, and one axis of it at a time.
 
-    Parameters
-    ----------
-    path : ScanPath
-        Path of all axes of the model.
-    voltage_v : (N, n) array
-        Voltages of the coupled inverse.
-    identified : IdentifiedAxes, optional
-        Identified model, which has the standard deviations.
+    The voltages are those of the coupled inverse. An identified model has the standard deviations.
     """
     travel_um = np.ptp(path.position_um, axis=0)
     moved = travel_um > 0.0

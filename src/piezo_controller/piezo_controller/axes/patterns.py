@@ -92,15 +92,8 @@ def scan_path(pattern: ScanPattern, sample_period_s: float,
               axes: tuple[str, ...] = ("x", "y")) -> ScanPath:
     """Draw a pattern; its rate becomes one of whole samples.
 
-    Parameters
-    ----------
-    axes : tuple of str
-        Those that move: of a pattern two, the fast one first.
-
-    Raises
-    ------
-    InvalidReference
-        If the fields make no sense for the kind.
+    The axes are those that move: of a pattern two, the fast one first. Raises `InvalidReference` if
+    the fields make no sense for the kind.
     """
     if pattern.kind == "file":
         return _of_file(pattern, sample_period_s)
@@ -158,17 +151,10 @@ def joined(begins: FloatArray, ends: FloatArray, begin_at: FloatArray, end_at: F
     begins, ends : (K, m) array
         Positions.
     begin_at, end_at : (K,) array
-        Times, which rise from 0.
-    period : float
-        After which the first run begins again.
+        Times, which rise from 0 to the period, after which the first run begins again.
     stop : float
         If positive, the time in which the last run comes to rest before the way back, and the first
         one sets out after it.
-
-    Returns
-    -------
-    BPoly
-        From 0 to `period`.
     """
     speed = (ends - begins) / (end_at - begin_at)[:, None]
     rest = np.zeros_like(begins)

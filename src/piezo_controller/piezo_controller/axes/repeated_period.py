@@ -16,19 +16,9 @@ LONGEST_SETTLE_S = 2.0
 
 
 def faded_in(voltage_v: FloatArray, model: CoupledModel, before: int = 0) -> FloatArray:
-    """Return voltages that lead from the operating point into a period.
+    """Return voltages (B, n) over `FADE_S` that lead from the operating point into a period (N, n).
 
-    Parameters
-    ----------
-    voltage_v : (N, n) array
-        One period.
-    before : int
-        Samples before its beginning where they end.
-
-    Returns
-    -------
-    (B, n) array
-        Over `FADE_S`.
+    They end some samples before its beginning.
     """
     samples = round(FADE_S / model.sample_period_s)
     at = np.arange(-samples - before, -before) % len(voltage_v)
@@ -38,17 +28,9 @@ def faded_in(voltage_v: FloatArray, model: CoupledModel, before: int = 0) -> Flo
 
 
 def repeated(voltage_v: FloatArray, model: CoupledModel) -> FloatArray:
-    """Return the displacement in one period of voltages that are faded in, then repeated.
+    """Return the displacement (um) in one period of voltages, (N, n), after they were faded in.
 
-    Parameters
-    ----------
-    voltage_v : (N, n) array
-        One period.
-
-    Returns
-    -------
-    (N, n) array
-        In um, once modes and hysteresis have settled.
+    Modes and hysteresis have settled then.
     """
     period_s, samples = model.sample_period_s, len(voltage_v)
     slowest = -np.max(model.poles_rad_per_s.real, initial=-1.0 / period_s)

@@ -18,10 +18,8 @@ MOST_SAMPLES = 2_500_000
 class ScanPath:
     """One period of a path; the sample after the last is the first again.
 
-    Raises
-    ------
-    InvalidReference
-        If positions and axes do not fit, or the period is too short or too long.
+    Raises `InvalidReference` if positions and axes do not fit, or the period is too short or too
+    long.
     """
 
     kind: str

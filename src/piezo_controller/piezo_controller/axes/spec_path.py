@@ -21,10 +21,8 @@ the whole path is crossed at its speed: the quintic over it swings out by less t
 def spec_of_file(path: str | Path) -> Any:
     """Read a specification that `scanspec` has serialised to JSON.
 
-    Raises
-    ------
-    InvalidReference
-        If `scanspec` is not installed, or the file is none of its specifications.
+    Raises `InvalidReference` if `scanspec` is not installed, or the file is none of its
+    specifications.
     """
     try:
         from scanspec.specs import Spec
@@ -43,7 +41,8 @@ def path_of_spec(spec: Any, sample_period_s: float, rate_hz: float | None = None
     """Draw the path of a specification of `scanspec`.
 
     Frames that touch are crossed at the speed of their bounds; over each gap leads a quintic of
-    minimum jerk.
+    minimum jerk. Raises `InvalidReference` if the specification says no durations and no rate is
+    given.
 
     Parameters
     ----------
@@ -53,11 +52,6 @@ def path_of_spec(spec: Any, sample_period_s: float, rate_hz: float | None = None
         Frames a second; by default the durations of the specification count.
     flyback_s : float, optional
         Time of a gap; by default `GAP` of a line's time.
-
-    Raises
-    ------
-    InvalidReference
-        If it says no durations and no rate is given.
     """
     from scanspec.core import Path as SpecPath
 

@@ -94,10 +94,7 @@ def stored_scan(plan: "PathPlan") -> StoredScan:
 def read_scan(directory: str | PathLike[str]) -> StoredScan:
     """Read the voltages that `scan` wrote into a folder.
 
-    Raises
-    ------
-    ValueError
-        If a file is missing, or the two files do not belong together.
+    Raises ValueError if a file is missing, or the two files do not belong together.
     """
     folder = Path(directory)
     period, = read_axes(folder / PERIOD_FILE)

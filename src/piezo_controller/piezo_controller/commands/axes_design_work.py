@@ -9,20 +9,15 @@ import numpy as np
 
 from piezo_common.command_line import print_next, write_report
 from piezo_common.picture_style import to_png
-from piezo_common.report_page import Section, pictured, render_page
+from piezo_common.report_page import Section
 from piezo_controller.feedback.axes_design import (
-    check_axes_robustness,
+    axes_plant_errors,
     design_axes_feedback,
-    drawn_axes_plants,
     scaled_plant,
 )
-from piezo_controller.feedback.design_page import CAPTIONS, design_sentence
+from piezo_controller.feedback.design_page import page_of_loop
 from piezo_controller.feedback.feedback_design import structured_singular_value
-from piezo_controller.feedback.loop_pictures import (
-    axes_sensitivity_figure,
-    mu_figure,
-    weights_figure,
-)
+from piezo_controller.feedback.loop_pictures import mu_figure, sensitivity_figure, weights_figure
 from piezo_controller.feedback.robustness import PARAMETER_ERROR, Robustness
 from piezo_controller.feedback.synthesis.generalised_plant import generalised_plant
 from piezo_controller.feedback.synthesis.weights import load_weights
@@ -65,13 +60,13 @@ def design_axes_law(options: argparse.Namespace) -> None:
     save_axes_law(options.output, law)
     plant, gains_um_per_v = scaled_plant(model, tick_s)
     controller = np.diag(gains_um_per_v) * control.ss(*law.tick.matrices, tick_s)
-    robustness = check_axes_robustness(model, controller)
+    errors = axes_plant_errors(model, tick_s)
+    robustness = errors.robustness(controller)
     rows = _rows(law, robustness)
     for name, text in rows:
         print(f"{name:42s}{text}")
     figures = {
-        "sensitivity": axes_sensitivity_figure(
-            plant, controller, model.axes, drawn_axes_plants(model, tick_s, DRAWN)),
+        "sensitivity": sensitivity_figure(plant, controller, errors.drawn(DRAWN), model.axes),
         "weights": weights_figure(weights),
         "mu": mu_figure(*structured_singular_value(
             generalised_plant(plant, 1.0, weights), controller), law.report["mu_history"])}
@@ -79,15 +74,11 @@ def design_axes_law(options: argparse.Namespace) -> None:
     picture.write_bytes(to_png(figures["sensitivity"]))
     print(f"written: {options.output}, {picture}")
     if options.report:
-        page = render_page(
-            design_sentence(law.report),
+        page = page_of_loop(
+            law.report, rows, figures,
             [f"law: `{options.output}`",
-             f"model: `{options.model}`, SHA-256 {law.model_sha256[:16]}"], [
-                Section("The loop", [_margins_sentence(robustness)], pictures=[
-                    pictured(name, figures[key], caption, closer=True, wide=True)
-                    for key, (name, caption) in CAPTIONS.items() if key in figures]),
-                Section("All measures", [], [("measure", "value"), *(
-                    (name.strip(), text) for name, text in rows)])])
+             f"model: `{options.model}`, SHA-256 {law.model_sha256[:16]}"],
+            Section("Margins", [_margins_sentence(robustness)]))
         write_report(options.output.with_name(f"{options.output.stem}_report.html"), page)
     print_next(options, "piezo_client", "stage", "scan", "<a folder of scan>", "--feedback",
                options.output, "--output", "runs")

@@ -15,7 +15,7 @@ from piezo_common.picture_style import to_png
 from piezo_controller.commands.axes_design_work import design_axes_law
 from piezo_controller.feedback.controller_file import save_controller
 from piezo_controller.feedback.controller_view import REPORT_ROWS
-from piezo_controller.feedback.design_page import design_page
+from piezo_controller.feedback.design_page import margins_section, page_of_loop
 from piezo_controller.feedback.feedback_design import (
     FeedbackController,
     UnstableLoop,
@@ -29,7 +29,7 @@ from piezo_controller.feedback.loop_pictures import (
     step_figure,
     weights_figure,
 )
-from piezo_controller.feedback.robustness import Robustness, check_robustness, drawn_plants
+from piezo_controller.feedback.robustness import PlantErrors, Robustness, plant_errors
 from piezo_controller.feedback.sample_rate.named_feedbacks import (
     comparison_figure,
     comparison_page,
@@ -70,20 +70,21 @@ def design_controller(options: argparse.Namespace) -> None:
     controller, weights, clock_s = design.controller, design.weights, design.clock_period_s
     save_controller(options.output, controller)
     gain_spread = max(GAIN_SPREAD, controller.report["hysteresis_gain_spread"])
-    robustness = check_robustness(
-        model, controller.state_space(), clock_s, gain_spread, at_once=options.at_once,
-        delay_ticks=options.delay_ticks)
+    errors = plant_errors(model, controller.sample_period_s, clock_s, gain_spread,
+                          options.at_once, options.delay_ticks)
+    robustness = errors.robustness(controller.state_space())
     rows = _rows(controller.report, design, robustness)
     for name, text in rows:
         print(f"{name:42s}{text}")
-    figures = _figures(options, model, weights, clock_s, controller, gain_spread)
+    figures = _figures(options, model, weights, clock_s, controller, errors)
     pictures = _save(options.output, figures)
     print(f"written: {', '.join(str(path) for path in (options.output, *pictures))}")
     if options.report:
         origin = [f"controller: `{options.output}`", f"model: `{options.model}`, SHA-256 "
                   f"{controller.model_sha256[:16]}"]
-        write_report(options.output.with_name(f"{options.output.stem}_report.html"), design_page(
-            controller.report, rows, robustness, figures, origin))
+        write_report(options.output.with_name(f"{options.output.stem}_report.html"), page_of_loop(
+            controller.report, rows, figures, origin,
+            margins_section(controller.report, robustness)))
     print_next(options, "piezo_client", "stage", "track", "--model", options.model, "--controller",
                options.output, "--output", "runs")
 
@@ -144,7 +145,7 @@ def _rows(report: dict[str, Any], design: StageDesign,
 
 
 def _figures(options: argparse.Namespace, model: StageModel, weights: DesignWeights,
-             clock_s: float, controller: FeedbackController, gain_spread: float,
+             clock_s: float, controller: FeedbackController, errors: PlantErrors,
              ) -> dict[str, Figure]:
     plant, gain_um_per_v = design_plant(model, weights.sample_period_s, clock_s,
                                         options.at_once, options.delay_ticks)
@@ -154,10 +155,8 @@ def _figures(options: argparse.Namespace, model: StageModel, weights: DesignWeig
         "bode": bode_figure(*loop, with_weights),
         "nyquist": nyquist_figure(*loop, controller.report["hysteresis_gain_spread"])}
     if options.report:
-        drawn = [each for each in drawn_plants(
-            model, weights.sample_period_s, clock_s, gain_spread, DRAWN,
-            at_once=options.at_once, delay_ticks=options.delay_ticks)
-            if is_stable(control.feedback(each * loop[1], 1))]
+        drawn = [each for each in errors.drawn(DRAWN)
+                 if is_stable(control.feedback(each * loop[1], 1))]
         figures["steps"] = step_figure(
             *loop, controller.report["hysteresis_gain_spread"], drawn)
         figures["sensitivity"] = sensitivity_figure(*loop, drawn)

@@ -20,13 +20,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_path_options(parser: argparse.ArgumentParser, default: str | None) -> None:
-    """Add the options that say which path is planned.
-
-    Parameters
-    ----------
-    default : str or None
-        Pattern if none is given.
-    """
+    """Add the options that say which path is planned, and the pattern if none is given."""
     parser.add_argument("--pattern", choices=PATTERNS, default=default,
                         help="kind of the path" + (" (default: %(default)s)" if default else ""))
     parser.add_argument("--file", type=Path,

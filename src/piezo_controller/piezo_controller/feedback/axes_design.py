@@ -12,16 +12,10 @@ from piezo_common.arrays import FloatArray
 from piezo_controller.feedback.feedback_design import UnstableLoop, h_infinity_feedback
 from piezo_controller.feedback.loop_measures import measure_axes_loop
 from piezo_controller.feedback.multirate_feedback import observer_gain
-from piezo_controller.feedback.robustness import (
-    PARAMETER_ERROR,
-    Robustness,
-    error_draws,
-    robustness_of,
-)
-from piezo_controller.feedback.synthesis.controller_reduction import reduce_order
+from piezo_controller.feedback.robustness import PARAMETER_ERROR, PlantErrors
 from piezo_controller.feedback.synthesis.dk_iteration import tick_frequencies
 from piezo_controller.feedback.synthesis.generalised_plant import lift, secant_gain_range
-from piezo_controller.feedback.synthesis.h_infinity import is_stable
+from piezo_controller.feedback.synthesis.h_infinity import is_stable, reduce_order
 from piezo_controller.feedback.synthesis.structured_singular_value import sampled_response
 from piezo_controller.feedback.synthesis.weights import DesignWeights
 from piezo_models.axes.coupled import CoupledModel
@@ -88,25 +82,17 @@ def design_axes_feedback(model: CoupledModel, weights: DesignWeights, model_sha2
         LinearBlock(controller.A, controller.B, controller.C, controller.D),
         observer_gain(controller),
         DeclaredPlant(LinearBlock(linear.A, linear.B, linear.C, linear.D), gains * corners),
-        model.operating_displacement_um, report, weights.as_dict(), model_sha256)
+        model.operating_displacement_um, report, weights.model_dump(), model_sha256)
 
 
 def scaled_plant(model: CoupledModel, tick_s: float) -> tuple[control.StateSpace, FloatArray]:
-    """Return the plant that the feedback is designed for, at the tick's rate.
+    """Return the plant that the feedback is designed for, at the tick's rate, and its gains.
 
-    Returns
-    -------
-    plant : control.StateSpace
-        From the static displacements that the voltages decided in a tick would cause, to the mean
-        displacements of the tick before (um per um). The voltages act at once.
-    gains_um_per_v : ndarray, shape (n,)
-        Displacement of each axis for its own voltage, by the modes and the nominal gain of the
-        hysteresis.
-
-    Raises
-    ------
-    ValueError
-        If the tick is no multiple of the model's sample period.
+    The plant leads from the static displacements that the voltages decided in a tick would cause,
+    to the mean displacements of the tick before (um per um); the voltages act at once. The gains,
+    (n,), are the displacement of each axis for its own voltage (um/V), by the modes and the nominal
+    gain of the hysteresis. Raises ValueError if the tick is no multiple of the model's sample
+    period.
     """
     samples = round(tick_s / model.sample_period_s)
     if not samples or not math.isclose(samples * model.sample_period_s, tick_s, rel_tol=1e-9):
@@ -152,48 +138,27 @@ def gain_spreads(model: CoupledModel) -> FloatArray:
     return ranges[:, 1] / ranges.mean(axis=1) - 1.0
 
 
-def check_axes_robustness(model: CoupledModel, controller: control.StateSpace) -> Robustness:
-    """Close the loop with gains within their spread, and errors of all modes.
-
-    Parameters
-    ----------
-    controller : control.StateSpace
-        From errors to static displacements, for `scaled_plant`.
-    """
-    return robustness_of(lambda errors: _plant_with_errors(model, errors, controller.dt),
-                         _errors(model), controller)
-
-
-def drawn_axes_plants(model: CoupledModel, tick_s: float, samples: int) -> list[control.StateSpace]:
-    """Return the first plants with random errors of `check_axes_robustness`."""
-    return [_plant_with_errors(model, errors, tick_s)
-            for errors in error_draws(_errors(model), samples)]
-
-
-def _errors(model: CoupledModel) -> int:
-    return len(model.axes) + 3 * model.poles_rad_per_s.size
-
-
-def _plant_with_errors(model: CoupledModel, errors: FloatArray,
-                       tick_s: float) -> control.StateSpace:
-    """Return a plant whose gains and modes are off by parts of their largest errors.
+def axes_plant_errors(model: CoupledModel, tick_s: float) -> PlantErrors:
+    """Return the plants of `scaled_plant` with gains within their spread, and errors of all modes.
 
     The frequency, the damping ratio and the static share of a mode are off by up to
     `PARAMETER_ERROR`.
     """
-    gains, of_modes = np.split(errors, [len(model.axes)])
-    off = with_mode_errors(model, PARAMETER_ERROR * of_modes.reshape(3, -1))
-    varied = (1.0 + gain_spreads(model) * gains) / static_gains_um_per_v(model)
-    return lift(linear_part(off) * np.diag(varied), round(tick_s / model.sample_period_s), 0)
+    axes = len(model.axes)
+
+    def plant_of(errors: FloatArray) -> control.StateSpace:
+        gains, of_modes = np.split(errors, [axes])
+        off = with_mode_errors(model, PARAMETER_ERROR * of_modes.reshape(3, -1))
+        varied = (1.0 + gain_spreads(model) * gains) / static_gains_um_per_v(model)
+        return lift(linear_part(off) * np.diag(varied), round(tick_s / model.sample_period_s), 0)
+
+    return PlantErrors(plant_of, axes + 3 * model.poles_rad_per_s.size)
 
 
 def with_mode_errors(model: CoupledModel, errors: FloatArray) -> CoupledModel:
-    """Return the model with relative errors of its modes.
+    """Return the model with relative errors of frequency, damping and static share of each mode.
 
-    Parameters
-    ----------
-    errors : (3, K) array
-        Errors of frequency, damping ratio and static share of each mode.
+    The errors have the shape (3, K).
     """
     frequency, damping, share = 1.0 + errors
     poles = model.poles_rad_per_s

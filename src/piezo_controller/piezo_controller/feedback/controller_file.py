@@ -136,16 +136,8 @@ def load_stabilising_controller(path: str | Path, model: StageModel, tick_s: flo
                                 clock_period_s: float) -> FeedbackController:
     """Read a controller file for use with a model, at the rate of the ticks or of the samples.
 
-    Parameters
-    ----------
-    tick_s, clock_period_s : float
-        Periods of the feedback and of the sample clock (s).
-
-    Raises
-    ------
-    ControllerFileError
-        See `load_controller`; also if the controller is for another rate, or does not stabilise
-        the model.
+    Raises `ControllerFileError` as `load_controller`, and if the controller is for another rate, or
+    does not stabilise the model.
     """
     controller = load_controller(path)
     if not any(math.isclose(controller.sample_period_s, period_s, rel_tol=1e-6)

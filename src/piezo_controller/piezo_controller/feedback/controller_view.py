@@ -40,7 +40,6 @@ REPORT_ROWS = (
 
 LOWEST_HZ = 0.1
 POINTS = 2000
-NYQUIST_LIMITS = {"xlim": (-3.0, 1.5), "ylim": (-2.25, 2.25), "aspect": "equal"}
 
 
 def text_of_controller(controller: "FeedbackController") -> str:
@@ -103,24 +102,20 @@ def _draw_response(controller: "FeedbackController") -> "Figure":
 
 def _draw_loop(controller: "FeedbackController", model: "StageModel",
                clock_period_s: float) -> "Figure":
-    from piezo_common.picture_style import (
-        BLACK,
-        CURVES,
-        GREY,
-        LIMIT,
-        WIDE_IN,
-        label,
-        new_figure,
-    )
+    from piezo_common.picture_style import CURVES, WIDE_IN, label, new_figure
     from piezo_controller.feedback.loop_measures import loop_responses
-    from piezo_controller.feedback.synthesis.generalised_plant import design_plant
+    from piezo_controller.feedback.loop_pictures import nyquist_on
+    from piezo_controller.feedback.synthesis.generalised_plant import (
+        design_plant,
+        hysteresis_gain_range,
+    )
 
     plant, gain_um_per_v = design_plant(
         model, controller.sample_period_s, clock_period_s,
         bool(controller.report.get("at_once", False)), controller.delay_ticks)
-    system = controller.state_space()
+    system, plant = controller.state_space(), gain_um_per_v * plant
     frequency_hz = _frequencies(system)
-    loop, sensitivity = loop_responses(gain_um_per_v * plant, system, frequency_hz)
+    loop, sensitivity = loop_responses(plant, system, frequency_hz)
     figure = new_figure(4.0, WIDE_IN)
     gain, nyquist = figure.subplots(1, 2)
     for response, name, style in ((loop, "open loop L", CURVES[0]),
@@ -130,16 +125,8 @@ def _draw_loop(controller: "FeedbackController", model: "StageModel",
     gain.set_ylim(1e-3, None)
     gain.legend(loc="lower left")
     label(gain, "frequency (Hz)", "gain (1)")
-    turn = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 400))
-    peak = float(np.abs(sensitivity).max())
-    circle = -1.0 + turn / peak
-    nyquist.plot(turn.real, turn.imag, color=GREY, linewidth=1.0)
-    nyquist.plot(circle.real, circle.imag, label=f"peak sensitivity {peak:.2f}", **LIMIT)
-    nyquist.plot(loop.real, loop.imag, **CURVES[0])
-    nyquist.plot(-1.0, 0.0, color=BLACK, linestyle="none", marker="+", markersize=12)
-    nyquist.set(**NYQUIST_LIMITS)
+    nyquist_on(nyquist, plant, system, hysteresis_gain_range(model)[1] / gain_um_per_v - 1.0)
     nyquist.legend(loc="lower right")
-    label(nyquist, "real part of L (1)", "imaginary part of L (1)")
     return figure
 
 

@@ -27,25 +27,18 @@ CAPTIONS = {
 }
 
 
-def design_page(report: Mapping[str, Any], rows: Sequence[tuple[str, str]],
-                robustness: Robustness, figures: Mapping[str, Figure],
-                origin: Sequence[str]) -> str:
+def page_of_loop(report: Mapping[str, Any], rows: Sequence[tuple[str, str]],
+                 figures: Mapping[str, Figure], origin: Sequence[str], margins: Section) -> str:
     """Return the page of a design as HTML.
 
-    Parameters
-    ----------
-    rows : sequence of (str, str)
-        Rows that the command prints: rates, rules and measures.
-    figures : dict of str to matplotlib.figure.Figure
-        Figures by the names of `CAPTIONS`.
-    origin : sequence of str
-        Files that the design is based on.
+    The rows are those that the command prints, the figures have the names of `CAPTIONS`, and the
+    origin names the files that the design is based on.
     """
     pictures = [pictured(name, figures[key], caption, closer=True,
                          wide=key in ("bode", "steps", "weights", "mu"))
                 for key, (name, caption) in CAPTIONS.items() if key in figures]
-    return render_page(design_sentence(report), origin, [
-        _margins(report, robustness),
+    return render_page(_sentence(report), origin, [
+        margins,
         Section("The loop", pictures=pictures),
         Section("All measures", ["Bandwidth: where the sensitivity first reaches -3 dB. Crossover: "
                                  "where the open loop first falls to 1. Rules (5.9) to (5.11) are "
@@ -54,7 +47,7 @@ def design_page(report: Mapping[str, Any], rows: Sequence[tuple[str, str]],
     ])
 
 
-def design_sentence(report: Mapping[str, Any]) -> str:
+def _sentence(report: Mapping[str, Any]) -> str:
     """Return one sentence on the performance of a loop."""
     parts = [layout.format(report[key]) for key, layout in (
         ("bandwidth_hz", "bandwidth {:.3g} Hz"), ("gain_margin", "gain margin {:.2g}"),
@@ -64,7 +57,8 @@ def design_sentence(report: Mapping[str, Any]) -> str:
             f"{', '.join(parts)}")
 
 
-def _margins(report: Mapping[str, Any], robustness: Robustness) -> Section:
+def margins_section(report: Mapping[str, Any], robustness: Robustness) -> Section:
+    """Return the margins at the gains of the hysteresis, and the robustness, of one axis."""
     spread = report["hysteresis_gain_spread"]
     table: list[tuple[str, ...]] = [
         ("margin", f"lowest gain ({1 - spread:.2f})", "nominal gain",

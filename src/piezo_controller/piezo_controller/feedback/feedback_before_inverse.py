@@ -14,6 +14,8 @@ from piezo_controller.feedback.feedback_design import FeedbackController
 from piezo_controller.feedback.multirate_feedback import MultirateFeedback
 from piezo_controller.feedforward.periodic import FeedforwardPlan
 from piezo_models.cascade import StageModel
+from piezo_models.feedback_law.feedback_law import InverseHysteresis
+from piezo_models.feedback_law.running_inverse import RunningInverse
 
 
 class FeedbackBeforeInverse:
@@ -21,48 +23,29 @@ class FeedbackBeforeInverse:
 
     The stage adds one voltage to the feedforward for a whole tick. It is the mean over the tick's
     samples of what the inverse gives, with the hysteresis' memory of the voltage that is played.
-
-    Parameters
-    ----------
-    controller : FeedbackController
-        Designed for the nominal gain of the hysteresis, which is divided out.
-    model : piezo_models.cascade.StageModel
-        Model whose hysteresis is inverted.
-    max_feedback_v : float
-        Largest voltage of the feedback, of either sign (V).
-    rest_voltage_v : float
-        Voltage at which the run begins (V).
-
-    Raises
-    ------
-    ValueError
-        If the controller's report lacks the gain that it was designed for.
+    The nominal gain of the hysteresis, for which the controller was designed, is divided out.
+    Raises ValueError if the controller's report lacks the gain that it was designed for.
     """
 
     def __init__(self, controller: FeedbackController, model: StageModel, plan: FeedforwardPlan,
                  samples_per_tick: int, max_feedback_v: float = 20.0,
                  rest_voltage_v: float = 0.0) -> None:
-        self._gain_um_per_v = controller.hysteresis_gain_um_per_v
         self._feedback = MultirateFeedback(controller, max_feedback_v)
         self._max_v = float(max_feedback_v)
-        self._hysteresis = model.hysteresis
         self._plan = plan
         self._samples = samples_per_tick
         first_block = math.ceil(plan.feedback_start_sample / samples_per_tick)
         # The answer to a block acts when the block after the next begins.
         self._next_sample = (first_block + 2) * samples_per_tick
-        self._played = model.memory(rest_voltage_v).hysteresis
-        self._hysteresis.simulate(plan.voltage_v(0, self._next_sample), self._played)
-        self._planned = self._played.copy()
+        self._inverse = RunningInverse(InverseHysteresis(
+            model.hysteresis, controller.hysteresis_gain_um_per_v, held=True), rest_voltage_v)
+        self._inverse.follow(plan.voltage_v(0, self._next_sample))
 
     def step(self, expected_um: FloatArray | float, displacement_um: FloatArray | float) -> float:
         """Answer the block of one tick; see `MultirateFeedback.step`."""
-        wanted_um = self._gain_um_per_v * self._feedback.step(expected_um, displacement_um)
+        wanted_v = self._feedback.step(expected_um, displacement_um)
         planned_v = self._plan.voltage_v(self._next_sample, self._samples)
         self._next_sample += self._samples
-        planned_um = self._hysteresis.simulate(planned_v, self._planned)
-        target_um = np.clip(planned_um + wanted_um, *self._hysteresis.output_range_um)
-        inverse_v = self._hysteresis.invert(target_um, self._played.copy())
-        voltage_v = float(np.clip(np.mean(inverse_v - planned_v), -self._max_v, self._max_v))
-        self._hysteresis.simulate(planned_v + voltage_v, self._played)
+        voltage_v, _ = self._inverse.pass_on(
+            wanted_v, planned_v, -self._max_v, self._max_v, np.empty(self._samples))
         return voltage_v

@@ -15,7 +15,6 @@ from piezo_controller.feedback.controller_view import (
     text_of_controller,
 )
 from piezo_controller.feedback.loop_measures import measure_loop
-from piezo_controller.feedback.synthesis.controller_reduction import reduce_order
 from piezo_controller.feedback.synthesis.design_choices import check_choices
 from piezo_controller.feedback.synthesis.dk_iteration import iterate, scale, tick_frequencies
 from piezo_controller.feedback.synthesis.generalised_plant import (
@@ -24,7 +23,7 @@ from piezo_controller.feedback.synthesis.generalised_plant import (
     generalised_plant,
     hysteresis_gain_range,
 )
-from piezo_controller.feedback.synthesis.h_infinity import close, is_stable
+from piezo_controller.feedback.synthesis.h_infinity import close, is_stable, reduce_order
 from piezo_controller.feedback.synthesis.structured_singular_value import (
     sampled_response,
     structured_singular_values,
@@ -95,13 +94,7 @@ class FeedbackController:
 
     @property
     def hysteresis_gain_um_per_v(self) -> float:
-        """Return the gain of the hysteresis that it was designed for.
-
-        Raises
-        ------
-        ValueError
-            If the report lacks it.
-        """
+        """Return the gain of the hysteresis that it was designed for; ValueError without one."""
         if "hysteresis_gain_um_per_v" not in self.report:
             raise ValueError("the controller's report has no hysteresis_gain_um_per_v: make it by "
                              "feedback_from_control, or set feedback_place to behind_inverse")
@@ -169,7 +162,7 @@ def design_feedback(model: StageModel, weights: DesignWeights, clock_period_s: f
         raise UnstableLoop(f"{method} gives a loop that is not stable for every gain of the "
                            "hysteresis: use h_infinity, or another tick")
     return FeedbackController(controller.A, controller.B, controller.C, controller.D, tick_s,
-                              report, weights.as_dict() if method == "h_infinity" else {},
+                              report, weights.model_dump() if method == "h_infinity" else {},
                               model_sha256)
 
 
@@ -226,18 +219,10 @@ def feedback_from_control(system: control.StateSpace | control.TransferFunction,
 
 def check_stabilises(controller: FeedbackController, model: StageModel,
                      clock_period_s: float = 25e-6) -> None:
-    """Raise if a controller does not stabilise a model in the loop of the stage.
+    """Raise `UnstableLoop` if a controller does not stabilise a model in the loop of the stage.
 
-    Parameters
-    ----------
-    clock_period_s : float
-        Period of the sample clock (s).
-
-    Raises
-    ------
-    UnstableLoop
-        If the loop is unstable at the lowest, the nominal or the highest gain of the hysteresis at
-        mid-travel.
+    The loop must be stable at the lowest, the nominal and the highest gain of the hysteresis at
+    mid-travel.
     """
     plant, nominal = design_plant(model, controller.sample_period_s, clock_period_s,
                                   delay_ticks=controller.delay_ticks)
@@ -251,16 +236,9 @@ def check_stabilises(controller: FeedbackController, model: StageModel,
 
 def structured_singular_value(problem: control.StateSpace,
                               controller: control.StateSpace) -> tuple[FloatArray, FloatArray]:
-    """Return the structured singular value of a closed loop over frequency.
+    """Return frequencies (Hz) and the structured singular value of a closed loop there, (F,).
 
-    Parameters
-    ----------
-    problem : control.StateSpace
-        Generalised plant, from `generalised_plant`.
-
-    Returns
-    -------
-    frequency_hz, mu : ndarray, shape (F,)
+    The problem is a `generalised_plant`.
     """
     frequency_hz = tick_frequencies(problem.dt, FREQUENCIES)
     responses = sampled_response(close(problem, controller),
@@ -284,17 +262,8 @@ def h_infinity_feedback(
 ) -> tuple[control.StateSpace, dict[str, Any]]:
     """Return the H-infinity feedback of a plant of one axis or several, and its part of the report.
 
-    Parameters
-    ----------
-    plant, gain_um_per_v
-        See `generalised_plant`.
-    scaling, reduce
-        See `design_feedback`; the scaling is constant if there are several axes.
-
-    Raises
-    ------
-    NoController
-        If the weights cannot be satisfied.
+    For plant and gain see `generalised_plant`, for the others `design_feedback`; the scaling is
+    constant if there are several axes. Raises `NoController` if the weights cannot be satisfied.
     """
     problem, axes = generalised_plant(plant, gain_um_per_v, weights), plant.ninputs
     synthesis = iterate(problem, UNCERTAINTIES, scaling == "dynamic", SLACK, axes)

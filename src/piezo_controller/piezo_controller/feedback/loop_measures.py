@@ -35,17 +35,9 @@ class Margins:
 
 def loop_responses(plant: control.StateSpace, controller: control.StateSpace,
                    frequency_hz: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return the responses of the open loop and of its sensitivity.
+    """Return the responses of the open loop, ``L = G K``, and of its sensitivity, ``1 / (1 + L)``.
 
-    Parameters
-    ----------
-    plant, controller : control.StateSpace
-        Discrete, one input, one output.
-
-    Returns
-    -------
-    loop, sensitivity : ndarray of complex
-        ``L = G K`` and ``1 / (1 + L)``.
+    Plant and controller are discrete, with one input and one output.
     """
     points = np.exp(2j * np.pi * np.asarray(frequency_hz) * plant.dt)
     loop = (plant(points, squeeze=False) * controller(points, squeeze=False))[0, 0]
@@ -54,14 +46,9 @@ def loop_responses(plant: control.StateSpace, controller: control.StateSpace,
 
 def measure_loop(plant: control.StateSpace, controller: control.StateSpace,
                  gain_spread: float) -> dict[str, float | None]:
-    """Measure a closed loop.
+    """Measure a closed loop, in which the plant's output is fed back negatively to the controller.
 
-    Parameters
-    ----------
-    plant, controller : control.StateSpace
-        Discrete; the plant's output is fed back negatively to the controller.
-    gain_spread : float
-        The plant's gain may lie within ``1 +- gain_spread`` of its nominal value.
+    The plant's gain may lie within ``1 +- gain_spread`` of its nominal value.
 
     Returns
     -------
@@ -147,15 +134,9 @@ def _frequencies(tick_s: float) -> FloatArray:
 
 
 def margins_of(frequency_hz: FloatArray, loop: ComplexArray) -> Margins:
-    """Return the margins of a loop from a dense frequency response.
+    """Return the margins of a loop from a dense frequency response up to half the tick rate, (F,).
 
     The gain margin is that for rising gain: only crossings between -1 and 0 count.
-
-    Parameters
-    ----------
-    frequency_hz : ndarray, shape (F,)
-        Frequencies up to half the tick rate.
-    loop : ndarray of complex, shape (F,)
     """
     real, imaginary, size = loop.real, loop.imag, np.abs(loop)
     crossing = np.flatnonzero(imaginary[:-1] * imaginary[1:] < 0)

@@ -45,12 +45,7 @@ def bode_figure(plant: control.StateSpace, controller: control.StateSpace,
                 weights: DesignWeights | None) -> Figure:
     """Draw the open loop with its margins, and below it the closed one with the weights' bounds.
 
-    Parameters
-    ----------
-    plant, controller : control.StateSpace
-        Discrete; the plant with its gain in um/V.
-    weights : DesignWeights or None
-        None for a design without weights.
+    The plant has its gain in um/V. A design without weights has none.
     """
     frequency_hz = _frequencies(plant.dt)
     points = np.exp(2j * np.pi * frequency_hz * plant.dt)
@@ -106,30 +101,30 @@ def nyquist_figure(plant: control.StateSpace, controller: control.StateSpace,
                    gain_spread: float) -> Figure:
     """Draw the open loop in the complex plane, nominal and at both ends of the gain's spread.
 
-    Parameters
-    ----------
-    plant, controller : control.StateSpace
-        Discrete; the plant with its gain in um/V.
-    gain_spread : float
-        The plant's gain may lie within ``1 +- gain_spread`` of its nominal value.
+    The plant has its gain in um/V, which may lie within ``1 +- gain_spread`` of its nominal value.
     """
+    figure = new_figure(7.0, 7.0)
+    axes = figure.subplots()
+    nyquist_on(axes, plant, controller, gain_spread)
+    _mark_in_plane(axes, loop_margins(plant, controller))
+    axes.legend(loc="lower right")
+    return figure
+
+
+def nyquist_on(axes: Axes, plant: control.StateSpace, controller: control.StateSpace,
+               gain_spread: float) -> None:
+    """Draw the open loop of `nyquist_figure` with the circle of the peak sensitivity."""
     loop, sensitivity = loop_responses(plant, controller, _frequencies(plant.dt))
     peak = np.abs(sensitivity).max()
     turn = np.exp(1j * np.linspace(0, 2 * np.pi, 400))
-
-    figure = new_figure(7.0, 7.0)
-    axes = figure.subplots()
     axes.plot(turn.real, turn.imag, color=GREY, label="unit circle")
     circle = -1 + turn / peak
     axes.plot(circle.real, circle.imag, label=f"peak sensitivity {peak:.2f}", **LIMIT)
     for gain, style in zip((1 - gain_spread, 1, 1 + gain_spread), GAIN_STYLES, strict=True):
         axes.plot(gain * loop.real, gain * loop.imag, label=f"open loop, gain {gain:.2f}", **style)
     axes.plot(-1, 0, color=BLACK, linestyle="none", marker="+", markersize=12)
-    _mark_in_plane(axes, loop_margins(plant, controller))
     axes.set(xlim=(-3, 1.5), ylim=(-2.25, 2.25), aspect="equal")
     label(axes, "real part (1)", "imaginary part (1)")
-    axes.legend(loc="lower right")
-    return figure
 
 
 def _mark_in_plane(axes: Axes, margins: Margins) -> None:
@@ -145,16 +140,9 @@ def _mark_in_plane(axes: Axes, margins: Margins) -> None:
 
 def step_figure(plant: control.StateSpace, controller: control.StateSpace, gain_spread: float,
                 drawn: Sequence[control.StateSpace] = ()) -> Figure:
-    """Draw the responses of the displacement to a reference step and of the error to a disturbance.
+    """Draw the responses of displacement to a reference step, and of error to a disturbance.
 
-    Parameters
-    ----------
-    plant, controller : control.StateSpace
-        Discrete; the plant with its gain in um/V.
-    gain_spread : float
-        The plant's gain may lie within ``1 +- gain_spread`` of its nominal value.
-    drawn : sequence of control.StateSpace
-        Perturbed plants, whose responses make the band.
+    Plant and spread are those of `nyquist_figure`; the responses of drawn plants make the band.
     """
     time_s = np.arange(_shown_ticks(plant, controller)) * plant.dt
     figure = new_figure(5.6, WIDE_IN)
@@ -190,58 +178,32 @@ def _shown_ticks(plant: control.StateSpace, controller: control.StateSpace) -> i
 
 
 def sensitivity_figure(plant: control.StateSpace, controller: control.StateSpace,
-                       drawn: Sequence[control.StateSpace] = ()) -> Figure:
-    """Draw the sensitivity of the loop, and its band for perturbed models.
+                       drawn: Sequence[control.StateSpace] = (),
+                       axes: Sequence[str] = ()) -> Figure:
+    """Draw the sensitivity of the loop, and the band of its size for perturbed models.
 
-    Parameters
-    ----------
-    plant, controller : control.StateSpace
-        Discrete; the plant with its gain in um/V.
-    """
-    frequency_hz = _frequencies(plant.dt)[::4]
-    figure = new_figure(4.4)
-    axes = figure.subplots()
-    if drawn:
-        sizes = np.abs([loop_responses(each, controller, frequency_hz)[1] for each in drawn])
-        axes.fill_between(frequency_hz, sizes.min(axis=0), sizes.max(axis=0), color=GREY,
-                          alpha=0.5, linewidth=0.0, label=f"S of {len(drawn)} models with errors")
-    sensitivity = loop_responses(plant, controller, frequency_hz)[1]
-    for values, name, style in ((sensitivity, "sensitivity S", CURVES[0]),
-                                (1 - sensitivity, "complementary T", CURVES[1])):
-        axes.loglog(frequency_hz, np.abs(values), label=name, **style)
-    axes.axhline(1.0, **LIMIT)
-    axes.set_ylim(1e-3, None)
-    label(axes, "frequency (Hz)", "gain (um/um)")
-    axes.legend(loc="lower center")
-    return figure
-
-
-def axes_sensitivity_figure(plant: control.StateSpace, controller: control.StateSpace,
-                            axes: Sequence[str], drawn: Sequence[control.StateSpace]) -> Figure:
-    """Draw the sensitivity of several axes, and the band of its size for perturbed models.
-
-    Parameters
-    ----------
-    plant, controller : control.StateSpace
-        Discrete, with an input and an output for each axis.
+    The plant has its gain in um/V. Axes are named if there are several.
     """
     frequency_hz = _frequencies(plant.dt)[::4]
     figure = new_figure(4.4)
     shown = figure.subplots()
-    sizes = np.linalg.norm([sensitivity_of_axes(each, controller, frequency_hz) for each in drawn],
-                           2, axis=(2, 3))
-    shown.fill_between(frequency_hz, sizes.min(axis=0), sizes.max(axis=0), color=GREY, alpha=0.5,
-                       linewidth=0.0, label=f"{len(drawn)} models with errors, largest")
+    if drawn:
+        sizes = np.linalg.norm([sensitivity_of_axes(each, controller, frequency_hz)
+                                for each in drawn], 2, axis=(2, 3))
+        shown.fill_between(frequency_hz, sizes.min(axis=0), sizes.max(axis=0), color=GREY,
+                           alpha=0.5, linewidth=0.0, label=f"S of {len(drawn)} models with errors")
     sensitivity = sensitivity_of_axes(plant, controller, frequency_hz)
-    curves = {"largest singular value of S": np.linalg.norm(sensitivity, 2, axis=(1, 2))} | {
-        f"{axis} from its own disturbance": np.abs(sensitivity[:, at, at])
-        for at, axis in enumerate(axes)}
+    size = np.linalg.norm(sensitivity, 2, axis=(1, 2))
+    curves = {"largest singular value of S": size} | {
+        f"{axis} from its own disturbance": sensitivity[:, at, at]
+        for at, axis in enumerate(axes)} if axes else {
+        "sensitivity S": size, "complementary T": 1 - sensitivity[:, 0, 0]}
     for (name, values), style in zip(curves.items(), CURVES, strict=False):
-        shown.loglog(frequency_hz, values, label=name, **style)
+        shown.loglog(frequency_hz, np.abs(values), label=name, **style)
     shown.axhline(1.0, **LIMIT)
     shown.set_ylim(1e-3, None)
     label(shown, "frequency (Hz)", "gain (um/um)")
-    shown.legend(loc="lower right")
+    shown.legend(loc="lower right" if axes else "lower center")
     return figure
 
 
@@ -272,10 +234,7 @@ def weights_figure(weights: DesignWeights) -> Figure:
 def mu_figure(frequency_hz: FloatArray, mu: FloatArray, history: list[float]) -> Figure:
     """Draw the structured singular value over frequency, and its peak in each iteration.
 
-    Parameters
-    ----------
-    frequency_hz, mu : ndarray, shape (F,)
-        Frequencies without zero, and the value for the final controller.
+    The value is that of the final controller, (F,).
     """
     figure = new_figure(4.0, WIDE_IN)
     over_frequency, over_iterates = figure.subplots(1, 2, sharey=True, width_ratios=(2, 1))

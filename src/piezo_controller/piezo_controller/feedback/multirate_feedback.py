@@ -10,20 +10,10 @@ from piezo_controller.feedback.feedback_design import FeedbackController
 
 
 class MultirateFeedback:
-    """Runs a feedback controller tick by tick with a limited voltage.
+    """Runs a feedback controller tick by tick with a limited voltage of either sign (V).
 
     If the limit applies, an observer keeps the controller's state consistent with the limited
-    voltage (anti-windup).
-
-    Parameters
-    ----------
-    max_feedback_v : float
-        Largest voltage, of either sign (V).
-
-    Raises
-    ------
-    ValueError
-        If `max_feedback_v` is not positive.
+    voltage (anti-windup). Raises ValueError if the limit is not positive.
     """
 
     def __init__(self, controller: FeedbackController | control.StateSpace,
@@ -43,17 +33,10 @@ class MultirateFeedback:
         self._state = np.zeros(len(self._a))
 
     def step(self, expected_um: FloatArray | float, displacement_um: FloatArray | float) -> float:
-        """Return the answer to the block of one tick.
+        """Answer the block of one tick by the voltage (V) of the tick after its computation.
 
-        Parameters
-        ----------
-        expected_um, displacement_um : ndarray, shape (n,), or float
-            Reference and measured displacement of the tick's samples, or their means.
-
-        Returns
-        -------
-        voltage_v : float
-            Voltage to hold over the tick after the one in which this is computed.
+        Reference and measured displacement of the tick's samples (um), (n,), may be given by their
+        means.
         """
         error_um = np.mean(expected_um) - np.mean(displacement_um)
         wanted_v = float(self._c @ self._state + self._d * error_um)
@@ -66,11 +49,8 @@ class MultirateFeedback:
 def observer_gain(controller: FeedbackController | control.StateSpace) -> FloatArray:
     """Return the gain that corrects the state by the parts of the voltages that were cut off.
 
-    It is that of the Kalman predictor for unknown errors of 1 um and voltages known to 1 V.
-
-    Returns
-    -------
-    ndarray, shape (n, outputs)
+    It is that of the Kalman predictor for unknown errors of 1 um and voltages known to 1 V, shape
+    (n, outputs).
     """
     a, b, c, d = (np.atleast_2d(m) for m in (controller.A, controller.B, controller.C,
                                              controller.D))

@@ -33,9 +33,7 @@ def onboard_law(controller: FeedbackController, model: StageModel, plan: Feedfor
     Parameters
     ----------
     controller : FeedbackController
-        Controller with the period of the tick or of the sample clock.
-    model : piezo_models.cascade.StageModel
-        Model that it was designed for.
+        Controller for the model, with the period of the tick or of the sample clock.
     max_feedback_v : float
         Largest voltage of the feedback, of either sign (V).
     before_inverse : bool

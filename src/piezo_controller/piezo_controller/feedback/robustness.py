@@ -37,95 +37,70 @@ class Robustness:
         return self.unstable_samples == 0 and np.isfinite(self.worst_peak_sensitivity)
 
 
-def check_robustness(model: StageModel, controller: control.StateSpace, clock_period_s: float,
-                     gain_spread: float, samples: int = SAMPLES, at_once: bool = False,
-                     delay_ticks: int = 1) -> Robustness:
-    """Close the loop with models with errors in every parameter, and with other gains.
+@dataclass(frozen=True)
+class PlantErrors:
+    """Plants within the errors of a model, for loops of one axis or several."""
 
-    The worst case is searched for among the extremes of all errors: one error after another is
-    moved to the extreme with the higher peak of the sensitivity, until none raises it.
+    plant_of: Callable[[FloatArray], control.StateSpace]
+    """Takes errors between -1 and 1, (count,); returns a plant (um/V) at the controller's rate."""
+    count: int
 
-    Parameters
-    ----------
-    controller : control.StateSpace
-        Discrete, from error (um) to voltage (V).
-    gain_spread : float
-        The gain of the hysteresis lies within ``1 +- gain_spread`` of its nominal value.
-    delay_ticks : int
-        Ticks of computing time, see `design_plant`.
+    def drawn(self, samples: int) -> list[control.StateSpace]:
+        """Return the first plants with the random errors of `robustness`."""
+        return [self.plant_of(errors) for errors in self._draws(samples)]
+
+    def robustness(self, controller: control.StateSpace, samples: int = SAMPLES) -> Robustness:
+        """Close the loop with plants of random errors, then search for the worst ones.
+
+        The worst case is searched for among the extremes of all errors: one error after another is
+        moved to the extreme with the higher peak of the sensitivity, until none raises it. The
+        controller is discrete, from errors (um) to voltages (V).
+        """
+        frequency_hz = np.geomspace(0.1, 0.5 / controller.dt, FREQUENCIES)
+        points = np.exp(2j * np.pi * frequency_hz * controller.dt)
+        fed_back = sampled_response(controller, points)
+        one = np.eye(controller.ninputs)
+
+        def peak(errors: FloatArray) -> float:
+            plant = self.plant_of(errors)
+            if not is_stable(control.feedback(plant * controller, one)):
+                return np.inf
+            # The smallest singular value.
+            return float(1 / np.linalg.norm(
+                one + sampled_response(plant, points) @ fed_back, -2, axis=(1, 2)).min())
+
+        draws = self._draws(samples)
+        peaks = np.array([peak(errors) for errors in draws])
+        errors = np.sign(draws[np.argmax(peaks)])
+        worst = peak(errors)
+        for _ in range(SWEEPS):
+            for index in range(self.count):
+                turned = errors.copy()
+                turned[index] = -turned[index]
+                value = peak(turned)
+                if value > worst:
+                    worst, errors = value, turned
+        return Robustness(samples, int(np.isinf(peaks).sum()), float(worst))
+
+    def _draws(self, samples: int) -> FloatArray:
+        return np.random.default_rng(0).uniform(-1, 1, (samples, self.count))
+
+
+def plant_errors(model: StageModel, tick_s: float, clock_period_s: float, gain_spread: float,
+                 at_once: bool = False, delay_ticks: int = 1) -> PlantErrors:
+    """Return the plants of a model with errors of all parameters, and with other gains.
+
+    The gain of the hysteresis lies within ``1 +- gain_spread`` of its nominal value. The other
+    arguments are those of `design_plant`.
     """
-    return robustness_of(
-        lambda errors: _plant(model, errors, controller.dt, clock_period_s, gain_spread, at_once,
-                              delay_ticks), 1 + _parameters(model), controller, samples)
+    def plant_of(errors: FloatArray) -> control.StateSpace:
+        plant, gain_um_per_v = design_plant(
+            with_errors(model, PARAMETER_ERROR * errors[1:]), tick_s, clock_period_s, at_once,
+            delay_ticks)
+        return gain_um_per_v * (1 + gain_spread * errors[0]) * plant
 
-
-def robustness_of(plant_of: Callable[[FloatArray], control.StateSpace], count: int,
-                  controller: control.StateSpace, samples: int = SAMPLES) -> Robustness:
-    """Close the loop with plants of random errors, then search for the worst ones.
-
-    Parameters
-    ----------
-    plant_of : callable
-        Takes errors between -1 and 1; returns a plant (um/V) of as many axes as the controller.
-    """
-    frequency_hz = np.geomspace(0.1, 0.5 / controller.dt, FREQUENCIES)
-    points = np.exp(2j * np.pi * frequency_hz * controller.dt)
-    fed_back = sampled_response(controller, points)
-    one = np.eye(controller.ninputs)
-
-    def peak(errors: FloatArray) -> float:
-        plant = plant_of(errors)
-        if not is_stable(control.feedback(plant * controller, one)):
-            return np.inf
-        # The smallest singular value.
-        return float(1 / np.linalg.norm(
-            one + sampled_response(plant, points) @ fed_back, -2, axis=(1, 2)).min())
-
-    draws = error_draws(count, samples)
-    peaks = np.array([peak(errors) for errors in draws])
-    errors = np.sign(draws[np.argmax(peaks)])
-    worst = peak(errors)
-    for _ in range(SWEEPS):
-        for index in range(count):
-            turned = errors.copy()
-            turned[index] = -turned[index]
-            value = peak(turned)
-            if value > worst:
-                worst, errors = value, turned
-    return Robustness(samples, int(np.isinf(peaks).sum()), float(worst))
-
-
-def drawn_plants(model: StageModel, tick_s: float, clock_period_s: float, gain_spread: float,
-                 samples: int, at_once: bool = False,
-                 delay_ticks: int = 1) -> list[control.StateSpace]:
-    """Return plants (um/V) with random errors of all parameters and of the gain.
-
-    The first ones are those of `check_robustness`.
-
-    Parameters
-    ----------
-    delay_ticks : int
-        Ticks of computing time, see `design_plant`.
-    """
-    return [_plant(model, errors, tick_s, clock_period_s, gain_spread, at_once, delay_ticks)
-            for errors in error_draws(1 + _parameters(model), samples)]
-
-
-def error_draws(count: int, samples: int) -> FloatArray:
-    """Return the random errors of `robustness_of`, between -1 and 1, shape (samples, count)."""
-    return np.random.default_rng(0).uniform(-1, 1, (samples, count))
-
-
-def _plant(model: StageModel, errors: FloatArray, tick_s: float, clock_period_s: float,
-           gain_spread: float, at_once: bool, delay_ticks: int) -> control.StateSpace:
-    plant, gain_um_per_v = design_plant(
-        with_errors(model, PARAMETER_ERROR * errors[1:]), tick_s, clock_period_s, at_once,
-        delay_ticks)
-    return gain_um_per_v * (1 + gain_spread * errors[0]) * plant
-
-
-def _parameters(model: StageModel) -> int:
-    return 2 * len(model.creep.poles_rad_per_s) + dynamics_vector(model.dynamics).size
+    return PlantErrors(plant_of, 1 + 2 * len(model.creep.poles_rad_per_s)
+                       + dynamics_vector(model.dynamics).size)
 
 
 def with_errors(model: StageModel, errors: FloatArray) -> StageModel:

@@ -18,12 +18,7 @@ def aligned_samples(time_s: float, sample_period_s: float) -> int:
 
 def check_amplifier_range(hysteresis: PreisachModel, voltage_range_v: tuple[float, float],
                           start_voltage_v: float) -> None:
-    """Raise if an amplifier cannot reach the voltage at which the model begins.
-
-    Raises
-    ------
-    ValueError
-    """
+    """Raise ValueError if an amplifier cannot reach the voltage at which the model begins."""
     lowest_v, highest_v = voltage_range_v
     if not lowest_v <= hysteresis.voltage_min_v <= start_voltage_v <= highest_v:
         raise ValueError(

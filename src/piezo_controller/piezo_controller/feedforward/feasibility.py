@@ -36,17 +36,7 @@ class Infeasible(Exception):
 
 def check_range(values: FloatArray, lowest: float, highest: float,
                 quantity: tuple[str, str]) -> None:
-    """Raise if values are beyond the limits.
-
-    Parameters
-    ----------
-    quantity : tuple of str
-        Name and unit, such as `VOLTAGE`.
-
-    Raises
-    ------
-    Infeasible
-    """
+    """Raise `Infeasible` if values of a quantity, such as `VOLTAGE`, are beyond the limits."""
     if values.min() < lowest or values.max() > highest:
         name, unit = quantity
         raise Infeasible(f"it takes {name} from {values.min():.4g} to {values.max():.4g} "
@@ -54,17 +44,7 @@ def check_range(values: FloatArray, lowest: float, highest: float,
 
 
 def check_hysteresis_range(hysteresis_um: FloatArray, hysteresis: PreisachModel) -> None:
-    """Raise if a hysteresis cannot reach an output; the message gives the voltages it would need.
-
-    Parameters
-    ----------
-    hysteresis_um : ndarray
-        Required output of the hysteresis (um).
-
-    Raises
-    ------
-    Infeasible
-    """
+    """Raise `Infeasible`, with the voltages that it would need, for an output out of reach."""
     low_um, high_um = hysteresis.output_range_um
     needed_um = np.array([hysteresis_um.min(), hysteresis_um.max()])
     if needed_um[0] < low_um or needed_um[1] > high_um:
@@ -96,8 +76,6 @@ def unreachable(plan: Callable[[float, float], object], reference_um: FloatArray
         The reference, or a part of it with its mean and its extremes.
     output_range_um : tuple of float
         Range of the hysteresis' output (um).
-    watch : callable, optional
-        Called from time to time with the fraction done; may raise.
     """
     mean_um, travel_um = reference_um.mean(), np.ptp(reference_um)
     watch = watch or (lambda fraction: None)

@@ -10,6 +10,7 @@ import numpy as np
 from piezo_common.arrays import FloatArray, IntArray
 from piezo_controller.feedforward.approach import check_amplifier_range
 from piezo_controller.feedforward.feasibility import Infeasible, UnreachableReference
+from piezo_controller.feedforward.plan import TrackingPlan
 from piezo_controller.feedforward.preview_inverse import short_preview_inverse
 from piezo_controller.feedforward.streamed import StreamLimits, StreamPlanner, approach_samples
 from piezo_controller.references.bounded_motion import SLACK, BoundedMotion
@@ -30,14 +31,9 @@ RANGE_MARGIN = 0.02
 
 
 class DeclaredRange:
-    """The range of values that a publisher may give: an amplitude, and optionally a centre.
+    """The range of values that a publisher may give: a peak-to-peak amplitude about a centre (um).
 
-    Parameters
-    ----------
-    centre_um : float
-        Declared centre (um); 0 if it is to be determined from the values.
-    amplitude_um : float
-        Peak-to-peak amplitude.
+    With a centre of 0, it is determined from the values.
     """
 
     def __init__(self, centre_um: float, amplitude_um: float) -> None:
@@ -59,8 +55,8 @@ class DeclaredRange:
                 f"its declared {self._declared}: publish less, or declare a larger amplitude_um")
 
 
-class LivePlan:
-    """Follow published values with a constant delay: a `TrackingPlan`.
+class LivePlan(TrackingPlan):
+    """Follow published values with a constant delay.
 
     If no value comes in time, the last one is held. Speed, acceleration and range are bounded, and
     there is no jump at the beginning: see `BoundedMotion`.
@@ -90,8 +86,7 @@ class LivePlan:
         If the first value is not within the declared range.
     """
 
-    streamed, open_ended = True, False
-    iteration = 0
+    streamed, period_voltage_v = True, np.empty(0)
 
     def __init__(self, planner: StreamPlanner, live: LiveReference, band_hz: float,
                  amplitude_um: float, run_samples: int, centre_um: float = 0.0) -> None:
@@ -110,6 +105,7 @@ class LivePlan:
         self._motion = BoundedMotion(
             level_um, self._value_um, band_hz, amplitude_um, planner.sample_period_s)
         self._last_v = self.once_voltage_v[-1:]
+        self.feedback_start_sample = len(self.once_voltage_v)
         self.begin_sample = self.feedback_start_sample + approach_samples(planner.sample_period_s)
         self._total = self.begin_sample + run_samples
         self._known = _Recent(once_um)
@@ -121,16 +117,6 @@ class LivePlan:
         self._following, self._beyond = False, ""
         self._of_first_moments = self._departures
         self._compile()
-
-    @property
-    def period_voltage_v(self) -> FloatArray:
-        """Return no voltages, as nothing is repeated."""
-        return np.empty(0)
-
-    @property
-    def feedback_start_sample(self) -> int:
-        """Return the sample from which on feedback may act."""
-        return len(self.once_voltage_v)
 
     @property
     def delay_samples(self) -> int:
@@ -291,17 +277,6 @@ def plan_live(live: LiveReference, band_hz: float, amplitude_um: float, run_samp
               slew_limit_v_per_s: float = 2e6, sample_period_s: float = 25e-6,
               start_voltage_v: float = 0.0) -> LivePlan:
     """Plan to follow a published reference; see `LivePlan`.
-
-    Parameters
-    ----------
-    live : LiveReference
-        Published values, of which at least one has come.
-    band_hz, amplitude_um : float
-        Highest frequency and peak-to-peak amplitude of the published values.
-    run_samples : int
-        Duration for which the reference is followed.
-    centre_um : float
-        Centre of the published values; 0 if it is not declared.
 
     Raises
     ------

@@ -52,19 +52,8 @@ class OnlineInverse:
     def continue_with(self, displacement_um: FloatArray) -> FloatArray:
         """Return the voltages with which the stage follows the next displacements.
 
-        Parameters
-        ----------
-        displacement_um : ndarray, shape (n,)
-            Displacement that the sensor is to measure, ahead of the voltages by the preview.
-
-        Returns
-        -------
-        voltage_v : ndarray, shape (n,)
-            Voltages of the samples earlier by the preview.
-
-        Raises
-        ------
-        Infeasible
+        The displacements, shape (n,), are those that the sensor is to measure. The voltages are
+        those of the samples earlier by the preview. Raises `Infeasible`.
         """
         hysteresis_um = self.before_linear(displacement_um)
         hysteresis = self.model.hysteresis

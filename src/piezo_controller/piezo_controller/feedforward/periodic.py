@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Voltage that makes the model of a stage follow a periodic reference (thesis 5.2.2)."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
+import control
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -21,11 +22,11 @@ from piezo_controller.feedforward.feasibility import (
     check_slew,
     unreachable,
 )
-from piezo_controller.feedforward.repeated_input import mean_over_repeats
+from piezo_controller.feedforward.plan import TrackingPlan
 from piezo_controller.references.kind import Watch
 from piezo_controller.references.smooth_rise import minimum_jerk
 from piezo_models.cascade import StageModel
-from piezo_models.linear.dynamics import simulate_linear, zoh
+from piezo_models.linear.dynamics import continue_linear, simulate_linear, zoh
 from piezo_models.linear.periodic_inversion import invert_linear_periodic
 
 MODES = ("open_loop", "feedforward")
@@ -42,8 +43,8 @@ CORRECTIONS = 2
 
 
 @dataclass(frozen=True, eq=False)
-class FeedforwardPlan:
-    """Voltage to play and displacement to expect, sample by sample: a `TrackingPlan`.
+class FeedforwardPlan(TrackingPlan):
+    """Voltage to play and displacement to expect, sample by sample.
 
     Attributes
     ----------
@@ -52,8 +53,8 @@ class FeedforwardPlan:
         memory of the hysteresis, then up to the reference's centre, with the reference faded in.
     period_voltage_v, reference_period_um : ndarray, shape (m,)
         Repeated after that.
-    feedback_start_sample : int
-        Sample from which on feedback may act; before it the stage's past differs from the model's.
+    begin_sample : int
+        Sample at which the periodic part begins.
     uncompensated : tuple of str
         Effects of the model that have causes outside the stage, and remain in the error.
     """
@@ -64,14 +65,10 @@ class FeedforwardPlan:
     reference_period_um: FloatArray
     feedback_start_sample: int
     uncompensated: tuple[str, ...] = ()
+    begin_sample: int = field(init=False)
 
-    streamed = open_ended = False
-    iteration, note, degraded = 0, "", ""
-
-    @property
-    def begin_sample(self) -> int:
-        """Return the sample at which the periodic part begins."""
-        return len(self.once_voltage_v)
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "begin_sample", len(self.once_voltage_v))
 
     def voltage_v(self, first_sample: int, count: int) -> FloatArray:
         """Return the voltages of `count` samples from `first_sample` on (V)."""
@@ -84,13 +81,6 @@ class FeedforwardPlan:
     def travel_um(self, samples: int) -> float:
         """Return the peak-to-peak displacement of the first samples of the reference (um)."""
         return float(np.ptp(self.reference_period_um[:samples]))
-
-    def continuation(self) -> None:
-        """Return None: the stage repeats the period by itself."""
-        return None
-
-    def take(self, displacement_um: FloatArray) -> None:
-        """Ignore the measurement, as the plan does not depend on it."""
 
 
 def plan_feedforward(reference_um: ArrayLike, model: StageModel, mode: str = "feedforward", *,
@@ -308,15 +298,7 @@ class FeedforwardPlanner:
 def bandwidth_hz(reference_um: FloatArray, sample_period_s: float) -> float:
     """Return the highest frequency of a period that has to be inverted (Hz).
 
-    Parameters
-    ----------
-    reference_um : ndarray, shape (m,)
-        One period.
-
-    Returns
-    -------
-    float
-        `BANDWIDTH_HZ`, or more if the content above it exceeds `NEGLIGIBLE_PART`.
+    It is `BANDWIDTH_HZ`, or more if the content above it exceeds `NEGLIGIBLE_PART`.
     """
     harmonics_um = np.abs(np.fft.rfft(reference_um)) / reference_um.size
     harmonics_um[1:(reference_um.size + 1) // 2] *= np.sqrt(2)  # those that have a conjugate
@@ -332,3 +314,25 @@ def _play(once: FloatArray, period: FloatArray, first: int, count: int) -> Float
     sample = np.arange(first, first + count)
     repeated = period[(sample - len(once)) % len(period)]
     return np.where(sample < len(once), once[np.minimum(sample, len(once) - 1)], repeated)
+
+
+def mean_over_repeats(system: control.StateSpace, once: np.ndarray, period: np.ndarray,
+                      repeats: int) -> float:
+    """Return the mean output while an input is repeated, after another input is played once.
+
+    The state at the beginning of a period and the sum of the outputs so far follow from those of
+    the previous period by an affine map; a power of its matrix covers all periods. The system is
+    discrete, with one input and one output, and all its states are initially zero.
+    """
+    n = system.nstates
+    _, first_state = continue_linear(system, once, np.zeros(n))
+    output, driven = continue_linear(system, period, np.zeros(n))
+    # Map from the state at a period's beginning to that at its end and to the sum of its outputs.
+    free = np.linalg.matrix_power(
+        np.block([[system.A, np.zeros((n, 1))], [system.C, np.ones((1, 1))]]), len(period))
+    step = np.zeros((n + 2, n + 2))
+    step[:n, :n], step[:n, n] = free[:n, :n], driven
+    step[n, n] = step[n + 1, n + 1] = 1.0
+    step[n + 1, :n], step[n + 1, n] = free[n, :n], output.sum()
+    end = np.linalg.matrix_power(step, repeats) @ np.r_[first_state, 1.0, 0.0]
+    return float(end[-1] / (repeats * len(period)))

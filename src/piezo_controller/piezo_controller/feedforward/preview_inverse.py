@@ -58,17 +58,9 @@ class PreviewInverse:
         return rest * lfilter_zi(self.numerator, self.denominator)
 
     def apply(self, reference: FloatArray, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Filter the next samples.
+        """Filter the next samples, shape (N,); return the result and the filter's state after it.
 
-        Parameters
-        ----------
-        reference : ndarray, shape (N,)
-            Samples from `preview_samples` after the first sample of the result on.
-
-        Returns
-        -------
-        result : ndarray, shape (N,)
-        state : ndarray
+        The first sample lies `preview_samples` after that of the result.
         """
         return lfilter(self.numerator, self.denominator, reference, zi=state)
 
@@ -231,15 +223,8 @@ def _derivatives(system: control.StateSpace, sample_period_s: float,
 def _projection_taps(half_window: int, degree: int, functional: FloatArray) -> FloatArray:
     """Return the taps of a linear functional of the best polynomial fit to a window.
 
-    Parameters
-    ----------
-    functional : ndarray, shape (degree + 1,)
-        Value of the functional for each Legendre polynomial on the window. With powers of time
-        the condition of the least squares is 1e12, and the taps depend on the processor.
-
-    Returns
-    -------
-    ndarray, shape (2 half_window + 1,)
+    The functional is given by its value for each Legendre polynomial on the window: with powers of
+    time the condition of the least squares is 1e12, and the taps depend on the processor.
     """
     grid = np.arange(-half_window, half_window + 1) / half_window
     orthogonal, triangle = np.linalg.qr(legendre.legvander(grid, degree))

@@ -3,7 +3,7 @@
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import control
@@ -33,6 +33,7 @@ from piezo_controller.feedforward.online_inverse import (
     compensated_effects,
 )
 from piezo_controller.feedforward.periodic import NEGLIGIBLE_PART
+from piezo_controller.feedforward.plan import TrackingPlan
 from piezo_controller.feedforward.preview_inverse import (
     PREVIEW_SAMPLES,
     PreviewInverse,
@@ -59,8 +60,8 @@ InverseDesign = Callable[[control.StateSpace, float], PreviewInverse]
 
 
 @dataclass(frozen=True, eq=False)
-class StreamPlan:
-    """Voltages of the approach, and the source of those of the reference: a `TrackingPlan`."""
+class StreamPlan(TrackingPlan):
+    """Voltages of the approach, and the source of those of the reference."""
 
     once_voltage_v: FloatArray
     """Down to the model's lowest voltage, which erases the memory of the hysteresis, and up to the
@@ -81,19 +82,12 @@ class StreamPlan:
 
     margin_samples: int
     """Samples of the reference that the inverse needs in advance."""
+    feedback_start_sample: int = field(init=False)
 
-    streamed, open_ended = True, False
-    iteration, note, degraded = 0, "", ""
+    streamed, period_voltage_v = True, np.empty(0)
 
-    @property
-    def period_voltage_v(self) -> FloatArray:
-        """Return no voltages, as nothing is repeated."""
-        return np.empty(0)
-
-    @property
-    def feedback_start_sample(self) -> int:
-        """Return the sample from which on feedback may act."""
-        return len(self.once_voltage_v)
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "feedback_start_sample", len(self.once_voltage_v))
 
     def expected_um(self, first_sample: int, count: int) -> FloatArray:
         """Return the displacements to expect of `count` samples from `first_sample` on (um)."""
@@ -110,19 +104,12 @@ class StreamPlan:
         """Return a function that gives the next of `chunks`, and at the end an empty array."""
         return partial(next, self.chunks(), np.empty(0))
 
-    def take(self, displacement_um: FloatArray) -> None:
-        """Ignore the measurement, as the plan does not depend on it."""
-
     def chunks(self, chunk_samples: int = CHUNK_SAMPLES) -> Iterator[FloatArray]:
         """Yield the voltages after `once_voltage_v`, chunk by chunk.
 
         A chunk depends only on the reference up to its end and the preview; computing time and
-        memory do not grow with the length of the stream.
-
-        Raises
-        ------
-        UnreachableReference
-            If a chunk would leave the range or exceed the slew limit; the message gives its time.
+        memory do not grow with the length of the stream. Raises `UnreachableReference` if a chunk
+        would leave the range or exceed the slew limit; the message gives its time.
         """
         computed = self.feedback_start_sample
         try:
@@ -191,8 +178,6 @@ def plan_stream(reference: Trajectory, samples: int, model: StageModel,
         Number of samples that are played.
     method : str
         Method of `preview_inverse`.
-    watch : callable, optional
-        Called from time to time with the fraction done; may raise.
 
     Raises
     ------

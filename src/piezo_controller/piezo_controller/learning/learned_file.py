@@ -6,7 +6,6 @@ import hashlib
 import json
 import math
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -51,36 +50,21 @@ class LearnedDocument(Document):
         "One period of what is added to the reference.", unit="um", shortest=1)
 
 
-@dataclass(frozen=True, eq=False)
-class Learned:
-    """A correction, and the conditions that it was learned for."""
-
-    reference: Reference
-    model_sha256: str
-    sample_rate_hz: float
-
-    correction_um: FloatArray
-    """One period of the correction, which is added to the reference before the inversion (um),
-    (P,)."""
-    error_rms_um: float
-    """Smallest rms error of the harmonics that were learned (um)."""
-    iterations: int
-
-
 def learned_path(directory: str | Path, reference: Reference, model_sha256: str) -> Path:
     """Return the path in a directory for what was learned of a reference with a model."""
     key = json.dumps([_plain(reference), model_sha256], sort_keys=True)
     return Path(directory) / f"learned_{hashlib.sha256(key.encode()).hexdigest()[:16]}.json"
 
 
-def save_learned(path: str | Path, learned: Learned) -> None:
-    """Write the file atomically, replacing an existing one."""
+def save_learned(path: str | Path, reference: Reference, model_sha256: str, sample_rate_hz: float,
+                 correction_um: FloatArray, error_rms_um: float, iterations: int) -> None:
+    """Write a correction, (P,), and its conditions atomically, replacing an existing file."""
     path = Path(path)
     document = {
-        "format": FORMAT, "version": VERSION, "reference": _plain(learned.reference),
-        "model_sha256": learned.model_sha256, "sample_rate_hz": learned.sample_rate_hz,
-        "iterations": learned.iterations, "error_rms_um": learned.error_rms_um,
-        "correction_um": learned.correction_um.tolist()}
+        "format": FORMAT, "version": VERSION, "reference": _plain(reference),
+        "model_sha256": model_sha256, "sample_rate_hz": sample_rate_hz,
+        "iterations": iterations, "error_rms_um": error_rms_um,
+        "correction_um": correction_um.tolist()}
     with suppress(OSError):  # reported when the file is written
         path.parent.mkdir(parents=True, exist_ok=True)
     replace_document(path, document, "file of a learned correction", LearnedFileError)
@@ -88,15 +72,9 @@ def save_learned(path: str | Path, learned: Learned) -> None:
 
 def load_correction(path: str | Path, reference: Reference, model_sha256: str,
                     sample_rate_hz: float) -> FloatArray:
-    """Read the correction of a file that was learned for the same conditions.
+    """Read the correction of a file that was learned for the same conditions, (P,).
 
-    Returns
-    -------
-    (P,) array
-
-    Raises
-    ------
-    LearnedFileError
+    Raises `LearnedFileError` if there is none.
     """
     begin = f"the learned feedforward {str(path)!r}"
     try:
@@ -112,16 +90,11 @@ def load_correction(path: str | Path, reference: Reference, model_sha256: str,
 
 def find_like(directory: str | Path, reference: Reference, model_sha256: str,
               sample_rate_hz: float) -> tuple[Path, FloatArray] | None:
-    """Find the file of the similar reference whose amplitude and centre are nearest.
+    """Find the file of the similar reference with the nearest amplitude and centre.
 
     References are similar if they differ only in their centre and in a common factor of all
-    amplitudes: the errors of a model grow about in proportion to the amplitude.
-
-    Returns
-    -------
-    path : Path
-    correction_um : (P,) array
-        Correction, scaled with the amplitude.
+    amplitudes: the errors of a model grow about in proportion to the amplitude. The correction,
+    (P,), is scaled with the amplitude.
     """
     found = []
     for path in sorted(Path(directory).glob("learned_*.json")):

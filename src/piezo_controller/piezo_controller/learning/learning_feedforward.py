@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from piezo_common.arrays import FloatArray
 from piezo_controller.feedforward.feasibility import Infeasible, UnreachableReference
 from piezo_controller.feedforward.periodic import FeedforwardPlan, FeedforwardPlanner
+from piezo_controller.feedforward.plan import TrackingPlan
 from piezo_controller.learning.periodic_learner import PeriodicLearner
 from piezo_controller.references.smooth_rise import minimum_jerk
 
@@ -22,8 +23,8 @@ SPARE_AT_THE_END_S = 1.0
 HALVINGS = 6
 
 
-class LearningFeedforward:
-    """Voltages of a learning run, part by part, and what to expect: a `TrackingPlan`.
+class LearningFeedforward(TrackingPlan):
+    """Voltages of a learning run, part by part, and what to expect.
 
     Each part plays one iterate, faded in from the previous one: it settles, is measured, and
     continues while the next is computed. The last part plays the best one.
@@ -45,8 +46,6 @@ class LearningFeedforward:
         Sample at which the best iterate has settled; the latest possible until it is known.
     iteration : int
         Number of the present iteration; 0 once the best iterate is played.
-    uncompensated : tuple of str
-        Effects of the model that are not compensated.
 
     Raises
     ------
@@ -55,7 +54,7 @@ class LearningFeedforward:
     """
 
     streamed = open_ended = True
-    note = degraded = ""
+    period_voltage_v = np.empty(0)
 
     def __init__(self, planner: FeedforwardPlanner, reference_um: ArrayLike,
                  learner: PeriodicLearner, iterations: int, run_samples: int,
@@ -105,11 +104,6 @@ class LearningFeedforward:
             f"the amplifier cannot follow half of the reference of "
             f"{np.ptp(self._reference_um):.4g} um peak to peak: {reason}", 0.0)
 
-    @property
-    def period_voltage_v(self) -> FloatArray:
-        """Return no voltages, as nothing is repeated: each part is loaded."""
-        return np.empty(0)
-
     def continuation(self) -> Callable[[], FloatArray | None]:
         """Return the function that computes each next part."""
         return self.next_voltage_v
@@ -133,10 +127,7 @@ class LearningFeedforward:
     def next_voltage_v(self) -> FloatArray | None:
         """Return the next voltages after `once_voltage_v`.
 
-        Returns
-        -------
-        ndarray or None
-            Empty at the end; None while the measurement that they depend on is incomplete.
+        They are empty at the end; None while the measurement that they depend on is incomplete.
         """
         if self._remaining_samples is not None:
             return self._go_on(self._remaining_samples)

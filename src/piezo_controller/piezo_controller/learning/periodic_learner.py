@@ -120,10 +120,7 @@ class PeriodicLearner:
     def measure(self, displacement_um: FloatArray) -> Measured:
         """Decompose the mean error of some periods into harmonics.
 
-        Parameters
-        ----------
-        displacement_um : (n P,) array
-            Displacement over whole periods, at least two; a linear drift is removed.
+        The displacement covers whole periods, at least two, (n P,); a linear drift is removed.
         """
         error_um = np.resize(self._reference_um, displacement_um.size) - displacement_um
         periods = error_um.reshape(-1, self._period)
@@ -138,10 +135,7 @@ class PeriodicLearner:
     def learn(self, displacement_um: FloatArray) -> Measured:
         """Evaluate the periods measured with `correction_um`, and compute the next correction.
 
-        Parameters
-        ----------
-        displacement_um : (n P,) array
-            Measured displacement over whole periods, see `measure`.
+        For the displacement see `measure`.
         """
         measured = self.measure(displacement_um)
         self.iterations += 1

@@ -40,19 +40,10 @@ class ModelService:
             node, AcceptExtendedModel, "controller/accept_extended_model", self._begin)
 
     def model_for(self, path: str) -> tuple[ModelText, ModelText, str]:
-        """Return the model that a run uses, and publish it.
+        """Publish and return the model that a run uses, after the one that the goal names.
 
-        Returns
-        -------
-        named, model : ModelText
-            The model that the goal names, and the one that is used.
-        note : str
-            Note for the result; empty if the named model is used.
-
-        Raises
-        ------
-        ValueError
-            If a file cannot be read, or was changed after it was accepted.
+        The third result is a note for the result; empty if the named model is used. Raises
+        ValueError if a file cannot be read, or was changed after it was accepted.
         """
         named = ModelText(path, read_model_text(path))
         used = self._accepted.in_place_of(named, read_model_text)

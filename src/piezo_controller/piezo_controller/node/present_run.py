@@ -44,23 +44,11 @@ class PresentRun:
         return "; ".join(self._notes)
 
     def go_over(self, model: ModelText, publish: Callable[[ModelText], None]) -> str:
-        """Replace feedforward and law by those for another model, in one tick.
+        """Replace feedforward and law by those for another model, in one tick; return from when on.
 
-        Parameters
-        ----------
-        publish : callable
-            Called once the stage has switched.
-
-        Returns
-        -------
-        str
-            From when on the model is used.
-
-        Raises
-        ------
-        ValueError
-            If the reference is out of reach with the model, or the stage refuses the new voltages
-            or law; the run then continues as before.
+        `publish` is called once the stage has switched. Raises ValueError if the reference is out
+        of reach with the model, or the stage refuses the new voltages or law; the run then
+        continues as before.
         """
         kept = self._why_kept()
         if kept:

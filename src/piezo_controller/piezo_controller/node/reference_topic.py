@@ -20,13 +20,7 @@ WARNING_PERIOD_S = 1.0
 
 
 class ReferenceTopic:
-    """Pass on published values while a run follows them.
-
-    Parameters
-    ----------
-    wake : callable
-        Called when there are new values.
-    """
+    """Pass on published values while a run follows them; `wake` is called when new ones come."""
 
     def __init__(self, node: Node, wake: Callable[[], None]) -> None:
         self._node, self._wake = node, wake
@@ -36,21 +30,10 @@ class ReferenceTopic:
 
     def begin(self, sample_period_s: float, lockstep: bool, offset_um: float,
               check: Callable[[], None]) -> LiveReference:
-        """Wait for the first value.
+        """Wait for the first value; `check` is called from time to time, and may raise.
 
-        Parameters
-        ----------
-        sample_period_s : float
-            Sample period of the stage (s).
-        lockstep : bool
-            Whether the stage waits for the publisher.
-        check : callable
-            Called from time to time; may raise.
-
-        Raises
-        ------
-        InvalidReference
-            If no node, or more than one, publishes.
+        A stage in lockstep waits for the publisher. Raises `InvalidReference` if no node, or more
+        than one, publishes.
         """
         live = self._live = LiveReference(
             sample_period_s, LOCKSTEP_PATIENCE_S if lockstep else 0.0, offset_um)

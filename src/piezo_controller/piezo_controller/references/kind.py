@@ -96,10 +96,7 @@ class PeriodicKind(ABC):
 def one_component(reference: Reference, sample_rate_hz: float) -> tuple[float, float, float]:
     """Check a reference of one frequency, and return its frequency, amplitude and phase.
 
-    Raises
-    ------
-    InvalidReference
-        If it has more than one frequency, or `components` raises it.
+    Raises `InvalidReference` as `components`, and if it has more than one frequency.
     """
     frequencies_hz, amplitudes_um, phases_rad = components(reference, sample_rate_hz, most=1)
     return frequencies_hz[0], amplitudes_um[0], phases_rad[0]
@@ -107,23 +104,11 @@ def one_component(reference: Reference, sample_rate_hz: float) -> tuple[float, f
 
 def components(reference: Reference, sample_rate_hz: float,
                most: float = math.inf) -> Components:
-    """Check the frequencies, amplitudes and phases of a reference.
+    """Check the components of a reference; return their frequencies, amplitudes and phases.
 
-    Parameters
-    ----------
-    most : float
-        Largest number of components that the reference may have.
-
-    Returns
-    -------
-    frequency_hz, amplitude_um, phase_rad : tuple of float
-        One entry per component; phases that are not given are zero.
-
-    Raises
-    ------
-    InvalidReference
-        If their numbers differ, a frequency is not between 0.001 Hz and half the sample rate, an
-        amplitude is not positive, or a phase is not finite.
+    Phases that are not given are zero. Raises `InvalidReference` if their numbers differ or exceed
+    `most`, a frequency is not between 0.001 Hz and half the sample rate, an amplitude is not
+    positive, or a phase is not finite.
     """
     frequencies, amplitudes = reference.frequency_hz, reference.amplitude_um
     phases = reference.phase_rad if len(reference.phase_rad) else (0.0,) * len(frequencies)

@@ -88,10 +88,7 @@ class LiveReference:
              displacement_um: ArrayLike) -> None:
         """Queue a message, see ``piezo_interfaces/ReferenceSamples``.
 
-        Raises
-        ------
-        InvalidReference
-            If the message is invalid; it then has no effect.
+        Raises `InvalidReference` if the message is invalid; it then has no effect.
         """
         values_um = np.asarray(displacement_um, dtype=float) + self._offset_um
         repeat = self._clock_samples(sample_period_s)

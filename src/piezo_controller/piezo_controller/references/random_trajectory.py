@@ -34,13 +34,9 @@ FIRST_SEQUENCE = 2**40
 class RandomTrajectory(Trajectory):
     """Noise with a flat spectrum from one frequency to another, never beyond its amplitude.
 
-    Blocks of sines of random amplitude and phase are faded into one another. Each block is drawn
-    from the seed and its number, and scaled by its envelope, so any piece can be computed alone.
-
-    Parameters
-    ----------
-    amplitude_um : float
-        Peak-to-peak range that is used and never exceeded.
+    The amplitude is the whole range, peak to peak (um). Blocks of sines of random amplitude and
+    phase are faded into one another. Each block is drawn from the seed and its number, and scaled
+    by its envelope, so any piece can be computed alone.
     """
 
     def __init__(self, low_hz: float, high_hz: float, amplitude_um: float, centre_um: float = 0.0,

@@ -33,19 +33,10 @@ FLYBACK = 0.05
 
 
 def fast_axis(lines: ArrayLike) -> FloatArray:
-    """Return the fast axis' displacement, beginning in the middle of the way forward.
+    """Return the fast axis' displacement at times in lines, from the middle of the way forward.
 
     The speed is constant between the turns, where the displacement goes from -0.5 to 0.5; in the
     turns it overshoots.
-
-    Parameters
-    ----------
-    lines : (N,) array
-        Time, counted in lines.
-
-    Returns
-    -------
-    (N,) array
     """
     # Integrals of a speed of +1 forward and -1 back that changes its sign smoothly in the turns.
     since_begin = (np.asarray(lines) + 0.75) % 1.0 - 0.5
@@ -71,16 +62,7 @@ def flyback_lines(lines: int) -> int:
 def slow_axis(at_line: FloatArray, lines: int) -> FloatArray:
     """Return the slow axis' staircase from -0.5 to 0.5, followed by the flyback.
 
-    Parameters
-    ----------
-    at_line : (N,) array
-        Time since the frame's beginning, counted in lines, within the frame and its flyback.
-    lines : int
-        Number of lines of a frame.
-
-    Returns
-    -------
-    (N,) array
+    Times are counted in lines since the frame's beginning, within the frame and its flyback.
     """
     back = flyback_lines(lines)
     clock = at_line + 0.25

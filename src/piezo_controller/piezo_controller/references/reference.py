@@ -47,31 +47,17 @@ KINDS: dict[str, ReferenceKind] = {
 
 
 def is_periodic(reference: Reference, sample_rate_hz: float = 40000.0) -> bool:
-    """Return whether `sample_reference` has a period for a reference.
-
-    Raises
-    ------
-    InvalidReference
-        If the reference is not valid.
-    """
+    """Return whether `sample_reference` has a period for a reference; raise `InvalidReference`."""
     return _kind(reference).is_periodic(reference, sample_rate_hz)
 
 
 def sample_reference(reference: Reference,
                      sample_rate_hz: float = 40000.0) -> FloatArray:
-    """Sample one period of a reference.
+    """Sample one period of a reference, shape (samples per period,).
 
-    The period is the shortest that holds whole cycles of every component, so that its
-    repetition is exactly periodic; a triangle is its Fourier series up to 2 kHz.
-
-    Returns
-    -------
-    displacement_um : ndarray, shape (samples per period,)
-
-    Raises
-    ------
-    InvalidReference
-        The message names the cause; for a frequency without a whole period, the nearest with one.
+    The period is the shortest that holds whole cycles of every component, so that its repetition is
+    exactly periodic; a triangle is its Fourier series up to 2 kHz. Raises `InvalidReference`, which
+    names the cause; for a frequency without a whole period, the nearest with one.
     """
     period_um = _checked(_kind(reference).period_um(reference, sample_rate_hz), reference)
     if not 2 <= period_um.size <= LONGEST_PERIOD_S * sample_rate_hz:
@@ -85,22 +71,8 @@ def trajectory(reference: Reference, sample_rate_hz: float = 40000.0,
     """Return the trajectory of a reference, with or without a period.
 
     It is also defined before its beginning. A file that is not repeated rests at its first value
-    before, and at its last value after.
-
-    Parameters
-    ----------
-    watch : callable, optional
-        Called from time to time with the fraction done while a file is read; may raise.
-
-    Returns
-    -------
-    Trajectory
-        Sampling it raises InvalidReference if a kind of another package gives displacements that
-        are not finite.
-
-    Raises
-    ------
-    InvalidReference
+    before, and at its last value after. Sampling it raises `InvalidReference` if a kind of another
+    package gives displacements that are not finite. `watch` is called while a file is read.
     """
     made = _kind(reference).trajectory(reference, sample_rate_hz, watch or (lambda fraction: None))
     return _CheckedTrajectory(made, reference)

@@ -30,25 +30,11 @@ LARGEST_BYTES = 16_000_000_000
 
 def read_samples(path: str, sample_rate_hz: float, longest_s: float,
                  watch: Watch | None = None) -> FloatArray:
-    """Read a reference that is given at the sample rate.
+    """Read a reference that is given at the sample rate, shape (N,).
 
-    The samples are kept in a temporary file that is memory-mapped, so a long one takes no memory.
-
-    Parameters
-    ----------
-    path : str
-        CSV with the columns ``time_s,displacement_um``.
-    watch : callable, optional
-        Called from time to time with the fraction read; may raise.
-
-    Returns
-    -------
-    displacement_um : ndarray, shape (N,)
-
-    Raises
-    ------
-    ValueError
-        The message names what is wrong with the file.
+    The CSV has the columns ``time_s,displacement_um``. The samples are kept in a temporary file
+    that is memory-mapped, so a long one takes no memory. Raises ValueError, which names what is
+    wrong.
     """
     samples, begin_s = 0, 0.0
     with tempfile.TemporaryFile() as kept:

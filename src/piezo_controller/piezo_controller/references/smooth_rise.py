@@ -16,12 +16,6 @@ def minimum_jerk(count: int) -> FloatArray:
 
 
 def smooth_rise(share: ArrayLike) -> FloatArray:
-    """Evaluate the quintic of `minimum_jerk` at any time: 0 before 0, 1 after 1.
-
-    Parameters
-    ----------
-    share : array_like
-        Time as a fraction of the rise's duration.
-    """
+    """Evaluate the quintic of `minimum_jerk` at parts of its duration: 0 before 0, 1 after 1."""
     t = np.clip(share, 0.0, 1.0)
     return t**3 * (10 - 15 * t + 6 * t**2)

@@ -34,13 +34,7 @@ class Trajectory(ABC):
 
 
 class FormulaTrajectory(Trajectory):
-    """A displacement that a formula gives at any time.
-
-    Parameters
-    ----------
-    formula : callable
-        Returns the displacements (um) at given sample numbers, shape (N,).
-    """
+    """A displacement that a formula gives at any time: from sample numbers, (N,), to um."""
 
     def __init__(self, formula: Callable[[NDArray[np.int64]], FloatArray]) -> None:
         self._formula = formula

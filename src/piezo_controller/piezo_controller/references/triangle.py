@@ -13,18 +13,7 @@ MOST_SUMMED = 500
 
 
 def triangle_wave(angle_rad: FloatArray, frequency_hz: float) -> FloatArray:
-    """Return the Fourier series of a unit triangle up to 2 kHz.
-
-    Parameters
-    ----------
-    angle_rad : ndarray
-        Angle of the wave, which rises through zero at 0.
-
-    Returns
-    -------
-    ndarray
-        Between -1 and 1.
-    """
+    """Return the Fourier series of a unit triangle up to 2 kHz, rising through zero at angle 0."""
     orders = max(int((BANDWIDTH_HZ / frequency_hz + 1 + 1e-9) // 2), 1)
     return _summed(angle_rad, orders) if orders <= MOST_SUMMED else _closed(angle_rad, orders)
 

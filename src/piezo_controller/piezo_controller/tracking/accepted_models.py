@@ -38,10 +38,7 @@ CheckFeedback = Callable[[StageModel, str, StageModel], None]
 def gross_difference(present: StageModel, following: StageModel) -> str:
     """Return a property in which models differ by more than `MOST_FACTOR`; empty if there is none.
 
-    Parameters
-    ----------
-    present : StageModel
-        Model that runs use at present, and that has described the stage correctly.
+    The present model is the one that runs use, and that has described the stage correctly.
     """
     before, after = ([("gain", "um/V", _gain_um_per_v(model)), *(
         ("mode", "Hz", frequency / (2.0 * np.pi))
@@ -112,17 +109,9 @@ class AcceptedModels:
         self._extended.pop(model.sha256, None)
 
     def in_place_of(self, model: ModelText, read: Callable[[str], str]) -> ModelText:
-        """Return the model to use for a run that names a model.
+        """Return the model to use for a run that names a model; `read` returns the text of a file.
 
-        Parameters
-        ----------
-        read : callable
-            Returns the text of a file, given its path.
-
-        Raises
-        ------
-        ValueError
-            If the extended model has been changed since it was accepted.
+        Raises ValueError if the extended model has been changed since it was accepted.
         """
         extended = self._extended.get(model.sha256)
         if extended is None:

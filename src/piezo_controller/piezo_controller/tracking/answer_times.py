@@ -10,10 +10,7 @@ BOUNDS_S = np.geomspace(1e-6, 100.0, 161)
 class AnswerTimes:
     """Histogram of computing times, which takes the same memory for a run of any length.
 
-    Parameters
-    ----------
-    limit_s : float
-        Answers that take longer are late (s).
+    Answers that take longer than the limit are late.
     """
 
     def __init__(self, limit_s: float) -> None:

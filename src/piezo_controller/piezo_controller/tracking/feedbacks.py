@@ -26,9 +26,9 @@ from piezo_controller.feedback.synthesis.design_choices import DEFAULT_WEIGHTS
 from piezo_controller.feedback.synthesis.generalised_plant import nominal_hysteresis_gain
 from piezo_controller.feedback.synthesis.weights import DesignWeights, load_weights
 from piezo_controller.feedforward.periodic import FeedforwardPlan
-from piezo_controller.learning.fast_sensitivity import fast_sensitivity
+from piezo_controller.feedforward.plan import TrackingPlan
+from piezo_controller.learning.slow_feedback import fast_sensitivity
 from piezo_controller.tracking.foreseen import Sensitivity, open_loop_sensitivity
-from piezo_controller.tracking.plan import TrackingPlan
 from piezo_controller.tracking.tracking_modes import FEEDBACK_METHODS, StageClock, feedback_room_v
 from piezo_models.axes.coupled import CoupledModel
 from piezo_models.cascade import StageModel
@@ -73,10 +73,7 @@ class FeedbackSettings:
 class Feedbacks:
     """Makes the feedback of a run; designs are cached by model.
 
-    Attributes
-    ----------
-    max_feedback_v : float
-        Largest voltage of a feedback together with a feedforward, of either sign (V).
+    Feedback together with a feedforward has at most `max_feedback_v`, of either sign (V).
     """
 
     def __init__(self, settings: FeedbackSettings, stage: StageClock) -> None:
@@ -87,17 +84,9 @@ class Feedbacks:
 
     def of_mode(self, mode: str, model: StageModel, model_sha256: str,
                 plan: TrackingPlan) -> Feedback:
-        """Return the feedback of a mode of `FEEDBACK_METHODS`.
+        """Return the feedback of a mode of `FEEDBACK_METHODS`, which acts together with a plan.
 
-        Parameters
-        ----------
-        plan : TrackingPlan
-            Feedforward that acts together with it.
-
-        Raises
-        ------
-        ValueError
-            If the file, the weights or the design cannot be used.
+        Raises ValueError if the file, the weights or the design cannot be used.
         """
         settings, stage = self._settings, self._stage
         composite = FEEDBACK_METHODS[mode] == "h_infinity"
@@ -114,10 +103,7 @@ class Feedbacks:
                     plan: TrackingPlan) -> FeedbackLaw | None:
         """Return the feedback of a mode as a law for the stage to evaluate; see `of_mode`.
 
-        Returns
-        -------
-        FeedbackLaw or None
-            None where the feedback is answered block by block.
+        It is None where the feedback is answered block by block.
         """
         if self._settings.loop != "onboard" or not isinstance(plan, FeedforwardPlan):
             return None
@@ -132,10 +118,8 @@ class Feedbacks:
     def law_of_axes(self, model: CoupledModel, model_sha256: str) -> AxesLaw:
         """Return the feedback of the mode composite for several axes, designed or from its file.
 
-        Raises
-        ------
-        ValueError
-            If the file, the weights or the design cannot be used, or blocks are to be answered.
+        Raises ValueError if the file, the weights or the design cannot be used, or blocks are to be
+        answered.
         """
         if self._settings.loop != "onboard":
             raise ValueError("the blocks of several axes are not answered: set feedback to onboard")
@@ -147,13 +131,7 @@ class Feedbacks:
         return self._axes_laws[model_sha256]
 
     def sensitivity(self, mode: str, model: StageModel, model_sha256: str) -> Sensitivity:
-        """Return the part of a reference that remains as error in a mode without an inverse.
-
-        Parameters
-        ----------
-        mode : str
-            ``open_loop``, ``pid`` or ``pi``.
-        """
+        """Return the part of a reference that remains as error in open loop, with PID or PI."""
         stage = self._stage
         if mode not in FEEDBACK_METHODS:
             return open_loop_sensitivity(model, stage.sample_period_s)
@@ -169,13 +147,10 @@ class Feedbacks:
         return residual
 
     def check_model(self, model: StageModel, model_sha256: str, present: StageModel) -> None:
-        """Raise if the composite feedback for a model is unstable with it or the present model.
+        """Raise ValueError if the composite feedback for a model is unstable with it or another.
 
-        A stage that has changed lies near both. The design is cached for the next run.
-
-        Raises
-        ------
-        ValueError
+        The other one is the present model: a stage that has changed lies near both. The design is
+        cached for the next run.
         """
         controller = self._controller(
             "composite", model, model_sha256, answered=self._settings.loop != "onboard")
@@ -219,19 +194,9 @@ class Feedbacks:
         return controller
 
     def with_controller(self, path: str, mode: str) -> "Feedbacks":
-        """Return a copy that takes the controller of the composite modes from a file.
+        """Return a copy whose controller of the composite modes comes from a file, if there is one.
 
-        Parameters
-        ----------
-        path : str
-            Controller file; if empty, this object itself is returned.
-        mode : str
-            Mode that the file is meant for.
-
-        Raises
-        ------
-        ValueError
-            If the feedback of the mode does not come from a file.
+        Raises ValueError if the feedback of the mode does not come from a file.
         """
         if not path:
             return self

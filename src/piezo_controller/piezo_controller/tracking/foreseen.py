@@ -32,15 +32,7 @@ def foreseen_share(period_um: FloatArray, sample_period_s: float,
                    sensitivity: Sensitivity) -> float:
     """Predict the rms error, as a part of the error of a stage at rest at the reference's mean.
 
-    Parameters
-    ----------
-    period_um : ndarray, shape (m,)
-        One period of the reference.
-
-    Returns
-    -------
-    float
-        0 for a constant reference.
+    The period has the shape (m,); the result is 0 for a constant reference.
     """
     harmonics = np.abs(np.fft.rfft(period_um - period_um.mean()))
     harmonics[0] = 0.0
@@ -55,22 +47,11 @@ def foreseen_share(period_um: FloatArray, sample_period_s: float,
 def check_reach(period_um: FloatArray, sensitivity: Sensitivity, reference: Reference,
                 model: StageModel, stage: StageClock, duration_s: float,
                 watch: Watch | None = None) -> None:
-    """Raise if neither the mode nor the exact inverse can follow a reference.
+    """Raise `UnreachableReference` if neither the mode nor the exact inverse follows a reference.
 
     A reference that the inverse could follow is played, so that modes can be compared; the run then
-    reports that the stage did not follow.
-
-    Parameters
-    ----------
-    period_um : ndarray, shape (m,)
-        One period of the reference.
-    reference, model, stage, duration_s, watch
-        See `plan_mode`.
-
-    Raises
-    ------
-    UnreachableReference
-        The message names the amplitude within reach.
+    reports that the stage did not follow. The arguments after the sensitivity are those of
+    `plan_mode`.
     """
     if foreseen_share(period_um, stage.sample_period_s, sensitivity) >= SHARE_AT_REST:
         plan_mode("feedforward", reference, model, stage, duration_s, watch)

@@ -12,13 +12,9 @@ STEP_SAMPLES = 40
 class OnTarget:
     """Compare the rms error of the last 10 ms at 40 kHz with a tolerance, once a millisecond.
 
-    The result does not depend on how the samples are divided into blocks.
-
-    Attributes
-    ----------
-    since_sample : int or None
-        First sample of the earliest window from which on all windows were within the tolerance;
-        None if the last one is not.
+    The result does not depend on how the samples are divided into blocks: `since_sample` is the
+    first sample of the earliest window from which on all windows were within the tolerance, and
+    None if the last one is not.
     """
 
     def __init__(self, tolerance_um: float) -> None:

@@ -15,18 +15,10 @@ class TooSlow(ValueError):
 
 
 def check_pace(tick_s: float, max_missed: int, check: Callable[[], None] = lambda: None) -> None:
-    """Wake up at every tick for a while, as the answering thread does; raise if it is too late.
+    """Wake up at every tick for a while, as the answering thread does; raise `TooSlow` if late.
 
-    Parameters
-    ----------
-    max_missed : int
-        Largest number of consecutive missed answers; more stop the stage.
-    check : callable
-        Called from time to time; may raise to end the check.
-
-    Raises
-    ------
-    TooSlow
+    The stage stops after more than `max_missed` consecutive missed answers. The function `check` is
+    called from time to time, and may raise to end the check.
     """
     begin_s, latest_s = time.monotonic(), 0.0
     for tick in range(1, PROBED_TICKS + 1):

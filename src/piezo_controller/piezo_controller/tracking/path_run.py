@@ -32,14 +32,9 @@ MODES_OF_AXES = ("open_loop", "feedforward", "composite")
 
 
 class AxesTrackingRun:
-    """A run of several axes, each of which is measured as a `TrackingRun`.
+    """A run of several axes, by their names in the order of the stage, each measured by itself.
 
     What is one number for all axes is that of the worst one.
-
-    Parameters
-    ----------
-    runs : dict of str to TrackingRun
-        By the names of the axes, in the order of the stage.
     """
 
     expected_um: FloatArray = np.empty(0)
@@ -134,8 +129,6 @@ def prepare_path(request: TrackRequest, clock: StageClock, stage: AxesStage, fee
     request : TrackRequest
         Of one reference, whose frequency is the rate of the path, and whose amplitudes are its
         sizes along the fast and the slow axis, or one for both.
-    window_s : float
-        Window of the running error (s).
 
     Raises
     ------

@@ -9,9 +9,9 @@ from piezo_controller.feedback.feedback_design import FeedbackController
 from piezo_controller.feedforward.live import LivePlan, plan_live
 from piezo_controller.feedforward.periodic import FeedforwardPlan, FeedforwardPlanner
 from piezo_controller.feedforward.streamed import StreamPlan, plan_stream
-from piezo_controller.learning.fast_sensitivity import fast_sensitivity
 from piezo_controller.learning.learning_feedforward import LearningFeedforward
 from piezo_controller.learning.periodic_learner import PeriodicLearner
+from piezo_controller.learning.slow_feedback import fast_sensitivity
 from piezo_controller.references.kind import Reference, Watch, one_component
 from piezo_controller.references.live_reference import LiveReference
 from piezo_controller.references.reference import (
@@ -54,8 +54,6 @@ def plan_references(mode: str, references: Sequence[Reference], durations_s: Seq
     inversion : str
         Empty for the exact inverse of a period, if there is one; otherwise the method of
         `preview_inverse` for an online inverse.
-    watch : callable, optional
-        Called from time to time with the fraction planned; may raise.
 
     Raises
     ------
@@ -86,20 +84,10 @@ def plan_references(mode: str, references: Sequence[Reference], durations_s: Seq
 
 def plan_topic(mode: str, references: Sequence[Reference], run_samples: int, model: StageModel,
                stage: StageClock, inversion: str, live: LiveReference | None) -> LivePlan:
-    """Plan to follow a reference that is published during the run.
+    """Plan to follow a reference that is published during the run; `live` is what came so far.
 
-    Parameters
-    ----------
-    mode, references, model, stage, inversion
-        See `plan_references`.
-    live : LiveReference or None
-        What has been published so far.
-
-    Raises
-    ------
-    ValueError
-        If there is more than one reference, it does not declare its frequency and amplitude, or
-        the planner cannot reach it.
+    Raises ValueError if there is more than one reference, it does not declare its frequency and
+    amplitude, or the planner cannot reach it.
     """
     reference = references[0]
     if live is None or len(references) > 1 or inversion or mode not in STREAMED_MODES:
@@ -127,11 +115,6 @@ def plan_learning(reference: Reference, run_samples: int, model: StageModel,
         Largest number of iterations.
     correction_um : (P,) array, optional
         Correction to begin with.
-
-    Returns
-    -------
-    feedforward : LearningFeedforward
-    learner : PeriodicLearner
 
     Raises
     ------

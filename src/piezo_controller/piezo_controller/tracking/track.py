@@ -13,21 +13,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from piezo_common.arrays import FloatArray
-from piezo_controller.feedback.integral_feedback import design_integral_feedback
 from piezo_controller.feedback.onboard_law import FADE_S
+from piezo_controller.feedforward.plan import TrackingPlan
 from piezo_controller.learning.learned_file import (
-    Learned,
     find_like,
     learned_path,
     load_correction,
     save_learned,
 )
 from piezo_controller.learning.periodic_learner import PeriodicLearner
+from piezo_controller.learning.slow_feedback import design_integral_feedback
 from piezo_controller.references.live_reference import TOPIC, LiveReference
 from piezo_controller.references.reference import LONGEST_DURATION_S, Reference
 from piezo_controller.tracking.feedbacks import Feedback, Feedbacks
 from piezo_controller.tracking.foreseen import check_reach
-from piezo_controller.tracking.plan import TrackingPlan
 from piezo_controller.tracking.run_plan import plan_learning, plan_references, plan_topic
 from piezo_controller.tracking.tracking_modes import FEEDBACK_METHODS, StageClock
 from piezo_controller.tracking.tracking_run import TrackingRun
@@ -106,9 +105,9 @@ class Learning:
 
     def keep(self) -> None:
         """Write the best correction; raise `LearnedFileError` if that fails."""
-        save_learned(self.path, Learned(
-            self.reference, self.model_sha256, self.sample_rate_hz, self.learner.best_um,
-            self.learner.best_rms_um, self.learner.iterations))
+        save_learned(
+            self.path, self.reference, self.model_sha256, self.sample_rate_hz,
+            self.learner.best_um, self.learner.best_rms_um, self.learner.iterations)
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,18 +208,8 @@ def prepare_learning(request: TrackRequest, model: StageModel, stage: StageClock
                      ) -> tuple[TrackingPlan, Feedback, Learning]:
     """Plan to learn one reference, starting from the contents of its file if there is one.
 
-    Parameters
-    ----------
-    request : TrackRequest
-        Request with one reference, without an inversion.
-    writable : callable
-        Returns the path under which a file may be written; raises ValueError if it may not.
-
-    Raises
-    ------
-    ValueError
-        If there are several references or an inversion, the file was learned for something else,
-        or the planner cannot reach the reference.
+    Raises ValueError if there are several references or an inversion, the file was learned for
+    something else, or the planner cannot reach the reference.
     """
     if len(request.references) > 1 or request.inversion:
         raise ValueError("learning repeats one reference by its exact inverse: "

@@ -9,10 +9,10 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_controller.feedforward.approach import FADE_S
 from piezo_controller.feedforward.periodic import FeedforwardPlan, plan_feedforward
+from piezo_controller.feedforward.plan import TrackingPlan
 from piezo_controller.references.kind import Reference, Watch
 from piezo_controller.references.reference import sample_reference
 from piezo_controller.references.smooth_rise import minimum_jerk
-from piezo_controller.tracking.plan import TrackingPlan
 from piezo_models.cascade import StageModel
 
 MODES = ("open_loop", "pid", "pi", "feedforward", "composite", "composite_single_rate",
@@ -48,7 +48,7 @@ class StageClock:
 
 def plan_mode(mode: str, reference: Reference, model: StageModel, stage: StageClock,
               duration_s: float, watch: Watch | None = None) -> FeedforwardPlan:
-    """Plan the voltages that the stage plays in a mode.
+    """Plan the voltages that the stage plays in a mode, whose periodic part lasts for a duration.
 
     Parameters
     ----------
@@ -56,10 +56,6 @@ def plan_mode(mode: str, reference: Reference, model: StageModel, stage: StageCl
         One of `MODES`. ``pid`` and ``pi`` hold the voltage of the reference's mean, and the rest
         comes from the feedback. ``composite_single_rate`` updates the feedforward once per tick,
         as often as the feedback. ``learning`` begins with the feedforward.
-    duration_s : float
-        Duration of the periodic part (s).
-    watch : callable, optional
-        Called from time to time with the fraction done; may raise.
 
     Raises
     ------

@@ -8,12 +8,12 @@ from collections import deque
 import numpy as np
 
 from piezo_common.arrays import FloatArray
+from piezo_controller.feedforward.plan import TrackingPlan
 from piezo_controller.references.smooth_rise import smooth_rise
 from piezo_controller.tracking.answer_times import AnswerTimes
 from piezo_controller.tracking.feedbacks import Feedback
 from piezo_controller.tracking.foreseen import SHARE_AT_REST
 from piezo_controller.tracking.on_target import OnTarget
-from piezo_controller.tracking.plan import TrackingPlan
 
 USUAL_PERCENT = 99
 TOLERANCE_OF_TRAVEL, LEAST_TOLERANCE_UM = 0.01, 0.03
@@ -26,12 +26,10 @@ class TrackingRun:
 
     Parameters
     ----------
-    plan : TrackingPlan
-        Voltages that the stage plays from the run's first sample on.
     run_samples : int
         Duration for which the reference is followed after the approach; the error is evaluated
         here.
-    feedback : MultirateFeedback, optional
+    feedback : Feedback, optional
         Answers the blocks; None if only the feedforward acts.
     tick_s : float
         Period of the feedback (s).
@@ -107,17 +105,9 @@ class TrackingRun:
         return math.nan if since_sample is None else since_sample
 
     def take(self, displacement_um: FloatArray) -> float:
-        """Take the next block of samples.
+        """Take the displacements of the next block, shape (n,), and return the answer to it (V).
 
-        Parameters
-        ----------
-        displacement_um : ndarray, shape (n,)
-            Measured displacements.
-
-        Returns
-        -------
-        feedback_v : float
-            Answer to the block (V); zero without feedback, and before it begins.
+        It is zero without feedback, and before it begins.
         """
         first, total = self.samples, self.total_samples
         self.samples += len(displacement_um)
@@ -217,10 +207,7 @@ class TrackingRun:
 class RunningSquares:
     """Root mean square of the last samples, updated block by block.
 
-    Parameters
-    ----------
-    samples : int
-        Smallest number of samples that are kept; there may be up to a block more.
+    At least `samples` of them are kept; there may be up to a block more.
     """
 
     def __init__(self, samples: int) -> None:

@@ -120,7 +120,7 @@ def test_options_reach_the_design(model_path, tmp_path, monkeypatch):
     asked = []
 
     def take(model, weights, *others):
-        asked.append((load_weights(weights).as_dict(), others[6]))
+        asked.append((load_weights(weights).model_dump(), others[6]))
         raise ValueError("this is enough")
 
     monkeypatch.setattr(design_work, "design_for_stage", take)
@@ -171,8 +171,8 @@ def test_output_that_cannot_be_written_is_refused_before_the_work(
 
 def test_weights_of_the_thesis_are_its_but_for_the_integrators_pole():
     weights = load_weights("thesis")
-    assert load_weights().as_dict() == default_weights()
-    assert weights.performance.zeros == (-1.0,) and weights.performance.poles[0] < 1
+    assert load_weights().model_dump() == default_weights()
+    assert weights.performance.zeros == [-1.0] and weights.performance.poles[0] < 1
     z = 1j
     assert weights.control.state_space(1e-3)(z) == pytest.approx(
         1.2496 * (z - 0.2283) ** 2 / (z + 0.7254) ** 2)

@@ -8,7 +8,7 @@ import pytest
 from piezo_controller.commands import axes_design_work
 from piezo_controller.commands.design_command import main
 from piezo_controller.feedback.axes_design import (
-    check_axes_robustness,
+    axes_plant_errors,
     design_axes_feedback,
     gain_spreads,
     linear_part,
@@ -16,7 +16,7 @@ from piezo_controller.feedback.axes_design import (
     with_mode_errors,
 )
 from piezo_controller.feedback.loop_measures import measure_axes_loop, sensitivity_of_axes
-from piezo_controller.feedback.robustness import Robustness, robustness_of
+from piezo_controller.feedback.robustness import PlantErrors, Robustness
 from piezo_controller.feedback.synthesis.dk_iteration import scale
 from piezo_controller.feedback.synthesis.generalised_plant import generalised_plant, lift
 from piezo_controller.feedback.synthesis.h_infinity import synthesise
@@ -68,7 +68,8 @@ def test_law_closes_a_stable_loop_of_all_axes_at_every_gain(law, model):
     path_um = np.zeros((1, 2))
     check_law(law.following(path_um, path_um[:0], 0, 20.0), law.samples_per_tick)
     assert law.report["mu"] < 1.0
-    assert check_axes_robustness(model, controller_of(law, model)).unstable_samples == 0
+    robustness = axes_plant_errors(model, TICK_S).robustness(controller_of(law, model))
+    assert robustness.unstable_samples == 0
 
 
 def test_report_has_the_measures_of_the_sensitivity(law, model):
@@ -154,9 +155,9 @@ def test_errors_of_a_mode_change_its_frequency_damping_and_share(model):
 
 def test_robustness_finds_the_worst_of_the_largest_errors():
     plant = control.ss([[0.5]], [[1.0]], [[0.5]], 0.0, TICK_S)
-    found = robustness_of(
-        lambda errors: plant * (1.0 + 0.1 * errors[0]) * (1.0 + 0.1 * errors[1]), 2,
-        control.ss([[0.0]], [[0.0]], [[0.0]], [[1.0]], TICK_S), 20)
+    errors = PlantErrors(
+        lambda errors: plant * (1.0 + 0.1 * errors[0]) * (1.0 + 0.1 * errors[1]), 2)
+    found = errors.robustness(control.ss([[0.0]], [[0.0]], [[0.0]], [[1.0]], TICK_S), 20)
     assert found == Robustness(20, 0, pytest.approx(1 / (1 - 0.5 * 1.21 / 1.5), rel=0.01))
 
 

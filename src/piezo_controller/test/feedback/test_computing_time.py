@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-import piezo_controller.feedback.computing_time as module
+import piezo_controller.feedback.stage_design as module
 
 WAIT_S = 2e-3
 

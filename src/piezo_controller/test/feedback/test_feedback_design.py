@@ -11,8 +11,7 @@ from piezo_controller.feedback.feedback_design import (
     structured_singular_value,
 )
 from piezo_controller.feedback.loop_measures import loop_responses, measure_loop
-from piezo_controller.feedback.robustness import check_robustness
-from piezo_controller.feedback.synthesis.controller_reduction import reduce_order
+from piezo_controller.feedback.robustness import plant_errors
 from piezo_controller.feedback.synthesis.dk_iteration import scale
 from piezo_controller.feedback.synthesis.generalised_plant import (
     design_plant,
@@ -24,6 +23,7 @@ from piezo_controller.feedback.synthesis.h_infinity import (
     NoController,
     close,
     is_stable,
+    reduce_order,
     synthesise,
 )
 from piezo_controller.feedback.synthesis.weights import load_weights
@@ -175,16 +175,16 @@ def test_default_weights_reject_what_the_thesis_ask_for_below_20_hz_with_a_lower
 
 
 def test_loop_endures_the_gain_range_and_errors_of_every_parameter(controller, stage_model):
-    found = check_robustness(stage_model, controller.state_space(), CLOCK_PERIOD_S, 0.12,
-                             samples=40)
+    errors = plant_errors(stage_model, TICK_S, CLOCK_PERIOD_S, 0.12)
+    found = errors.robustness(controller.state_space(), samples=40)
     assert found.stable and found.samples == 40
     assert controller.report["peak_sensitivity"] < found.worst_peak_sensitivity < 4
 
 
 def test_errors_that_the_loop_does_not_endure_are_found(controller, stage_model):
     margin = controller.report["gain_margin"]
-    found = check_robustness(stage_model, controller.state_space(), CLOCK_PERIOD_S,
-                             1.05 * (margin - 1), samples=20)
+    errors = plant_errors(stage_model, TICK_S, CLOCK_PERIOD_S, 1.05 * (margin - 1))
+    found = errors.robustness(controller.state_space(), samples=20)
     assert not found.stable
     assert np.isinf(found.worst_peak_sensitivity)
 

@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Rules for bandwidth and rate, with the thesis' own figures."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from piezo_controller.feedback.loop_rules import choose_rates
+from piezo_controller.feedback.stage_design import choose_rates
 from piezo_controller.feedback.synthesis.weights import Weight, load_weights
 
 CLOCK_HZ = 40000.0
@@ -40,8 +38,9 @@ def test_bounds_that_leave_nothing_are_refused(arguments, message):
 
 
 @pytest.mark.parametrize("weight", [
-    Weight(0.1, (-1.0,), (0.9995,)), Weight(1.25, (0.2283, 0.2283), (-0.7254, -0.7254)),
-    Weight(2.0), Weight(0.3, (), (0.5,))])
+    Weight(gain=0.1, zeros=[-1.0], poles=[0.9995]),
+    Weight(gain=1.25, zeros=[0.2283, 0.2283], poles=[-0.7254, -0.7254]),
+    Weight(gain=2.0, zeros=[], poles=[]), Weight(gain=0.3, zeros=[], poles=[0.5])])
 @pytest.mark.parametrize("factor", [0.5, 1.7])
 def test_stretched_weight_has_its_values_at_frequencies_as_much_higher(weight, factor):
     before = np.array([0.01, 0.1, 0.4, 1.0])
@@ -66,5 +65,5 @@ def test_wider_disturbances_move_what_is_asked_for_them_alone():
     moved = weights.for_disturbances(40.0)
     assert moved.disturbance.poles[0] == pytest.approx(
         (1 - np.tan(np.pi * 0.04)) / (1 + np.tan(np.pi * 0.04)), rel=0.01)
-    assert replace(moved, performance=weights.performance,
-                   disturbance=weights.disturbance) == weights
+    assert moved.model_copy(update={"performance": weights.performance,
+                                    "disturbance": weights.disturbance}) == weights

@@ -6,8 +6,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from piezo_controller.feedforward.periodic import FeedforwardPlanner
-from piezo_controller.feedforward.repeated_input import mean_over_repeats
+from piezo_controller.feedforward.periodic import FeedforwardPlanner, mean_over_repeats
 from piezo_models.linear.dynamics import simulate_linear, zoh
 
 

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from piezo_controller.learning.learned_file import (
-    Learned,
     LearnedFileError,
     find_like,
     learned_path,
@@ -21,7 +20,7 @@ SAME = REFERENCE, "abc", 40_000.0
 @pytest.fixture
 def path(tmp_path):
     path = learned_path(tmp_path / "new", REFERENCE, "abc")
-    save_learned(path, Learned(*SAME, np.linspace(-0.1, 0.1, 400), 0.002, 6))
+    save_learned(path, *SAME, np.linspace(-0.1, 0.1, 400), 0.002, 6)
     return path
 
 
@@ -63,8 +62,9 @@ def test_file_that_is_no_json_or_not_there_is_refused(path):
 
 
 def test_nearest_like_reference_is_found_and_its_correction_grows_with_the_amplitude(path):
-    save_learned(path.with_name("learned_far.json"), Learned(
-        Reference("harmonic", (100.0,), (24.0,), (), 57.0), *SAME[1:], np.ones(400), 0.002, 6))
+    save_learned(
+        path.with_name("learned_far.json"), Reference("harmonic", (100.0,), (24.0,), (), 57.0),
+        *SAME[1:], np.ones(400), 0.002, 6)
     wanted = Reference("harmonic", (100.0,), (44.0,), (), 55.0)
     found, correction_um = find_like(path.parent, wanted, *SAME[1:])
     assert found == path
@@ -83,7 +83,7 @@ def test_what_is_not_alike_is_not_found(path, wanted):
 
 
 def test_an_earlier_version_that_is_kept_is_not_found(path):
-    save_learned(path, Learned(*SAME, np.zeros(400), 0.001, 9))
+    save_learned(path, *SAME, np.zeros(400), 0.001, 9)
     path.unlink()
     assert len(list(path.parent.iterdir())) == 1
     assert find_like(path.parent, *SAME) is None

@@ -86,13 +86,6 @@ def unseen_errors_beyond_noise(
     """Return a sentence for each recording of the validation whose error is far above its noise.
 
     Components that fit their own recordings say nothing of motion that these do not contain.
-
-    Parameters
-    ----------
-    recordings : dict of str to Recording or FrequencyResponse
-        Conditioned data without gaps.
-    delays_s : dict of str to float
-        As in `adequacy_of`.
     """
     sentences = []
     for name, data in testable(recordings).items():
@@ -132,12 +125,6 @@ def advice_on(component: str, model: StageModel, location: ResidualLocation, pat
 
     Parameters
     ----------
-    location : ResidualLocation
-        Location of its residual.
-    path : str
-        Path of its recording.
-    recordings : dict of str to Recording or FrequencyResponse
-        All given data.
     is_asked_for : bool
         Whether the number of its parts was given by the user.
     """
@@ -146,7 +133,8 @@ def advice_on(component: str, model: StageModel, location: ResidualLocation, pat
         slow = location.band_hz[1] < SLOW_HZ
         missing = "creep" if slow else "dynamics"
         if missing not in recordings:
-            steps.append(f"give a recording for --{missing}")
+            steps.append(f"give a recording for --{missing}" + (
+                f", if only {path} once more" if slow else ""))
     elif component == "creep":
         steps.append("record the creep longer")
     elif "hysteresis" not in recordings and model.hysteresis.density_um_per_v2.any():
@@ -164,12 +152,9 @@ def adequacy_document(adequacy: Mapping[str, ComponentAdequacy]) -> dict[str, di
 
 
 def overall_verdict(document: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return `ADEQUATE` if every component is, else `INADEQUATE`; empty if none was tested.
+    """Return `ADEQUATE` if every part of an `adequacy_document` is, else `INADEQUATE`.
 
-    Parameters
-    ----------
-    document : dict of str to dict
-        Adequacy from `adequacy_document` or from a model file.
+    It is empty if no component was tested.
     """
     verdicts = {part["verdict"] for part in document.values()}
     if not verdicts:
@@ -178,13 +163,7 @@ def overall_verdict(document: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def adequacy_table(document: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the adequacy as a text table, followed by residuals and advice.
-
-    Parameters
-    ----------
-    document : dict of str to dict
-        Adequacy from `adequacy_document`.
-    """
+    """Return an `adequacy_document` as a text table, followed by residuals and advice."""
     lines = [f"{'on the data that were fitted':28}{'residual (um)':>14}{'noise (um)':>12}"
              f"{'ratio':>10}{'e_y (%)':>10}"]
     lines += [f"{component:30}{part['residual_rms_um']:12.3g}{part['noise_rms_um']:12.3g}"

@@ -3,13 +3,14 @@
 
 from dataclasses import dataclass
 
+import control
 import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import BoolArray, FloatArray
-from piezo_identification.adequacy.generator_residual import generator_residual_um
 from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.generator_edges import (
+    GeneratorEdges,
     free_running_level,
     generator_edges,
 )
@@ -17,7 +18,6 @@ from piezo_identification.conditioning.outlier_samples import good_samples
 from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.row_alignment import rows_read_at_start
 from piezo_identification.conditioning.sensor_noise import repeated_period
-from piezo_identification.conditioning.settled_periods import first_settled_step
 from piezo_identification.conditioning.settling import (
     first_settled,
     rings_unresolved,
@@ -25,6 +25,7 @@ from piezo_identification.conditioning.settling import (
 )
 from piezo_identification.conditioning.waveforms import (
     SquareWave,
+    first_settled_step,
     played,
     samples_per_mean,
     two_levels,
@@ -34,18 +35,22 @@ from piezo_identification.estimators.creep.square_wave_creep import (
     left_out_s,
     longest_step_s,
 )
-from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S
+from piezo_identification.estimators.dynamics.fast_estimate import WARM_UP_S
+from piezo_identification.estimators.dynamics.generator_signals import (
+    ROUNDS,
+    edge_responses,
+    moved_edges,
+)
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_hold import without_hold
 from piezo_identification.estimators.poles.pole_responses import HeldInput
-from piezo_identification.simulation.nuisance import offset_and_decays
 from piezo_identification.simulation.past_search import after_saturation, starting_past_v
-from piezo_identification.simulation.recorded_voltage import in_parts
 from piezo_identification.simulation.sampled_response import (
     behind_lags,
     leading_lags,
     respond,
 )
+from piezo_identification.simulation.simulated_recording import in_parts, offset_and_decays
 from piezo_models.cascade import StageModel
 from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
@@ -162,7 +167,7 @@ def _of_square_wave(
     edges, own_um = generator_edges(wave), None
     has_exact_answer = samples == 1 and not model.effects_at("voltage") and not system.D.any()
     if edges is not None and component == "dynamics" and has_exact_answer:
-        own_um = generator_residual_um(
+        own_um = _generator_residual_um(
             system, HeldInput(wave.level, part.sample_period_s, False), behind_s + delay_s,
             edges, measured_um, offset_and_creep, good)
     elif (own := free_running_level(wave)) is not None:
@@ -174,6 +179,36 @@ def _of_square_wave(
     return ComponentResidual(
         str(part.path), time_s[first:], voltage_v, measured_um, residual_um,
         good, repeated_period(wave.level[first:]), wave.steps[wave.steps >= first] - first)
+
+
+def _generator_residual_um(
+    system: control.StateSpace, held: HeldInput, delay_s: float, edges: GeneratorEdges,
+    measured_um: FloatArray, nuisance: FloatArray, good: BoolArray,
+) -> FloatArray:
+    """Return the residual of a system with the best-fitting gain and edge times, (K,).
+
+    The samples determine period, duty and time of the edges only to within a sample period. The
+    system has no direct feedthrough, the measured displacement is that of the last K samples, and
+    the nuisance regressors are offset and initial creep, (N, M).
+    """
+    poles, vectors = np.linalg.eig(system.A)
+    residues = (system.C @ vectors)[0] * np.linalg.solve(vectors, system.B)[:, 0]
+    delay = delay_s / held.sample_period_s
+    last = slice(held.samples.size - measured_um.size, None)
+    held = moved_edges(held, edges.early)
+
+    def fitted(*moved: FloatArray) -> tuple[FloatArray, FloatArray]:
+        response = (held.responses(poles, delay).value @ residues).real
+        columns = np.column_stack([response, *moved, nuisance])[last]
+        weights = np.linalg.lstsq(columns[good], measured_um[good], rcond=1e-12)[0]
+        return weights, np.asarray(measured_um - columns @ weights)
+
+    for _ in range(ROUNDS):
+        moved = edge_responses(held, edges.directions, poles, residues, delay)
+        weights = fitted(moved)[0]
+        by = weights[1 : 1 + moved.shape[1]] / weights[0]
+        held = moved_edges(held, edges.directions @ by)
+    return fitted()[1]
 
 
 def _first_used(part: Recording, steps: NDArray[np.intp], creep: CreepDynamics) -> int:

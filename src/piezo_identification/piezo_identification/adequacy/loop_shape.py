@@ -102,8 +102,6 @@ def refuse_impossible_loops(
     ----------
     recording : Recording
         Recording of the hysteresis; it is not tested if it is too fast to be quasi-static.
-    delay_s : float
-        Delay of the measurement.
 
     Returns
     -------

@@ -34,17 +34,14 @@ class ResidualLocation:
 
 
 def residual_location(residual: ComponentResidual, fit: LackOfFit) -> ResidualLocation:
-    """Find the frequencies, times and voltages at which a residual is largest.
-
-    Parameters
-    ----------
-    fit : LackOfFit
-        Lack of fit of this residual.
-    """
+    """Find the frequencies, times and voltages at which a residual is largest."""
     values_um = fit.sequence_um
-    band_hz = _band(detrend(values_um, type="constant"), residual.sample_period_s)
-    if residual.frequency_hz is not None:
-        band_hz = _band_of_response(residual.frequency_hz, residual.residual_um)
+    if residual.frequency_hz is None:
+        band_hz = _band(*periodogram(detrend(values_um, type="constant"),
+                                     1.0 / residual.sample_period_s))
+    else:
+        order = np.argsort(residual.frequency_hz, kind="stable")
+        band_hz = _band(residual.frequency_hz[order], residual.residual_um[order] ** 2)
     narrow = band_hz[1] < NARROW * band_hz[0]
     words = [f"near {_hertz(np.sqrt(band_hz[0] * band_hz[1]))} Hz" if narrow
              else f"from {_hertz(band_hz[0])} to {_hertz(band_hz[1])} Hz"]
@@ -55,17 +52,10 @@ def residual_location(residual: ComponentResidual, fit: LackOfFit) -> ResidualLo
     return ResidualLocation(band_hz, ", ".join(words))
 
 
-def _band(values_um: FloatArray, sample_period_s: float) -> tuple[float, float]:
-    frequency_hz, power = periodogram(values_um, 1.0 / sample_period_s)
+def _band(frequency_hz: FloatArray, power: FloatArray) -> tuple[float, float]:
+    """Return the band of the middle half of the power."""
     share = np.cumsum(power) / max(np.sum(power), np.finfo(float).tiny)
     low, high = np.interp(MIDDLE_HALF, share, frequency_hz)
-    return float(low), float(high)
-
-
-def _band_of_response(frequency_hz: FloatArray, values_um: FloatArray) -> tuple[float, float]:
-    order = np.argsort(frequency_hz, kind="stable")
-    share = np.cumsum(values_um[order] ** 2)
-    low, high = np.interp(MIDDLE_HALF, share / share[-1], frequency_hz[order])
     return float(low), float(high)
 
 

@@ -27,13 +27,7 @@ FEWEST_LEFT_OUT = 3
 
 
 def distortion_bands(found: NonlinearDistortion) -> list[NonlinearDistortion]:
-    """Divide the distortion into frequency bands of about equal logarithmic width.
-
-    Returns
-    -------
-    list of NonlinearDistortion
-        Distortion for the lines of each band; together they contain all lines.
-    """
+    """Divide all lines of a distortion into bands of about equal logarithmic width."""
     count = found.frequency_hz.size
     edges_hz = np.geomspace(found.frequency_hz[0], found.frequency_hz[-1], MOST_BANDS + 1)
     bands, begin = [], 0
@@ -49,10 +43,7 @@ def distortion_bands(found: NonlinearDistortion) -> list[NonlinearDistortion]:
 def distortion_rows(found: NonlinearDistortion) -> list[tuple[str, ...]]:
     """Return the table over frequency: its heads, then a row for each band and one for all.
 
-    Returns
-    -------
-    list of tuple of str
-        Cells with RMS values in nm; insignificant distortion is given as an upper bound.
+    Values are RMS in nm; insignificant distortion is given as an upper bound.
     """
     heads = ("frequency (Hz)", "answer (nm)", "noise of a period (nm)", "even (nm)", "odd (nm)")
     bands = distortion_bands(found)

@@ -17,18 +17,10 @@ from piezo_identification.analysis.nonlinear_distortion import (
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.effects import Effect
 
-
-@dataclass(frozen=True)
-class EvidenceSettings:
-    """Threshold at which distortion excludes causes."""
-
-    absent: float = 0.02
-    """Fraction of the linear error below which distortion counts as absent. A spring or sensor with
-    a curved characteristic has distortion of at least a tenth of its linear error over the quarter
-    of the range that the experiment uses; play has more."""
-
-
-SETTINGS = EvidenceSettings()
+ABSENT = 0.02
+"""Fraction of the linear error below which distortion counts as absent. A spring or sensor with a
+curved characteristic has distortion of at least a tenth of its linear error over the quarter of the
+range that the experiment uses; play has more."""
 
 NEGLIGIBLE = 1e-3
 """Error that is acceptable for a good model, as a fraction of the response."""
@@ -51,16 +43,10 @@ class ErrorDistortion:
                          and not (name != "linear" and self.is_absent(name)))
 
     def is_absent(self, kind: str) -> bool:
-        """Return whether distortion is so small against the linear error that its cause has none.
-
-        Parameters
-        ----------
-        kind : str
-            "even" or "odd".
-        """
+        """Return whether "even" or "odd" distortion is so small that the linear cause has none."""
         part_um = {"even": self.error.even_um, "odd": self.error.odd_um}[kind]
         most_um = max(part_um, self.error.significant_um)
-        return most_um < SETTINGS.absent * self.error.linear_um
+        return most_um < ABSENT * self.error.linear_um
 
     def sentence(self) -> str:
         """Describe the parts of the error and the causes that they indicate."""
@@ -86,15 +72,7 @@ class ErrorDistortion:
 def error_distortion(part: SimulatedRecording, residual_um: FloatArray) -> ErrorDistortion | None:
     """Separate the error of a model into linear error, even and odd distortion, and noise.
 
-    Parameters
-    ----------
-    residual_um : ndarray, shape (N,)
-        Measured minus simulated displacement.
-
-    Returns
-    -------
-    ErrorDistortion or None
-        None if the voltage is not a repeated multisine that omits odd and even lines.
+    It is None if the voltage is not a repeated multisine that omits odd and even lines.
     """
     answer = distortion_of_signal(part.voltage_v, part.measured_um, part.sample_period_s)
     # A linear cause such as a delay also acts on the distortion of the hysteresis.
@@ -105,17 +83,9 @@ def error_distortion(part: SimulatedRecording, residual_um: FloatArray) -> Error
 
 def excluded_by_distortion(parts: Sequence[SimulatedRecording],
                            kinds: Sequence[type[Effect]]) -> dict[str, str]:
-    """Return the effects that are excluded because the error lacks their distortion.
+    """Return why effects are excluded: the error lacks their distortion.
 
-    Parameters
-    ----------
-    kinds : sequence of type
-        Classes of effects.
-
-    Returns
-    -------
-    dict of str to str
-        Reasons by name of the effect; empty without an odd multisine among the recordings.
+    Nothing is excluded without an odd multisine among the recordings.
     """
     excluded: dict[str, str] = {}
     for part in parts:

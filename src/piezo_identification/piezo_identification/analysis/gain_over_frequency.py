@@ -4,7 +4,7 @@
 import numpy as np
 
 from piezo_common.arrays import ComplexArray, FloatArray
-from piezo_identification.conditioning.segment_spectra import spectra_of_segments
+from piezo_identification.conditioning.sensor_noise import spectra_of_segments
 
 LINES = 2048
 """Most samples of a segment for a spectrum; short signals have shorter segments."""

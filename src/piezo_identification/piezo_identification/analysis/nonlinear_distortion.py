@@ -85,25 +85,9 @@ class NonlinearDistortion:
         lines = max(1, int(np.count_nonzero(self.is_odd_detection)))
         return self.noise_of_period_um * float(np.sqrt(3.0 / (self.periods * np.sqrt(lines))))
 
-    @property
-    def noise_percent(self) -> float:
-        """Noise of one period in percent of the response."""
-        return 100.0 * self.noise_of_period_um / self.answer_um
-
-    @property
-    def even_percent(self) -> float:
-        """Even distortion in percent of the response."""
-        return 100.0 * self.even_um / self.answer_um
-
-    @property
-    def odd_percent(self) -> float:
-        """Odd distortion in percent of the response."""
-        return 100.0 * self.odd_um / self.answer_um
-
-    @property
-    def significant_percent(self) -> float:
-        """Smallest significant distortion in percent of the response."""
-        return 100.0 * self.significant_um / self.answer_um
+    def percent(self, part_um: float) -> float:
+        """Return an amplitude in percent of the response."""
+        return 100.0 * part_um / self.answer_um
 
     def _power_um2(self, lines: BoolArray, count: int) -> float:
         """Return the power of `count` lines from the mean over some, less the noise."""
@@ -176,18 +160,7 @@ def _linear_um(inputs: ComplexArray, mean_um: ComplexArray, is_excited: BoolArra
 
 
 def distortion_of(recording: Recording) -> NonlinearDistortion | None:
-    """Separate noise and distortion of a recording; the motion settles in the first period.
-
-    Parameters
-    ----------
-    recording : Recording
-        Samples in which the waveform is played, without gaps.
-
-    Returns
-    -------
-    NonlinearDistortion or None
-        None if the voltage is not a repeated multisine that omits odd and even lines.
-    """
+    """Separate noise and distortion of a recording without gaps; see `distortion_of_signal`."""
     return distortion_of_signal(
         np.asarray(recording.voltage_v, dtype=float),
         np.asarray(recording.displacement_um, dtype=float), recording.sample_period_s)

@@ -30,7 +30,7 @@ from piezo_identification.axes.spectra import (
     weight_by_residual,
 )
 from piezo_identification.axes.whole_axes_fit import FittedStage, fit_to_all
-from piezo_identification.identification.given_hysteresis import ANY_VOLTAGE_V
+from piezo_identification.identification.estimated_loops import ANY_VOLTAGE_V
 from piezo_models.axes.coupled import CoupledModel, Softening
 from piezo_models.axes.identified_axes import Coupling, IdentifiedAxes
 from piezo_recorder.reading.axes import AxesRecording

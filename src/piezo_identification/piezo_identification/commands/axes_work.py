@@ -9,7 +9,7 @@ import numpy as np
 
 from piezo_common.command_line import INTERRUPTED, budget_of, print_next
 from piezo_common.picture_style import to_png
-from piezo_common.progress_lines import progress_printed
+from piezo_common.progress_line import progress_printed
 from piezo_common.summary_table import SummaryTable
 from piezo_identification.axes.axes_response import (
     AxesResponse,
@@ -20,11 +20,12 @@ from piezo_identification.axes.diagnose_axes import diagnose_axes
 from piezo_identification.axes.identify_axes import identify_several_axes
 from piezo_identification.axes.predict_axes import predict_several_axes
 from piezo_identification.axes.spectra import levels_of
-from piezo_identification.commands.response_options import (
+from piezo_identification.commands.data_options import (
+    E_Y,
     HELD,
     hold_s_of,
     rate_hz_of,
-    useless_response_options,
+    refuse_response_options,
 )
 from piezo_identification.identification.notes import notes_printed
 from piezo_models.axes_model_file import load_axes_model, save_axes_model
@@ -54,15 +55,12 @@ def identify_axes_files(options: argparse.Namespace,
                         paths: Mapping[str, Sequence[Path]]) -> int | None:
     """Identify a model of several axes, write it, and print a summary.
 
+    Return the exit status if the work was interrupted.
+
     Parameters
     ----------
     paths : dict of str to list of Path
         Files by experiment; see `identify_several_axes`.
-
-    Returns
-    -------
-    int or None
-        Exit status if the work was interrupted.
     """
     for name in OF_ONE_AXIS:
         if getattr(options, name) is not None:
@@ -76,8 +74,7 @@ def identify_axes_files(options: argparse.Namespace,
             budget=budget)
     save_axes_model(options.output, identified)
     print(identified.summary())
-    print("e_y: norm of the difference over that of the measured displacement without its mean "
-          "(4.20), percent")
+    print(E_Y)
     print(f"model written to {options.output}")
     if budget.is_interrupted:
         return INTERRUPTED
@@ -92,9 +89,7 @@ def _dynamics(options: argparse.Namespace, paths: Sequence[Path],
     """Read the recordings that an option names, or the frequency response."""
     response = next(filter(is_axes_response, paths), None)
     if response is None:
-        for useless, is_given in useless_response_options(options).items():
-            if is_given:
-                raise ValueError(f"{useless} is for a frequency response: leave it out")
+        refuse_response_options(options)
         return _read(paths)
     if len(paths) > 1:
         raise ValueError(f"{response} is a frequency response: give no other file to {option}")
@@ -119,8 +114,7 @@ def simulate_axes_file(options: argparse.Namespace) -> None:
             picture = options.output / f"{name}.png"
             picture.write_bytes(to_png(prediction.plot()))
             print(f"drawn {picture}")
-    print("e_y: norm of the difference over that of the measured displacement without its mean "
-          "(4.20), percent")
+    print(E_Y)
 
 
 def diagnose_axes_file(options: argparse.Namespace) -> None:

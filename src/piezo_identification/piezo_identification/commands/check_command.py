@@ -2,7 +2,6 @@
 """`check`: the suitability of recordings for experiments, before a model is fitted."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from piezo_common.command_line import Command, add_budget_option, add_report_option
@@ -28,6 +27,3 @@ COMMAND = Command(
     inputs=("data",), folders=("output",),
     interrupted="what it printed holds, and so do the pictures that it named")
 main = COMMAND.main
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -9,10 +9,8 @@ from matplotlib.figure import Figure
 
 from piezo_common.budget import Budget
 from piezo_common.command_line import budget_of, print_next, write_report
-from piezo_identification.analysis.distortion_over_frequency import (
-    distortion_png,
-    distortion_rows,
-)
+from piezo_common.picture_style import to_png
+from piezo_identification.analysis.distortion_over_frequency import distortion_png, distortion_rows
 from piezo_identification.analysis.nonlinear_distortion import distortion_of
 from piezo_identification.axes.axes_response import is_axes_response
 from piezo_identification.commands.axes_work import check_axes_file
@@ -23,12 +21,12 @@ from piezo_identification.estimators.frequency_response.response_file import (
 from piezo_identification.recording_check.check import RecordingCheck, check_recording
 from piezo_identification.recording_check.check_report import check_table
 from piezo_identification.recording_check.suitability import Suitability, given_as, suitability
-from piezo_identification.report.check_page import check_page
-from piezo_identification.report.check_picture import draw_check
+from piezo_identification.report.check_page import check_figure, check_page
 from piezo_recorder.reading.axes import is_of_axes
 from piezo_recorder.reading.data_options import columns_given, read_all_given
 from piezo_recorder.reading.recording import Recording
 
+DOTS_PER_INCH = 110.0
 DRAWN_UNTIL = 0.5
 """Fraction of the time budget after which nothing more is drawn."""
 
@@ -86,7 +84,8 @@ def _check_one(recording: Recording, picture: Path, budget: Budget,
     if budget.is_spent(DRAWN_UNTIL):
         budget.not_tried.append(f"{picture}")
         return check, fit_for, None
-    figure = draw_check(picture, check)
+    figure = check_figure(check)
+    picture.write_bytes(to_png(figure, DOTS_PER_INCH))
     print(f"drawn {picture}")
     found = None if check.gaps or check.has_few_rows else distortion_of(check.recording)
     if found is not None:

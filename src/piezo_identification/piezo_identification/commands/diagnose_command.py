@@ -2,11 +2,10 @@
 """`diagnose`: find the effects that a model lacks to explain a recording."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from piezo_common.command_line import Command, add_budget_option
-from piezo_identification.commands.response_options import add_response_options
+from piezo_identification.commands.data_options import add_response_options
 from piezo_recorder.commands.data_flags import add_columns_option
 
 
@@ -36,6 +35,3 @@ COMMAND = Command(
     inputs=("model", "data", "holdout", "identified_from"), folders=("output",),
     interrupted="nothing is known yet; results in --output, if any, are of an earlier run")
 main = COMMAND.main
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -2,7 +2,6 @@
 """`diagnose_many`: diagnose the rows of a table, and summarise the results."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from piezo_common.command_line import Command
@@ -28,6 +27,3 @@ COMMAND = Command(
     inputs=("table",), folders=("output",),
     interrupted="the rows that were done are kept; begin again to do the others")
 main = COMMAND.main
-
-if __name__ == "__main__":
-    sys.exit(main())

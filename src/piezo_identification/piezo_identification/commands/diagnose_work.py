@@ -3,16 +3,13 @@
 
 import argparse
 import sys
-from typing import Any
 
+from piezo_common.budget import Budget
 from piezo_common.command_line import INTERRUPTED, budget_of, print_next
-from piezo_common.progress_lines import progress_printed
+from piezo_common.progress_line import progress_printed
 from piezo_identification.commands.axes_work import diagnose_axes_file
-from piezo_identification.commands.response_options import (
-    hold_s_of,
-    useless_response_options,
-)
-from piezo_identification.diagnosis.evidence.stand_ins import name_of
+from piezo_identification.commands.data_options import hold_s_of, refuse_response_options
+from piezo_identification.diagnosis.evidence.effect_entries import name_of
 from piezo_identification.diagnosis.joint.probabilities import LISTED
 from piezo_identification.diagnosis.report.diagnosis_report import verdict_sentence
 from piezo_identification.diagnosis.report.diagnosis_results import diagnose_files
@@ -30,65 +27,55 @@ PAGE_S, RESPONSE_PAGE_S = 5.0, 1.0
 
 
 def diagnose_given(options: argparse.Namespace) -> int | None:
-    """Diagnose the recordings given as options, and write and print the results.
-
-    Returns
-    -------
-    int or None
-        Exit status if the comparison was interrupted.
-    """
+    """Diagnose the given recordings; return the exit status if the comparison was interrupted."""
     if is_of_several_axes(options.model):
         diagnose_axes_file(options)
         return None
-    if is_frequency_response(options.data[0]):
-        if len(options.data) > 1 or options.holdout or options.identified_from:
-            raise ValueError(f"{options.data[0]} is a frequency response: give it alone")
-        announced_model(options.model)
-        budget = budget_of(options, RESPONSE_PAGE_S)
-        with progress_printed(budget) as progress:
-            diagnosis = diagnose_response_file(
-                options.model, options.data[0], options.output, hold_s_of(options), progress,
-                budget)
-        _print_table(diagnosis, response_sentence(diagnosis))
-        print(f"written to {options.output}")
-        print(f"report: {options.output / 'report.html'}")
-        _print_not_tried(diagnosis, options)
-        return INTERRUPTED if budget.is_interrupted else None
-    for option in (name for name, given in useless_response_options(options).items() if given):
-        raise ValueError(f"{option} has nothing to act on: leave it out, or give a frequency "
-                         "response as --data")
+    is_response = is_frequency_response(options.data[0])
+    if not is_response:
+        refuse_response_options(options)
+    elif len(options.data) > 1 or options.holdout or options.identified_from:
+        raise ValueError(f"{options.data[0]} is a frequency response: give it alone")
     announced_model(options.model)
-    budget = budget_of(options, PAGE_S)
+    budget = budget_of(options, RESPONSE_PAGE_S if is_response else PAGE_S)
+    diagnosis = (_diagnose_response if is_response else _diagnose_recordings)(options, budget)
+    print(f"written to {options.output}")
+    print(f"report: {options.output / 'report.html'}")
+    if diagnosis.not_tried:
+        print(f"{options.prog}: {diagnosis.not_tried}; the results hold what was found until then",
+              file=sys.stderr)
+    if budget.is_interrupted:
+        return INTERRUPTED
+    if not is_response:
+        print_next(options, "piezo_controller", "design", "--model",
+                   options.output / "extended_model.json", "--output",
+                   options.output / "controller.json")
+    return None
+
+
+def _diagnose_response(options: argparse.Namespace, budget: Budget) -> Verdict:
+    with progress_printed(budget) as progress:
+        diagnosis = diagnose_response_file(
+            options.model, options.data[0], options.output, hold_s_of(options), progress, budget)
+    _print_table(diagnosis, response_sentence(diagnosis))
+    return diagnosis
+
+
+def _diagnose_recordings(options: argparse.Namespace, budget: Budget) -> Verdict:
     with progress_printed(budget) as progress:
         results = diagnose_files(
             options.model, options.data, options.holdout, options.output, progress,
             lambda path: read_all_given(path, options),
             identified_from=options.identified_from, budget=budget)
     _print_table(results.diagnosis, verdict_sentence(results.diagnosis))
-    if results.identified_from.not_asked:
-        print(results.identified_from.not_asked)
-    for sentence in results.outside:
+    for sentence in filter(None, [results.identified_from.not_asked, *results.outside]):
         print(sentence)
     if results.next_experiment is not None:
         print(f"what would decide: {results.next_experiment.sentence()}")
-    print(f"written to {options.output}")
-    print(f"report: {results.report}")
-    _print_not_tried(results.diagnosis, options)
-    if budget.is_interrupted:
-        return INTERRUPTED
-    print_next(options, "piezo_controller", "design", "--model",
-               options.output / "extended_model.json", "--output",
-               options.output / "controller.json")
-    return None
+    return results.diagnosis
 
 
-def _print_not_tried(diagnosis: Verdict, options: argparse.Namespace) -> None:
-    if diagnosis.not_tried:
-        print(f"{options.prog}: {diagnosis.not_tried}; the results hold what was found until then",
-              file=sys.stderr)
-
-
-def _print_table(diagnosis: Any, sentence: str) -> None:
+def _print_table(diagnosis: Verdict, sentence: str) -> None:
     for fault in diagnosis.recording_faults:
         print(f"{fault['sentence']}; {fault['remedy']}")
     for text in diagnosis.left_out:

@@ -11,8 +11,7 @@ from piezo_common.command_line import (
     add_report_option,
     check_output_file,
 )
-from piezo_identification.commands.response_options import add_response_options
-from piezo_identification.commands.row_options import add_rows_option
+from piezo_identification.commands.data_options import add_response_options, add_rows_option
 from piezo_recorder.commands.data_flags import add_columns_option
 
 EXPERIMENTS = {
@@ -67,7 +66,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
                         "by default chosen on branches held out")
     parser.add_argument("--translation-weight", metavar="WEIGHT", type=float,
                         help="weight of the density's change along the diagonal, which lets loops "
-                        "of one width be alike; by default chosen on branches held out")
+                        "of one width be alike; by default 0")
     add_rows_option(parser)
     add_response_options(parser)
 

@@ -7,15 +7,16 @@ from pathlib import Path
 from typing import Any
 
 from piezo_common.command_line import INTERRUPTED, budget_of, print_next, write_report
-from piezo_common.progress_lines import progress_printed
+from piezo_common.progress_line import progress_printed
 from piezo_identification.adequacy.component_adequacy import adequacy_table
 from piezo_identification.commands.axes_work import are_of_axes, identify_axes_files
-from piezo_identification.commands.identify_command import EXPERIMENTS
-from piezo_identification.commands.response_options import (
+from piezo_identification.commands.data_options import (
+    E_Y,
+    READINGS,
     hold_s_of,
-    useless_response_options,
+    refuse_response_options,
 )
-from piezo_identification.commands.row_options import READINGS
+from piezo_identification.commands.identify_command import EXPERIMENTS
 from piezo_identification.conditioning.segments import Recordings
 from piezo_identification.estimators.frequency_response.response_file import (
     FrequencyResponse,
@@ -23,8 +24,8 @@ from piezo_identification.estimators.frequency_response.response_file import (
     read_frequency_response,
 )
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
+from piezo_identification.identification.estimated_loops import DensityOptions
 from piezo_identification.identification.given_data import given_data
-from piezo_identification.identification.given_hysteresis import DensityOptions
 from piezo_identification.identification.identify import identify
 from piezo_identification.identification.notes import Detail, notes_printed
 from piezo_identification.prediction.prediction_errors import named_errors
@@ -39,13 +40,7 @@ PAGE_S = 5.0
 
 
 def identify_files(options: argparse.Namespace) -> int | None:
-    """Identify a model from the files given as options, write it, and print a summary.
-
-    Returns
-    -------
-    int or None
-        Exit status if the work was interrupted.
-    """
+    """Identify a model from the given files; return the exit status if it was interrupted."""
     check_model_may_replace(options.output)
     density = DensityOptions(options.grid, options.smoothing, options.translation_weight)
     paths = {name: getattr(options, name) for name in EXPERIMENTS}
@@ -131,8 +126,9 @@ def _check_options(
                                  ("--translation-weight", options.translation_weight))},
         "--creep-pairs": options.creep_pairs is not None and options.creep is None
         and not is_response,
-        **({} if is_response else useless_response_options(options)),
     }
+    if not is_response:
+        refuse_response_options(options)
     for option in (option for option, is_useless in useless.items() if is_useless):
         raise ValueError(f"{option} has nothing to act on: leave it out, or give the data it is of")
 
@@ -144,5 +140,4 @@ def _print_results(identified: IdentifiedModel, verbose: bool) -> None:
         f"{what} {value:.3g} %" for what, value in named_errors(identified.errors))
     if unseen:
         print(f"e_y on data that was not fitted: {unseen}")
-    print("e_y: norm of the difference over that of the measured displacement without its mean "
-          "(4.20), percent")
+    print(E_Y)

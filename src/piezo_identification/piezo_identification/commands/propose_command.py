@@ -2,7 +2,6 @@
 """`propose`: design the recording that decides between the alternatives of a diagnosis."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from piezo_common.command_line import Command
@@ -47,6 +46,3 @@ COMMAND = Command(
     "what each alternative predicts.",
     inputs=("model", "verdict", "data"), folders=("output",), check=_check)
 main = COMMAND.main
-
-if __name__ == "__main__":
-    sys.exit(main())

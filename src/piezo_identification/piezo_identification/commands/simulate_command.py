@@ -2,11 +2,10 @@
 """`simulate`: compare the displacement of a model with that of a recording."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from piezo_common.command_line import Command, add_report_option
-from piezo_identification.commands.row_options import add_rows_option
+from piezo_identification.commands.data_options import add_rows_option
 from piezo_recorder.commands.data_flags import FILE_HELP, add_columns_option
 
 
@@ -41,6 +40,3 @@ COMMAND = Command(
     check=_check, inputs=("model", "data", "voltage"), folders=("output",),
     interrupted="pictures that it named are whole")
 main = COMMAND.main
-
-if __name__ == "__main__":
-    sys.exit(main())

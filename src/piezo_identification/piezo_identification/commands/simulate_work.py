@@ -10,7 +10,7 @@ from piezo_common.arrays import FloatArray
 from piezo_common.command_line import print_next, write_report
 from piezo_common.picture_style import to_png
 from piezo_identification.commands.axes_work import simulate_axes_file
-from piezo_identification.commands.row_options import READINGS
+from piezo_identification.commands.data_options import E_Y, READINGS
 from piezo_identification.prediction import Prediction
 from piezo_identification.prediction.outside_identified import outside_identified
 from piezo_identification.prediction.row_reading import predict_as_identified
@@ -57,8 +57,7 @@ def simulate_file(options: argparse.Namespace) -> None:
                 prediction, [f"model: `{model_path}`", f"recording: `{data_path}`"],
                 [f"{sentence}." for sentence in (*sentences, *found.sentences())],
                 found.deviation_um))
-    print("e_y: norm of the difference over that of the measured displacement without its mean "
-          "(4.20), percent")
+    print(E_Y)
     print_next(options, "piezo_identification", "diagnose", "--model", model_path, "--data",
                data_path, *columns_given(options), "--output", (directory or Path()) / "diagnosis")
 

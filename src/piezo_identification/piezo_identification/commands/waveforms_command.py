@@ -2,7 +2,6 @@
 """`waveforms`: the voltages of the experiments as CSV, for instruments of any make."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from piezo_common.command_line import Command
@@ -64,6 +63,3 @@ COMMAND = Command(
     "the displacement in a further column: `check` and `identify` read the result.",
     check=_check, folders=("directory",), interrupted="the files that it named are complete")
 main = COMMAND.main
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -3,7 +3,6 @@
 
 import argparse
 import math
-from pathlib import Path
 
 import numpy as np
 
@@ -19,7 +18,6 @@ SLOW_PERIODS_S = {"creep": 0.01, "hysteresis": 0.001, "sweep": 0.001}
 REST_ROWS = 20
 """Rows at rest before and after an experiment; `check` finds from them that the stage rested."""
 SWEEP_ARC_S, SWEEPS = 2.0, 2
-LINES_AT_ONCE = 100_000
 
 
 def write_waveforms(options: argparse.Namespace) -> None:
@@ -40,7 +38,9 @@ def write_waveforms(options: argparse.Namespace) -> None:
     for experiment, path in zip(experiments, waveform_paths(options).values(), strict=True):
         rest = np.full(REST_ROWS, rest_v)
         voltage_v = np.concatenate([rest, with_ramps(experiment, rest_v, options.ramp_rate), rest])
-        _write(path, voltage_v, experiment.sample_period_s)
+        time_s = np.arange(voltage_v.size) * experiment.sample_period_s
+        np.savetxt(path, np.column_stack([time_s, voltage_v]), ("%.9g", "%.7g"), ",",
+                   header="time_s,voltage_v", comments="")
         print(f"{path}: {voltage_v.size} samples of {1e3 * experiment.sample_period_s:g} ms, "
               f"{voltage_v.size * experiment.sample_period_s:.4g} s, {experiment.description}")
     print_next(options, "piezo_identification", "check", "--data",
@@ -79,13 +79,3 @@ def _experiment(name: str, limits: StageLimits, levels: int | None) -> Experimen
     experiment = named_experiment(name, limits, parameters)
     assert isinstance(experiment, Experiment)  # experiments in feedback are not offered
     return experiment
-
-
-def _write(path: Path, voltage_v: FloatArray, sample_period_s: float) -> None:
-    with path.open("w", encoding="utf-8") as file:
-        file.write("time_s,voltage_v\n")
-        for first in range(0, voltage_v.size, LINES_AT_ONCE):
-            part_v = voltage_v[first:first + LINES_AT_ONCE]
-            time_s = np.arange(first, first + part_v.size) * sample_period_s
-            file.writelines(f"{time:.9g},{voltage:.7g}\n" for time, voltage
-                            in zip(time_s.tolist(), part_v.tolist(), strict=True))

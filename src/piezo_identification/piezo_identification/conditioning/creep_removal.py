@@ -60,28 +60,8 @@ def remove_creep_of_held(
     gains = np.prod((zeros[None, :] - rates[:, None]) / apart, axis=1) / rates
     if np.any(gains < 0.0):
         return remove_creep(signal, creep, sample_period_s)
-    decays = np.exp(-rates * sample_period_s)
-    return input_of_creep(signal, rates, gains, sample_period_s, decays)
-
-
-def input_of_creep(
-    signal: FloatArray, rates: FloatArray, gains: FloatArray, sample_period_s: float,
-    unanswered: FloatArray,
-) -> FloatArray:
-    """Return the held input of creep exponentials whose response is the given signal.
-
-    Parameters
-    ----------
-    signal : ndarray, shape (N,)
-    rates, gains, unanswered : ndarray, shape (P,)
-        Parameters as in `inverse_of_creep`.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Input that begins in equilibrium with the first sample.
-    """
-    at_once, forgotten, weights = inverse_of_creep(rates, gains, sample_period_s, unanswered)
+    at_once, forgotten, weights = inverse_of_creep(
+        rates, gains, sample_period_s, np.exp(-rates * sample_period_s))
     moved = signal - signal[0]
     rest = moved.copy()
     for rate, weight in zip(forgotten, weights, strict=True):

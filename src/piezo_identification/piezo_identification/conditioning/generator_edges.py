@@ -36,11 +36,6 @@ def generator_edges(wave: SquareWave) -> GeneratorEdges | None:
     An edge shows in the first sample after it, which bounds its time. Linear programming finds the
     period, duty and time for which all edges are farthest from their bounds.
 
-    Parameters
-    ----------
-    wave : SquareWave
-        Sampled square wave.
-
     Returns
     -------
     GeneratorEdges or None
@@ -73,11 +68,6 @@ def free_running_level(wave: SquareWave) -> FloatArray | None:
     The two levels around a step are changed so that area and centroid of the change are those of
     the step between the samples. The error of a slow response is then of third order in the sample
     period.
-
-    Parameters
-    ----------
-    wave : SquareWave
-        Sampled square wave.
 
     Returns
     -------

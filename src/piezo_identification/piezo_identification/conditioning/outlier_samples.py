@@ -46,11 +46,6 @@ def with_outliers_marked(recording: Recording) -> Recording:
     ----------
     recording : Recording
         Recording; it is returned unchanged if it has the column `OUTLIER`.
-
-    Returns
-    -------
-    Recording
-        Recording with the column `OUTLIER`.
     """
     if OUTLIER in recording.columns:
         return recording
@@ -93,12 +88,7 @@ def with_jump_rows_marked(recording: Recording) -> Recording:
 
 
 def good_samples(recording: Recording) -> NDArray[np.bool_]:
-    """Mark the samples that are not outliers.
-
-    Returns
-    -------
-    (N,) array of bool
-    """
+    """Mark the samples that are not outliers, (N,)."""
     if OUTLIER not in recording.columns:
         return np.ones(recording.voltage_v.size, dtype=bool)
     return recording.columns[OUTLIER] == 0.0
@@ -107,17 +97,12 @@ def good_samples(recording: Recording) -> NDArray[np.bool_]:
 def outliers_of_residual(
     residual_um: FloatArray, measured_um: FloatArray, voltage_v: FloatArray, noise_um: float = 0.0,
 ) -> NDArray[np.bool_]:
-    """Mark the outliers in the residual of a model.
+    """Mark the outliers in the residual of a model, (N,).
 
     Parameters
     ----------
-    residual_um, measured_um, voltage_v : (N,) array
     noise_um : float
         Lower bound of the standard deviation of the noise of a sample.
-
-    Returns
-    -------
-    (N,) array of bool
     """
     # Model and stage may respond to a jump at different times, which moves the residual.
     return isolated(residual_um, voltage_v, typical_answer_per_v(measured_um, voltage_v),
@@ -125,14 +110,7 @@ def outliers_of_residual(
 
 
 def outlier_text(path: object, wrong: NDArray[np.bool_], time_s: FloatArray) -> str:
-    """Return a sentence on the number and times of excluded samples; empty if there are none.
-
-    Parameters
-    ----------
-    wrong : (N,) array of bool
-        True for excluded samples.
-    time_s : (N,) array
-    """
+    """Return a sentence on the number and times of excluded samples; empty if there are none."""
     count = int(np.count_nonzero(wrong))
     if not count:
         return ""

@@ -174,17 +174,9 @@ def _at(signal: FloatArray, instants: FloatArray) -> FloatArray:
 
 
 def away_from_jumps(voltage_v: FloatArray) -> NDArray[np.bool_]:
-    """Mark the samples that are not next to a jump of the voltage.
+    """Mark the samples that are not next to a jump of the voltage, (N,).
 
     Within one sample period of a jump, the motion of a stage looks the same for any delay in it.
-
-    Parameters
-    ----------
-    voltage_v : ndarray, shape (N,)
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
     """
     jumps = np.flatnonzero(np.abs(np.diff(voltage_v)) > JUMP * np.ptp(voltage_v))
     kept = np.ones(voltage_v.size, dtype=bool)

@@ -79,6 +79,23 @@ def played_segments(recordings: Recordings) -> list[Recording]:
     return segments
 
 
+def voltage_range_v(parts: Sequence[Recording]) -> tuple[float, float]:
+    """Return the lowest and highest voltage of recordings.
+
+    Raises
+    ------
+    ValueError
+        If the voltage does not change.
+    """
+    lowest_v = min(part.voltage_v.min() for part in parts)
+    highest_v = max(part.voltage_v.max() for part in parts)
+    if lowest_v == highest_v:
+        raise ValueError(
+            f"the voltage of {parts[0].path} is {lowest_v:g} V throughout: give a recording in "
+            "which it moves")
+    return lowest_v, highest_v
+
+
 def longest_stretch(recording: Recording) -> tuple[Recording, list[str]]:
     """Return the longest stretch between the gaps of a recording, and a message about it.
 

@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Estimate the sensor's noise from repeats, from rests, or from high frequencies."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from hashlib import blake2b
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.signal import correlate
 from scipy.signal.windows import hann
 
-from piezo_common.arrays import FloatArray
-from piezo_identification.conditioning.segment_spectra import spectra_of_segments
+from piezo_common.arrays import ComplexArray, FloatArray
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,9 @@ class NoiseSettings:
 
 SETTINGS = NoiseSettings()
 
+AT_ONCE = 128
+"""Number of segments of a signal transformed together, which is much faster than one by one."""
+
 _PERIODS: dict[bytes, int | None] = {}
 """Periods already found, by the hash of the voltages."""
 
@@ -50,12 +54,19 @@ def sensor_noise_um(displacement_um: FloatArray, voltage_v: FloatArray, residual
     period : int or None
         Period of the voltage in samples from `repeated_period`.
     """
+    found = noise_estimates_um(displacement_um, voltage_v, residual_um, period)
+    return min(noise for noise in found if noise)
+
+
+def noise_estimates_um(displacement_um: FloatArray, voltage_v: FloatArray, residual_um: FloatArray,
+                       period: int | None, fewest: int = SETTINGS.fewest_at_rest) -> list[float]:
+    """Return the noise of high frequencies, of rests of `fewest` samples and of repeats."""
     found = [
         noise_floor_um(residual_um),
-        noise_from_rest_um(displacement_um, voltage_v),
+        noise_from_rest_um(displacement_um, voltage_v, fewest),
         noise_from_repeats_um(displacement_um, period) if period else None,
     ]
-    return min(noise for noise in found if noise)
+    return [noise for noise in found if noise is not None]
 
 
 def shows_noise(displacement_um: FloatArray, voltage_v: FloatArray) -> bool:
@@ -63,10 +74,6 @@ def shows_noise(displacement_um: FloatArray, voltage_v: FloatArray) -> bool:
 
     Rests, repeats, or a band with little motion determine it. If the stage moves in all bands,
     errors of the model look like noise.
-
-    Parameters
-    ----------
-    displacement_um, voltage_v : (N,) array
     """
     if repeated_period(voltage_v) or noise_from_rest_um(displacement_um, voltage_v) is not None:
         return True
@@ -75,12 +82,7 @@ def shows_noise(displacement_um: FloatArray, voltage_v: FloatArray) -> bool:
 
 
 def repeated_period(voltage_v: FloatArray) -> int | None:
-    """Return the period in samples with which the voltage repeats; None if it is not periodic.
-
-    Parameters
-    ----------
-    voltage_v : (N,) array
-    """
+    """Return the period in samples with which the voltage repeats; None if it is not periodic."""
     # Cached, as every compared model needs the period of the same voltages.
     digest = blake2b(np.ascontiguousarray(voltage_v, dtype=float).tobytes()).digest()
     if digest not in _PERIODS:
@@ -109,10 +111,6 @@ def noise_floor_um(residual_um: FloatArray) -> float:
 
     At the highest frequencies of a fast recording, the stage does not move, so that the signal is
     sensor noise. The median in the quietest band of the upper half is used, which ignores tones.
-
-    Parameters
-    ----------
-    residual_um : (N,) array
     """
     segment = int(min(SETTINGS.segment, residual_um.size))
     last = segment // 2
@@ -124,6 +122,27 @@ def noise_floor_um(residual_um: FloatArray) -> float:
     return float(np.sqrt(min(np.median(part) for part in np.array_split(lines, bands))))
 
 
+def spectra_of_segments(signal: FloatArray, size: int,
+                        drift_order: int) -> Iterator[ComplexArray]:
+    """Yield the spectra of segments in batches of shape (segments, lines).
+
+    The drift of each segment is removed, and a Hann window is applied.
+
+    Parameters
+    ----------
+    size : int
+        Samples of a segment, at most N.
+    drift_order : int
+        Degree of the polynomial of the drift.
+    """
+    window = hann(size, sym=False)
+    drift = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, size), drift_order + 1))[0]
+    segments = sliding_window_view(signal, size)[:: size - size // 2]
+    for first in range(0, len(segments), AT_ONCE):
+        part = segments[first : first + AT_ONCE]
+        yield np.fft.rfft(window * (part - part @ drift @ drift.T))
+
+
 def _median_of_exponentials(count: int) -> float:
     """Return the expected median of `count` exponential variables with mean 1."""
     even = 2.0 * np.arange(1, (count - 1) // 2 + 1)
@@ -132,14 +151,7 @@ def _median_of_exponentials(count: int) -> float:
 
 def noise_from_rest_um(displacement_um: FloatArray, voltage_v: FloatArray,
                        fewest: int = SETTINGS.fewest_at_rest) -> float | None:
-    """Estimate the noise while the voltage rests; None if it never rests for long enough.
-
-    Parameters
-    ----------
-    displacement_um, voltage_v : (N,) array
-    fewest : int
-        Fewest samples of a rest.
-    """
+    """Estimate the noise while the voltage rests; None if it never rests for `fewest` samples."""
     edges = np.flatnonzero(np.diff(voltage_v, prepend=np.nan, append=np.nan) != 0.0)
     # The stage may still settle in the first half.
     starts, ends = edges[:-1] + np.diff(edges) // 2, edges[1:]
@@ -157,18 +169,9 @@ def _spread_about_line(values: FloatArray) -> float:
 
 
 def noise_from_repeats_um(displacement_um: FloatArray, period: int) -> float | None:
-    """Estimate the standard deviation of the noise from repeats of one waveform.
+    """Estimate the standard deviation of the noise from repeats of a waveform with some period.
 
-    Parameters
-    ----------
-    displacement_um : (N,) array
-    period : int
-        Period of the waveform in samples from `repeated_period`.
-
-    Returns
-    -------
-    float or None
-        Standard deviation in um; None for fewer than two repeats.
+    It is None for fewer than two repeats.
     """
     repeats = displacement_um.size // period
     if repeats < 2:

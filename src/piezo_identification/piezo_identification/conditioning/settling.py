@@ -166,15 +166,7 @@ def settling_time_s(dynamics: ElectricVibrationDynamics) -> float:
 
 
 def _stand_out(poles: ComplexArray, shares: FloatArray) -> BoolArray:
-    """Return which poles are no creep and no error of loops, (n,).
-
-    Parameters
-    ----------
-    poles : (n,) array of complex
-        Poles in rad/s.
-    shares : (n,) array
-        Share of each in the response to a step.
-    """
+    """Return which poles are no creep and no error of loops, (n,)."""
     rates_rad_per_s, frequencies = -poles.real, np.abs(poles)
     rings = rates_rad_per_s < RINGING * frequencies
     speeds = shares * frequencies

@@ -46,6 +46,13 @@ SAMPLES_WHILE_FAST = 10.0
 SLOWEST_FAST_ROWS_S = SETTINGS.slow_branch_s / SAMPLES_WHILE_FAST
 """Longest sample period (s) that shows dynamics; beyond it, ringing is aliased."""
 
+FEWEST_PERIODS = 4
+"""Fewest periods for which the later half shows how much settled periods differ."""
+
+UNLIKE = 1.1
+"""A period has not settled if the power of its difference from the later ones exceeds the largest
+of theirs by this factor. Smaller differences are a small part of the noise of the mean period."""
+
 
 def played(recording: Recording) -> Recording:
     """Return the part of a recording in which a waveform or trajectory is played, without ramps.
@@ -108,14 +115,7 @@ def two_levels(recording: Recording) -> SquareWave | None:
 
 
 def jumps_of(voltage_v: FloatArray, range_v: float | None = None) -> NDArray[np.intp]:
-    """Return the first sample of each jump.
-
-    Parameters
-    ----------
-    voltage_v : (N,) array
-    range_v : float, optional
-        Range of the voltage; by default that of these samples.
-    """
+    """Return the first sample of each jump; its size is relative to a range, by default theirs."""
     change_v = np.abs(np.diff(voltage_v, prepend=voltage_v[0]))
     return np.flatnonzero(
         change_v > JUMP_SHARE * (np.ptp(voltage_v) if range_v is None else range_v))
@@ -152,26 +152,58 @@ def square_wave(recording: Recording) -> SquareWave:
     return wave
 
 
-def turning_points(voltage_v: FloatArray, threshold_v: float) -> NDArray[np.intp]:
-    """Find the samples at which the voltage reverses, including the first and last sample.
+def first_settled_step(signal: FloatArray, steps: NDArray[np.intp], earliest: int) -> int:
+    """Find the first step of a square wave from which all periods are equal.
+
+    A mode that rings for long, or a loop that is not closed yet, makes the first periods differ
+    from the later ones by more than these differ from each other. Offset and slope of each period
+    are attributed to creep and ignored.
 
     Parameters
     ----------
-    voltage_v : ndarray, shape (N,)
-    threshold_v : float
-        Smallest change back that is a reversal.
+    signal : ndarray, shape (N,)
+        Measured displacement.
+    steps : ndarray of int
+        Samples at which the square wave changes its level.
+    earliest : int
+        Earliest sample of the step.
+
+    Returns
+    -------
+    int
+        Index into `steps`. At most the first half of the periods is excluded. If there are few
+        periods, or the wave is not periodic, it is the first step from the earliest sample on.
+    """
+    first = int(np.searchsorted(steps, earliest))
+    kept = steps[first:]
+    if kept.size < 3 or np.any(kept[2:] - kept[:-2] != kept[2] - kept[0]):
+        return first
+    length = int(kept[2] - kept[0])
+    count = int(kept[-1] - kept[0]) // length
+    if count < FEWEST_PERIODS:
+        return first
+    periods = signal[kept[0] : kept[0] + count * length].reshape(count, length)
+    half = count // 2
+    off = periods - periods[half:].mean(axis=0)
+    slow = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, length), 2))[0]
+    powers = np.sum((off - (off @ slow) @ slow.T) ** 2, axis=1)
+    later = count - half
+    # A later period is nearer to the mean, of which it is a part, than an early one.
+    largest = UNLIKE * powers[half:].max() * (later + 1) / (later - 1)
+    alike = np.flatnonzero(powers[:half] <= largest)
+    return first + 2 * int(alike[0] if alike.size else half)
+
+
+def turning_points(voltage_v: FloatArray, threshold_v: float) -> NDArray[np.intp]:
+    """Find the samples at which the voltage reverses, including the first and last sample.
+
+    Only a change back of more than the threshold is a reversal.
     """
     return np.flatnonzero(_turns(np.ascontiguousarray(voltage_v, dtype=float), threshold_v))
 
 
 def turns_inside(voltages_v: Sequence[FloatArray]) -> bool:
-    """Return whether a voltage also reverses elsewhere than at the ends of the range of all.
-
-    Parameters
-    ----------
-    voltages_v : sequence of ndarray
-        Voltages of the recordings, (N,) each.
-    """
+    """Return whether a voltage also reverses elsewhere than at the ends of the range of all."""
     low_v, high_v = min(map(np.min, voltages_v)), max(map(np.max, voltages_v))
     near_v = SETTINGS.level_tolerance * (high_v - low_v)
     turns_v = np.concatenate([voltage_v[turning_points(voltage_v, near_v)[1:-1]]
@@ -201,16 +233,7 @@ def _turns(voltage_v: FloatArray, threshold_v: float) -> NDArray[np.bool_]:
 
 
 def slow_branches(time_s: FloatArray, voltage_v: FloatArray) -> NDArray[np.bool_]:
-    """Mark the samples of branches that take longer than `SETTINGS.slow_branch_s`.
-
-    Parameters
-    ----------
-    time_s, voltage_v : ndarray, shape (N,)
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
-    """
+    """Mark the samples of branches that take longer than `SETTINGS.slow_branch_s`, (N,)."""
     points = turning_points(voltage_v, SETTINGS.smallest_reversal * float(np.ptp(voltage_v)))
     slow = np.zeros(voltage_v.size, dtype=bool)
     for start, end in zip(points[:-1], points[1:], strict=True):

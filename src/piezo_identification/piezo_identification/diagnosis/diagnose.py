@@ -15,21 +15,21 @@ import numpy as np
 from piezo_common.budget import SEARCH, Budget, spending, while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_common.progress_part import Progress, part_of
-from piezo_identification.diagnosis.comparison.criteria import is_noise
-from piezo_identification.diagnosis.comparison.measures_of_fits import lack_of_fit
-from piezo_identification.diagnosis.comparison.reasons import Reason, Undecided
-from piezo_identification.diagnosis.comparison.selection import (
-    Selection,
-    residual_rms_um,
-    select_effects,
+from piezo_identification.diagnosis.comparison.criteria import (
+    Reason,
+    Undecided,
+    is_noise,
+    lack_of_fit,
 )
+from piezo_identification.diagnosis.comparison.selection import Selection, select_effects
 from piezo_identification.diagnosis.comparison.validation import Validation
 from piezo_identification.diagnosis.evidence.effect_covariance import with_model_errors
-from piezo_identification.diagnosis.evidence.effect_entries import effect_entries
-from piezo_identification.diagnosis.evidence.found_outliers import (
+from piezo_identification.diagnosis.evidence.effect_entries import (
     FoundOutliers,
+    effect_entries,
     found_outliers,
     left_out,
+    with_stand_ins,
 )
 from piezo_identification.diagnosis.evidence.known_noise import (
     KnownNoise,
@@ -41,8 +41,7 @@ from piezo_identification.diagnosis.evidence.recording_faults import (
     RecordingFault,
     without_faults,
 )
-from piezo_identification.diagnosis.evidence.residual_description import describe_residual
-from piezo_identification.diagnosis.evidence.stand_ins import with_stand_ins
+from piezo_identification.diagnosis.evidence.residual_tests import describe_residual
 from piezo_identification.diagnosis.joint.alternatives import Appearance
 from piezo_identification.diagnosis.joint.competition import (
     Competition,
@@ -58,8 +57,7 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
     digest_of,
     old_recordings,
 )
-from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
-from piezo_identification.diagnosis.joint.probabilities import SOMETHING_ELSE
+from piezo_identification.diagnosis.joint.probabilities import BELIEVED, SOMETHING_ELSE
 from piezo_identification.diagnosis.joint.remainder import (
     HeldToNoise,
     held_to_noise,
@@ -77,16 +75,9 @@ if TYPE_CHECKING:
     from piezo_identification.diagnosis.evidence.ceiling import Ceiling
 
 
-@dataclass(frozen=True)
-class VerdictSettings:
-    """Thresholds of the verdict."""
-
-    guess: float = 0.5
-    """Largest part of the power of the lack of fit that may remain before the effects found are
-    regarded as guesses."""
-
-
-SETTINGS = VerdictSettings()
+GUESS = 0.5
+"""Largest part of the power of the lack of fit that may remain before the effects found are
+regarded as guesses."""
 
 ALONE_UNTIL = 0.5
 """Share of the time limit for the new recordings alone, if there are others."""
@@ -121,18 +112,11 @@ class Conditioned:
     faults: list[RecordingFault]
     """Faults that were corrected in them."""
 
-    @property
-    def reversed(self) -> list[str]:
-        """Return the paths of recordings whose sign was changed."""
-        return [fault.recording for fault in self.faults if fault.name == WRONG_SIGN]
-
 
 @dataclass(frozen=True, eq=False)
 class Decision:
     """Decision on the effects that a comparison selected."""
 
-    verdict: str
-    """One of "none", "explained" or "unexplained"."""
     fit: Fit
     """Fit with the effects that are named."""
     outliers: FoundOutliers | None
@@ -141,12 +125,15 @@ class Decision:
     """Effects that the held-out data refuse, and why."""
     appearance: Appearance
     """When the effects appeared, as far as the recordings of the identification show."""
-    probabilities: dict[str, float]
-    """Probabilities from which the verdict follows."""
-    remains: str
-    """Sentence on the remaining error relative to the noise, and the source of the noise."""
-    predicted: "Ceiling | None" = None
-    """Predictable part of the remaining error; None if not yet computed."""
+    held: HeldToNoise
+    """Comparison of the remaining error with the noise, from which the verdict follows."""
+
+    @property
+    def verdict(self) -> str:
+        """Return "none", "explained" or "unexplained"."""
+        if not self.held.is_explained:
+            return "unexplained"
+        return "explained" if self.fit.effects or self.outliers else "none"
 
 
 def diagnose(model: StageModel, recordings: Sequence[Recording],
@@ -161,8 +148,6 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
     holdout : Recording, optional
         Recording on which the errors before and after are measured; by default they are measured on
         the stretches of the recordings that were not fitted.
-    progress : callable, optional
-        Called with (what is done, fraction).
     identified_from : IdentificationRecordings, optional
         Available recordings from which the model was identified; by default none.
     stated_um : float, optional
@@ -235,17 +220,12 @@ def _diagnosed(model: StageModel, recordings: Sequence[Recording], holdout: Reco
     diagnosis = conclude(model, given, found, believed, decision, predictable)
     return replace(diagnosis, selection=replace(selection, end=found.end), noise=noise,
                    stated_um=competition.stated_um, identified_from=known.document(),
-                   probabilities=decision.probabilities)
+                   probabilities=decision.held.probabilities)
 
 
 def refuse_known_holdout(holdout: Recording | None, recordings: Sequence[Recording],
                          identified_from: IdentificationRecordings | None) -> None:
     """Raise an error if the held-out recording is also diagnosed, or used in the identification.
-
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        Recordings to diagnose.
 
     Raises
     ------
@@ -292,13 +272,6 @@ def compare_effects(model: StageModel, recordings: Sequence[Recording],
     With an incomplete model, the best-fitting past of the hysteresis may only compensate for what
     the model lacks. The comparison is therefore also made without a past, and the better one is
     returned.
-
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        Recordings with the sign of the model and with marked outliers.
-    share : float
-        Share of the time limit after which the best result so far is returned.
     """
     simulated = [simulate_recordings(model, recordings)]
     if any(part.past_v for part in simulated[0].simulated):
@@ -312,8 +285,8 @@ def compare_effects(model: StageModel, recordings: Sequence[Recording],
         if selections[-1].interrupted:
             return selections[-1]
     with_past, plain = selections[0], selections[-1]
-    most_um = PastSearchSettings.largest_error_ratio * residual_rms_um(plain)
-    return with_past if residual_rms_um(with_past) < most_um else plain
+    most_um = PastSearchSettings.largest_error_ratio * plain.residual_um
+    return with_past if with_past.residual_um < most_um else plain
 
 
 def decide(selection: Selection, validation: Validation,
@@ -321,18 +294,7 @@ def decide(selection: Selection, validation: Validation,
     """Decide which effects are named, and whether they explain the residual.
 
     If the most probable model contains an effect that was present at the identification, everything
-    is measured relative to that model.
-
-    Parameters
-    ----------
-    noise : KnownNoise
-        Noise with which the remaining error is compared.
-
-    Returns
-    -------
-    Decision
-    Selection, Validation
-        Relative to the most probable model.
+    is measured relative to that model, including the returned selection and validation.
     """
     best, regression = competition.best, selection.regression
     fit, refused = validation.accepted(selection.end)
@@ -343,7 +305,7 @@ def decide(selection: Selection, validation: Validation,
         # If the most probable model explains nothing, its effects replace those of the new
         # recordings only if it reduces the held-out error. For the same effects, the parameters
         # from the new recordings may be better.
-        explains = competition.probabilities[SOMETHING_ELSE] < PROBABILITIES.believed
+        explains = competition.probabilities[SOMETHING_ELSE] < BELIEVED
         is_better = validation_of_best.rms_um(from_best.end) < validation.rms_um(fit) or (
             competition.is_plain or explains and _names(from_best.end) != _names(fit))
         if is_better and validation_of_best.improves(from_best.end):
@@ -354,52 +316,33 @@ def decide(selection: Selection, validation: Validation,
         # The probabilities of the competition belong to fits that are not named here.
         shares = probabilities_of_named(competition, regression, fit, refused)
 
-    held = hold_to_noise(shares, found, believed, fit, noise, competition.stated_um,
-                         finds_nothing=not fit.effects and outliers is None)
-    is_explained = held.probabilities[SOMETHING_ELSE] < PROBABILITIES.believed
-    most = SETTINGS.guess * lack_of_fit(regression, selection.start)
-    if (not is_explained and held.predicted is None
+    held = hold_to_noise(shares, found, believed, fit, outliers, noise, competition.stated_um)
+    most = GUESS * lack_of_fit(regression, selection.start)
+    if (not held.is_explained and held.predicted is None
             and lack_of_fit(found.regression, fit) > most):
         found, believed, fit = selection, validation, selection.start
-        held = replace(
-            hold_to_noise(held.probabilities, found, believed, fit, noise, competition.stated_um,
-                          finds_nothing=outliers is None),
+        held = replace(hold_to_noise(
+            held.probabilities, found, believed, fit, outliers, noise, competition.stated_um),
             probabilities=held.probabilities)
-    verdict = "unexplained"
-    if is_explained:
-        verdict = "explained" if fit.effects or outliers else "none"
     if found is selection:
         # The recordings of the identification were not fitted: model errors affect the effects.
         fit = with_model_errors(found.regression, fit)
     appearance = competition.appearance(_names(fit))
-    return (Decision(verdict, fit, outliers, refused, appearance, held.probabilities, held.sentence,
-                     held.predicted), found, believed)
+    return Decision(fit, outliers, refused, appearance, held), found, believed
 
 
 def hold_to_noise(shares: Mapping[str, float], found: Selection, believed: Validation, fit: Fit,
-                  noise: KnownNoise, stated_um: float, finds_nothing: bool) -> HeldToNoise:
-    """Compare the residual of a fit with the noise.
+                  outliers: FoundOutliers | None, noise: KnownNoise,
+                  stated_um: float) -> HeldToNoise:
+    """Compare the residual of a fit with the noise, or its predictable part if that is unknown.
 
-    If the noise is unknown, the predictable part of the residual is used instead.
-
-    Parameters
-    ----------
-    shares : dict of str to float
-        Probabilities based on the noise that each recording shows itself.
-    found, believed : Selection, Validation
-        Relative to the most probable model.
-    noise : KnownNoise
-        Noise of the available recordings and the model file.
-    stated_um : float
-        RMS of the known error of the model.
-    finds_nothing : bool
-        True if no effect is named.
-        No effect is named.
+    `shares` are probabilities based on the noise that each recording shows itself.
     """
     remainders = believed.remainders(fit)
     known = noise.including(noise_of_residuals(found.regression))
-    held = held_to_noise(shares, remainders, known, stated_um, finds_nothing)
-    if (held.probabilities[SOMETHING_ELSE] >= PROBABILITIES.believed or found.interrupted
+    held = held_to_noise(
+        shares, remainders, known, stated_um, finds_nothing=not fit.effects and outliers is None)
+    if (not held.is_explained or found.interrupted
             or all(known.is_shown(each.period_s) for each in remainders)):
         return held
     return held_to_prediction(held, _learned(found, fit), remainders, stated_um)
@@ -410,15 +353,12 @@ def _names(fit: Fit) -> list[str]:
 
 
 def ceiling_of(selection: Selection, decision: Decision) -> "Ceiling | None":
-    """Return how much of the residual any learner could predict, if it is more than noise.
+    """Return how much of the residual any learner could predict.
 
-    Returns
-    -------
-    Ceiling or None
-        None if the residual is compatible with known noise, or the comparison was interrupted.
+    It is None if the residual is compatible with known noise, or the comparison was interrupted.
     """
-    if decision.predicted is not None:
-        return decision.predicted
+    if decision.held.predicted is not None:
+        return decision.held.predicted
     if selection.interrupted or is_noise(selection.regression, decision.fit):
         return None
     return _learned(selection, decision.fit)
@@ -437,7 +377,7 @@ def conclude(model: StageModel, given: Conditioned, selection: Selection, valida
     regression, fit, outliers = selection.regression, decision.fit, decision.outliers
     effects = with_stand_ins(
         [entry | {"came": decision.appearance} for entry in effect_entries(regression, fit)],
-        regression.dataset.extent, decision.probabilities)
+        regression.dataset.extent, decision.held.probabilities)
     # Outliers biased the parameters of a model that was identified with them. If no effect is
     # named, refitted parameters may explain what the given ones do not.
     may_move = outliers or decision.verdict == "none" and not is_noise(
@@ -455,11 +395,11 @@ def conclude(model: StageModel, given: Conditioned, selection: Selection, valida
         verdict=decision.verdict, effects=effects, model=extended,
         before=errors.before, after=errors.after,
         noise_floor_um=float(np.median(regression.noise.noise_um)), holdout=errors.where,
-        not_decidable={name: why.sentence for name, why in undecided.items()},
-        reasons={name: why.reason for name, why in undecided.items()},
+        undecided=undecided,
         confounded_with=_confounded_with(selection, effects),
         left=_description(regression, decision, predictable),
-        reversed=given.reversed, left_out=[*left_out(regression), *validation.left_out()],
+        reversed=[fault.recording for fault in given.faults if fault.name == WRONG_SIGN],
+        left_out=[*left_out(regression), *validation.left_out()],
         ceiling=None if predictable is None else asdict(predictable), selection=selection,
         recording_faults=[fault.document() for fault in given.faults],
     )
@@ -468,8 +408,8 @@ def conclude(model: StageModel, given: Conditioned, selection: Selection, valida
 def _description(regression: Regression, decision: Decision, predictable: "Ceiling | None") -> str:
     """Describe the residual of an unexplained recording, or of one with unknown noise."""
     if decision.verdict != "unexplained":
-        return decision.remains if decision.predicted is not None else ""
-    sentences = [decision.remains, describe_residual(regression, decision.fit)]
+        return decision.held.sentence if decision.held.predicted is not None else ""
+    sentences = [decision.held.sentence, describe_residual(regression, decision.fit)]
     if predictable is not None:
         sentences.append(predictable.sentence())
     return " ".join(sentences)

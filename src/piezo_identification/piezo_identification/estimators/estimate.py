@@ -11,6 +11,7 @@ from scipy.linalg import block_diag
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.row_alignment import MOST_UNCERTAIN
+from piezo_identification.fitting.evidence import log_evidence
 from piezo_models.cascade import StageModel
 from piezo_models.effects.effect import Effect
 from piezo_models.linear.dynamics import CreepDynamics
@@ -188,8 +189,7 @@ class Estimate:
 
 
 def order_trial(
-    order: object, residual: FloatArray, parameters: int, refusal: str = "",
-    signal: FloatArray | None = None,
+    order: object, residual: FloatArray, parameters: int, signal: FloatArray | None = None,
 ) -> OrderTrial:
     """Rate a fit by its residual: the Bayesian information criterion N ln(mean square) + P ln N.
 
@@ -203,9 +203,8 @@ def order_trial(
     """
     mean_square = np.mean(residual**2)
     least = 0.0 if signal is None else finest_power(signal)
-    information = (residual.size * np.log(mean_square + least)
-                   + parameters * np.log(residual.size))
-    return OrderTrial(order, parameters, float(np.sqrt(mean_square)), float(information), refusal)
+    information = -2.0 * log_evidence(mean_square + least, parameters, residual.size)
+    return OrderTrial(order, parameters, float(np.sqrt(mean_square)), information)
 
 
 def finest_power(signal: FloatArray) -> float:
@@ -248,17 +247,13 @@ def parameter_covariance(
 
 
 def propagated(sensitivity: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Covariance of quantities that depend on parameters; infinite if a parameter is unknown.
+    """Covariance, (Q, Q), of quantities that depend on parameters; infinite for unknown ones.
 
     Parameters
     ----------
     sensitivity : ndarray, shape (Q, P)
     covariance : ndarray, shape (P, P)
         Result of `parameter_covariance`.
-
-    Returns
-    -------
-    ndarray, shape (Q, Q)
     """
     unknown = np.isinf(np.diag(covariance))
     finite = np.where(np.isinf(covariance), 0.0, covariance)
@@ -270,17 +265,13 @@ def propagated(sensitivity: FloatArray, covariance: FloatArray) -> FloatArray:
 
 
 def parameter_deviations(jacobian: FloatArray) -> FloatArray:
-    """Return standard deviations of the parameters of a fit whose residual has variance 1.
+    """Return standard deviations, (P,), of parameters of a fit whose residual has variance 1.
 
     Parameters
     ----------
     jacobian : ndarray, shape (N, P)
-        Jacobian of the residual at the optimum.
-
-    Returns
-    -------
-    ndarray, shape (P,)
-        Infinite for a parameter that is not identifiable.
+        Jacobian of the residual at the optimum. The deviation of a parameter that is not
+        identifiable is infinite.
     """
     spread, unknown = scaled_inverse(jacobian)
     return np.where(unknown, np.inf, np.linalg.norm(spread, axis=1))

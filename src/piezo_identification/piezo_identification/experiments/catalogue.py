@@ -3,6 +3,9 @@
 
 Other packages can add experiments through entry points of the group
 `piezo_identification.experiments`.
+
+The function of each experiment raises ValueError if its waveform leaves the range or exceeds the
+slew limit.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,9 +17,13 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_common.registered import registered
-from piezo_identification.experiments.diagnostic_waveform import diagnostic_block
-from piezo_identification.experiments.distortion_multisine import distortion_period
-from piezo_identification.experiments.input_designs import arc, stair_amplitudes, stair_harmonics
+from piezo_identification.experiments.input_designs import (
+    arc,
+    diagnostic_block,
+    distortion_period,
+    stair_amplitudes,
+    stair_harmonics,
+)
 from piezo_identification.experiments.relay_feedback import RelayExperiment, relay
 from piezo_identification.experiments.stage_limits import USUAL_LIMITS, StageLimits
 
@@ -84,11 +91,6 @@ def creep(
         Number of periods.
     swing_v : float, optional
         Difference of the two levels, which lie around the middle of the range.
-
-    Raises
-    ------
-    ValueError
-        If the waveform leaves the range or exceeds the slew limit.
     """
     voltage_v = _square_wave(limits, period_s, sample_period_s, swing_v)
     return fitting(
@@ -109,11 +111,6 @@ def dynamics(
         Period of the square wave and duration of the experiment.
     swing_v : float, optional
         Difference of the two levels, which lie around the middle of the range.
-
-    Raises
-    ------
-    ValueError
-        If the waveform leaves the range or exceeds the slew limit.
     """
     sample_period_s = 1.0 / limits.sample_rate_hz
     voltage_v = _square_wave(limits, period_s, sample_period_s, swing_v)
@@ -138,11 +135,6 @@ def hysteresis(
         Number of harmonics L; the levels are L + 1 with level 0.
     harmonic_period_s, sample_period_s : float
         Period T_sub of each harmonic and time for which each value is held.
-
-    Raises
-    ------
-    ValueError
-        If the waveform leaves the range or exceeds the slew limit.
     """
     samples = round(harmonic_period_s / sample_period_s)
     stairs_v = stair_harmonics(
@@ -171,11 +163,6 @@ def validation(
         Duration of the tones.
     tones : sequence of (float, float)
         Frequency (Hz) and amplitude, as a fraction of the voltage range, of each tone.
-
-    Raises
-    ------
-    ValueError
-        If the waveform leaves the range or exceeds the slew limit.
     """
     voltage_v = _arcs_and_tones(limits, VALIDATION_TURNS, tones, arc_s, tones_s)
     return fitting(
@@ -200,11 +187,6 @@ def multisine(
     tones : sequence of (float, float)
         Frequency (Hz) and amplitude, as a fraction of the voltage range, of each tone; by default
         100 to 600 Hz.
-
-    Raises
-    ------
-    ValueError
-        If the waveform leaves the range or exceeds the slew limit.
     """
     voltage_v = _arcs_and_tones(limits, MULTISINE_TURNS, tones, arc_s, tones_s)
     return fitting(
@@ -218,16 +200,6 @@ def diagnostic(limits: StageLimits = USUAL_LIMITS, repeats: int = 4) -> Experime
 
     It begins at the lowest voltage, where the memory of the hysteresis is known. The repeats
     separate noise, drift and the response to the voltage.
-
-    Parameters
-    ----------
-    repeats : int
-        How often the waveform is played.
-
-    Raises
-    ------
-    ValueError
-        If the waveform leaves the range or exceeds the slew limit.
     """
     voltage_v = diagnostic_block(limits)
     return fitting(
@@ -287,8 +259,6 @@ def named_experiment(
 
     Parameters
     ----------
-    name : str
-        Name of an experiment of this module or of another package.
     parameters : dict of str to object, optional
         Parameters that differ from the defaults.
 

@@ -81,11 +81,6 @@ def relay(limits: StageLimits, oscillation_s: float = 0.5) -> RelayExperiment:
     of the relay's amplitude. That shows the gains of the hysteresis (3.16): the secant from the
     lowest voltage, and the gain of the minor loop in which the relay moves.
 
-    Parameters
-    ----------
-    oscillation_s : float
-        Duration of the relay feedback.
-
     Raises
     ------
     ValueError
@@ -137,17 +132,7 @@ class RelayRun:
         return min(1.0, len(self._means_um) / self._experiment.ticks)
 
     def take(self, displacement_um: FloatArray) -> float:
-        """Take the samples of the next tick.
-
-        Parameters
-        ----------
-        displacement_um : ndarray, shape (n,)
-
-        Returns
-        -------
-        feedback_v : float
-            Output of the relay; zero until the feedforward has ended.
-        """
+        """Take the samples of the next tick; return the output, 0 V during the feedforward."""
         experiment = self._experiment
         mean_um = float(np.mean(displacement_um))
         self._means_um.append(mean_um)
@@ -233,11 +218,6 @@ class RelayOscillation:
 
 def relay_oscillation(recording: Recording, experiment: RelayExperiment) -> RelayOscillation:
     """Evaluate the recording of a relay experiment.
-
-    Parameters
-    ----------
-    experiment : RelayExperiment
-        The recorded experiment.
 
     Raises
     ------

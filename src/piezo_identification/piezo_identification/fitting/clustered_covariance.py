@@ -12,7 +12,7 @@ MANY = 10
 
 def clustered_covariance(jacobian: FloatArray, residual: FloatArray,
                          cluster: NDArray[np.intp]) -> FloatArray:
-    """Return the covariance of parameters estimated by least squares.
+    """Return the covariance of parameters estimated by least squares, (m, m).
 
     Errors in the same cluster may be correlated in any way; errors in different clusters are
     assumed independent. The variances are also computed with ten neighbouring clusters merged
@@ -25,10 +25,6 @@ def clustered_covariance(jacobian: FloatArray, residual: FloatArray,
     residual : (n + p,) array
     cluster : (n,) array of int
         Cluster of each row that does not belong to the prior; the rows of a cluster are adjacent.
-
-    Returns
-    -------
-    (m, m) array
     """
     widths = np.linalg.norm(jacobian, axis=0)
     widths[widths == 0.0] = 1.0

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.conditioning.waveforms import SETTINGS as WAVEFORM
 from piezo_identification.fitting.parameter_sensitivities import parameter_sensitivities
-from piezo_identification.simulation.nuisance import nuisance_regressors
 from piezo_identification.simulation.past_search import simulated_recording
 from piezo_identification.simulation.simulated_recording import PastVoltages, SimulatedRecording
 from piezo_models.cascade import StageModel
@@ -135,18 +135,12 @@ def dataset_of(simulated: Sequence[SimulatedRecording], recordings: Sequence[Rec
     simulated, model = tuple(simulated), simulated[0].model
     rows, stretch, for_estimation = split_rows(
         [part.voltage_v for part in simulated], [part.begin for part in simulated], undivided)
-    nuisance = [nuisance_regressors(part, used) for part, used in zip(simulated, rows, strict=True)]
+    nuisance = block_diag(*(
+        part.nuisance_regressors(used) for part, used in zip(simulated, rows, strict=True)))
     changes = np.vstack(side_by_side(
         lambda index: sensitivities(simulated[index], rows[index]), range(len(simulated))))
-    nuisance_count = sum(block.shape[1] for block in nuisance)
-    regressors = np.zeros((len(changes), nuisance_count + changes.shape[1]))
-    row = column = 0
-    for block in nuisance:
-        regressors[row : row + block.shape[0], column : column + block.shape[1]] = block
-        row, column = row + block.shape[0], column + block.shape[1]
-    regressors[:, nuisance_count:] = changes
-    return Dataset(model, tuple(recordings), simulated, rows, stretch, for_estimation, regressors,
-                   nuisance_count, _extent(simulated))
+    return Dataset(model, tuple(recordings), simulated, rows, stretch, for_estimation,
+                   np.hstack([nuisance, changes]), nuisance.shape[1], _extent(simulated))
 
 
 def _extent(simulated: Sequence[SimulatedRecording]) -> Extent:

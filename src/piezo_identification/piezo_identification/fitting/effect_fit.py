@@ -79,12 +79,8 @@ def fit_one_more(regression: Regression, kind: type[Effect], effects: tuple[Effe
 
     Parameters
     ----------
-    kind : type
-        Class of the new effect.
     effects : tuple of piezo_models.effects.effect.Effect
         Effects found so far, held fixed.
-    evidence : sequence of Evidence
-        What each recording shows with the effects found so far.
 
     Returns
     -------

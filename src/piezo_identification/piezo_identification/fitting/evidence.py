@@ -18,17 +18,10 @@ BLOCKS, FEWEST_BLOCKS = (10, 100, 1000), 10
 
 
 def correlated_scale(residual: FloatArray) -> float:
-    """Return the RMS of a residual, increased to account for correlation between neighbours.
+    """Return the RMS of a residual, (N,), increased to account for correlation of neighbours.
 
-    Parameters
-    ----------
-    residual : (N,) array
-
-    Returns
-    -------
-    float
-        For white noise, its standard deviation. Otherwise, the standard deviation of the white
-        noise whose means over long blocks would vary as much as those of the residual.
+    For white noise, it is the standard deviation. Otherwise, it is that of the white noise whose
+    means over long blocks would vary as much as those of the residual.
     """
     squares = [np.mean(residual**2)]
     for length in BLOCKS:

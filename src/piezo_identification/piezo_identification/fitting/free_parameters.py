@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array
 
 from piezo_common.arrays import FloatArray
+from piezo_common.side_by_side import side_by_side
 from piezo_identification.estimators.estimate import propagated
-from piezo_identification.fitting.sensitivities import (
+from piezo_identification.fitting.parameter_sensitivities import (
     factor_surfaces,
     sensitivity_systems,
 )
-from piezo_identification.simulation.nuisance import nuisance_regressors
 from piezo_identification.simulation.sampled_response import (
     behind_lags,
     leading_lags,
@@ -60,6 +60,10 @@ class FreeWidths:
 
 WIDTHS = FreeWidths()
 
+KEPT_SAMPLES = 2_000_000
+"""Largest total number of samples for which the outputs of some 40 pieces of the hysteresis are
+cached: 0.6 GB."""
+
 KEPT = 4
 """Number of hystereses whose shapes are cached."""
 
@@ -77,8 +81,6 @@ def free_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp],
     ----------
     part : SimulatedRecording
         Recording simulated with a model that includes its effects: the changes pass through them.
-    rows : array of int
-        Indices of the samples.
     about : StageModel, optional
         Model from which `changed_model` derived the model of `part`; by default that model itself.
     pieces_um : iterable of (N,) array, optional
@@ -150,27 +152,29 @@ def piece_outputs_um(part: SimulatedRecording, about: StageModel) -> Iterator[Fl
     return map(part.hysteresis_output_um, pieces_of(about.hysteresis))
 
 
+def kept_pieces_um(
+    parts: Sequence[SimulatedRecording], about: StageModel,
+) -> list[list[FloatArray]] | None:
+    """Return the `piece_outputs_um` of each recording; None for too many samples."""
+    if sum(part.time_s.size for part in parts) > KEPT_SAMPLES:
+        return None
+    return side_by_side(lambda part: list(piece_outputs_um(part, about)), parts)
+
+
 def decay_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp], sizes: FloatArray,
                         about: StageModel) -> FloatArray:
     """Return the change of the initial creep when each free parameter changes by its prior width.
 
-    The initial creep decays at the rates of the creep poles.
+    The initial creep decays at the rates of the creep poles. The n columns are those of creep and
+    dynamics.
 
     Parameters
     ----------
-    rows : array of int
-        Indices of the samples.
     sizes : (1 + creep pairs or more,) array
         Coefficients of the nuisance regressors.
-    about : StageModel
-        See `free_sensitivities`.
-
-    Returns
-    -------
-    (n, parameters of creep and dynamics) array
     """
     poles = np.array(part.model.creep.poles_rad_per_s)
-    decays = nuisance_regressors(part, rows)[:, 1 : 1 + poles.size]
+    decays = part.nuisance_regressors(rows)[:, 1 : 1 + poles.size]
     by_pole = -sizes[1 : 1 + poles.size] * decays * np.outer(part.time_s[rows], poles)
     return by_pole @ _logarithms(part.model)[: poles.size]
 

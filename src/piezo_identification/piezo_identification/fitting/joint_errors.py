@@ -35,7 +35,6 @@ from piezo_identification.fitting.free_parameters import (
     physical_count,
 )
 from piezo_identification.fitting.regression import accuracies_um
-from piezo_identification.simulation.nuisance import nuisance_regressors
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, fitted_values, with_fitted_values
@@ -106,7 +105,7 @@ def _projected_out(part: SimulatedRecording, rows: NDArray[np.intp],
                    effects: Sequence[Effect]) -> FloatArray:
     """Return nuisance regressors and those of recurring effects of a recording, (n, k)."""
     own = part.recurrences(effects, rows) if isinstance(part, RecordingBefore) else []
-    return np.column_stack([nuisance_regressors(part, rows), *own])
+    return np.column_stack([part.nuisance_regressors(rows), *own])
 
 
 class _Nuisance:
@@ -204,7 +203,7 @@ class JointErrors:
         self.longest = np.full(self.low.size, np.inf)
         self.longest[: self.count] = SETTINGS.longest
         self.accuracy_um = accuracies_um(dataset)
-        self._own_count = [nuisance_regressors(part, rows[:1]).shape[1] for part, rows in zip(
+        self._own_count = [part.nuisance_regressors(rows[:1]).shape[1] for part, rows in zip(
             dataset.simulated, dataset.rows, strict=True)]
         self._pieces_um = pieces_um
         self._points: dict[bytes, _Point] = {}
@@ -284,8 +283,6 @@ class JointErrors:
 
         Parameters
         ----------
-        vector : (n,) array
-            Unknowns.
         physical : int
             Number of unknowns whose prior is dropped: creep and dynamics. Effects have no prior.
 

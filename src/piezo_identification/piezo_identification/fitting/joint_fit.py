@@ -15,12 +15,16 @@ from piezo_identification.fitting.effect_fit import fit_effects
 from piezo_identification.fitting.evidence import correlated_scale
 from piezo_identification.fitting.free_parameters import (
     free_sensitivities,
-    piece_outputs_um,
+    kept_pieces_um,
 )
 from piezo_identification.fitting.joint_errors import JointErrors, simulated_by
 from piezo_identification.fitting.levenberg_marquardt import descend
 from piezo_identification.fitting.noise_estimate import NoiseEstimate, estimate_noise
-from piezo_identification.fitting.regression import Regression, accuracies_um
+from piezo_identification.fitting.regression import (
+    Regression,
+    accuracies_um,
+    regression_with,
+)
 from piezo_identification.simulation.past_search import simulated_recording
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
@@ -37,9 +41,6 @@ class JointSettings:
     worthwhile: float = 0.5
     """Smallest predicted gain of log-evidence for a step; half of it is a factor of 1.3 in a
     probability."""
-    kept_samples: int = 2_000_000
-    """Largest total number of samples for which the outputs of some 40 pieces of the hysteresis are
-    cached: 0.6 GB."""
 
 
 SETTINGS = JointSettings()
@@ -116,19 +117,18 @@ class JointProblem:
         Recordings from which the model was identified.
     undivided : int
         Number of new recordings that use as many rows each as all others together.
-    steps : int
-        Largest number of steps of a fit.
     simulated : sequence of SimulatedRecording
         The first of the new recordings if already simulated. Their past, which takes long to find,
         is then reused.
     """
 
+    steps = SETTINGS.steps
+
     def __init__(self, model: StageModel, new: Sequence[Recording],
                  old: Sequence[Recording], undivided: int = 0,
-                 steps: int = SETTINGS.steps,
                  simulated: Sequence[SimulatedRecording] = ()) -> None:
         self.own, self.new_count = model.effects, len(new)
-        self.undivided, self.steps = undivided, steps
+        self.undivided = undivided
         bare, recordings = replace(model, effects=()), [*new, *old]
         self.dataset = self._dataset_of([
             *(part.with_model(bare) for part in simulated),
@@ -162,17 +162,13 @@ class JointProblem:
 
     def _started(self) -> Regression:
         """Weigh the rows by the residual of the initial model."""
-        first = _weighed(self.dataset, self.noise, _scale_um(self.dataset, self.noise))
-        residual_um = first.fit(self.own).residual * first.tolerance_um
-        return _weighed(self.dataset, self.noise, _scale_um(self.dataset, self.noise, residual_um))
+        first = _weighed(self.dataset, self.noise)
+        return _weighed(
+            self.dataset, self.noise, first.fit(self.own).residual * first.tolerance_um)
 
     @cached_property
     def _pieces_um(self) -> list[list[FloatArray]] | None:
-        """Return the outputs of the pieces of the hysteresis; None for too many samples."""
-        parts = self.dataset.simulated
-        if sum(part.time_s.size for part in parts) > SETTINGS.kept_samples:
-            return None
-        return [list(piece_outputs_um(part, self.dataset.model)) for part in parts]
+        return kept_pieces_um(self.dataset.simulated, self.dataset.model)
 
     def fit(self, effects: Sequence[Effect], later: Iterable[str] = (),
             begun: JointFit | None = None, held: Sequence[Effect] = ()) -> JointFit:
@@ -204,8 +200,9 @@ class JointProblem:
         descent = descend(errors, first, 1 if held else self.steps, SETTINGS.worthwhile)
         found = errors.effects_at(descent.vector)
         dataset = errors.dataset_at(descent.vector)
+        residual_um = _residual_um(replace(self.start, dataset=dataset), found)
         return JointFit(
-            _reweighed(replace(self.start, dataset=dataset), found), found, appeared,
+            _weighed(dataset, self.noise, residual_um), found, appeared,
             errors.covariance(descent.vector), descent.has_converged,
             descent.vector[: errors.count], descent.gain, descent.value,
             errors.recurrence_count(descent.vector), self, errors.columns_of_effects)
@@ -230,28 +227,16 @@ def _residual_um(regression: Regression, effects: Sequence[Effect]) -> FloatArra
     return regression.tolerance_um * regression.as_given(effects).residual
 
 
-def _scale_um(dataset: Dataset, noise: NoiseEstimate,
-              residual_um: FloatArray | None = None) -> FloatArray:
-    """Return the scale of each row, which weighs rows by the number of independent errors, (r,).
+def _weighed(dataset: Dataset, noise: NoiseEstimate,
+             residual_um: FloatArray | None = None) -> Regression:
+    """Weigh the rows by their numbers of independent errors; the prior has unit width.
 
-    It is the tolerance of the recording, or the correlated residual where that is larger.
+    The scale of a row is the tolerance of its recording, or the correlated residual where that is
+    larger.
     """
     good = dataset.for_estimation & ~dataset.at_rows(noise.outliers)
     least_um = np.hypot(noise.noise_um, accuracies_um(dataset))
-    return dataset.of_each(least_um if residual_um is None else [
+    scale_um = dataset.of_each(least_um if residual_um is None else [
         max(least, correlated_scale(residual_um[mask & good]))
         for least, mask in zip(least_um, dataset.masks(), strict=True)])
-
-
-def _reweighed(regression: Regression, effects: Sequence[Effect]) -> Regression:
-    """Weigh the rows by the residual with some effects."""
-    dataset, noise = regression.dataset, regression.noise
-    return _weighed(dataset, noise, _scale_um(dataset, noise, _residual_um(regression, effects)))
-
-
-def _weighed(dataset: Dataset, noise: NoiseEstimate, scale_um: FloatArray) -> Regression:
-    """Weigh the rows by their scales; the prior has unit width."""
-    good = ~dataset.at_rows(noise.outliers)
-    estimation, validation = dataset.for_estimation & good, ~dataset.for_estimation & good
-    prior = np.eye(dataset.regressors.shape[1])[dataset.nuisance_count :]
-    return Regression(dataset, noise, scale_um, estimation, validation, prior)
+    return regression_with(dataset, noise, scale_um, 1.0)

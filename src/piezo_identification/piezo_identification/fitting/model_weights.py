@@ -75,10 +75,6 @@ def expected_widths(effects: Sequence[Effect], extent: Extent | None = None) -> 
     ----------
     extent : Extent, optional
         Ranges of the recordings, which bound the parameters.
-
-    Returns
-    -------
-    (p,) array
     """
     widths = [np.zeros(0)]
     for effect in effects:

@@ -10,7 +10,6 @@ from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.conditioning.outlier_samples import outliers_of_residual
 from piezo_identification.conditioning.sensor_noise import sensor_noise_um
 from piezo_identification.fitting.dataset import Dataset
-from piezo_identification.simulation.nuisance import nuisance_regressors, nuisance_signal
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
@@ -62,8 +61,6 @@ def residual_um(dataset: Dataset, index: int, effects: Sequence[Effect] = (),
 
     Parameters
     ----------
-    index : int
-        Index of the recording.
     noise : NoiseEstimate, optional
         Estimate whose outliers are not fitted; by default only marked outliers are excluded.
     """
@@ -87,5 +84,5 @@ def _without_nuisance(part: SimulatedRecording, effects: Sequence[Effect],
     every = np.arange(part.begin, part.time_s.size)
     step = max(1, every.size // MOST_SAMPLES)
     used = every[::step][~outlier[every[::step]]]
-    sizes = np.linalg.lstsq(nuisance_regressors(part, used), difference[used], rcond=1e-12)[0]
-    return difference - nuisance_signal(part, np.asarray(sizes, dtype=float))
+    sizes = np.linalg.lstsq(part.nuisance_regressors(used), difference[used], rcond=1e-12)[0]
+    return difference - part.nuisance_regressors(np.arange(part.time_s.size)) @ sizes

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr
-from scipy.optimize import nnls
 
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.fitting.noise_estimate import residual_um
+from piezo_identification.fitting.nonnegative_regression import nonnegative_least_squares
 from piezo_identification.fitting.regression import Regression
 from piezo_models.effects import Effect, Evidence
 
@@ -40,24 +40,7 @@ def _projections(
     regressors: FloatArray, prior: FloatArray, rows: NDArray[np.intp], tolerance_um: float,
     difference_um: FloatArray,
 ) -> tuple[Callable[..., tuple[FloatArray, float]], Callable[[FloatArray], float]]:
-    """Return functions for the error that contributions explain, and for their visibility.
-
-    Parameters
-    ----------
-    regressors : (n, m) array
-        Regressors at the rows, divided by the tolerance.
-    prior : (p, m) array
-        Rows of the prior.
-    rows : (n,) array of int
-        Indices of the samples.
-    difference_um : (N,) array
-        Measured minus simulated displacement.
-
-    Returns
-    -------
-    reduction, visible : callable
-        Fields of `piezo_models.effects.effect.Evidence`.
-    """
+    """Return functions for the error that contributions explain, and for their visibility."""
     q, _ = np.linalg.qr(np.vstack([regressors, prior]))
 
     def project(values: FloatArray) -> FloatArray:
@@ -73,9 +56,9 @@ def _projections(
         seen = project(contributions)
         if positive:
             triangle = qr(np.column_stack([seen, residual]), mode="r")[0]
-            gains = nnls(triangle[:, :-1], triangle[:, -1])[0]
+            gains = nonnegative_least_squares(triangle[:, :-1], triangle[:, -1])[0]
         else:
-            gains = np.linalg.lstsq(seen, residual, rcond=1e-10)[0]
+            gains = np.linalg.lstsq(seen, residual, rcond=1e-10)[0].astype(float)
         rest = residual - seen @ gains
         return np.asarray(gains, dtype=float), float(1.0 - (rest @ rest) / energy)
 

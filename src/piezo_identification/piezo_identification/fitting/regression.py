@@ -171,8 +171,7 @@ def weighted_regression(dataset: Dataset, noise: NoiseEstimate,
         The more they explain, the less the model's parameters may change.
     """
     tolerance_um = dataset.of_each(np.hypot(noise.noise_um, accuracies_um(dataset)))
-    good = ~dataset.at_rows(noise.outliers)
-    estimation, validation = dataset.for_estimation & good, ~dataset.for_estimation & good
+    estimation = dataset.for_estimation & ~dataset.at_rows(noise.outliers)
     nuisance = (dataset.regressors[:, : dataset.nuisance_count]
                 / tolerance_um[:, None])[estimation]
     residual = (dataset.difference_um(effects) / tolerance_um)[estimation]
@@ -180,9 +179,16 @@ def weighted_regression(dataset: Dataset, noise: NoiseEstimate,
     noise_energy = float(
         np.sum((dataset.of_each(noise.noise_um) / tolerance_um)[estimation] ** 2))
     energy = max(residual @ residual - noise_energy, SETTINGS.least_share * noise_energy)
-    cost = np.sqrt(SETTINGS.prior_share * energy)
+    return regression_with(dataset, noise, tolerance_um, np.sqrt(SETTINGS.prior_share * energy))
+
+
+def regression_with(dataset: Dataset, noise: NoiseEstimate, tolerance_um: FloatArray,
+                    cost: float) -> Regression:
+    """Weigh the rows by their tolerances, (r,), and changes of parameters by a cost per width."""
+    good = ~dataset.at_rows(noise.outliers)
     prior = cost * np.eye(dataset.regressors.shape[1])[dataset.nuisance_count :]
-    return Regression(dataset, noise, tolerance_um, estimation, validation, prior)
+    return Regression(dataset, noise, tolerance_um, dataset.for_estimation & good,
+                      ~dataset.for_estimation & good, prior)
 
 
 def first_regression(dataset: Dataset) -> Regression:

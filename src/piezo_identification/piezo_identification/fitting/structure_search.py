@@ -192,8 +192,6 @@ def searched(problem: WholeModel, best: WholeFit,
     ----------
     best : WholeFit
         Fit of this problem.
-    report, is_asked_for : callable
-        As in `begun`.
 
     Returns
     -------
@@ -604,14 +602,12 @@ def _with_more(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
     # A part of an existing lag may belong elsewhere.
     lag_s = max(SETTINGS.first_lag * problem.sample_period_s,
                 0.5 * model.dynamics.time_constant_s)
+    earlier, earlier_s = _later(model, delay_s, -lag_s)
     if not any(issubclass(kind, AmplifierLag) for kind in kinds):
-        earlier, earlier_s = _later(model, delay_s, -lag_s)
         yield Structure("with an amplifier's lag", _with(earlier, AmplifierLag(lag_s)), earlier_s)
     if SensorLag not in kinds:
-        earlier, earlier_s = _later(model, delay_s, -lag_s)
         yield Structure("with a sensor's lag", _with(earlier, SensorLag(lag_s)), earlier_s)
     if model.dynamics.time_constant_s == 0.0:
-        earlier, earlier_s = _later(model, delay_s, -lag_s)
         yield Structure("with an electric time constant", _electric(earlier, lag_s), earlier_s)
     if len(model.creep.poles_rad_per_s) > 1:
         gap, _ = _widest_gap(model.creep)

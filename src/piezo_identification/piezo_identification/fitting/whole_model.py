@@ -18,9 +18,9 @@ from piezo_identification.fitting.free_parameters import (
     changed_model,
     changes_between,
     free_count,
+    kept_pieces_um,
     physical_count,
     physical_deviations,
-    piece_outputs_um,
 )
 from piezo_identification.fitting.joint_errors import JointErrors, simulated_by
 from piezo_identification.fitting.joint_fit import SETTINGS as JOINT
@@ -175,9 +175,12 @@ class WholeModel:
         If a recording is too short.
     """
 
+    given: StageModel
+    """Initial model with its hysteresis."""
+
     def __init__(self, model: StageModel, recordings: Sequence[Recording],
                  read_late_s: Sequence[float], later_s: float = 0.0) -> None:
-        self._given, self._hysteresis_width = model, WIDE_PRIOR
+        self.given, self._hysteresis_width = model, WIDE_PRIOR
         simulated = _simulated(model, recordings, read_late_s)
         self.sample_period_s = min(part.sample_period_s for part in simulated)
         # Rows of means cannot be read at another time.
@@ -209,7 +212,7 @@ class WholeModel:
         problem = copy(self)
         vars(problem).pop("_pieces_um", None)
         problem.about_here()
-        problem._given = replace(self._given, hysteresis=model.hysteresis)
+        problem.given = replace(self.given, hysteresis=model.hysteresis)
         problem._hysteresis_width = width
         problem._dataset = replace(
             self._dataset, model=replace(model, effects=()),
@@ -244,9 +247,9 @@ class WholeModel:
 
     def with_line(self) -> "WholeModel":
         """Return the problem with the best-fitting line in place of its hysteresis."""
-        loops = self._given.hysteresis
+        loops = self.given.hysteresis
         unit = PreisachModel.line(loops.voltage_min_v, loops.voltage_max_v, 1.0)
-        model = replace(self._given, hysteresis=unit)
+        model = replace(self.given, hysteresis=unit)
         pairs = [(part.with_model(model).simulate(), part.measured_um)
                  for part in self._dataset.simulated]
         moved, measured = (np.concatenate([each - each.mean() for each in signals])
@@ -254,7 +257,7 @@ class WholeModel:
         gain_um_per_v = max(float(moved @ measured / (moved @ moved)), LEAST_GAIN)
         offset_um = np.mean([measured.mean() - gain_um_per_v * moved.mean()
                              for moved, measured in pairs])
-        return self.with_hysteresis(replace(self._given, hysteresis=PreisachModel.line(
+        return self.with_hysteresis(replace(self.given, hysteresis=PreisachModel.line(
             loops.voltage_min_v, loops.voltage_max_v, gain_um_per_v, float(offset_um))),
             WIDE_PRIOR)
 
@@ -288,9 +291,9 @@ class WholeModel:
                            if effect.place in ("displacement", "sensor")), len(effects))
             effects = (*effects[:behind], Delay(max(delay_s + shift_s, 0.0)), *effects[behind:])
         # The prior is centred on the results of the separate steps.
-        about = replace(model, hysteresis=self._given.hysteresis, effects=())
-        if len(model.creep.poles_rad_per_s) == len(self._given.creep.poles_rad_per_s):
-            known = replace(about, creep=self._given.creep)
+        about = replace(model, hysteresis=self.given.hysteresis, effects=())
+        if len(model.creep.poles_rad_per_s) == len(self.given.creep.poles_rad_per_s):
+            known = replace(about, creep=self.given.creep)
             about = known if np.isfinite(changes_between(known, model)).all() else about
         errors = self._errors(about, effects, shift_s)
         changes = np.zeros(errors.count)
@@ -358,18 +361,9 @@ class WholeModel:
             FIT.adequate_tolerance / FIT.model_tolerance * errors.accuracy_um)
         return errors
 
-    @property
-    def given(self) -> StageModel:
-        """Return the initial model with its hysteresis."""
-        return self._given
-
     @cached_property
     def _pieces_um(self) -> list[list[FloatArray]] | None:
-        """Return the outputs of the pieces of the hysteresis; None for too many samples."""
-        parts = self._dataset.simulated
-        if sum(part.time_s.size for part in parts) > JOINT.kept_samples:
-            return None
-        return side_by_side(lambda part: list(piece_outputs_um(part, self._given)), parts)
+        return kept_pieces_um(self._dataset.simulated, self.given)
 
 
 def _simulated(model: StageModel, recordings: Sequence[Recording],
@@ -390,7 +384,8 @@ def _split_deviations(
     for effect in effects:
         of_effect = {}
         units = units_of_fitted(effect)
-        for name, unit in zip(_fitted_names(effect), units, strict=True):
+        names = [each.name for each in fields(effect) if each.metadata["scale"] != "fixed"]
+        for name, unit in zip(names, units, strict=True):
             # The standard deviation of a logarithm is relative to the value.
             of_effect[name] = float(
                 of_numbers[used] * (1.0 if unit is not None else getattr(effect, name)))
@@ -400,7 +395,3 @@ def _split_deviations(
         else:
             deviations.append(of_effect)
     return deviations, delay_s
-
-
-def _fitted_names(effect: Effect) -> list[str]:
-    return [each.name for each in fields(effect) if each.metadata["scale"] != "fixed"]

@@ -2,7 +2,7 @@
 """Hysteresis estimated from all of its recordings, of stages that were cycled before or not."""
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,9 +10,13 @@ import numpy as np
 from piezo_identification.conditioning.sensor_noise import noise_floor_um
 from piezo_identification.conditioning.settling import slow_delay_s, slow_dynamics
 from piezo_identification.conditioning.waveforms import played
-from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
+from piezo_identification.estimators.hysteresis.density_estimate import (
+    LINE_OF_RESPONSE,
+    DensityEstimate,
+)
 from piezo_identification.estimators.hysteresis.density_fit import (
     density_of_parts,
+    estimate_density,
     hysteresis_output_um,
     segment_of,
 )
@@ -22,17 +26,73 @@ from piezo_identification.estimators.hysteresis.first_rise_fit import (
     highest_before,
     without_first_rise,
 )
-from piezo_identification.identification.fitted_model import fitted_model
-from piezo_identification.identification.given_data import Data, keys_of_kind
-from piezo_identification.identification.given_hysteresis import (
-    DensityOptions,
-    estimate_hysteresis_of,
-)
-from piezo_identification.identification.linear_dynamics import LinearDynamics
+from piezo_identification.identification.given_data import Data, keys_of_kind, of_kind
+from piezo_identification.identification.linear_dynamics import LinearDynamics, fitted_model
 from piezo_identification.simulation.past_search import after_saturation, simulated_recording
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.first_rise import FirstRise
+from piezo_recorder.reading.recording import Recording
+
+ANY_VOLTAGE_V = 1000.0
+"""Limit above the voltage of piezo amplifiers. The voltages of a response are unknown, so its line
+is valid between minus and plus this voltage."""
+
+
+@dataclass(frozen=True)
+class DensityOptions:
+    """Options for the density of the hysteresis; what is None is chosen from the data."""
+
+    grid: int | None = None
+    """Number of cells along each threshold."""
+    smoothing_weight: float | None = None
+    translation_weight: float | None = None
+    """As in `piezo_identification.estimators.hysteresis.smoothed_density.density_of_segments`."""
+
+    def __post_init__(self) -> None:
+        if self.grid is not None and not 4 <= self.grid <= 300:
+            raise ValueError(f"grid is {self.grid}: give 4 to 300")
+        for name in ("smoothing_weight", "translation_weight"):
+            weight = getattr(self, name)
+            if weight is not None and not 0.0 <= weight < np.inf:
+                raise ValueError(f"{name} is {weight:g}: give a number from 0 up")
+
+    def keywords(self) -> dict[str, Any]:
+        """Return the options as arguments of `density_fit.estimate_density`."""
+        return {"level_count": self.grid, "cells_per_level": 2 if self.grid is None else 1,
+                "smoothing_weight": self.smoothing_weight,
+                "translation_weight": self.translation_weight or 0.0}
+
+
+CHOSEN_BY_DATA = DensityOptions()
+
+
+def estimate_hysteresis_of(
+    recordings: Mapping[str, Data], linear: LinearDynamics,
+    options: DensityOptions = CHOSEN_BY_DATA,
+) -> DensityEstimate:
+    """Estimate the hysteresis from its recordings, or from all others if there are none.
+
+    The recordings have no gaps. For a response alone, it is a line through 0 V with its gain.
+    """
+    shown = of_kind(recordings, "hysteresis") or [
+        data for name in ("creep", "dynamics") for data in of_kind(recordings, name)
+        if isinstance(data, Recording)]
+    if not shown:
+        return _line_of_response(linear)
+    return estimate_density(
+        shown, linear.creep, linear.slow_dynamics, delay_s=linear.slow_delay_s,
+        **options.keywords())
+
+
+def _line_of_response(linear: LinearDynamics) -> DensityEstimate:
+    # Of a sensor that counts the other way, the model's displacement rises with the voltage.
+    gain = abs(float(linear.estimates["dynamics"].model.gain))
+    return DensityEstimate(
+        LINE_OF_RESPONSE, np.array([-ANY_VOLTAGE_V, ANY_VOLTAGE_V]), np.zeros((1, 1)),
+        -gain * ANY_VOLTAGE_V, np.ones((1, 1), dtype=bool),
+        reversible_um_per_v=np.array([gain]))
+
 
 MOST_NOISE = 0.9
 """Largest part of the residual with a remanence that may count as noise. Even if the residual is
@@ -144,8 +204,6 @@ def new_loops(
         Recordings with their rows as given, not aligned.
     near : DensityEstimate
         Estimate from the same recordings with nearly the same creep and dynamics.
-    model : StageModel
-        Model with all of its effects.
     read_late_s : dict of str to float
         Time by which each recording reads its rows after the voltage.
     """

@@ -31,12 +31,7 @@ def given_data(
     creep: Recordings | None, dynamics: Recordings | FrequencyResponse | None,
     hysteresis: Recordings | None, validation: Recording | None,
 ) -> dict[str, Data]:
-    """Return the given data by name.
-
-    Returns
-    -------
-    dict of str to Recording or FrequencyResponse
-        Data by the name of the experiment; further ones are numbered: creep, creep 2.
+    """Return the given data by name of the experiment; further ones are numbered: creep, creep 2.
 
     Raises
     ------
@@ -78,13 +73,6 @@ def conditioned_data(given: Mapping[str, Data], note: Callable[[str], object],
     """Mark outliers, cut at gaps, make the displacement rise with the voltage, align the rows.
 
     Without a recording of the dynamics, the first rows of jumps are marked, too.
-
-    Parameters
-    ----------
-    note : callable
-        Called with text on the outliers and the sign.
-    read_at_samples : float
-        As in `identify`.
     """
     marked = without_gaps(with_marked_outliers(given, note))
     if not of_kind(marked, "dynamics"):
@@ -94,14 +82,7 @@ def conditioned_data(given: Mapping[str, Data], note: Callable[[str], object],
 
 
 def without_gaps(recordings: Mapping[str, Data]) -> dict[str, Data]:
-    """Cut recordings at their gaps.
-
-    Returns
-    -------
-    dict of str to Recording or FrequencyResponse
-        Each stretch is a separate recording; recordings without gaps are not changed. Short
-        stretches of the validation are omitted.
-    """
+    """Cut recordings at their gaps, each stretch being a recording; omit a short validation."""
     result: dict[str, Data] = {}
     for name in dict.fromkeys(map(experiment_of, recordings)):
         stretches: list[Any] = []
@@ -117,13 +98,7 @@ def without_gaps(recordings: Mapping[str, Data]) -> dict[str, Data]:
 def with_marked_outliers(
     given: Mapping[str, Data], note: Callable[[str], object]
 ) -> dict[str, Data]:
-    """Mark the outliers of all recordings, because least squares is sensitive to them.
-
-    Parameters
-    ----------
-    note : callable
-        Called with a sentence for each recording that has outliers.
-    """
+    """Mark the outliers of all recordings, because least squares is sensitive to them."""
     marked: dict[str, Data] = {}
     for name, data in given.items():
         if not isinstance(data, FrequencyResponse):
@@ -138,33 +113,18 @@ def with_marked_outliers(
 def rising_with_voltage(
     recordings: Mapping[str, Data], note: Callable[[str], object],
 ) -> dict[str, Any]:
-    """Change the sign of all displacements if the slowest one falls with the voltage.
-
-    Parameters
-    ----------
-    recordings : dict of str to Recording or FrequencyResponse
-        Recordings with marked outliers.
-    note : callable
-        Called with a sentence if the signs are changed.
-    """
-    slowest = slowest_recording(recordings)
-    if slowest is None or not displacement_falls(slowest):
-        return dict(recordings)
-    note("the displacement falls as the voltage rises: its sign is changed throughout")
-    return {name: reversed_data(data) for name, data in recordings.items()}
-
-
-def slowest_recording(recordings: Mapping[str, Data]) -> Recording | None:
-    """Return the first recording of hysteresis, otherwise of creep; None if there is neither.
+    """Change the sign of all displacements if that of the loops, or of the creep, falls.
 
     Fast recordings do not determine the sign, because near a resonance the displacement moves
     against the voltage.
     """
-    for name in ("hysteresis", "creep"):
-        for data in of_kind(recordings, name):
-            if isinstance(data, Recording):
-                return data
-    return None
+    slow = [data for name in ("hysteresis", "creep") for data in of_kind(recordings, name)
+            if isinstance(data, Recording)]
+    if not slow or not displacement_falls(slow[0]):
+        return dict(recordings)
+    note("the displacement falls as the voltage rises: its sign is changed throughout")
+    return {name: replace(data, gain=-data.gain) if isinstance(data, FrequencyResponse)
+            else reversed_displacement(data) for name, data in recordings.items()}
 
 
 def aligned(
@@ -172,10 +132,7 @@ def aligned(
 ) -> dict[str, Data]:
     """Align the rows of recordings whose displacements are read late; means are not changed.
 
-    Parameters
-    ----------
-    read_at_samples : float or dict of str to float
-        Instant at which rows are read, in sample periods after their voltage; by name, or common.
+    The instants, by name or common, are in sample periods after the voltage.
     """
     read_at = read_at_samples if isinstance(read_at_samples, Mapping) else dict.fromkeys(
         recordings, read_at_samples)
@@ -183,10 +140,3 @@ def aligned(
         name: data if isinstance(data, FrequencyResponse)
         else rows_read_at_start(data, read_as(data, read_at[name]))
         for name, data in recordings.items()}
-
-
-def reversed_data(data: Data) -> Data:
-    """Change the sign of measured data from a sensor with the opposite direction."""
-    if isinstance(data, FrequencyResponse):
-        return replace(data, gain=-data.gain)
-    return reversed_displacement(data)

@@ -21,7 +21,6 @@ from piezo_identification.adequacy.component_adequacy import (
 )
 from piezo_identification.adequacy.loop_shape import refuse_impossible_loops
 from piezo_identification.adequacy.model_plausibility import implausible_data, implausible_model
-from piezo_identification.conditioning.recording_start import motion_um_per_s
 from piezo_identification.conditioning.row_alignment import RowDelay
 from piezo_identification.conditioning.segments import Recordings
 from piezo_identification.conditioning.waveforms import played, turns_inside
@@ -33,9 +32,12 @@ from piezo_identification.estimators.frequency_response.response_model import (
     ResponseOrder,
 )
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
-from piezo_identification.identification.estimated_loops import estimate_loops, new_loops
-from piezo_identification.identification.explained_failures import failures_explained
-from piezo_identification.identification.fitted_model import FittedModel, fitted_model
+from piezo_identification.identification.estimated_loops import (
+    CHOSEN_BY_DATA,
+    DensityOptions,
+    estimate_loops,
+    new_loops,
+)
 from piezo_identification.identification.given_data import (
     Data,
     aligned,
@@ -43,25 +45,17 @@ from piezo_identification.identification.given_data import (
     given_data,
     of_kind,
 )
-from piezo_identification.identification.given_hysteresis import (
-    CHOSEN_BY_DATA,
-    DensityOptions,
-)
 from piezo_identification.identification.linear_dynamics import (
     SECOND_PASS,
+    FittedModel,
     LinearDynamics,
     estimate_linear_dynamics,
+    fitted_model,
 )
 from piezo_identification.identification.notes import Detail, Implausible
 from piezo_identification.identification.one_fit import fitted_together, reliable
-from piezo_identification.identification.progress import (
-    IdentificationCancelled,
-    Stages,
-)
-from piezo_identification.identification.recorded_hum import (
-    hum_of_each,
-    without_hum,
-)
+from piezo_identification.identification.progress import IdentificationCancelled, Stages
+from piezo_identification.identification.recorded_hum import hum_of_each, without_hum
 from piezo_identification.identification.row_delays import (
     delays_of_rows_s,
     found_readings,
@@ -70,6 +64,7 @@ from piezo_identification.identification.row_delays import (
     validation_as_read,
 )
 from piezo_identification.prediction.prediction_errors import unseen_errors
+from piezo_identification.recording_check.check import RecordingCheck
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.first_rise import FirstRise
 from piezo_models.identified_model import IdentifiedModel
@@ -165,10 +160,9 @@ def identify(
     """
     given = given_data(creep, dynamics, hysteresis, validation)
     stages, note = Stages(progress, cancelled), note or (lambda text: None)
-    paths = [data.path for data in given.values()]
     budget = budget or Budget()
-    with checking(stages.check), spending(budget), failures_explained(
-            lambda: stages.current, paths):
+    with checking(stages.check), spending(budget), stages.failures_explained(
+            data.path for data in given.values()):
         if refine or method != OUTPUT_ERROR:
             note("refine and method have no effect: identify always fits all components together "
                  "at the end, by their output error")
@@ -285,23 +279,13 @@ def report_starts(recordings: Mapping[str, Data], cycled: Mapping[str, Data],
                   note: Callable[[str], object]) -> None:
     """Report the initial state of each recording, and how it is handled.
 
-    Parameters
-    ----------
-    cycled : dict of str to Recording or FrequencyResponse
-        The recordings as if the stage had been cycled before each of them.
-    first_rise : FirstRise or None
-        First rise found in the recordings of the hysteresis.
-    note : callable
-        Called with a sentence for each recording.
+    The `cycled` recordings are those as if the stage had been cycled before each of them.
     """
     for name, data in recordings.items():
         if isinstance(data, FrequencyResponse):
             continue
         part = played(data)
-        words = [f"begins at {part.voltage_v[0]:.4g} V"]
-        velocity = motion_um_per_s(part)
-        if velocity:
-            words.append(f"in motion, {velocity:+.3g} um/s: its initial state is fitted")
+        words = [f"begins at {part.voltage_v[0]:.4g} V", RecordingCheck(part).start]
         if name in linear.estimates and linear.estimates[name].start:
             words.append(linear.estimates[name].start)
         if first_rise is not None and cycled[name] is not data:
@@ -343,15 +327,7 @@ def identified_model(
     fitted: FittedModel, errors: dict[str, Any], given: Mapping[str, Data],
     rows: Mapping[str, RowDelay],
 ) -> IdentifiedModel:
-    """Return the model with its voltage range, its errors, and its recordings.
-
-    Parameters
-    ----------
-    errors : dict
-        Errors by their names in the model file.
-    given : dict of str to Recording or FrequencyResponse
-        Recordings as read from their files.
-    """
+    """Return the model with its voltage range, its errors, and its recordings as read."""
     hysteresis = fitted.model.hysteresis
     return IdentifiedModel(
         model=fitted.model,

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Creep, electric and vibration dynamics, estimated from the recordings that show them."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
@@ -16,17 +17,12 @@ from piezo_identification.conditioning.row_alignment import (
     reading_at_jumps,
     rows_read_at_start,
 )
-from piezo_identification.conditioning.settling import (
-    SlowDynamics,
-    slow_delay_s,
-    slow_dynamics,
-)
+from piezo_identification.conditioning.settling import SlowDynamics, slow_delay_s, slow_dynamics
 from piezo_identification.conditioning.waveforms import has_holds, played, two_levels
 from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
-from piezo_identification.estimators.dynamics.any_input import estimate_dynamics_any
 from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
-from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S, estimate_dynamics
+from piezo_identification.estimators.dynamics.fast_estimate import estimate_dynamics
 from piezo_identification.estimators.estimate import SIGNIFICANT, Estimate
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_fit import (
@@ -41,7 +37,7 @@ from piezo_identification.simulation.past_search import after_saturation
 from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect
-from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.hysteresis.first_rise import FirstRise
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
 
@@ -186,10 +182,6 @@ def estimate_linear_dynamics(
     ----------
     creep, hysteresis : sequence of Recording
         Recordings without gaps; empty for none.
-    order : ResponseOrder
-        Requested orders.
-    begin : callable
-        Called with (stage, fraction of this work) before each stage.
 
     Raises
     ------
@@ -219,7 +211,8 @@ def estimate_linear_dynamics(
         if needs_hysteresis:
             driving = aligned_density(hysteresis, found, driving)[0]
         density = None if driving is None else driving.model()
-        estimate = _from_samples(fast, found.creep, density, order, _likely(found))
+        estimate = estimate_dynamics(
+            fast, found.creep, order.modes, among=_likely(found), hysteresis=density)
         if order.creep_pairs is not None and found.creep.poles_rad_per_s:
             # The requested number of pairs is reached; the joint fit estimates them together.
             estimate = replace(estimate, creep=CreepDynamics())
@@ -249,12 +242,8 @@ def creep_of(
 
     Parameters
     ----------
-    is_dynamics_known : bool
-        Whether `found` already contains the dynamics.
     pair_count : int, optional
         Number of creep pairs; by default chosen from the data.
-    highest_rad_per_s : float
-        Highest frequency of the fast recordings.
 
     Returns
     -------
@@ -293,17 +282,12 @@ def _creep_of_aligned(
 
 
 def loop_readings(hysteresis: Sequence[Recording], found: LinearDynamics) -> set[float]:
-    """Return the instants at which rows of loops may be read, in sample periods.
+    """Return the instants at which rows of loops may be read, in sample periods; 0 is one.
 
     They may be read with their voltage, as the rows of the dynamics, or as their jumps show.
     Points of a static loop may also be read at the end of their hold, when the stage has come to
     rest. Jumps and points are not used until there are dynamics: a model without them responds
     immediately, and does not distinguish the two ends of the hold.
-
-    Returns
-    -------
-    set of float
-        Always includes 0.
     """
     readings = {0.0, *(read_as(each, found.read_at_samples) for each in hysteresis)}
     if found.dynamics.is_static:
@@ -330,13 +314,11 @@ def aligned_density(
     """
     tried = []
     smoothing = before.smoothing_weight if before is not None else None
-    translation = before.translation_weight if before is not None else None
     for read_at in loop_readings(hysteresis, found):
         aligned = [rows_read_at_start(each, read_as(each, read_at)) for each in hysteresis]
         density = estimate_density(
             aligned, found.creep, found.slow_dynamics, smoothing_weight=smoothing,
-            translation_weight=translation, delay_s=found.slow_delay_s,
-            most_levels=DRIVING_LEVELS)
+            delay_s=found.slow_delay_s, most_levels=DRIVING_LEVELS)
         tried.append((density, read_at, aligned))
     if len(tried) == 1:
         return tried[0][:2]
@@ -360,30 +342,12 @@ def _from_response(
     return estimate_from_response(measured, order)
 
 
-def _from_samples(
-    recordings: Sequence[Recording], creep: CreepDynamics, density: PreisachModel | None,
-    order: ResponseOrder, among: Collection[ModeOrder],
-) -> Estimate:
-    if len(recordings) == 1 and _is_periodic(recordings[0]):
-        return estimate_dynamics(recordings[0], creep, order.modes, among=among)
-    return estimate_dynamics_any(recordings, creep, density, order.modes, among)
-
-
 def _likely(found: LinearDynamics) -> list[ModeOrder]:
     """Return the best orders of the dynamics in the first pass; empty if there was none."""
     if "dynamics" not in found.estimates:
         return []
     trials = sorted(found.estimates["dynamics"].trials, key=lambda trial: trial.information)
     return [trial.order for trial in trials[:ONCE_MORE]]
-
-
-def _is_periodic(recording: Recording) -> bool:
-    """Return whether a recording is a square wave with a period of a whole number of samples."""
-    wave = two_levels(square_part(played(recording)))
-    if wave is None:
-        return False
-    steps = wave.steps[wave.steps >= WARM_UP_S / played(recording).sample_period_s]
-    return steps.size >= 3 and bool(np.all(steps[2:] - steps[:-2] == steps[2] - steps[0]))
 
 
 def of_the_fastest_clock(recordings: Sequence[Recording]) -> list[Recording]:
@@ -395,3 +359,28 @@ def of_the_fastest_clock(recordings: Sequence[Recording]) -> list[Recording]:
 def is_square_wave(recording: Recording) -> bool:
     """Return whether the voltage of a recording has two levels."""
     return two_levels(square_part(played(recording))) is not None
+
+
+@dataclass(frozen=True)
+class FittedModel:
+    """A model with the standard deviations of its parameters, before its errors are measured."""
+
+    model: StageModel
+
+    uncertainties: dict[str, Any]
+    """Standard deviations of creep and dynamics, as far as they were estimated."""
+    visited: NDArray[np.bool_]
+    """Cells of the Preisach plane that the data determine, (n, n)."""
+
+
+def fitted_model(linear: LinearDynamics, density: DensityEstimate,
+                 first_rise: FirstRise | None = None) -> FittedModel:
+    """Assemble the estimated components; further parts of the dynamics become effects."""
+    model = StageModel(
+        density.model(), linear.creep, linear.dynamics, effects=linear.all_effects,
+        first_rise=first_rise,
+    )
+    uncertainties: dict[str, Any] = dict(linear.uncertainties)
+    if linear.all_effects:
+        uncertainties["effects"] = list(linear.effect_deviations)
+    return FittedModel(model, uncertainties, density.visited)

@@ -16,10 +16,7 @@ class Implausible(str):
 class Detail(str):
     """A sentence or table on how a result was found, which programs may leave out.
 
-    Attributes
-    ----------
-    plot : callable or None
-        Draws the table.
+    The function `plot`, if there is one, draws the table.
     """
 
     plot: "Callable[[], Figure] | None"
@@ -33,13 +30,7 @@ class Detail(str):
 
 @contextmanager
 def notes_printed(verbose: bool) -> Iterator[list[str]]:
-    """Provide a list for notes, which are printed at the end.
-
-    Parameters
-    ----------
-    verbose : bool
-        True to print details, too.
-    """
+    """Provide a list for notes, which are printed at the end, with details only if verbose."""
     notes: list[str] = []
     try:
         yield notes

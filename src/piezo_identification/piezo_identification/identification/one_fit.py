@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The last step of an identification: a joint fit of the whole model to all recordings."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.row_alignment import LATEST_READING
 from piezo_identification.conditioning.segments import experiment_of
 from piezo_identification.conditioning.waveforms import played, two_levels
+from piezo_identification.estimators.estimate import DECISIVE
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_model import ResponseOrder
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
@@ -27,21 +28,18 @@ from piezo_identification.fitting.structure_search import (
     is_better,
     searched,
 )
-from piezo_identification.fitting.whole_model import (
-    NARROW_PRIOR,
-    WIDE_PRIOR,
-    WholeFit,
-    WholeModel,
-)
-from piezo_identification.identification.fitted_model import FittedModel
+from piezo_identification.fitting.whole_model import NARROW_PRIOR, WIDE_PRIOR, WholeFit, WholeModel
 from piezo_identification.identification.given_data import Data
+from piezo_identification.identification.linear_dynamics import FittedModel
 from piezo_identification.identification.notes import Detail
-from piezo_identification.identification.tried_structures import structure_figure, structure_table
 from piezo_identification.simulation.past_search import is_long_enough
 from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_recorder.reading.recording import Recording
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 COMPONENTS_OF = {"creep": ("creep",), "dynamics": ("dynamics", "effects"),
                  "hysteresis": ("creep", "dynamics", "effects")}
@@ -203,8 +201,6 @@ def fitted_together(
 
     Parameters
     ----------
-    fitted : FittedModel
-        Initial model from the separate steps.
     recordings : dict of str to Recording or FrequencyResponse
         Conditioned recordings with their rows as given; all except the validation are fitted.
     read_at : dict of str to float
@@ -212,12 +208,6 @@ def fitted_together(
     new_loops : callable, optional
         Estimates the hysteresis again with a fitted model; its second argument is the time in s by
         which each recording reads its rows late. None if no recording of loops was given.
-    order : ResponseOrder
-        Requested orders, which the search keeps.
-    report : callable
-        Called with a description of each fit and the fraction done.
-    note : callable
-        Called with text for the user.
 
     Returns
     -------
@@ -315,13 +305,7 @@ def reliable(uncertainties: Mapping[str, Any], adequacy: Mapping[str, Mapping[st
     Systematic errors of an adequate component are small, but do not average out over periods as
     noise does. The deviations of the parts that it affects are multiplied by its residual over the
     noise in the same samples. Those of parts that an inadequate component affects are omitted.
-
-    Parameters
-    ----------
-    adequacy : dict of str to dict
-        Adequacy as in the model file.
-    is_response : bool
-        The dynamics come from a frequency response, which loops do not affect.
+    Loops do not affect dynamics from a frequency response.
     """
     factors = dict.fromkeys(("creep", "dynamics", "effects"), 1.0)
     for name, each in adequacy.items():
@@ -340,3 +324,38 @@ def _scaled(deviations: Any, factor: float) -> Any:
     if isinstance(deviations, list | tuple):
         return type(deviations)(_scaled(each, factor) for each in deviations)
     return factor * deviations
+
+
+Tried = Sequence[tuple[str, WholeFit]]
+"""What was changed, and the fit, in the order in which they were tried."""
+
+
+def structure_table(tried: Tried, best: WholeFit) -> str:
+    """Return a table of all fits for the user, with the best one marked."""
+    first = tried[0][1]
+    lines = [f"{'structure':45}{'parameters':>12}{'evidence':>12}  residual (um)"]
+    for change, fit in tried:
+        residual_um = ", ".join(
+            f"{np.sqrt(np.mean(residual**2)):.3g}" for residual, _ in fit.residual_um)
+        lines.append(f"{change:45}{fit.numbers:12d}{fit.evidence_over(first):12.1f}  {residual_um}"
+                     f"{'  <- written' if fit is best else ''}")
+    return "\n".join(lines)
+
+
+def structure_figure(tried: Tried, best: WholeFit) -> "Figure":
+    """Draw by how much the evidence of each fit is lower than that of the best one.
+
+    A filled mark is the best one, which is written.
+    """
+    from piezo_common.picture_style import BLUE, label, new_figure
+
+    figure = new_figure(height_in=0.8 + 0.22 * len(tried))
+    axes = figure.subplots()
+    for place, (_, fit) in enumerate(tried):
+        axes.plot(best.evidence_over(fit), place, color=BLUE, marker="o",
+                  fillstyle="full" if fit is best else "none")
+    axes.set_xscale("symlog", linthresh=DECISIVE)
+    axes.set_yticks(range(len(tried)), [change for change, _ in tried])
+    axes.invert_yaxis()
+    label(axes, "log-evidence below the best (1)")
+    return figure

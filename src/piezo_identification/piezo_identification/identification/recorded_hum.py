@@ -79,17 +79,7 @@ class Hum:
 def hum_of_each(
     recordings: Mapping[str, Data], model: StageModel, delays_s: Mapping[str, float],
 ) -> dict[str, Hum]:
-    """Return the hum of each recording that evidently has one.
-
-    Parameters
-    ----------
-    recordings : dict of str to Recording or FrequencyResponse
-        Conditioned recordings with their rows as given.
-    model : StageModel
-        Model with all of its effects.
-    delays_s : dict of str to float
-        Result of `delays_of_rows_s`.
-    """
+    """Return the hum of each recording, with its rows as given, that evidently has one."""
     found = {}
     for name, data in recordings.items():
         # Recordings that are too short to simulate are too short to show a hum.

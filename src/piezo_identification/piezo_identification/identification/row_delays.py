@@ -30,15 +30,11 @@ SHORT_S = 1e-3
 
 
 def found_readings(recordings: Mapping[str, Data], linear: LinearDynamics) -> dict[str, float]:
-    """Return when the rows of each recording are read.
+    """Return when the rows of each recording are read, in sample periods after the voltage.
 
     They are read as those of the dynamics. Creep and loops may come from another logger: creep is
-    read as in its estimate, loops at the instant from `loop_readings` that fits them best.
-
-    Returns
-    -------
-    dict of str to float
-        Sample periods after the voltage, by the name of the recording; 0 for means.
+    read as in its estimate, loops at the instant from `loop_readings` that fits them best. It is 0
+    for means.
     """
     loops_read_at = linear.read_at_samples
     loops = of_kind(recordings, "hysteresis")
@@ -56,19 +52,8 @@ def validation_as_read(
 ) -> tuple[dict[str, Data], dict[str, float]]:
     """Read the validation as the dynamics only if that reduces its error.
 
-    It may come from another logger, or a logger may read slower rows at another instant.
-
-    Parameters
-    ----------
-    conditioned, recordings : dict of str to Recording or FrequencyResponse
-        Recordings as given, and aligned.
-    read_at : dict of str to float
-        Result of `found_readings`.
-
-    Returns
-    -------
-    recordings : dict of str to Recording or FrequencyResponse
-    read_at : dict of str to float
+    It may come from another logger, or a logger may read slower rows at another instant. The
+    recordings are given as measured, `conditioned`, and aligned.
     """
     read, instants = dict(recordings), dict(read_at)
     for name, data in conditioned.items():
@@ -80,17 +65,9 @@ def validation_as_read(
 def delays_of_rows_s(
     recordings: Mapping[str, Data], read_at: Mapping[str, float],
 ) -> dict[str, float]:
-    """Return the delays of recordings that are not aligned, negative if rows are read late.
+    """Return the delays of recordings whose rows are not read with their voltage.
 
-    Parameters
-    ----------
-    read_at : dict of str to float
-        Result of `found_readings`.
-
-    Returns
-    -------
-    dict of str to float
-        Delays of recordings whose rows are not read with their voltage.
+    A delay is negative if rows are read late.
     """
     return {name: -read_at[name] * played(data).sample_period_s
             for name, data in recordings.items()
@@ -107,8 +84,6 @@ def row_delays(
     ----------
     recordings : dict of str to Recording or FrequencyResponse
         Aligned recordings.
-    found : dict of str to float
-        Result of `found_readings`.
     read_at_samples : float
         Instant given to `identify`.
 

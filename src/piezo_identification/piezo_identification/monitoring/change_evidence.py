@@ -46,15 +46,7 @@ class ChangeEvidence:
         self._blocks = np.zeros(FACTORS.size, dtype=int)
 
     def add(self, value: float, expected: Expected) -> Change:
-        """Add a block, and return the evidence of all blocks.
-
-        Parameters
-        ----------
-        value : float
-            Logarithm of the error of the block (um).
-        expected : Expected
-            Usual distribution of this logarithm.
-        """
+        """Add the logarithm of the error (um) of a block, and return the evidence of all blocks."""
         usual = _log_density(value, expected.middle, expected.scale, expected.freedom)
         grown = _log_density(value, expected.middle + self._growth,
                              np.hypot(expected.scale, 0.5 * self._step), expected.freedom)

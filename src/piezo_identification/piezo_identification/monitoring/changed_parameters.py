@@ -6,7 +6,7 @@ together are fitted by nonlinear least squares, and compared on stretches of the
 excluded from the fit.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,9 +14,9 @@ from scipy.optimize import least_squares
 
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.conditioning.outlier_samples import with_outliers_marked
-from piezo_identification.simulation.nuisance import nuisance_regressors
 from piezo_identification.simulation.past_search import simulated_recording
 from piezo_models.cascade import StageModel
+from piezo_models.linear.dynamics_vector import dynamics_of_vector, dynamics_vector
 from piezo_recorder.reading.recording import Recording
 
 
@@ -61,17 +61,13 @@ class ChangedParameters:
                 f"{1e3 * self.after_rms_um:.3g} nm")
 
 
-def changed_parameters(model: StageModel, recording: Recording,
-                       progress: Callable[[float], object] = lambda fraction: None,
-                       ) -> ChangedParameters:
+def changed_parameters(model: StageModel, recording: Recording) -> ChangedParameters:
     """Find which parameters of a model have changed in a recording.
 
     Parameters
     ----------
     recording : Recording
         Recording after the change, including the voltages before it.
-    progress : callable
-        Called with the fraction done (0 to 1); an exception that it raises ends the search.
 
     Raises
     ------
@@ -83,14 +79,10 @@ def changed_parameters(model: StageModel, recording: Recording,
     chosen: tuple[str, ...] = ()
     numbers = np.empty(0)
     best = problem.residual_um(chosen, numbers)
-    for taken in range(SETTINGS.most_groups):
-        fits = {}
-        others = [name for name in groups if name not in chosen]
-        for index, name in enumerate(others):
-            progress((taken + index / len(others)) / SETTINGS.most_groups)
-            names = (*chosen, name)
-            start = np.append(numbers, np.zeros(len(groups[name])))
-            fits[names] = problem.fit(names, start)
+    for _ in range(SETTINGS.most_groups):
+        fits = {(*chosen, name): problem.fit(
+            (*chosen, name), np.append(numbers, np.zeros(len(groups[name]))))
+            for name in groups if name not in chosen}
         if not fits:
             break
         residual = {names: problem.residual_um(names, fit) for names, fit in fits.items()}
@@ -113,40 +105,35 @@ def parameter_groups(model: StageModel) -> dict[str, tuple[str, ...]]:
     groups: dict[str, tuple[str, ...]] = {"gain": ("gain_um_per_v",)}
     if model.dynamics.time_constant_s > 0.0:
         groups["lag"] = ("time_constant_s",)
-    for index in range(1, len(model.dynamics.mode_frequencies_rad_per_s) + 1):
-        groups[f"mode {index}"] = (
-            f"mode_{index}_frequency_rad_per_s", f"mode_{index}_damping_ratio")
-    return groups
+    return groups | {
+        f"mode {index}": (f"mode_{index}_frequency_rad_per_s", f"mode_{index}_damping_ratio")
+        for index in range(1, len(model.dynamics.damping_ratios) + 1)}
+
+
+def _of_dynamics(model: StageModel) -> list[str]:
+    """Return the names of the parameters in the order of `dynamics_vector`."""
+    modes = range(1, len(model.dynamics.damping_ratios) + 1)
+    return ["time_constant_s", *(f"mode_{index}_frequency_rad_per_s" for index in modes),
+            *(f"mode_{index}_damping_ratio" for index in modes)]
 
 
 def _values(model: StageModel) -> dict[str, float]:
-    low_um, high_um = model.hysteresis.output_range_um
-    dynamics = model.dynamics
-    values = {
-        "gain_um_per_v": float((high_um - low_um) / (
-            model.hysteresis.voltage_max_v - model.hysteresis.voltage_min_v)),
-        "time_constant_s": dynamics.time_constant_s}
-    for index, (frequency, damping) in enumerate(zip(
-            dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios, strict=True), start=1):
-        values[f"mode_{index}_frequency_rad_per_s"] = frequency
-        values[f"mode_{index}_damping_ratio"] = damping
-    return values
+    hysteresis, names = model.hysteresis, _of_dynamics(model)
+    low_um, high_um = hysteresis.output_range_um
+    gain_um_per_v = (high_um - low_um) / (hysteresis.voltage_max_v - hysteresis.voltage_min_v)
+    return {"gain_um_per_v": float(gain_um_per_v)} | dict(
+        zip(names, dynamics_vector(model.dynamics)[: len(names)].tolist(), strict=True))
 
 
 def _changed(model: StageModel, logarithms: dict[str, float]) -> StageModel:
     """Return the model with some parameters multiplied by the exponentials of `logarithms`."""
-    factor = {name: float(np.exp(logarithms.get(name, 0.0))) for name in _values(model)}
-    dynamics, hysteresis = model.dynamics, model.hysteresis
-    modes = range(1, len(dynamics.damping_ratios) + 1)
-    if factor["gain_um_per_v"] != 1.0:
-        hysteresis = hysteresis.scaled(factor["gain_um_per_v"])
-    return replace(model, hysteresis=hysteresis, dynamics=replace(
-        dynamics, time_constant_s=dynamics.time_constant_s * factor["time_constant_s"],
-        mode_frequencies_rad_per_s=tuple(
-            value * factor[f"mode_{index}_frequency_rad_per_s"]
-            for index, value in zip(modes, dynamics.mode_frequencies_rad_per_s, strict=True)),
-        damping_ratios=tuple(value * factor[f"mode_{index}_damping_ratio"]
-                             for index, value in zip(modes, dynamics.damping_ratios, strict=True))))
+    dynamics, hysteresis, names = model.dynamics, model.hysteresis, _of_dynamics(model)
+    vector = dynamics_vector(dynamics)
+    vector[: len(names)] *= np.exp([logarithms.get(name, 0.0) for name in names])
+    if "gain_um_per_v" in logarithms:
+        hysteresis = hysteresis.scaled(float(np.exp(logarithms["gain_um_per_v"])))
+    return replace(model, hysteresis=hysteresis, dynamics=dynamics_of_vector(
+        vector, len(dynamics.damping_ratios), len(dynamics.antiresonance_damping_ratios)))
 
 
 class _Problem:
@@ -161,7 +148,7 @@ class _Problem:
         self._held_out: BoolArray = used & (stretch % 3 == 2)
         self._fitted: BoolArray = used & ~self._held_out
         self._stretch = stretch
-        self._nuisance = nuisance_regressors(part, np.arange(count))
+        self._nuisance = part.nuisance_regressors(np.arange(count))
 
     def model(self, groups: Sequence[str], numbers: FloatArray) -> StageModel:
         """Return the model with the parameters of some groups changed by logarithms."""

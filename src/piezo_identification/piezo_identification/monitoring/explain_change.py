@@ -7,6 +7,7 @@ import os
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+from piezo_common.text_file import replace_json
 from piezo_identification.diagnosis.report.diagnosis_results import diagnose_files
 from piezo_identification.monitoring.changed_parameters import changed_parameters
 from piezo_models.model_file import load_model, save_model
@@ -43,8 +44,6 @@ def explain_change(model: str | Path, recording: str | Path, directory: str | Pa
 
     Parameters
     ----------
-    model, recording : path-like
-        Model file, and recording after the change.
     directory : path-like
         Directory for ``extended_model.json``, and for the files of the diagnosis if one is made.
     usual_rms_um : float
@@ -81,15 +80,6 @@ def explain_change(model: str | Path, recording: str | Path, directory: str | Pa
 
 class Explainer:
     """Explain a change in a separate process.
-
-    Parameters
-    ----------
-    model : str
-        Path of the model file.
-    recording : Recording
-        Recording after the change.
-    directory : Path
-        Directory for all files; it is created if it is missing.
 
     Raises
     ------
@@ -132,10 +122,7 @@ def _work(model: str, recording: str, directory: str, usual_rms_um: float) -> No
         explanation = explain_change(model, recording, directory, usual_rms_um)
     except ValueError as error:
         explanation = ChangeExplanation(f"the change cannot be diagnosed: {error}")
-    result = Path(directory, RESULT)
-    complete = result.with_suffix(".part")
-    complete.write_text(json.dumps(asdict(explanation), indent=1), encoding="utf-8")
-    os.replace(complete, result)
+    replace_json(Path(directory, RESULT), asdict(explanation))
 
 
 def _explains(before_um: float, after_um: float, usual_um: float) -> bool:

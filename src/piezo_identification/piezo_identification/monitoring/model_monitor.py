@@ -13,10 +13,54 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.monitoring.change_evidence import ChangeEvidence
-from piezo_identification.monitoring.slow_offset import SlowOffset
 from piezo_identification.monitoring.usual_error import KnownError, UsualError
 from piezo_models.cascade import StageMemory, StageModel
 from piezo_models.effects import Effect
+
+FOLLOWED_BLOCKS = 100
+"""Number of blocks to which the line is fitted; older ones fade."""
+
+FEWEST_BLOCKS = 3
+"""Number of blocks after which a deviation is computed; before, it is 0."""
+
+SETTLED_BLOCKS = 10
+"""Number of blocks after which the line is known and the age of a run no longer counts."""
+
+
+class SlowOffset:
+    """Least-squares line through the means of a run over log time, with older ones fading.
+
+    For any stage, creep that a model lacks grows with the logarithm of the time since a run began.
+    The means are therefore expected on a line over that logarithm. The line also follows slow
+    warming.
+    """
+
+    def __init__(self) -> None:
+        self.begin()
+
+    def begin(self) -> None:
+        """Start a new run."""
+        self._blocks = 0
+        self._normal: FloatArray = np.zeros((2, 2))
+        self._right: FloatArray = np.zeros(2)
+
+    @property
+    def age(self) -> float:
+        """Return the logarithm of the blocks in the run, limited to `SETTLED_BLOCKS`."""
+        return float(np.log(min(self._blocks, SETTLED_BLOCKS)))
+
+    def take(self, mean_um: float) -> float:
+        """Add the mean of the next block, and return its deviation from the line (um)."""
+        self._blocks += 1
+        at = np.array([1.0, np.log(self._blocks)])
+        offset_um = 0.0
+        if self._blocks > FEWEST_BLOCKS:
+            offset_um = mean_um - float(at @ np.linalg.solve(self._normal, self._right))
+        kept = 1.0 - 1.0 / FOLLOWED_BLOCKS
+        self._normal = kept * self._normal + np.outer(at, at)
+        self._right = kept * self._right + mean_um * at
+        return offset_um
+
 
 STATISTICS = {
     "mean": "as an offset",
@@ -261,18 +305,9 @@ class ModelMonitor:
 
 
 def band_powers(signal_um: FloatArray, sample_period_s: float) -> FloatArray:
-    """Return the mean square of a signal about its mean in the bands of `BAND_EDGES_HZ`.
+    """Return the mean square (um^2) of a signal about its mean in the bands of `BAND_EDGES_HZ`.
 
-    The linear trend of the signal is counted in the lowest band.
-
-    Parameters
-    ----------
-    signal_um : ndarray, shape (N,)
-
-    Returns
-    -------
-    ndarray, shape (4,)
-        Powers in um^2; their sum is the variance.
+    Their sum is the variance. The linear trend of the signal is counted in the lowest band.
     """
     line = np.linspace(-1.0, 1.0, signal_um.size)
     slope_um = float(line @ signal_um / (line @ line))
@@ -286,14 +321,7 @@ def band_powers(signal_um: FloatArray, sample_period_s: float) -> FloatArray:
 
 
 def largest_part(residual_um: FloatArray, offset_um: float, simulated_um: FloatArray) -> str:
-    """Return the largest component of an error: a key of `STATISTICS`.
-
-    Parameters
-    ----------
-    residual_um, simulated_um : ndarray, shape (N,)
-    offset_um : float
-        Offset of the residual.
-    """
+    """Return the largest component of an error, (N,): a key of `STATISTICS`."""
     remaining_um = residual_um - residual_um.mean()
     powers = {"mean": offset_um**2}
     for name, shape_um in (("gain", simulated_um), ("lag", np.gradient(simulated_um))):

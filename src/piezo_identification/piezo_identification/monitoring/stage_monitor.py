@@ -8,11 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.monitoring.model_monitor import (
-    ModelMonitor,
-    MonitorSettings,
-    Suspicion,
-)
+from piezo_identification.monitoring.model_monitor import ModelMonitor, MonitorSettings, Suspicion
 from piezo_identification.monitoring.usual_error import KnownError
 from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording
@@ -137,14 +133,9 @@ class StageMonitor:
         return sum(piece.voltage_v.size for piece in self._since(time_s))
 
     def recording(self, time_s: float) -> Recording:
-        """Return the kept samples of the last run since a time as a recording.
+        """Return the kept samples of the last run since a time on the sample clock as a recording.
 
         They are preceded by the voltages in the memory of the hysteresis, flagged as a ramp.
-
-        Parameters
-        ----------
-        time_s : float
-            Time on the sample clock.
 
         Raises
         ------

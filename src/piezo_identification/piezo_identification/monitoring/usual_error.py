@@ -165,13 +165,7 @@ class UsualError:
 
     def take(self, motion_um: FloatArray, features: FloatArray, value: float,
              weight: float) -> None:
-        """Learn from the logarithm of a block's error (um).
-
-        Parameters
-        ----------
-        weight : float
-            Weight of the block (0 to 1); 1 is used if its kind is new.
-        """
+        """Learn from the logarithm of a block's error (um); a known kind has a weight (0 to 1)."""
         expected, kind = self.expected(motion_um, features), self._kind(features)
         is_new = kind is None
         if kind is None:

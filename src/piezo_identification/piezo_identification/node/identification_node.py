@@ -2,7 +2,7 @@
 """Run the identification on a stage: experiments and the whole sequence as actions."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +13,13 @@ from rclpy.lifecycle import LifecycleNode
 from piezo_common.budget import Budget
 from piezo_identification.adequacy.component_adequacy import overall_verdict
 from piezo_identification.diagnosis.experiment_design.propose import LONGEST_S
-from piezo_identification.diagnosis.report.decide_files import (
+from piezo_identification.diagnosis.report.diagnosis_report import verdict_sentence
+from piezo_identification.diagnosis.report.diagnosis_results import (
+    DiagnosisResults,
     decide_files,
     decision_sentence,
+    diagnose_files,
 )
-from piezo_identification.diagnosis.report.diagnosis_report import verdict_sentence
-from piezo_identification.diagnosis.report.diagnosis_results import DiagnosisResults, diagnose_files
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
 from piezo_identification.experiments.catalogue import (
     EXPERIMENTS,
@@ -43,12 +44,7 @@ from piezo_ros.requests.calls import ActionCaller, CallFailed, Cancelled, GoalAb
 from piezo_ros.requests.goals import GoalServers, Progress
 from piezo_ros.spinning import autostart, run_node
 from piezo_ros.stage_runs.described_stage import DescribedStage
-from piezo_ros.stage_runs.recording_calls import (
-    Attachment,
-    RecorderCaller,
-    RunRecording,
-    free_name,
-)
+from piezo_ros.stage_runs.recording_calls import Attachment, RecorderCaller, RunRecording, free_name
 from piezo_ros.stage_runs.run_account import RunAccount, declare_run_limits
 from piezo_ros.stage_runs.stage_tracking import StageTracker
 
@@ -93,29 +89,30 @@ class IdentificationNode(LifecycleNode):
 
     def _run_experiment(self, goal: RunExperiment.Goal, result: RunExperiment.Result,
                         progress: Progress) -> None:
+        def show(step: str, fraction: float) -> None:
+            progress.report(fraction, stage=step)
+
         directory = self._writable(goal)
         stage = self._stage.wait(progress.check, several_axes=goal.experiment != NAME)
         if stage.axes:
-            self._run_axes_experiments(goal, stage, directory, result, progress)
+            self._run_axes_experiments(goal, stage, directory, result, show, progress)
             return
         if goal.experiment == NAME:
-            document = self._probe(stage, directory, result, lambda step, fraction: progress.report(
-                fraction, stage=step), progress, goal.unrecorded)
+            document = self._probe(stage, directory, result, show, progress, goal.unrecorded)
             result.recording = str(directory / NAME)
             result.summary = probe_file.probe_summary(document)
             return
         experiment = self._fitted(goal.experiment, stage, directory)
         result.summary = f"{experiment.description}, {experiment.duration_s:g} s"
-        note, recording = self._record(
-            experiment, stage, directory, result, lambda step, fraction: progress.report(
-                fraction, stage=f"{experiment.name}: {step}"), progress, goal.unrecorded)
+        (note, recording), = self._record_each(
+            [experiment], stage, directory, result, show, progress, goal.unrecorded)
         result.message = "; ".join(filter(None, (note, recording.note)))
         if isinstance(experiment, RelayExperiment) and not recording.failure:
             oscillation = relay_oscillation(read_recording(result.recording), experiment)
             result.summary += f"\n{oscillation.summary}"
 
     def _run_axes_experiments(self, goal: RunExperiment.Goal, stage: StageDescription,
-                              directory: Path, result: RunExperiment.Result,
+                              directory: Path, result: RunExperiment.Result, show: Report,
                               progress: Progress) -> None:
         """Run the experiments of one name for all axes; record several in one folder."""
         experiments = axes_experiments(goal.experiment, {
@@ -123,22 +120,32 @@ class IdentificationNode(LifecycleNode):
         if len(experiments) > 1:
             directory = self._data_root.writable(directory / free_name(directory, goal.experiment))
             _make(directory)
-        whole_s, done_s = sum(each.duration_s for each in experiments), 0.0
         result.summary = "\n".join(f"{each.description}, {each.duration_s:g} s"
                                    for each in experiments)
-        notes = []
-        for experiment in experiments:
-            def report(step: str, fraction: float, experiment: Experiment = experiment,
-                       done_s: float = done_s) -> None:
-                progress.report((done_s + fraction * experiment.duration_s) / whole_s,
-                                stage=f"{experiment.name}: {step}")
-            note, recording = self._record(
-                experiment, stage, directory, result, report, progress, goal.unrecorded)
-            notes += [note, recording.note]
-            done_s += experiment.duration_s
+        runs = self._record_each(
+            experiments, stage, directory, result, show, progress, goal.unrecorded)
         if len(experiments) > 1:
             result.recording = str(directory)
-        result.message = "; ".join(filter(None, notes))
+        result.message = "; ".join(filter(None, (
+            text for note, recording in runs for text in (note, recording.note))))
+
+    def _record_each(self, experiments: Sequence[Experiment | RelayExperiment],
+                     stage: StageDescription, directory: Path,
+                     result: RunExperiment.Result | Identify.Result, show: Report,
+                     progress: Progress, unrecorded: bool) -> list[tuple[str, RunRecording]]:
+        """Run and record experiments in turn; see `_record`."""
+        whole_s, done_s = sum(each.duration_s for each in experiments), 0.0
+        runs = []
+        for experiment in experiments:
+            def report(step: str, fraction: float,
+                       experiment: Experiment | RelayExperiment = experiment,
+                       done_s: float = done_s) -> None:
+                show(f"{experiment.name}: {step}",
+                     (done_s + fraction * experiment.duration_s) / whole_s)
+            runs.append(self._record(
+                experiment, stage, directory, result, report, progress, unrecorded))
+            done_s += experiment.duration_s
+        return runs
 
     def _fitted(self, name: str, stage: StageDescription,
                 directory: Path) -> Experiment | RelayExperiment:
@@ -287,21 +294,12 @@ class IdentificationNode(LifecycleNode):
     def _run_all(self, directory: Path, result: Identify.Result, progress: Progress,
                  unrecorded: bool) -> list[str]:
         """Run every experiment; raise CallFailed at the end if one could not be recorded."""
-        unread = []
         stage = self._stage.wait(progress.check)
-        experiments = [self._fitted(name, stage, directory) for name in EXPERIMENTS]
-        durations_s = [experiment.duration_s for experiment in experiments]
-        for index, experiment in enumerate(experiments):
-            begin = sum(durations_s[:index]) / sum(durations_s)
-            share = durations_s[index] / sum(durations_s)
-
-            def report(step: str, fraction: float, name: str = experiment.name,
-                       begin: float = begin, share: float = share) -> None:
-                progress.report(EXPERIMENTS_FRACTION * (begin + share * fraction),
-                                stage=f"{name}: {step}")
-            _, recording = self._record(
-                experiment, stage, directory, result, report, progress, unrecorded)
-            unread += [recording.note] if recording.failure else []
+        runs = self._record_each(
+            [self._fitted(name, stage, directory) for name in EXPERIMENTS], stage, directory,
+            result, lambda step, fraction: progress.report(
+                EXPERIMENTS_FRACTION * fraction, stage=step), progress, unrecorded)
+        unread = [recording.note for _, recording in runs if recording.failure]
         if unread:
             raise CallFailed(f"{'; '.join(unread)}: run those experiments again, and give all "
                              "recordings to identify")

@@ -57,13 +57,7 @@ def unseen_errors(model: StageModel, recordings: Recordings) -> dict[str, float]
 
 
 def named_errors(errors: Mapping[str, Any], of: str = "") -> Iterator[tuple[str, float]]:
-    """Yield what each relative error of a model is of, and its value in percent.
-
-    Parameters
-    ----------
-    errors : dict
-        Errors of a model, as in its file.
-    """
+    """Yield what each relative error of a model is of, and its value in percent."""
     for name, value in errors.items():
         what = NAMES.get(name, name.replace("_", " "))
         if isinstance(value, dict):

@@ -80,7 +80,9 @@ def all_as_identified(
         read, read_at = read_as_identified(model, recording)
         aligned.append(read)
         if read_at:
-            sentences.append(rows_sentence(recording.path, read_at))
+            sentences.append(
+                f"{recording.path}: rows are taken to be read {read_at:.4g} sample periods after "
+                "their voltage, which the model explains better")
     return aligned, sentences
 
 
@@ -90,11 +92,6 @@ def predict_as_identified(
     """Simulate a model for a recording whose rows are aligned by `all_as_identified`.
 
     Of a recording with gaps the longest stretch between them is simulated.
-
-    Parameters
-    ----------
-    model, recording, declared_at_samples
-        Arguments as in `all_as_identified`.
 
     Returns
     -------
@@ -165,17 +162,3 @@ def read_as_explained(
         return after_saturation(model, signed).error_um()
 
     return min(tried, key=error_um)
-
-
-def rows_sentence(path: object, read_at_samples: float) -> str:
-    """Return a message on the assumed reading time of rows; empty if it is that of the voltage.
-
-    Parameters
-    ----------
-    read_at_samples : float
-        Reading time from `read_as_identified`.
-    """
-    if read_at_samples == 0.0:
-        return ""
-    return (f"{path}: rows are taken to be read {read_at_samples:.4g} sample periods after their "
-            "voltage, which the model explains better")

@@ -9,11 +9,7 @@ import numpy as np
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.conditioning.outlier_samples import good_samples, with_outliers_marked
 from piezo_identification.conditioning.recording_start import square_part
-from piezo_identification.conditioning.sensor_noise import (
-    noise_floor_um,
-    noise_from_repeats_um,
-    noise_from_rest_um,
-)
+from piezo_identification.conditioning.sensor_noise import noise_estimates_um
 from piezo_identification.estimators.hysteresis.density_fit import levels_passed
 from piezo_identification.estimators.hysteresis.everett_regression import visited_cells
 from piezo_identification.recording_check.waveform_kind import Kind, Waveform, waveform_of
@@ -27,6 +23,9 @@ reported; a voltage that jumps over levels has fewer cells."""
 
 FEWEST_ROWS = 20
 """Fewest rows for which more than their number and range is reported."""
+
+FEWEST_AT_REST = 50
+"""Fewest samples of a rest from which the noise is estimated."""
 
 DRIFT_ROWS = 200_000
 """Most rows, about, from which the drift is estimated; longer recordings are decimated."""
@@ -117,8 +116,9 @@ class RecordingCheck:
     @cached_property
     def noise_um(self) -> float:
         """Standard deviation of the noise; nan if it cannot be determined."""
-        return np.nan if self.has_few_rows else noise_of(
-            self.displacement_um, self.voltage_v, self.waveform)
+        return np.nan if self.has_few_rows else min(noise_estimates_um(
+            self.displacement_um, self.voltage_v, self.displacement_um,
+            self.waveform.period or None, FEWEST_AT_REST))
 
     @cached_property
     def drift_um(self) -> float:
@@ -210,39 +210,10 @@ def check_recording(recording: Recording) -> RecordingCheck:
     return RecordingCheck(played, recording)
 
 
-def noise_of(displacement_um: FloatArray, voltage_v: FloatArray, waveform: Waveform) -> float:
-    """Return the smallest noise estimate from rests, repeats and the highest frequencies.
-
-    Parameters
-    ----------
-    displacement_um, voltage_v : ndarray, shape (N,)
-
-    Returns
-    -------
-    float
-        Standard deviation in um; nan if there is no estimate.
-    """
-    found = [noise_floor_um(displacement_um),
-             noise_from_rest_um(displacement_um, voltage_v, fewest=50)]
-    if waveform.period:
-        found.append(noise_from_repeats_um(displacement_um, waveform.period))
-    known = [noise for noise in found if noise is not None and np.isfinite(noise)]
-    return min(known) if known else np.nan
-
-
 def drift_of(displacement_um: FloatArray, voltage_v: FloatArray) -> float:
     """Return the drift of the displacement over the recording at constant voltage.
 
     A cubic of the voltage, with a correction for rising voltage, and a line over time are fitted.
-
-    Parameters
-    ----------
-    displacement_um, voltage_v : ndarray, shape (N,)
-
-    Returns
-    -------
-    float
-        Drift in um.
     """
     swing_v = float(np.ptp(voltage_v)) or 1.0
     every = slice(None, None, max(1, voltage_v.size // DRIFT_ROWS))
@@ -255,14 +226,7 @@ def drift_of(displacement_um: FloatArray, voltage_v: FloatArray) -> float:
 
 def start_of(displacement_um: FloatArray, voltage_v: FloatArray, waveform: Waveform,
              noise_um: float, period_s: float) -> tuple[str, bool]:
-    """Return a description of the state at the start, and whether it is settled.
-
-    Parameters
-    ----------
-    displacement_um, voltage_v : ndarray, shape (N,)
-    period_s : float
-        Sample period.
-    """
+    """Return a description of the state at the start, and whether it is settled."""
     range_um = float(np.ptp(displacement_um))
     held = _held_rows(voltage_v)
     if held:

@@ -12,13 +12,7 @@ WIDTH = 22
 
 
 def check_table(check: RecordingCheck, fit_for: dict[str, Suitability]) -> list[str]:
-    """Return the lines of the table: measured properties, then suitability.
-
-    Parameters
-    ----------
-    fit_for : dict of str to Suitability
-        Suitability by experiment.
-    """
+    """Return the lines of the table: measured properties, then suitability."""
     lines = [f"{name:{WIDTH}}{value}" for name, value in measured_rows(check)]
     lines.append("")
     lines += [f"{'can stand for ' + name:{WIDTH + 4}}{each.verdict:8}{each.reason}"
@@ -87,11 +81,11 @@ def _distortion(check: RecordingCheck) -> list[tuple[str, str]]:
     found = None if check.gaps else distortion_of(check.recording)
     if found is None:
         return []
-    text = f"noise of a period {found.noise_percent:.3g} %"
-    for name, percent in ("even", found.even_percent), ("odd", found.odd_percent):
-        least = "" if percent > found.significant_percent else (
-            f" not significant, below {found.significant_percent:.2g} %")
-        text += f", {name} {percent:.3g} %{least}"
+    text = f"noise of a period {found.percent(found.noise_of_period_um):.3g} %"
+    for name, part_um in ("even", found.even_um), ("odd", found.odd_um):
+        least = "" if part_um > found.significant_um else (
+            f" not significant, below {found.percent(found.significant_um):.2g} %")
+        text += f", {name} {found.percent(part_um):.3g} %{least}"
     return [("distortion", f"{text}; of the answer up to {found.frequency_hz[-1]:.4g} Hz")]
 
 

@@ -36,8 +36,6 @@ class Needs:
     held_share: float = 0.3
     """Smallest fraction of a recording at held levels for which ramps between them are accepted; a
     slow sine stays at its ends for less."""
-    slow_branch_s: float = 10.0
-    """Shortest time between reversals for which the creep in the loops can be estimated."""
     rows_per_branch: int = 20
     """Fewest rows between reversals for which fast cycles show loops, if the dynamics are known."""
     rows_per_ringing: float = 5.0
@@ -75,13 +73,7 @@ class Suitability:
 
 
 def suitability(check: RecordingCheck) -> dict[str, Suitability]:
-    """Return the suitability of a recording for each experiment.
-
-    Returns
-    -------
-    dict of str to Suitability
-        Suitability by name of the experiment, in the order of `EXPERIMENTS`.
-    """
+    """Return the suitability of a recording by name of the experiment, as in `EXPERIMENTS`."""
     return {name: suitability_for(check, name) for name in EXPERIMENTS}
 
 
@@ -125,8 +117,6 @@ def misfits(given: Recordings | FrequencyResponse, experiment: str) -> Iterator[
     ----------
     given : Recording, sequence of Recording, or FrequencyResponse
         Data of the experiment; a response is not checked.
-    experiment : str
-        One of `EXPERIMENTS`.
     """
     for recording in () if isinstance(given, FrequencyResponse) else listed(given):
         check = check_recording(recording)
@@ -150,16 +140,19 @@ def given_as(fit_for: Mapping[str, Mapping[str, Suitability]]) -> dict[str, list
     -------
     dict of str to (list of str)
         Names of the recordings by experiment: those that are suitable, or else those that are
-        partly suitable. The validation is the first recording that no other experiment uses, or
-        else the last one that is not the only one of an experiment. It is missing if there is none.
+        partly suitable; of these, those that no experiment before it uses, if there are any. The
+        validation is the first recording that no other experiment uses, or else the last one that
+        is not the only one of an experiment. It is missing if there is none.
     """
     given: dict[str, list[str]] = {}
     for experiment in EXPERIMENTS[:-1]:
         for verdict in ("yes", "partly"):
             found = [name for name, verdicts in fit_for.items()
                      if experiment in verdicts and verdicts[experiment].verdict == verdict]
+            unused = [name for name in found
+                      if not any(name in names for names in given.values())]
             if found and experiment not in given:
-                given[experiment] = found
+                given[experiment] = unused or found
     unseen = [name for name, verdicts in fit_for.items()
               if "validation" in verdicts and verdicts["validation"].verdict == "yes"]
     rest = [name for name in unseen if not any(name in names for names in given.values())]
@@ -220,7 +213,7 @@ def _has_loops(check: RecordingCheck) -> bool:
 
 def _creep(check: RecordingCheck) -> Suitability:
     hold_s = _hold_s(check)
-    if hold_s == 0.0 and NEEDS.slow_branch_s <= check.waveform.branch_s < np.inf:
+    if hold_s == 0.0 and NEEDS.hold_s <= check.waveform.branch_s < np.inf:
         return Suitability("partly", "no level is held, so creep shows only in how far loops open: "
                            "a square wave or steps of minutes show more")
     if hold_s == 0.0:
@@ -350,13 +343,7 @@ def jump_response(voltage_v: FloatArray, displacement_um: FloatArray,
 
 
 def rows_per_ringing(response: FloatArray) -> float:
-    """Return the rows in a period of the strongest ringing after a step; infinite without ringing.
-
-    Parameters
-    ----------
-    response : ndarray, shape (M,)
-        Step response from `jump_response`.
-    """
+    """Return the rows in a period of the strongest ringing in a `jump_response`; else infinity."""
     changes = np.diff(response[1:])
     if changes.size < 4:
         return np.inf

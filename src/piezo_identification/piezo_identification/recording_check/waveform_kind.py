@@ -114,14 +114,7 @@ class Waveform:
 
 
 def waveform_of(voltage_v: FloatArray, period_s: float) -> Waveform:
-    """Determine the kind of a voltage.
-
-    Parameters
-    ----------
-    voltage_v : ndarray, shape (N,)
-    period_s : float
-        Sample period.
-    """
+    """Determine the kind of a voltage."""
     none = np.empty(0, dtype=np.intp)
     swing_v = float(np.ptp(voltage_v))
     if swing_v <= SETTINGS.constant * float(np.abs(voltage_v).max()):

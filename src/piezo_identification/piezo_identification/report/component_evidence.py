@@ -67,19 +67,9 @@ class ComponentEvidence:
 
 def component_evidence(identified: IdentifiedModel, given: Mapping[str, Data],
                        read_at_samples: float = 0.0) -> list[ComponentEvidence]:
-    """Return the residuals of each component on its recordings, as the identification tested them.
+    """Return the residuals of creep, dynamics and hysteresis, as the identification tested them.
 
-    Parameters
-    ----------
-    given : dict of str to Recording or FrequencyResponse
-        Data from `given_data`.
-    read_at_samples : float
-        Value of this argument in the call of `identify`.
-
-    Returns
-    -------
-    list of ComponentEvidence
-        Evidence in the order creep, dynamics, hysteresis.
+    `read_at_samples` is that of the call of `identify`.
     """
     conditioned = conditioned_data(given, lambda text: None, read_at_samples)
     read_at = {name: identified.rows[name]["read_at_samples"] - read_as(data, read_at_samples)

@@ -34,8 +34,6 @@ def identification_page(identified: IdentifiedModel, given: Mapping[str, Data], 
     ----------
     given : dict of str to Recording or FrequencyResponse
         Data from `given_data`, including the validation if there is one.
-    model : Path
-        File of the model.
     read_at_samples : float
         Value of this argument in the call of `identify`.
     details : sequence of Detail

@@ -18,10 +18,7 @@ QUANTILE = 1.96
 def parameter_table(identified: IdentifiedModel) -> list[tuple[str, ...]]:
     """Return the parameters of creep, dynamics and effects with their uncertainties.
 
-    Returns
-    -------
-    list of tuple of str
-        `HEADS`, then a row for each number; only the heads for a model of hysteresis alone.
+    `HEADS` are followed by a row for each number; there is none for a model of hysteresis alone.
     """
     rows: list[tuple[str, ...]] = [HEADS]
     for name, value, deviation, unit, *_ in parameter_rows(
@@ -32,19 +29,7 @@ def parameter_table(identified: IdentifiedModel) -> list[tuple[str, ...]]:
 
 
 def effect_rows(effects: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
-    """Return the parameters of the effects of a verdict, and their error reductions.
-
-    Parameters
-    ----------
-    effects : sequence of dict
-        Effects with the keys `name`, `parameters`, `error_reduction_percent` and, optionally,
-        `standard_deviations`.
-
-    Returns
-    -------
-    list of tuple of str
-        The heads, then a row for each number.
-    """
+    """Return the parameters of the effects of a verdict, and their error reductions."""
     rows: list[tuple[str, ...]] = [("effect", *HEADS, "error reduction (%)")]
     kinds = known_effects()
     for entry in effects:
@@ -62,12 +47,7 @@ def number_rows(name: str, values: Any, deviations: Any,
                 unit: str) -> Iterator[tuple[str, ...]]:
     """Yield a row of `HEADS` for each number of a parameter.
 
-    Parameters
-    ----------
-    values, deviations : float or sequence of float
-        Values and their standard deviations; the deviations are None if they are unknown.
-    unit : str
-        Unit; "1" if there is none.
+    The deviations are None if they are unknown; the unit is "1" if there is none.
     """
     listed = np.atleast_1d(np.asarray(values, dtype=float))
     known = (np.full(listed.shape, np.nan) if deviations is None
@@ -88,15 +68,7 @@ def number_rows(name: str, values: Any, deviations: Any,
 def rounded(value: float, deviation: float) -> tuple[str, str]:
     """Return a value and its standard deviation, both to two digits of the deviation.
 
-    Parameters
-    ----------
-    value, deviation : float
-        The deviation is 0, infinite or nan if it is unknown.
-
-    Returns
-    -------
-    value, deviation : str
-        The deviation is empty if it is unknown.
+    A deviation of 0, infinity or nan is unknown, and becomes empty.
     """
     if not np.isfinite(deviation) or deviation <= 0.0:
         return f"{value:.4g}", ""

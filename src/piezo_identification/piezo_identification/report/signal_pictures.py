@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Draw measured and modelled signals in ways that suit each kind of waveform.
 
-Each function draws on given axes, so that several reports can use it.
+Signals have the shape (N,), and `noise_um` is the standard deviation of a single sample.
 """
 
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.signal import welch
 
@@ -23,9 +24,11 @@ from piezo_common.picture_style import (
     MOST_POINTS,
     VERMILION,
     label,
+    new_figure,
     outline,
     plain_numbers,
 )
+from piezo_common.report_page import Picture, pictured
 from piezo_identification.analysis.gain_over_frequency import gain_of
 from piezo_identification.report.waveform_view import WaveformView, mean_hold
 
@@ -42,32 +45,11 @@ ALONE: dict[str, Any] = {"color": BLUE, "linewidth": 1.0, "label": "measured"}
 ENVELOPE: dict[str, Any] = {"color": VERMILION, "linewidth": 0.5}
 
 
-def draw_measured(axes: Axes, view: WaveformView, measured: FloatArray,
-                   modelled: FloatArray) -> None:
-    """Draw the mean period of a signal, or its envelope, together with that of a model.
-
-    Parameters
-    ----------
-    measured, modelled : ndarray, shape (N,)
-        Displacement in um.
-    """
-    axes.plot(*outline(view.time, view.mean(measured)), **MEASURED)
-    axes.plot(*outline(view.time, view.mean(modelled)), **MODELLED)
-    axes.legend(loc="best")
-    label(axes, view.time_label, "displacement (um)", view.title)
-
-
 def draw_difference(axes: Axes, view: WaveformView, difference_um: FloatArray,
                     noise_um: float | None, deviation_um: FloatArray | None = None) -> None:
     """Draw the residual of a model with bands of two standard deviations of noise and model.
 
-    Parameters
-    ----------
-    difference_um : ndarray, shape (N,)
-    noise_um : float or None
-        Standard deviation of a single sample; it is reduced for a mean period.
-    deviation_um : ndarray, shape (N,), optional
-        Standard deviation of the modelled displacement; not drawn if it is 0 throughout.
+    The noise is reduced for a mean period. The deviation of the model is not drawn if it is 0.
     """
     if deviation_um is not None and deviation_um.any():
         band_nm = NANOMETRES * BAND * view.mean(deviation_um)
@@ -84,6 +66,29 @@ def draw_difference(axes: Axes, view: WaveformView, difference_um: FloatArray,
     label(axes, view.time_label, "residual (nm)")
 
 
+def picture_over_time(name: str, view: WaveformView, difference_um: FloatArray, noise_um: float,
+                      deviation_um: FloatArray | None = None) -> Picture:
+    """Return the residual of a model at all samples; see `draw_difference`."""
+    figure = new_figure(3.4)
+    draw_difference(figure.subplots(), view.whole(difference_um.size), difference_um, noise_um,
+                    deviation_um)
+    return pictured(name, figure, "Measured minus modelled displacement of all samples; dotted, "
+                    "twice the noise, between which 95 % of it lies.", closer=True)
+
+
+def time_figure(figure: Figure, view: WaveformView, measured_um: FloatArray,
+                modelled_um: FloatArray, residual_um: FloatArray, noise_um: float | None,
+                deviation_um: FloatArray | None = None) -> Figure:
+    """Draw the mean period of a signal, or its envelope, with that of a model and the residual."""
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    above.plot(*outline(view.time, view.mean(measured_um)), **MEASURED)
+    above.plot(*outline(view.time, view.mean(modelled_um)), **MODELLED)
+    above.legend(loc="best")
+    label(above, y="displacement (um)", title=view.title)
+    draw_difference(below, view, residual_um, noise_um, deviation_um)
+    return figure
+
+
 def draw_noise(axes: Axes, noise_um: float) -> None:
     """Draw lines at plus and minus two standard deviations, which enclose 95 % of the noise."""
     for sign in -1.0, 1.0:
@@ -92,12 +97,7 @@ def draw_noise(axes: Axes, noise_um: float) -> None:
 
 def draw_loops(axes: Axes, voltage_v: FloatArray, measured: FloatArray,
                modelled: FloatArray | None = None) -> None:
-    """Draw signals over the voltage, thinned to few points.
-
-    Parameters
-    ----------
-    voltage_v, measured, modelled : ndarray, shape (N,)
-    """
+    """Draw signals over the voltage, thinned to few points."""
     every = slice(None, None, max(1, voltage_v.size // MOST_POINTS))
     axes.plot(voltage_v[every], measured[every], **(ALONE if modelled is None else MEASURED))
     if modelled is not None:
@@ -106,34 +106,26 @@ def draw_loops(axes: Axes, voltage_v: FloatArray, measured: FloatArray,
     label(axes, "voltage (V)", "displacement (um)")
 
 
-def draw_loop_difference(axes: Axes, voltage_v: FloatArray, difference_um: FloatArray,
-                          noise_um: float) -> None:
-    """Draw the residual of a model over the voltage.
-
-    Parameters
-    ----------
-    voltage_v, difference_um : ndarray, shape (N,)
-    noise_um : float
-        Standard deviation of a sample.
-    """
+def loops_figure(height_in: float, voltage_v: FloatArray, measured_um: FloatArray,
+                 modelled_um: FloatArray, residual_um: FloatArray, noise_um: float) -> Figure:
+    """Draw measured and modelled displacement, and the residual, over the voltage."""
+    figure = new_figure(height_in)
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    draw_loops(above, voltage_v, measured_um, modelled_um)
+    above.set_xlabel("")
     every = slice(None, None, max(1, voltage_v.size // MOST_POINTS))
-    axes.plot(voltage_v[every], NANOMETRES * difference_um[every], **DIFFERENCE)
+    below.plot(voltage_v[every], NANOMETRES * residual_um[every], **DIFFERENCE)
     if np.isfinite(noise_um):
-        draw_noise(axes, noise_um)
-    label(axes, "voltage (V)", "residual (nm)")
+        draw_noise(below, noise_um)
+    label(below, "voltage (V)", "residual (nm)")
+    return figure
 
 
 def draw_creep(above: Axes, below: Axes, steps: NDArray[np.intp], voltage_v: FloatArray,
                measured_um: FloatArray, modelled_um: FloatArray, sample_period_s: float) -> None:
-    """Draw the mean creep after the steps of a voltage over the logarithm of time.
+    """Draw the mean creep after steps, and the residual, over the logarithm of time.
 
-    Parameters
-    ----------
-    above, below : matplotlib.axes.Axes
-        Axes for the creep and for the residual of the model.
-    steps : ndarray of int
-        Samples of the steps, at least one.
-    voltage_v, measured_um, modelled_um : ndarray, shape (N,)
+    There is at least one step, given by the number of its sample.
     """
     since_s, (measured, modelled), count = mean_hold(
         steps, voltage_v, (measured_um, modelled_um), sample_period_s)
@@ -160,14 +152,7 @@ def draw_step_response(axes: Axes, response: FloatArray, sample_period_s: float)
 
 def draw_gain(axes: Axes, voltage_v: FloatArray, measured_um: FloatArray, sample_period_s: float,
               modelled_um: FloatArray | None = None) -> None:
-    """Draw the gain from voltage to displacement at the excited frequencies.
-
-    Parameters
-    ----------
-    voltage_v, measured_um : ndarray, shape (N,)
-    modelled_um : ndarray, shape (N,), optional
-        Displacement of a model for the same voltage.
-    """
+    """Draw the gain from voltage to displacement, also of a model, at the excited frequencies."""
     of_measured = ALONE if modelled_um is None else MEASURED
     for values, style in ((measured_um, of_measured), (modelled_um, MODELLED)):
         if values is not None:
@@ -182,12 +167,7 @@ def draw_gain(axes: Axes, voltage_v: FloatArray, measured_um: FloatArray, sample
 
 def draw_coherence(axes: Axes, voltage_v: FloatArray, measured_um: FloatArray,
                    sample_period_s: float) -> None:
-    """Draw the coherence of voltage and displacement over frequency.
-
-    Parameters
-    ----------
-    voltage_v, measured_um : ndarray, shape (N,)
-    """
+    """Draw the coherence of voltage and displacement over frequency."""
     frequency_hz, _, coherence = gain_of(voltage_v, measured_um, sample_period_s)
     axes.semilogx(frequency_hz, coherence, color=BLUE, linewidth=1.0)
     axes.set_ylim(0.0, 1.05)
@@ -196,17 +176,9 @@ def draw_coherence(axes: Axes, voltage_v: FloatArray, measured_um: FloatArray,
 
 
 def smoothed(frequency_hz: FloatArray, power: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Average a dense spectrum in cells of equal width in log frequency.
+    """Average a spectrum, (F,), without zero frequency, in cells of equal width in log frequency.
 
-    Parameters
-    ----------
-    frequency_hz, power : ndarray, shape (F,)
-        Spectrum without zero frequency.
-
-    Returns
-    -------
-    frequency_hz, power : ndarray, shape (M,)
-        Averaged spectrum; unchanged if it has no more lines than cells.
+    It is unchanged if it has no more lines than cells.
     """
     if frequency_hz.size <= SPECTRUM_CELLS:
         return frequency_hz, power
@@ -220,16 +192,11 @@ def smoothed(frequency_hz: FloatArray, power: FloatArray) -> tuple[FloatArray, F
     return centres, powers
 
 
-def draw_residual_spectrum(axes: Axes, residual_um: FloatArray, measured_um: FloatArray,
-                           sample_period_s: float, noise_um: float | None) -> None:
-    """Draw the spectral densities of residual, displacement and white noise.
-
-    Parameters
-    ----------
-    residual_um, measured_um : ndarray, shape (N,)
-    noise_um : float or None
-        Standard deviation of a single sample.
-    """
+def picture_over_frequency(name: str, residual_um: FloatArray, measured_um: FloatArray,
+                           sample_period_s: float, noise_um: float, source: str) -> Picture:
+    """Return the spectral densities of residual, displacement and white noise from some source."""
+    figure = new_figure(3.4)
+    axes = figure.subplots()
     segment = min(residual_um.size, max(256, residual_um.size // 8), 8192)
     for values, style in ((measured_um, MEASURED | {"linewidth": 1.2}),
                           (residual_um, {"color": BLUE, "linewidth": 0.9, "label": "residual"})):
@@ -237,10 +204,12 @@ def draw_residual_spectrum(axes: Axes, residual_um: FloatArray, measured_um: Flo
                                     detrend="linear")
         frequency_hz, power = smoothed(frequency_hz[1:-1], power[1:-1])
         axes.loglog(frequency_hz, NANOMETRES * np.sqrt(power), **style)
-    if noise_um is not None and noise_um > 0.0:
+    if noise_um > 0.0:
         floor = NANOMETRES * noise_um * np.sqrt(2.0 * sample_period_s)
         axes.axhline(floor, label="noise, if white", **LIMIT)
         axes.set_ylim(bottom=0.1 * floor)
     axes.legend(loc="upper right")
     label(axes, "frequency (Hz)", "density (nm per root Hz)")
     plain_numbers(axes.xaxis)
+    return pictured(name, figure, "Density of the residual, and of the measured displacement; "
+                    f"dotted, white noise as large as {source}.", closer=True)

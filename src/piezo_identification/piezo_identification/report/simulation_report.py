@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The page of a simulation: simulated compared with measured displacement."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -20,14 +20,8 @@ def simulation_page(prediction: Prediction, origin: Sequence[str], texts: Sequen
                     deviation_um: FloatArray | None = None) -> str:
     """Return the page of a simulation as HTML.
 
-    Parameters
-    ----------
-    origin : sequence of str
-        Lines that name the files of model and recording.
-    texts : sequence of str
-        Remarks on the start, on outliers, and on motion outside the identified range.
-    deviation_um : ndarray, shape (N,), optional
-        Standard deviation of the simulated displacement.
+    `origin` names the files of model and recording; `texts` are remarks on the start, on outliers,
+    and on motion outside the identified range.
     """
     noise_um = noise_of(prediction)
     residual_um = residual_of(prediction)[prediction.good]
@@ -67,18 +61,14 @@ def displacement_figure(prediction: Prediction, deviation_um: FloatArray | None 
                         noise_um: float | None = None) -> Figure:
     """Draw measured and simulated displacement and the residual, by the kind of waveform.
 
-    Parameters
-    ----------
-    deviation_um : ndarray, shape (N,), optional
-        Standard deviation of the simulated displacement, drawn as a band of twice its size.
+    The standard deviation of the simulation, (N,), is drawn as a band of twice its size.
     """
     view = view_of(prediction.voltage_v, _sample_period_s(prediction))
-    figure = new_figure(5.0, WIDE_IN)
-    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    signals.draw_measured(above, view, prediction.measured_um, prediction.simulated_um)
-    signals.draw_difference(below, view, residual_of(prediction), noise_um, deviation_um)
-    above.set_title(f"{view.title}, e_y = {prediction.e_y_percent():.3g} %", fontsize="medium")
-    above.set_xlabel("")
+    figure = signals.time_figure(
+        new_figure(5.0, WIDE_IN), view, prediction.measured_um, prediction.simulated_um,
+        residual_of(prediction), noise_um, deviation_um)
+    figure.axes[0].set_title(
+        f"{view.title}, e_y = {prediction.e_y_percent():.3g} %", fontsize="medium")
     return figure
 
 
@@ -100,11 +90,6 @@ def prediction_pictures(prediction: Prediction,
 
     These are the displacement over time, or its mean period if the voltage is periodic; the loops
     of slow branches; the gain of a broadband voltage; the residual over time and frequency.
-
-    Parameters
-    ----------
-    deviation_um : ndarray, shape (N,), optional
-        Standard deviation of the simulated displacement.
     """
     view = view_of(prediction.voltage_v, _sample_period_s(prediction))
     noise_um, residual_um = noise_of(prediction), residual_of(prediction)
@@ -113,18 +98,11 @@ def prediction_pictures(prediction: Prediction,
                    "dotted, twice the noise.", wide=True, closer=True)
     yield from _residual_pictures(prediction, view, residual_um, noise_um)
     if view.is_mean:
-        figure = new_figure(3.4)
-        signals.draw_difference(figure.subplots(), view.whole(residual_um.size), residual_um,
-                                noise_um, deviation_um)
-        yield pictured("Residual over time", figure, "Measured minus simulated displacement "
-                       "of all samples; dotted, twice the noise, between which 95 % of it lies.",
-                       closer=True)
-    figure = new_figure(3.4)
-    signals.draw_residual_spectrum(figure.subplots(), residual_um, prediction.measured_um,
-                                   view.sample_period_s, noise_um)
-    yield pictured("Residual over frequency", figure, "Density of the residual, and of the "
-                   "measured displacement; dotted, white noise as large as the sensor's.",
-                   closer=True)
+        yield signals.picture_over_time(
+            "Residual over time", view, residual_um, noise_um, deviation_um)
+    yield signals.picture_over_frequency(
+        "Residual over frequency", residual_um, prediction.measured_um, view.sample_period_s,
+        noise_um, "the sensor's")
 
 
 def _residual_pictures(prediction: Prediction, view: WaveformView, residual_um: FloatArray,
@@ -133,13 +111,12 @@ def _residual_pictures(prediction: Prediction, view: WaveformView, residual_um: 
     if view.has_levels:
         return
     slow = slow_branches(prediction.time_s, prediction.voltage_v)
+    drawn = prediction.voltage_v, prediction.measured_um, prediction.simulated_um, residual_um
     if view.is_mean and not view.kind.is_broadband:
-        yield _loops([view.mean(values) for values in _signals(prediction, residual_um)],
-                     noise_um / np.sqrt(view.periods), view.title)
+        yield _loops(map(view.mean, drawn), noise_um / np.sqrt(view.periods), view.title)
     elif slow.any():
         title = "its slow branches" if not slow.all() else view.title
-        yield _loops(
-            [values[slow] for values in _signals(prediction, residual_um)], noise_um, title)
+        yield _loops((values[slow] for values in drawn), noise_um, title)
     if view.kind.is_broadband:
         figure = new_figure(4.0)
         signals.draw_gain(figure.subplots(), prediction.voltage_v, prediction.measured_um,
@@ -148,17 +125,10 @@ def _residual_pictures(prediction: Prediction, view: WaveformView, residual_um: 
                        "of the model under the same voltage.", closer=True)
 
 
-def _signals(prediction: Prediction, residual_um: FloatArray) -> tuple[FloatArray, ...]:
-    return prediction.voltage_v, prediction.measured_um, prediction.simulated_um, residual_um
-
-
-def _loops(drawn: Sequence[FloatArray], noise_um: float, title: str) -> Picture:
+def _loops(drawn: Iterable[FloatArray], noise_um: float, title: str) -> Picture:
     voltage_v, measured_um, simulated_um, residual_um = drawn
-    figure = new_figure(4.8)
-    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    signals.draw_loops(above, voltage_v, measured_um, simulated_um)
-    signals.draw_loop_difference(below, voltage_v, residual_um, noise_um)
-    above.set_xlabel("")
+    figure = signals.loops_figure(
+        4.8, voltage_v, measured_um, simulated_um, residual_um, noise_um)
     return pictured("Loops", figure, f"Displacement over voltage, measured and simulated: {title}; "
                     "below, the residual; dotted, twice the noise.", closer=True)
 

@@ -88,15 +88,7 @@ class WaveformView:
 
 def view_of(voltage_v: FloatArray, sample_period_s: float,
             waveform: Waveform | None = None) -> WaveformView:
-    """Choose the samples of a recording to draw.
-
-    Parameters
-    ----------
-    voltage_v : ndarray, shape (N,)
-        Voltage without gaps.
-    waveform : Waveform, optional
-        Kind of the voltage; determined from it by default.
-    """
+    """Choose the samples of a recording to draw, by its voltage, (N,), without gaps."""
     waveform = waveform or waveform_of(voltage_v, sample_period_s)
     first, samples = _period(waveform)
     starts = np.arange(first, voltage_v.size - samples + 1, samples) if samples else np.empty(0)

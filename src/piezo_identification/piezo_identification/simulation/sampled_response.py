@@ -54,20 +54,7 @@ def leading_lags(
 def behind_lags(
     system: control.StateSpace, lags: Sequence[Effect],
 ) -> tuple[control.StateSpace, float]:
-    """Put lags in series after a linear system; return it and the total delay of the lags.
-
-    Parameters
-    ----------
-    system : control.StateSpace
-        Continuous system.
-    lags : sequence of Effect
-        Lags from `leading_lags`.
-
-    Returns
-    -------
-    system : control.StateSpace
-    delay_s : float
-    """
+    """Put `leading_lags` in series after a continuous system; return it and their total delay."""
     delays_s = [lag.delay_s for lag in lags if type(lag) is Delay]
     for lag in lags:
         if type(lag) is SensorLag:
@@ -79,12 +66,10 @@ def respond(
     system: control.StateSpace, input_um: FloatArray, sample_period_s: float, samples: int,
     delay_s: float = 0.0, at: NDArray[np.intp] | None = None, parts: int = 1,
 ) -> FloatArray:
-    """Return the response that begins in equilibrium with the first input.
+    """Return the response that begins in equilibrium with the first input, (N,) or (n,).
 
     Parameters
     ----------
-    system : control.StateSpace
-        Continuous system.
     input_um : (N parts,) array
         Inputs, each held for a part of a sample period.
     samples : int
@@ -97,10 +82,6 @@ def respond(
         Sorted samples to return; by default all. A few samples cost less.
     parts : int
         Parts of a sample period; 1 for means.
-
-    Returns
-    -------
-    (N,) or (n,) array
     """
     return next(respond_each(system, [input_um], sample_period_s, samples, delay_s, at, parts))
 
@@ -109,19 +90,7 @@ def respond_each(
     system: control.StateSpace, inputs_um: Iterable[FloatArray], sample_period_s: float,
     samples: int, delay_s: float = 0.0, at: NDArray[np.intp] | None = None, parts: int = 1,
 ) -> Iterator[FloatArray]:
-    """Yield the responses to several inputs; see `respond` for the other parameters.
-
-    Parameters
-    ----------
-    inputs_um : iterable of (N parts,) array
-        Inputs, each held for a part of a sample period.
-    parts : int
-        Parts of a sample period from `parts_of_rows`; 1 for means.
-
-    Yields
-    ------
-    (N,) or (n,) array
-    """
+    """Yield the responses to several inputs; see `respond` for the parameters."""
     discrete, late = _sampled(*(matrix.tobytes() for matrix in matrices_of(system)),
                               sample_period_s / parts, samples, delay_s, parts > 1)
     at = None if at is None else at * parts
@@ -161,11 +130,6 @@ def delayed_zoh(
 ) -> tuple[control.StateSpace, int]:
     """Return the discrete system for a held input and a delayed output.
 
-    Parameters
-    ----------
-    system : control.StateSpace
-        Continuous system.
-
     Returns
     -------
     discrete : control.StateSpace
@@ -191,17 +155,10 @@ def mean_zoh(
 
     Parameters
     ----------
-    system : control.StateSpace
-        Continuous system.
     sample_period_s : float
         Time for which the input is held.
     samples : int
         Number of equally spaced output samples in that time, the first at its start.
-
-    Returns
-    -------
-    control.StateSpace
-        Discrete system with the state of `system` at the start of each period.
     """
     fine = zoh(system, sample_period_s / samples)
     if samples == 1:

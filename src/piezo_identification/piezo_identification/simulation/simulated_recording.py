@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A recording, and cached simulations of it by a model with further effects."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -22,8 +22,6 @@ from piezo_identification.conditioning.waveforms import (
     samples_per_mean,
     with_voltage_before,
 )
-from piezo_identification.simulation.nuisance import offset_and_decays
-from piezo_identification.simulation.recorded_voltage import in_parts
 from piezo_identification.simulation.sampled_response import (
     behind_lags,
     leading_lags,
@@ -31,7 +29,14 @@ from piezo_identification.simulation.sampled_response import (
 )
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
-from piezo_models.effects.amplifier_lag import as_rows_show, overshooting, with_overshoot
+from piezo_models.effects.amplifier_lag import (
+    PARTS,
+    as_rows_show,
+    overshooting,
+    parts_of_rows,
+    with_overshoot,
+)
+from piezo_models.effects.band_limited_voltage import BandLimitedVoltage, means_of_parts
 from piezo_models.hysteresis.first_rise import CYCLED
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_recorder.reading.recording import Recording
@@ -66,15 +71,16 @@ class SimulatedRecording:
     ----------
     recording : Recording
         Recording with the sign of the model and with its outliers marked.
-    past_v : (float, float) or (), optional
-        Voltages before the recording; see `simulated_recording`, which estimates them.
-    highest_v : float, optional
-        Highest earlier voltage, for a first rise; by default the stage was cycled.
-    read_late_s : float
-        Time after its voltage at which the displacement of a row is read; 0 for means.
 
     Attributes
     ----------
+    past_v : (float, float) or ()
+        Voltages before the recording; none unless given by `after`.
+    highest_v : float
+        Highest earlier voltage, for a first rise; the stage was cycled unless given by `after`.
+    read_late_s : float
+        Time after its voltage at which the displacement of a row is read; 0 unless given by
+        `read_at`, and for means.
     part : Recording
         The samples in which the waveform is played.
     time_s, voltage_v, measured_um : (N,) array
@@ -97,10 +103,12 @@ class SimulatedRecording:
         If the recording has gaps, or is too short to settle.
     """
 
-    def __init__(self, model: StageModel, recording: Recording, past_v: PastVoltages = (),
-                 highest_v: float = CYCLED, read_late_s: float = 0.0) -> None:
+    past_v: PastVoltages = ()
+    highest_v: float = CYCLED
+    read_late_s: float = 0.0
+
+    def __init__(self, model: StageModel, recording: Recording) -> None:
         self.part = part = played(recording)
-        self.past_v, self.highest_v, self.read_late_s = past_v, highest_v, read_late_s
         self.path = recording.path
         self.sample_period_s = part.sample_period_s
         self.model = model.as_rows_show(self.sample_period_s)
@@ -157,7 +165,7 @@ class SimulatedRecording:
 
     def simulate(self, effects: Sequence[Effect] = (), quick: Sequence[Effect] = (),
                  rows: NDArray[np.intp] | None = None) -> FloatArray:
-        """Return the displacement simulated by the model with further effects.
+        """Return the displacement simulated by the model with further effects, (N,) or (n,).
 
         Parameters
         ----------
@@ -166,10 +174,6 @@ class SimulatedRecording:
             slightly less exact than a system in series, but much faster.
         rows : (n,) array of int, optional
             Sorted samples to return; by default all. A few samples cost less.
-
-        Returns
-        -------
-        (N,) or (n,) array
         """
         effects = as_rows_show(effects, self.sample_period_s)
         on_voltage = (*(effect for effect in effects if effect.place == "voltage"),
@@ -193,13 +197,7 @@ class SimulatedRecording:
         return self._output(*linear_part, rows)
 
     def error_um(self, rows: NDArray[np.intp] | None = None) -> float:
-        """Return the RMS error at some rows, with offset and initial motion projected out.
-
-        Parameters
-        ----------
-        rows : (n,) array of int, optional
-            Sorted samples; by default `good`.
-        """
+        """Return the RMS error at sorted rows (by default `good`), but for initial motion."""
         rows = self.good if rows is None else rows
         difference_um = (self.measured_um - self.simulate())[rows]
         basis = self._basis(rows)
@@ -207,18 +205,19 @@ class SimulatedRecording:
         return float(np.sqrt(np.mean(difference_um**2)))
 
     def fitted_um(self, rows: NDArray[np.intp] | None = None) -> FloatArray:
-        """Return the settled displacement with offset and initial motion fitted at some rows, (n,).
+        """Return the settled displacement, (n,), with the initial motion fitted at sorted rows.
 
-        Parameters
-        ----------
-        rows : (m,) array of int, optional
-            Sorted samples; by default `good`.
+        By default, these are the `good` ones.
         """
         rows = self.good if rows is None else rows
         simulated_um = self.simulate()
         sizes = np.linalg.lstsq(self._initial_motion(rows), (self.measured_um - simulated_um)[rows],
                                 rcond=1e-12)[0]
         return simulated_um[self.settled] + self._initial_motion(self.settled) @ sizes
+
+    def nuisance_regressors(self, rows: NDArray[np.intp]) -> FloatArray:
+        """Return the regressors of offset and initial creep at samples, (n, 1 + creep pairs)."""
+        return offset_and_decays(self.model, self.time_s[rows])
 
     @property
     def is_reversed(self) -> bool:
@@ -419,7 +418,42 @@ class SimulatedRecording:
         return input_um
 
 
+def offset_and_decays(model: StageModel, time_s: FloatArray) -> FloatArray:
+    """Return the regressors of offset and initial creep at some times, (n, 1 + creep pairs)."""
+    rates_rad_per_s = [0.0, *model.creep.poles_rad_per_s]
+    if model.hysteretic_creep is not None:
+        rates_rad_per_s += [1.0 / tau for tau in set(model.hysteretic_creep.time_constants_s)]
+    return np.column_stack([np.exp(-rate * time_s) for rate in rates_rad_per_s])
+
+
 @lru_cache(maxsize=KEPT)
 def _linear_part(model: StageModel, more: tuple[Effect, ...]) -> control.StateSpace:
     """Return the linear part of a model with further effects; it must not be changed."""
     return replace(model, effects=(*model.effects, *more)).linear()
+
+
+def in_parts(voltage_v: FloatArray, effects: Collection[Effect], sample_period_s: float,
+             samples_per_mean: int) -> tuple[FloatArray, int]:
+    """Return a recorded voltage divided into the parts in which its rows are simulated.
+
+    Parameters
+    ----------
+    voltage_v : (N,) array
+        Voltage of the rows.
+    effects : collection of Effect
+        Effects on the voltage; those that act within a row require several parts.
+    samples_per_mean : int
+        Samples averaged in a row; averaged rows are not divided.
+
+    Returns
+    -------
+    voltage_v : (N parts,) array
+        Voltage before the effects: held, or its mean over each part for a `BandLimitedVoltage`.
+    parts : int
+        Number of parts of a row.
+    """
+    is_smooth = any(isinstance(effect, BandLimitedVoltage) for effect in effects)
+    if is_smooth and samples_per_mean == 1:
+        return means_of_parts(voltage_v, PARTS), PARTS
+    parts = parts_of_rows(effects, sample_period_s, samples_per_mean)
+    return np.repeat(voltage_v, parts), parts

@@ -182,6 +182,7 @@ def test_the_recording_that_is_missing_is_asked_for(plant, recordings):
     static = replace(plant, creep=CreepDynamics(), dynamics=ElectricVibrationDynamics())
     loops = {"hysteresis": recordings["hysteresis"]}
     advice = adequacy_of(static, loops)["hysteresis"].advice
-    assert "give a recording for --creep" in advice
+    assert f"give a recording for --creep, if only {recordings['hysteresis'].path} once more" in (
+        advice)
     advice = adequacy_of(static, recordings)["hysteresis"].advice
     assert "give a recording" not in advice

@@ -17,8 +17,10 @@ from piezo_identification.analysis.error_distortion import (
     excluded_by_distortion,
 )
 from piezo_identification.diagnosis.diagnose import diagnose
-from piezo_identification.diagnosis.report.diagnosis_report import render_report
-from piezo_identification.diagnosis.report.distortion_section import distortion_sections
+from piezo_identification.diagnosis.report.diagnosis_report import (
+    distortion_sections,
+    render_report,
+)
 from piezo_identification.experiments.catalogue import StageLimits, distortion
 from piezo_identification.simulation.past_search import simulated_recording
 from piezo_models.effects import known_effects

@@ -44,8 +44,9 @@ def test_distortion_of_a_polynomial_is_that_of_its_terms(multisine, square, cube
     even = power(square * wave**2, lines[found.is_even])
     odd_left_out = power(cube * wave**3, lines[found.is_odd_detection])
     share = np.count_nonzero(~found.is_even) / np.count_nonzero(found.is_odd_detection)
-    assert found.even_percent == pytest.approx(100.0 * np.sqrt(even / answer), rel=0.01, abs=2e-3)
-    assert found.odd_percent == pytest.approx(
+    assert found.percent(found.even_um) == pytest.approx(
+        100.0 * np.sqrt(even / answer), rel=0.01, abs=2e-3)
+    assert found.percent(found.odd_um) == pytest.approx(
         100.0 * np.sqrt(share * odd_left_out / answer), rel=0.01, abs=2e-3)
 
 
@@ -56,8 +57,8 @@ def test_noise_of_a_linear_stage_is_measured_and_no_distortion_found(multisine):
     # White noise of variance s^2 has the power 4 s^2 / N at each line.
     assert np.sqrt(np.mean(found.noise_um**2)) == pytest.approx(
         0.02 / np.sqrt(wave.size), rel=0.05)
-    assert found.even_percent < found.significant_percent
-    assert found.odd_percent < found.significant_percent
+    assert found.even_um < found.significant_um
+    assert found.odd_um < found.significant_um
 
 
 def test_distortion_of_a_play_is_odd(multisine):
@@ -67,8 +68,8 @@ def test_distortion_of_a_play_is_odd(multisine):
         position = min(max(position, value - 0.05), value + 0.05)
         followed.append(position)
     found = measured(experiment, np.array(followed[-wave.size:]), 1e-4)
-    assert found.odd_percent > 1.0
-    assert found.even_percent < 0.2 * found.odd_percent
+    assert found.percent(found.odd_um) > 1.0
+    assert found.even_um < 0.2 * found.odd_um
 
 
 def test_check_of_a_recording_shows_the_distortion(multisine):
@@ -84,7 +85,7 @@ def test_check_of_a_recording_shows_the_distortion(multisine):
     row, = (line for line in check_table(check_recording(recording), {})
             if line.startswith("distortion"))
     found = measured(experiment, wave + 0.05 * wave**2, 1e-3)
-    assert f"even {found.even_percent:.2g}" in row
+    assert f"even {found.percent(found.even_um):.2g}" in row
     assert "odd" in row and row.split("odd")[1].count("not significant") == 1
 
 

@@ -13,8 +13,7 @@ import pytest
 
 from piezo_identification.commands.diagnose_many_command import main
 from piezo_identification.diagnosis.many import diagnose_table, many_recordings
-from piezo_identification.diagnosis.many.fleet import histories
-from piezo_identification.diagnosis.many.many_page import many_page
+from piezo_identification.diagnosis.many.diagnose_table import histories, many_page
 from piezo_identification.diagnosis.many.many_recordings import diagnose_rows, read_table
 from piezo_identification.diagnosis.report import diagnosis_results
 from piezo_models.cascade import StageModel

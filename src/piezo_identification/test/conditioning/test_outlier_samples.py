@@ -9,7 +9,7 @@ from piezo_identification.conditioning.outlier_samples import (
     with_jump_rows_marked,
     with_outliers_marked,
 )
-from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics
+from piezo_identification.estimators.dynamics.fast_estimate import estimate_dynamics
 from piezo_identification.experiments import catalogue as experiments
 from piezo_recorder import recording_of
 

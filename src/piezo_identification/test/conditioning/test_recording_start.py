@@ -4,13 +4,9 @@
 import numpy as np
 import pytest
 
-from piezo_identification.conditioning.recording_start import (
-    first_run_length,
-    motion_um_per_s,
-    square_part,
-)
+from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
-from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics
+from piezo_identification.estimators.dynamics.fast_estimate import estimate_dynamics
 from piezo_identification.identification.linear_dynamics import estimate_linear_dynamics
 from piezo_models.linear.dynamics import CreepDynamics
 
@@ -81,15 +77,6 @@ def test_a_voltage_of_more_than_two_levels_is_left_as_it_is(recorded):
     assert square_part(recording) is recording
 
 
-def test_a_motion_at_the_start_is_told_from_noise(recorded):
-    voltage_v = square(0, 2, 300)
-    moving_um = voltage_v + 0.8 * np.exp(-np.arange(600) / 100.0)
-    assert motion_um_per_s(recorded("m", voltage_v, moving_um, 0.01, 0.01)) == pytest.approx(
-        -0.4, abs=0.1)
-    assert motion_um_per_s(recorded("r", voltage_v, voltage_v, 0.01, 0.01)) == 0.0
-    assert first_run_length(voltage_v) == 300
-
-
 def test_a_square_wave_ends_where_a_slow_ramp_begins(recorded):
     slow_v = np.linspace(LEVELS_V[1], 0.0, 2000)
     voltage_v = np.concatenate([slow_v[::-1], square(0, 9, 1000), slow_v[1:]])
@@ -97,11 +84,6 @@ def test_a_square_wave_ends_where_a_slow_ramp_begins(recorded):
     assert np.unique(part.voltage_v).tolist() == LEVELS_V.tolist()
     noisy_v = voltage_v + 0.01 * np.random.default_rng(1).normal(size=voltage_v.size)
     assert abs(square_part(recorded("noisy", noisy_v, voltage_v, 0.01)).voltage_v.size - 9001) < 20
-
-
-def test_a_slow_ramp_is_no_motion_at_rest(recorded):
-    voltage_v = np.linspace(0.0, 100.0, 20_000)
-    assert motion_um_per_s(recorded("ramp", voltage_v, 0.1 * voltage_v, 0.01, 0.001)) == 0.0
 
 
 @pytest.mark.parametrize("late", [

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from piezo_identification.conditioning.settled_periods import first_settled_step
+from piezo_identification.conditioning.waveforms import first_settled_step
 
 LENGTH = 400
 STEPS = np.arange(1, 41) * LENGTH // 2

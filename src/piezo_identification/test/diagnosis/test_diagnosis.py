@@ -7,7 +7,7 @@ import pytest
 
 from piezo_identification.commands.diagnose_command import main
 from piezo_identification.conditioning.waveforms import played
-from piezo_identification.diagnosis.comparison.measures_of_fits import significance
+from piezo_identification.diagnosis.comparison.criteria import significance
 from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_identification.diagnosis.evidence.effect_entries import effect_entries
 from piezo_identification.diagnosis.report.diagnosis_report import (

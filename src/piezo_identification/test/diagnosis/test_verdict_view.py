@@ -3,6 +3,7 @@
 
 import pytest
 
+from piezo_identification.diagnosis.comparison.criteria import Reason, Undecided
 from piezo_identification.diagnosis.verdict import Verdict, extended_model
 from piezo_models import CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel
 from piezo_models.identified_model import IdentifiedModel
@@ -16,8 +17,8 @@ def verdict(effects, model=MODEL):
         verdict="explained", effects=effects, model=model,
         before={"rms_um": 0.02, "e_y_percent": 1.5}, after={"rms_um": 0.004, "e_y_percent": 0.3},
         noise_floor_um=0.003, holdout={"source": "run", "samples": 90},
-        not_decidable={"creep": "the recording is too short"}, left="", reversed=[], left_out=[],
-        ceiling=None)
+        undecided={"creep": Undecided(Reason.NOT_EXCITED, "the recording is too short")}, left="",
+        reversed=[], left_out=[], ceiling=None)
 
 
 FOUND = [{"name": "delay", "parameters": {"delay_s": 4e-5}, "error_reduction_percent": 80.0,

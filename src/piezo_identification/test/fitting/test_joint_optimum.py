@@ -124,7 +124,8 @@ def test_a_pair_of_the_creep_keeps_its_sign_where_its_rate_moves_far():
 def test_an_effect_that_the_model_made_up_for_is_found_where_the_model_makes_way_first():
     bent = replace(stage(330.0, 0.6), creep=CreepDynamics(), hysteresis=PreisachModel(
         -100.0, 100.0, np.zeros((1, 1)), -10.0, np.array([0.1])))
-    problem = JointProblem(bent, [recording(1, played)], [recording(2, played)], steps=20)
+    problem = JointProblem(bent, [recording(1, played)], [recording(2, played)])
+    problem.steps = 20
     held = problem.fit((), held=(Backlash(1.2),))
     assert held.effects == (Backlash(1.2),)
     found = problem.fit(held.effects, begun=held)

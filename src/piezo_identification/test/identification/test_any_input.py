@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from scipy.signal import chirp, lsim
 
-from piezo_identification.estimators.dynamics.any_input import estimate_dynamics_any
+from piezo_identification.estimators.dynamics.fast_estimate import estimate_dynamics
 from piezo_identification.estimators.frequency_response.response_model import ResponseOrder
 from piezo_identification.identification.identify import identify
 from piezo_identification.identification.linear_dynamics import is_square_wave
@@ -61,7 +61,7 @@ KINDS = ("square", "chirp", "multisine", "noise", "steps")
 @pytest.mark.parametrize("kind", KINDS)
 def test_dynamics_of_a_linear_stage_are_found_from_any_input(kind, linear_stage, record):
     recording = record(linear_stage, voltage_of(kind), PERIOD_S, noise_um=0.01)
-    estimate = estimate_dynamics_any([recording], CreepDynamics())
+    estimate = estimate_dynamics([recording], CreepDynamics())
     assert error_of(estimate) < 5e-3
 
 
@@ -69,7 +69,7 @@ def test_dynamics_of_a_linear_stage_are_found_from_any_input(kind, linear_stage,
 @pytest.mark.parametrize("kind", KINDS)
 def test_dynamics_are_found_behind_a_hysteresis_that_nothing_else_tells(kind, stage, record):
     recording = record(stage, voltage_of(kind), PERIOD_S, noise_um=0.01)
-    estimate = estimate_dynamics_any([recording], CreepDynamics())
+    estimate = estimate_dynamics([recording], CreepDynamics())
     # With the voltage taken for what enters the dynamics, noise would leave 0.18.
     assert error_of(estimate) < (5e-3 if kind == "chirp" else 0.03)
 
@@ -85,7 +85,7 @@ def test_edges_of_a_generator_between_the_samples_are_found(record, linear_stage
     recording = record(linear_stage, voltage_v[::fine], PERIOD_S)
     noise_um = np.random.default_rng(2).normal(scale=0.01, size=COUNT)
     object.__setattr__(recording, "displacement_um", 0.5 * response[::fine] + noise_um)
-    assert error_of(estimate_dynamics_any([recording], CreepDynamics())) < 5e-3
+    assert error_of(estimate_dynamics([recording], CreepDynamics())) < 5e-3
     # With the edges as sampled, 40 times the noise would be left.
     assert identify(dynamics=recording).adequacy["dynamics"]["ratio"] < 1.1
 
@@ -113,7 +113,7 @@ def test_a_delay_beside_another_form_of_stage_has_a_deviation_that_agrees_with_i
     recording = record(linear_stage, voltage_v, PERIOD_S)
     object.__setattr__(recording, "displacement_um", half_a_sample_late - (
         0.06 / np.abs(response).max() ** 2 * half_a_sample_late**3))
-    delay = estimate_dynamics_any([recording], CreepDynamics(), mode_count=1).delay
+    delay = estimate_dynamics([recording], CreepDynamics(), mode_count=1).delay
     assert delay.is_significant
     assert abs(delay.delay_s + 0.5 * PERIOD_S) < 3.0 * delay.standard_deviation_s < 0.05 * PERIOD_S
 

@@ -8,7 +8,7 @@ import pytest
 from piezo_common.budget import Budget
 from piezo_identification.estimators.frequency_response.response_model import ResponseOrder
 from piezo_identification.experiments import catalogue as experiments
-from piezo_identification.identification.given_hysteresis import DensityOptions
+from piezo_identification.identification.estimated_loops import DensityOptions
 from piezo_identification.identification.identify import identify
 from piezo_identification.report.identification_report import identification_sentence
 from piezo_models.model_file import load_model, save_model

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from piezo_identification.commands.identify_command import main as identify_main
-from piezo_identification.identification.given_hysteresis import DensityOptions
+from piezo_identification.identification.estimated_loops import DensityOptions
 from piezo_identification.identification.identify import identify
 from piezo_models.model_file import load_model
 

@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from independent_stage import IndependentStage, square_wave_v
 
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder
-from piezo_identification.identification.given_hysteresis import DensityOptions
+from piezo_identification.identification.estimated_loops import DensityOptions
 from piezo_identification.identification.identify import identify
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag

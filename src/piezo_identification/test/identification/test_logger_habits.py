@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from independent_stage import IndependentStage, square_wave_v
 
 from piezo_identification.conditioning.settling import low_frequency_delay_s
-from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics
+from piezo_identification.estimators.dynamics.fast_estimate import estimate_dynamics
 from piezo_identification.identification.given_data import aligned
 from piezo_identification.identification.identify import identify, validation_errors
 from piezo_identification.identification.linear_dynamics import LinearDynamics

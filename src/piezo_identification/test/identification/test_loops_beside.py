@@ -9,10 +9,10 @@ import pytest
 from piezo_identification.conditioning.outlier_samples import with_outliers_marked
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.experiments import catalogue as experiments
-from piezo_identification.identification.estimated_loops import new_loops
-from piezo_identification.identification.given_hysteresis import (
+from piezo_identification.identification.estimated_loops import (
     DensityOptions,
     estimate_hysteresis_of,
+    new_loops,
 )
 from piezo_identification.identification.linear_dynamics import LinearDynamics
 from piezo_models.effects.amplifier_lag import AmplifierLag

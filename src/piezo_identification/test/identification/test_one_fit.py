@@ -7,7 +7,7 @@ import pytest
 from piezo_identification.conditioning.outlier_samples import with_outliers_marked
 from piezo_identification.estimators.frequency_response.response_model import ANY_ORDER
 from piezo_identification.experiments import catalogue as experiments
-from piezo_identification.identification.fitted_model import FittedModel
+from piezo_identification.identification.linear_dynamics import FittedModel
 from piezo_identification.identification.one_fit import _long_ones, fitted_together, reliable
 
 

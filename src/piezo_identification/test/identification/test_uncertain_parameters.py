@@ -4,8 +4,8 @@
 import numpy as np
 import pytest
 
-from piezo_identification.identification.fitted_model import FittedModel
 from piezo_identification.identification.identify import report_uncertain_parameters
+from piezo_identification.identification.linear_dynamics import FittedModel
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics

@@ -11,7 +11,6 @@ from piezo_identification.prediction.row_reading import (
     all_as_identified,
     predict_as_identified,
     read_as_identified,
-    rows_sentence,
 )
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
@@ -93,11 +92,6 @@ def test_a_travel_of_other_units_is_asked_about(factor):
     _, sentences = predict_as_identified(
         identified(0.0), replace(monitored, displacement_um=factor * monitored.displacement_um))
     assert len(sentences) == 1 and "in the units of the identification?" in sentences[0]
-
-
-def test_what_was_aligned_is_said():
-    assert "read 0.5 sample periods after" in rows_sentence("b.csv", 0.5)
-    assert rows_sentence("b.csv", 0.0) == ""
 
 
 def test_the_longest_stretch_between_gaps_is_simulated_and_said():

@@ -18,7 +18,7 @@ from piezo_identification.recording_check.suitability import (
     suitability,
     suitability_for,
 )
-from piezo_identification.report.check_picture import check_figure
+from piezo_identification.report.check_page import check_figure
 from piezo_recorder.reading.reader import read_recording
 
 
@@ -157,6 +157,12 @@ def test_recordings_are_given_for_what_they_are_fit_for():
     assert given == {"creep": ["steps.csv"], "hysteresis": ["loops.csv"],
                      "validation": ["other.csv"]}
     assert given_as({"other.csv": fit(validation="yes")}) == {}
+    # Loops show creep if nothing else does.
+    loops, held = fit(hysteresis="yes", creep="partly"), fit(creep="partly")
+    assert given_as({"loops.csv": loops, "held.csv": held}) == {
+        "hysteresis": ["loops.csv"], "creep": ["held.csv"]}
+    assert given_as({"loops.csv": loops}) == {
+        "hysteresis": ["loops.csv"], "creep": ["loops.csv"]}
     # Without one to spare, the last of several of a kind is not fitted, so that an error is known.
     given = given_as({
         "steps.csv": fit(dynamics="yes", validation="yes"),
@@ -246,9 +252,10 @@ def test_ramps_between_levels_show_creep_and_a_slow_motion_some_of_it(read):
     ramped_v = np.interp(time_s % 100.0, [0, 10, 15, 50, 55, 100], [10, 10, 80, 80, 10, 10])
     held = check_recording(read(ramped_v, 0.2 * ramped_v, 0.05))
     assert suitability_for(held, "creep").verdict == "yes"
-    sine_v = 50.0 + 40.0 * np.sin(2.0 * np.pi * time_s / 77.0)
-    moving = check_recording(read(sine_v, 0.2 * sine_v, 0.05))
-    assert suitability_for(moving, "creep").verdict == "partly"
+    for period_s in (77.0, 12.0):
+        sine_v = 50.0 + 40.0 * np.sin(2.0 * np.pi * time_s / period_s)
+        moving = check_recording(read(sine_v, 0.2 * sine_v, 0.05))
+        assert suitability_for(moving, "creep").verdict == "partly"
 
 
 def test_points_of_a_static_loop_visit_the_plane_and_fast_cycles_ask_for_dynamics(read):

@@ -37,15 +37,10 @@ class Actuator:
 
     def passed_v(self, voltage_v: FloatArray, periodic: bool = False,
                  past: str = PASTS[0]) -> FloatArray:
-        """Return the voltage that the hysteresis passes on.
+        """Return the voltage that the hysteresis passes on, (N,).
 
-        Parameters
-        ----------
-        voltage_v : (N,) array
-        periodic : bool
-            True if the voltage has been repeated before.
-        past : str
-            One of `PASTS`: how the first voltage was reached.
+        The voltage has been repeated before if it is periodic; else `past`, one of `PASTS`, says
+        how the first one was reached.
         """
         hysteresis = self.hysteresis
         if hysteresis is None:
@@ -63,13 +58,8 @@ class Actuator:
                 past: str = PASTS[0], goes_on: bool = False) -> FloatArray:
         """Return the drive of the modes under a voltage; creep has settled at its beginning.
 
-        Parameters
-        ----------
-        voltage_v, periodic, past
-            As for `passed_v`.
-        goes_on : bool
-            True if the voltage changes linearly between samples; else it is held, and the drive is
-            that at the end of the sample.
+        If it goes on, the voltage changes linearly between samples; else it is held, and the drive
+        is that at the end of the sample. The other arguments are those of `passed_v`.
         """
         lag = _kept(self.lag_s, sample_period_s)
         passed_v = self.passed_v(_followed_v(voltage_v, lag, 0.0, periodic), periodic, past)
@@ -113,17 +103,9 @@ class Actuator:
                           [[1.0 + gains.sum()]], sample_period_s)
 
     def inverse_v(self, drive_v: FloatArray, sample_period_s: float) -> FloatArray:
-        """Return the periodic voltage that produces a periodic drive.
+        """Return the periodic voltage that produces a periodic drive (V), (N,).
 
-        Parameters
-        ----------
-        drive_v : (N,) array
-            One period of the drive in V.
-
-        Raises
-        ------
-        ValueError
-            If the hysteresis has no inverse.
+        Raises ValueError if the hysteresis has no inverse.
         """
         lines = np.fft.rfft(drive_v)
         lines /= self.creep_response(

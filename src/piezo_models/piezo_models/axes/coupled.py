@@ -56,13 +56,9 @@ class Softening:
         return strengths
 
     def amplitude_v(self, drive_v: FloatArray, sample_period_s: float) -> FloatArray:
-        """Return the running RMS of a voltage about the operating point, shape (N,).
+        """Return the running RMS of a voltage, (N, n), about the operating point, shape (N,).
 
         The mean square starts with its mean over the first `memory_s`.
-
-        Parameters
-        ----------
-        drive_v : (N, n) array
         """
         square = np.mean(drive_v**2, axis=1)
         begin = square[: max(1, round(self.memory_s / sample_period_s))].mean()
@@ -139,7 +135,6 @@ class CoupledModel:
 
         Parameters
         ----------
-        frequency_hz : (F,) array_like
         amplitude_v : float, optional
             RMS voltage in V to which the model softens; the reference by default.
 
@@ -215,18 +210,8 @@ class CoupledModel:
                 pasts: Sequence[str] = (), goes_on: bool = False) -> FloatArray:
         """Return the drive of the modes under a voltage, (N, n), after hysteresis and creep.
 
-        Parameters
-        ----------
-        voltage_v, periodic, goes_on
-            As for `simulate`.
-        pasts : sequence of str, optional
-            How each axis reached its first voltage, one of
-            `piezo_models.hysteresis.pasts.PASTS`; by default from the lowest one.
-
-        Raises
-        ------
-        ValueError
-            If the voltage has a wrong shape or is not finite.
+        The arguments and errors are those of `simulate`. Each axis reached its first voltage in one
+        of `piezo_models.hysteresis.pasts.PASTS`; by default from the lowest one.
         """
         voltages_v = np.asarray(voltage_v, dtype=float)
         if voltages_v.ndim != 2 or voltages_v.shape[1] != len(self.axes) or not voltages_v.size:
@@ -326,17 +311,8 @@ class CoupledModel:
     def mode_near(self, frequency_hz: float, amplitude_v: float | None = None) -> complex:
         """Return the pole in rad/s of the highest resonance near a frequency.
 
-        Parameters
-        ----------
-        frequency_hz : float
-            Frequency in Hz; modes within the fraction `NEAR` of it are considered.
-        amplitude_v : float, optional
-            RMS voltage in V to which the model softens; the reference by default.
-
-        Raises
-        ------
-        ValueError
-            If there is no mode near the frequency.
+        It is within the fraction `NEAR` of the frequency. The model softens to the amplitude, an
+        RMS voltage in V, by default the reference. Raises ValueError if there is no such mode.
         """
         linear = self if amplitude_v is None else self.at_amplitude(amplitude_v)
         poles = linear.poles_rad_per_s
@@ -439,16 +415,9 @@ def _poles_and_residues(
 ) -> tuple[ComplexArray, ComplexArray]:
     """Return each pole once, with the sum of the residues of its copies.
 
-    Parameters
-    ----------
-    found : (k,) array of complex
-        Eigenvalues of the system matrix.
-    read : (n, k) array of complex
-        Right eigenvectors times the output matrix.
-    drive : (k, n) array of complex
-        Left eigenvectors times the input matrix.
-    overlap : (k, k) array of complex
-        Products of left and right eigenvectors.
+    The eigenvalues of the system matrix, (k,), come with its right eigenvectors times the output
+    matrix, (n, k), its left eigenvectors times the input matrix, (k, n), and the products of left
+    and right eigenvectors, (k, k).
     """
     steps, residues, remaining = [], [], np.arange(found.size)
     while remaining.size:

@@ -21,10 +21,9 @@ def run_modes(
         Strengths of the parts of the softening at each sample.
     steps : (K,) array of complex
         Factor of each mode from one sample to the next.
-    residues : (K, n, n) array of complex
-        Residues; doubled for complex modes, as the real part of the sum is taken.
-    elongations : (P, K, n, n) array of complex
-        Residues of the softening, doubled in the same way.
+    residues, elongations : (K, n, n) and (P, K, n, n) array of complex
+        Residues of the motion and of the softening; doubled for complex modes, as the real part of
+        the sum is taken.
     gain : (P, n, n) array
         Gain of the softening.
     state : (K, n) array of complex

@@ -72,19 +72,10 @@ class IdentifiedAxes:
         return self.summary()._repr_html_()
 
     def response_deviation_um_per_v(self, frequency_hz: ArrayLike) -> FloatArray:
-        """Return the standard deviation of each entry of the response at any frequency.
+        """Return the standard deviation of each entry of the complex response, (F, n, n), in um/V.
 
         The deviations of poles and residues give the shape over frequency, including resonances.
         They are scaled to those of the coupling, which include the correlations.
-
-        Parameters
-        ----------
-        frequency_hz : (F,) array_like
-
-        Returns
-        -------
-        (F, n, n) array
-            Standard deviation of the complex response in um/V.
         """
         wanted_hz, known_hz = np.asarray(frequency_hz, float), self.coupling.frequency_hz
         course = self._deviation_of_modes(known_hz)

@@ -89,22 +89,9 @@ def with_overshoot(voltage_v: FloatArray, before_v: float,
                    effects: Iterable[Effect]) -> tuple[FloatArray, int]:
     """Return the extremes of the voltage within each row, followed by the voltage of the row.
 
-    A hysteresis that does not depend on rate needs no more of a lag that settles within the row.
-
-    Parameters
-    ----------
-    voltage_v : (N,) array
-        Voltages of the rows.
-    before_v : float
-        Voltage before the first row.
-    effects : iterable of Effect
-        Effects, of which `overshooting` ones matter.
-
-    Returns
-    -------
-    voltages_v : (N count,) array
-    count : int
-        Number of voltages of each row; 1 without overshoot.
+    A hysteresis that does not depend on rate needs no more of a lag that settles within the row. Of
+    the effects, `overshooting` ones matter. The voltages, (N count,), come with the number of them
+    in each row: 1 without overshoot.
     """
     extremes = [size for lag in overshooting(effects) for size in lag.overshoots]
     if not extremes:
@@ -136,12 +123,8 @@ def parts_of_rows(effects: Iterable[Effect], sample_period_s: float,
                   samples_per_mean: int = 1) -> int:
     """Return the number of parts in which a row is simulated for lags before the hysteresis.
 
-    Parameters
-    ----------
-    effects : iterable of Effect
-        Effects on the voltage, as `as_rows_show` returns them.
-    samples_per_mean : int
-        Samples averaged in a row; a row that is a mean of several is not divided.
+    The effects on the voltage are those of `as_rows_show`. A row that is a mean of several samples
+    is not divided.
     """
     moves = any(SETTLED < effect.time_constant_s / sample_period_s < LONGEST
                 for effect in effects if isinstance(effect, Lag))

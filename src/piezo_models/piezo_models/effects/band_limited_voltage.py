@@ -47,16 +47,9 @@ class BandLimitedVoltage(Effect):
 
 
 def means_of_parts(voltage_v: FloatArray, parts: int) -> FloatArray:
-    """Return the means of a band-limited voltage over the parts of its rows.
+    """Return the means of a band-limited voltage over the parts of its rows, (N parts,).
 
-    Parameters
-    ----------
-    voltage_v : (N,) array
-        Voltage at the beginning of each row in V.
-
-    Returns
-    -------
-    (N parts,) array
+    The voltage is that at the beginning of each row in V, (N,).
     """
     rows = voltage_v.size
     beyond = min(BEYOND, rows - 1)

@@ -27,14 +27,9 @@ def slope_of_force(force: float, direction: float, half_range: float, linear: fl
                    stiffness: float, beta: float, gamma: float, exponent: float) -> float:
     """Return the slope of the hysteretic force over the displacement.
 
-    Parameters
-    ----------
-    force : float
-        Force over the stiffness of the linear spring, as a displacement in um.
-    direction : float
-        Direction of the motion; only its sign is used.
-    linear, stiffness, beta, gamma, exponent : float
-        Parameters of `piezo_models.effects.hysteretic_spring.HystereticSpring`.
+    The force is over the stiffness of the linear spring, as a displacement in um. Only the sign of
+    the direction of the motion is used. The other arguments are parameters of
+    `piezo_models.effects.hysteretic_spring.HystereticSpring`.
     """
     size = min(abs(force) / half_range, FARTHEST)
     part = size if exponent == 1.0 else size**exponent
@@ -46,7 +41,7 @@ def slope_of_force(force: float, direction: float, half_range: float, linear: fl
 @njit(cache=True, nogil=True)
 def swing(loads: FloatArray, state: FloatArray, centre: float, half_range: float,
           parts: FloatArray, damping_ratio: float, step_rad: float, substeps: int) -> FloatArray:
-    """Simulate the mode with its hysteretic spring; overwrite the state with the final one.
+    """Return the displacement of the mode with its hysteretic spring (um); overwrite the state.
 
     Parameters
     ----------
@@ -58,15 +53,8 @@ def swing(loads: FloatArray, state: FloatArray, centre: float, half_range: float
         Centre and half width of the range in um.
     parts : (6,) array
         Parameters linear, viscous, stiffness, beta, gamma, exponent.
-    step_rad : float
-        Angle in rad by which the mode turns in a step.
-    substeps : int
-        Steps in a sample period.
-
-    Returns
-    -------
-    (N,) array
-        Displacement in um.
+    step_rad, substeps : float, int
+        Angle in rad by which the mode turns in a step, and steps in a sample period.
     """
     linear, viscous = parts[0], parts[1]
     stiffness, beta, gamma, exponent = parts[2], parts[3], parts[4], parts[5]
@@ -114,17 +102,9 @@ def swing(loads: FloatArray, state: FloatArray, centre: float, half_range: float
 @njit(cache=True, nogil=True)
 def force_under(displacements: FloatArray, half_range: float, stiffness: float, beta: float,
                 gamma: float, exponent: float) -> FloatArray:
-    """Return the hysteretic force under a known displacement, starting from zero.
+    """Return the hysteretic force under a known displacement, (N,), starting from zero.
 
-    Parameters
-    ----------
-    displacements : (N,) array
-    half_range, stiffness, beta, gamma, exponent : float
-        As for `slope_of_force`.
-
-    Returns
-    -------
-    (N,) array
+    The other arguments are those of `slope_of_force`.
     """
     forces = np.zeros(displacements.size)
     force = 0.0

@@ -32,14 +32,7 @@ IDEAL = (0.7, 1.3)
 
 
 def rounded_off(signal: FloatArray, step: float, offset: float) -> FloatArray:
-    """Return the change of a signal by a converter, (N,).
-
-    Parameters
-    ----------
-    signal : (N,) array
-    step, offset : float
-        Distance between the converter's levels, and one of the levels.
-    """
+    """Return the change of a signal by a converter, (N,), given its step and one of its levels."""
     return np.asarray(step * np.round((signal - offset) / step) + offset - signal)
 
 

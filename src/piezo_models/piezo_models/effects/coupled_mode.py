@@ -57,17 +57,8 @@ def modes_in_parallel(dynamics: ElectricVibrationDynamics) -> tuple[CoupledMode,
     """Return parallel modes that are equivalent to modes in series with antiresonances.
 
     Behind the electric lag of the dynamics their sum is the same transfer function (4.3), by
-    partial fractions.
-
-    Parameters
-    ----------
-    dynamics : ElectricVibrationDynamics
-        Dynamics with more modes than antiresonances, no mode critically damped.
-
-    Raises
-    ------
-    ValueError
-        If two modes are so close to each other that their parts are out of bounds.
+    partial fractions. There are more modes than antiresonances, and none is critically damped.
+    Raises ValueError if two modes are so close to each other that their parts are out of bounds.
     """
     frequencies, dampings = (np.array(each) for each in (
         dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios))

@@ -97,17 +97,9 @@ class Evidence:
     def best(self, candidates: Iterable[Candidate],
              contributions: Callable[[Candidate], FloatArray],
              count: int = 1) -> list[tuple[Candidate, FloatArray]]:
-        """Choose the candidates whose contributions remove most of the residual.
+        """Choose the candidates whose contributions, (N, n), remove most of the residual.
 
-        Parameters
-        ----------
-        contributions : callable
-            Returns the contributions, shape (N, n), of a candidate.
-
-        Returns
-        -------
-        list of (candidate, gains)
-            The `count` best, best first.
+        The `count` best are returned with their gains, best first.
         """
         tried = [(candidate, *self.reduction(contributions(candidate))) for candidate in candidates]
         tried.sort(key=lambda entry: -entry[2])
@@ -242,13 +234,7 @@ class Effect(ABC):
         raise ValueError(f"no signal gives the wanted one through {self.name}: reduce the motion")
 
     def lag(self) -> control.StateSpace | None:
-        """Return the lag of the effect in a feedback loop; None if it has none.
-
-        Returns
-        -------
-        control.StateSpace or None
-            Continuous system.
-        """
+        """Return the continuous system of the effect's lag in a feedback loop, or None."""
         return None
 
     def state_space(self) -> control.StateSpace:
@@ -287,13 +273,7 @@ class Effect(ABC):
 
     @classmethod
     def is_confounded_with(cls, other: type["Effect"]) -> bool:
-        """Return whether this effect names the other as indistinguishable, or the other this one.
-
-        Parameters
-        ----------
-        other : type
-            Another effect.
-        """
+        """Return whether one of two effects names the other as indistinguishable."""
         return other.name in cls.confounded_with or cls.name in other.confounded_with
 
     @classmethod
@@ -308,12 +288,9 @@ class Effect(ABC):
 
     @classmethod
     def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
-        """Return bounds of what the parameters can physically be in recordings of this extent.
+        """Return what the parameters can physically be in recordings of this extent: (low, high).
 
-        Returns
-        -------
-        dict of str to (float, float)
-            Lower and upper bound of each parameter whose bounds are closer than declared.
+        Only parameters whose bounds are closer than declared are in it.
         """
         return {}
 
@@ -337,12 +314,8 @@ class Effect(ABC):
     def hysteresis_ahead(self, hysteresis: PreisachModel) -> PreisachModel | None:
         """Return the hysteresis that is equivalent to the given one if the effect acts behind it.
 
-        The given hysteresis was identified with the effect in the stage.
-
-        Returns
-        -------
-        PreisachModel or None
-            None if the effect cannot be separated from a hysteresis, which is the default.
+        The given hysteresis was identified with the effect in the stage. None, the default, says
+        that the effect cannot be separated from a hysteresis.
         """
         return None
 

@@ -19,19 +19,7 @@ class EffectOfTime(Effect):
 
     @abstractmethod
     def behind(self, signal: FloatArray, sample_period_s: float, first: int) -> FloatArray:
-        """Return a part of the signal behind the effect.
-
-        Parameters
-        ----------
-        signal : ndarray, shape (N,)
-            Displacement in um.
-        first : int
-            Number of samples before the part.
-
-        Returns
-        -------
-        ndarray, shape (N,)
-        """
+        """Return a part of the signal (um) behind the effect, (N,), after `first` samples."""
 
     def apply(self, signal: FloatArray, sample_period_s: float,
               rest: float | None = None) -> FloatArray:

@@ -16,7 +16,7 @@ FAR_APART = 0.1
 
 def filtered(numerator: Sequence[float], denominator: Sequence[float], signal: FloatArray,
              sample_period_s: float, rest: float | None = None) -> FloatArray:
-    """Filter a signal by a continuous transfer function, from rest.
+    """Filter a signal, (N,), by a continuous transfer function, from rest.
 
     Parameters
     ----------
@@ -26,10 +26,6 @@ def filtered(numerator: Sequence[float], denominator: Sequence[float], signal: F
         Signal, taken as straight between samples.
     rest : float, optional
         Level at which the signal has rested before; its first value by default.
-
-    Returns
-    -------
-    (N,) array
     """
     return _from_rest(numerator, denominator, signal, sample_period_s, rest)[0]
 
@@ -37,19 +33,9 @@ def filtered(numerator: Sequence[float], denominator: Sequence[float], signal: F
 def filtered_on(numerator: Sequence[float], denominator: Sequence[float], signal: FloatArray,
                 sample_period_s: float, state: FloatArray | None = None,
                 ) -> tuple[FloatArray, FloatArray]:
-    """Filter the next part of a signal, and return the state after it.
+    """Filter the next part of a signal as `filtered`, and return the state after it, (n,).
 
-    Parameters
-    ----------
-    numerator, denominator, signal, sample_period_s
-        As in `filtered`.
-    state : (n,) array, optional
-        State after the previous part; by default from rest at the first value.
-
-    Returns
-    -------
-    behind : (N,) array
-    state : (n,) array
+    Without the state after the previous part, it begins from rest at the first value.
     """
     if state is None:
         return _from_rest(numerator, denominator, signal, sample_period_s)
@@ -118,17 +104,9 @@ def _first_order_lag(time_constant_s: float,
 
 def unfiltered_period(numerator: Sequence[float], denominator: Sequence[float],
                       period: FloatArray, sample_period_s: float) -> FloatArray:
-    """Return the period in front of a transfer function that gives a period behind it.
+    """Return the period, (N,), in front of a transfer function that gives a period behind it.
 
-    Parameters
-    ----------
-    numerator, denominator : sequence of float
-        As in `filtered`.
-    period : (N,) array
-
-    Returns
-    -------
-    (N,) array
+    The transfer function is given as in `filtered`.
     """
     b, a, _ = _discrete(tuple(numerator), tuple(denominator), sample_period_s)
     turns = np.exp(-2j * np.pi * np.fft.rfftfreq(period.size))
@@ -138,19 +116,9 @@ def unfiltered_period(numerator: Sequence[float], denominator: Sequence[float],
 
 def slowed(numerator: Sequence[float], denominator: Sequence[float],
            factor: float) -> control.StateSpace:
-    """Return a transfer function of s with its time scaled by a factor.
+    """Return a continuous transfer function of s with its time scaled by a factor.
 
-    The scaling keeps its numbers well conditioned for any time.
-
-    Parameters
-    ----------
-    numerator, denominator : sequence of float
-        As in `filtered`.
-
-    Returns
-    -------
-    control.StateSpace
-        Continuous.
+    It is given as in `filtered`. The scaling keeps its numbers well conditioned for any time.
     """
     system = control.tf2ss(numerator, denominator)
     return control.ss(system.A / factor, system.B / factor, system.C, system.D)

@@ -34,8 +34,8 @@ SOFTEST = 0.02
 LEAST_REVERSALS = 2
 
 
-@njit(cache=True)
-def _plays(x: FloatArray, thresholds: FloatArray, positions: FloatArray) -> FloatArray:
+@njit(cache=True, nogil=True)
+def plays_of(x: FloatArray, thresholds: FloatArray, positions: FloatArray) -> FloatArray:
     """Return the outputs of plays, and overwrite their positions with the final ones."""
     outputs = np.empty((x.size, thresholds.size))
     for n in range(x.size):
@@ -88,7 +88,7 @@ class Hysteresis(Effect):
 
     def _parts(self, signal: FloatArray, positions: FloatArray) -> FloatArray:
         x = np.ascontiguousarray((signal - self.centre_v) / self.half_range_v)
-        plays = _plays(x, np.array(self.thresholds), positions)
+        plays = plays_of(x, np.array(self.thresholds), positions)
         return self.half_range_v * np.hstack([plays, np.clip(plays, -FARTHEST, FARTHEST) ** 2])
 
     def impossible(self, extent: Extent) -> str | None:
@@ -148,7 +148,7 @@ class Hysteresis(Effect):
 
 def _large_reversals(voltage_v: FloatArray) -> int:
     """Count the reversals after which the voltage returns by at least a tenth of its range."""
-    outputs = _plays(np.ascontiguousarray(voltage_v, dtype=float),
+    outputs = plays_of(np.ascontiguousarray(voltage_v, dtype=float),
                      np.array([0.05 * np.ptp(voltage_v)]), np.array([float(voltage_v[0])]))[:, 0]
     moves = np.sign(np.diff(outputs))
     moves = moves[moves != 0.0]

@@ -55,7 +55,7 @@ MOST = 0.1
 
 def isolated(signal: FloatArray, voltage_v: FloatArray, answer_per_v: float | None = None,
              noise: float = 0.0, answered_part: float = 0.0) -> Mask:
-    """Mark single samples and short runs that stand out of a signal on both sides.
+    """Mark single samples and short runs that stand out of a signal on both sides, (N,).
 
     The signal leaves by a step that is large compared with the noise and with the steps around it.
     All samples of the run lie as far from the line between the good neighbours, and the signal
@@ -64,8 +64,6 @@ def isolated(signal: FloatArray, voltage_v: FloatArray, answer_per_v: float | No
 
     Parameters
     ----------
-    signal : (N,) array
-    voltage_v : (N,) array
     answer_per_v : float, optional
         Largest change of the signal from one sample to the next for a step of 1 V. By default
         `ANSWERED` times its range over that of the voltage, or less if its responses to jumps
@@ -74,10 +72,6 @@ def isolated(signal: FloatArray, voltage_v: FloatArray, answer_per_v: float | No
         Lower bound of the standard deviation of the signal's noise.
     answered_part : float
         Fraction of the voltage's range below which its steps explain no step of the signal.
-
-    Returns
-    -------
-    (N,) array of bool
     """
     signal = np.ascontiguousarray(signal, dtype=float)
     voltage_v = np.asarray(voltage_v, dtype=float)
@@ -119,12 +113,7 @@ def isolated(signal: FloatArray, voltage_v: FloatArray, answer_per_v: float | No
 
 
 def typical_answer_per_v(signal: FloatArray, voltage_v: FloatArray) -> float:
-    """Estimate the largest change of a signal between samples for a step of 1 V.
-
-    Parameters
-    ----------
-    signal, voltage_v : (N,) array
-    """
+    """Estimate the largest change of a signal between samples for a step of 1 V."""
     span_v = typical_range(voltage_v)
     most = ANSWERED * typical_range(signal) / max(span_v, 1e-300)
     changes_v = np.abs(np.diff(voltage_v, prepend=voltage_v[0]))

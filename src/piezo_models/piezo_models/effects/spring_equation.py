@@ -37,17 +37,9 @@ large."""
 def straight_beyond(parts: ArrayLike, half_range_um: float) -> tuple[float, float]:
     """Return the displacements between which the polynomial of a force is valid.
 
-    Beyond them the force is a straight line.
-
-    Parameters
-    ----------
-    parts : (4,) sequence of float
-        Force at the end of the range, as displacement in um, for the powers one to four.
-
-    Returns
-    -------
-    low, high : float
-        Displacements in half ranges from the middle of the range; low <= 0 <= high.
+    Beyond them the force is a straight line. They are in half ranges from the middle of the range,
+    low <= 0 <= high. The parts, (4,), are the force at the end of the range, as displacement in um,
+    for the powers one to four.
     """
     slope = np.arange(1.0, 5.0) * np.asarray(parts, dtype=float) / half_range_um
     roots = np.roots([*slope[:0:-1], slope[0] + 1.0 - SOFTEST])
@@ -64,21 +56,9 @@ def force_and_slope(x: float, parts: FloatArray, low: float,
                     high: float) -> tuple[float, float]:
     """Return the force of the spring in addition to the linear one, and its slope.
 
-    The slope of the whole spring is at least `SOFTEST`; see `straight_beyond`.
-
-    Parameters
-    ----------
-    x : float
-        Displacement in half ranges.
-    parts : (4,) sequence of float
-        As for `straight_beyond`.
-    low, high : float
-        Displacements between which the polynomial is valid, in half ranges.
-
-    Returns
-    -------
-    force, slope : float
-        Force in half ranges, and its slope per half range.
+    The slope of the whole spring is at least `SOFTEST`; see `straight_beyond` for its parts, and
+    for the displacements between which the polynomial is valid. Displacement and force are in half
+    ranges.
     """
     inside = min(max(x, low), high)
     force = inside * (parts[0] + inside * (parts[1] + inside * (parts[2] + inside * parts[3])))
@@ -134,11 +114,7 @@ def _within_sample(substeps: int) -> tuple[FloatArray, FloatArray]:
     """Return the matrices from samples to a load and its slope per sample, at half substeps.
 
     They evaluate Lagrange's polynomial through the last samples, from the one before the newest.
-
-    Returns
-    -------
-    loads, slopes : (2 substeps + 1, ORDER + 1) array
-        Factors of the samples, the newest last.
+    The shape of both is (2 substeps + 1, ORDER + 1), the newest sample last.
     """
     nodes = np.arange(-float(ORDER), 1.0)
     at = np.linspace(-1.0, 0.0, 2 * substeps + 1)

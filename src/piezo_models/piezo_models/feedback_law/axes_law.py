@@ -59,18 +59,10 @@ class AxesLaw:
 
     def following(self, once_um: FloatArray, period_um: FloatArray, start_sample: int,
                   max_feedback_v: float) -> FeedbackLaw:
-        """Return the law of a run along a path.
+        """Return the law of a run along a path; for the expected displacements see `FeedbackLaw`.
 
-        The stage stops if an error grows by more than the largest voltage could correct.
-
-        Parameters
-        ----------
-        once_um, period_um : ndarray, shape (N, axes)
-            Displacements to expect, see `FeedbackLaw`.
-        start_sample : int
-            Sample of the run before which nothing is fed back.
-        max_feedback_v : float
-            Largest voltage of the feedback of each axis, of either sign (V).
+        The stage stops if an error grows by more than the largest voltage of each axis, of either
+        sign, could correct. Nothing is fed back before the start sample of the run.
         """
         return FeedbackLaw(
             self.tick, self.observer, max_feedback_v, once_um, period_um, self.plant, start_sample,
@@ -123,11 +115,8 @@ class LawDocument(Document):
 def save_axes_law(path: str | PathLike[str], law: AxesLaw) -> None:
     """Write a law file; an existing file is replaced completely or not at all.
 
-    Raises
-    ------
-    LawFileError
-        If the file cannot be written, exists and is not a law file, or the law holds a value that
-        is not finite.
+    Raises `LawFileError` if the file cannot be written, exists and is not a law file, or the law
+    holds a value that is not finite.
     """
     linear = law.plant.linear
     matrices = {"A": law.tick.a, "B": law.tick.b, "C": law.tick.c, "D": law.tick.d,
@@ -144,11 +133,8 @@ def save_axes_law(path: str | PathLike[str], law: AxesLaw) -> None:
 def load_axes_law(path: str | PathLike[str]) -> AxesLaw:
     """Read a law file.
 
-    Raises
-    ------
-    LawFileError
-        If the file is missing, is not a law file of this version, or has a missing, unknown or
-        invalid field.
+    Raises `LawFileError` if the file is missing, is not a law file of this version, or has a
+    missing, unknown or invalid field.
     """
     try:
         document = load_document(LawDocument, path)

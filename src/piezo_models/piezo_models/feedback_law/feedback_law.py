@@ -38,15 +38,8 @@ class LinearBlock:
            d: npt.ArrayLike, axes: int = 0) -> "LinearBlock":
         """Make a block from matrices in any layout: A row by row, B and C as rows or columns.
 
-        Parameters
-        ----------
-        axes : int
-            Number of axes; B, C and D are then row by row. By default a single one, without a name.
-
-        Raises
-        ------
-        FeedbackLawError
-            If the numbers of elements do not fit each other.
+        With a number of axes, B, C and D are row by row; by default there is a single one, without
+        a name. Raises `FeedbackLawError` if the numbers of elements do not fit each other.
         """
         a, b, c, d = (np.ravel(np.asarray(part, dtype=float)) for part in (a, b, c, d))
         if axes:
@@ -116,14 +109,10 @@ class DeclaredPlant:
 class FeedbackLaw:
     """A feedback at the tick's rate, at the sample rate, or both, with its reference and limits.
 
-    The error is reference minus displacement. The sum of the voltages of both blocks is limited.
-    A law of several axes has a block at the tick's rate only, and no inverse; its limits are those
-    of each axis.
-
-    Raises
-    ------
-    FeedbackLawError
-        If a part is not finite, too large, or does not fit the others.
+    The error is reference minus displacement. The sum of the voltages of both blocks is limited. A
+    law of several axes has a block at the tick's rate only, and no inverse; its limits are those of
+    each axis. Raises `FeedbackLawError` if a part is not finite, too large, or does not fit the
+    others.
     """
 
     tick: LinearBlock

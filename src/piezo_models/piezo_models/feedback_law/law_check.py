@@ -27,15 +27,8 @@ LOWEST_FREQUENCY = 1e-4  # of the tick's rate
 def check_law(law: FeedbackLaw, samples_per_tick: int, lead_ticks: int = 0) -> None:
     """Reject a law that is unstable with its declared plant, or amplifies errors too much.
 
-    Parameters
-    ----------
-    lead_ticks : int
-        Ticks by which voltages are written ahead of the measurement.
-
-    Raises
-    ------
-    FeedbackLawError
-        If the check fails; the message gives the gain of the hysteresis.
+    Voltages are written ahead of the measurement by some ticks. Raises `FeedbackLawError`, which
+    names the gain of the hysteresis.
     """
     if lead_ticks and not law.sample.empty:
         raise FeedbackLawError("this stage is written ahead, so that no feedback acts from sample "
@@ -76,14 +69,10 @@ def _check_inverse_gain(law: FeedbackLaw) -> None:
 
 def declared_plant(plant: DeclaredPlant, gain_um_per_v: float | FloatArray,
                    sample: LinearBlock) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the plant from voltage to displacement at the sample rate.
+    """Return the plant from voltage to displacement at the sample rate: its matrices A, B and C.
 
     It includes the closed loop of the block at the sample rate, whose output acts one sample late.
-
-    Returns
-    -------
-    a, b, c : ndarray, shape (n, n), (n, 1), (1, n), or with a column of b and a row of c for each
-        axis
+    B has a column and C a row for each axis.
     """
     a, b, c, _ = plant.linear.matrices
     b = gain_um_per_v * b

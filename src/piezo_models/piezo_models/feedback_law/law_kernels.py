@@ -16,13 +16,12 @@ def take(displacement_um: FloatArray, first: int, once_um: FloatArray, period_um
          begun: int, fade: int, initial_um: float, sums: FloatArray,
          a: FloatArray, b: FloatArray, c: FloatArray, d: float,
          state: FloatArray, work: FloatArray, added_v: float) -> float:
-    """Add samples to the sums of their tick, and advance the block at the sample rate.
+    """Add samples to the sums of their tick; return the next output of the block of samples (V).
 
     Parameters
     ----------
     displacement_um : ndarray, shape (k,)
-    first : int
-        Number of the first sample in the run.
+        Samples from number `first` of the run on.
     once_um, period_um : ndarray
         Expected displacement in um.
     begun, fade : int
@@ -31,17 +30,8 @@ def take(displacement_um: FloatArray, first: int, once_um: FloatArray, period_um
         Initial error in um, which is subtracted and faded out.
     sums : ndarray, shape (3,)
         Sums of the expected, measured and faded displacements; changed in place.
-    a, b, c, d
-        Matrices of the block at the sample rate.
-    state, work : ndarray, shape (m,)
-        State of that block, and a work array; changed in place.
-    added_v : float
-        Last output of the block (V).
-
-    Returns
-    -------
-    float
-        Output of the block for the next sample (V).
+    a, b, c, d, state, work, added_v
+        Block at the sample rate as in `advance`, and its last output (V).
     """
     once, period = once_um.size, period_um.size
     for i in range(displacement_um.size):
@@ -67,22 +57,7 @@ def take(displacement_um: FloatArray, first: int, once_um: FloatArray, period_um
 @njit(cache=True)
 def advance(error: float, a: FloatArray, b: FloatArray, c: FloatArray, d: float,
             state: FloatArray, work: FloatArray) -> float:
-    """Return the output of a block for an input, and update its state.
-
-    Parameters
-    ----------
-    error : float
-        Input (um).
-    a, b, c, d
-        Matrices of the block.
-    state, work : ndarray, shape (n,)
-        State and work array; changed in place.
-
-    Returns
-    -------
-    float
-        Output (V).
-    """
+    """Return the output (V) of a block for an input (um), and update its state, (n,)."""
     output = d * error
     for i in range(state.size):
         output += c[i] * state[i]
@@ -136,34 +111,25 @@ def through_inverse(wanted_um: float, planned_v: FloatArray, rounding_um: float,
                     feedback_v: FloatArray) -> tuple[float, float]:
     """Find the voltages that add a given output of the hysteresis to the planned one.
 
+    Returned are the mean of the added voltages and of what `range_v` cut off (V).
+
     Parameters
     ----------
     wanted_um : float
         Output to add (um).
     planned_v : ndarray, shape (k,)
         Voltages without the feedback (V).
-    range_um : tuple of float
-        Output range of the hysteresis (um).
-    range_v : tuple of float
-        Bounds of the added voltage (V).
+    range_um, range_v : tuple of float
+        Output range of the hysteresis (um), and bounds of the added voltage (V).
     held : bool
         True to add the mean to all samples.
-    stacks : ndarray, shape (6, m)
+    stacks, tops : ndarray, shape (6, m) and (2,)
         Extremes and outputs of the hysteresis memory: without the feedback, with it, and a work
-        copy; with room for 2 k more entries. Changed in place.
-    tops : ndarray of int, shape (2,)
-        Top indices of the first two memories.
+        copy; with room for 2 k more entries. Top indices of the first two. Changed in place.
     grid, table : tuple
         Arguments of the hysteresis kernels.
     feedback_v : ndarray, shape (k,)
         Filled with the added voltages (V).
-
-    Returns
-    -------
-    mean_v : float
-        Mean of the added voltages (V).
-    clipped_v : float
-        Mean of what `range_v` cut off (V).
     """
     target_um, _, _, top = simulate(planned_v, stacks[0], stacks[1], tops[0], grid, table)
     tops[0] = top

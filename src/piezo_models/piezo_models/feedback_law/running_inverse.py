@@ -15,10 +15,7 @@ FREE_ENTRIES = 256
 class RunningInverse:
     """Memories of the hysteresis for the planned voltages and for the played ones.
 
-    Parameters
-    ----------
-    rest_voltage_v : float
-        Voltage at the beginning of the run, reached from negative saturation (V).
+    The run begins at the rest voltage (V), reached from negative saturation.
     """
 
     def __init__(self, inverse: InverseHysteresis, rest_voltage_v: float) -> None:
@@ -38,10 +35,7 @@ class RunningInverse:
                 highest_v: float, feedback_v: FloatArray) -> tuple[float, float]:
         """Fill `feedback_v` with the voltages to add to planned voltages.
 
-        Returns
-        -------
-        mean_v, clipped_v : float
-            Mean of `feedback_v`, and of what its bounds cut off (V).
+        Returned are the mean of `feedback_v`, and of what its bounds cut off (V).
         """
         self._make_room(len(planned_v))
         grid, table, rounding_um = self._kernel
@@ -61,10 +55,7 @@ class RunningInverse:
     def take_over(self, other: "RunningInverse | None") -> None:
         """Continue with the past of another inverse.
 
-        Raises
-        ------
-        FeedbackLawError
-            If there is none, or it has another voltage range.
+        Raises `FeedbackLawError` if there is none, or it has another voltage range.
         """
         if other is None or self._kernel[0][:2] != other._kernel[0][:2]:
             raise FeedbackLawError("the law that acts does not give the past of this law's "

@@ -84,17 +84,9 @@ class RunningLaw:
         self._inverse = None if law.inverse is None else RunningInverse(law.inverse, rest_voltage_v)
 
     def begin(self, planned_v: FloatArray) -> FloatArray:
-        """Return the voltages to add to the next planned voltages.
+        """Return the voltages (V), (k,), to add to the next `samples_at_once` planned voltages.
 
-        Parameters
-        ----------
-        planned_v : ndarray, shape (k,)
-            Next `samples_at_once` planned voltages (V).
-
-        Returns
-        -------
-        ndarray, shape (k,)
-            Voltages to add (V); the same array is returned each time.
+        The same array is returned each time.
         """
         if self._played % self._samples_per_tick == 0:
             self._decisions.append(self._decided_v)
@@ -125,12 +117,8 @@ class RunningLaw:
     def correct(self, clipped_v: float) -> None:
         """Correct the states by the feedback voltage that was not played (anti-windup).
 
-        Call it between `begin` and `take` if the amplifier's limits cut the voltage.
-
-        Parameters
-        ----------
-        clipped_v : float
-            Mean of the played voltage minus the requested one (V).
+        Call it between `begin` and `take`, with the mean of the played voltage minus the requested
+        one (V), if the amplifier's limits cut the voltage.
         """
         if not self.begun:
             return
@@ -184,13 +172,9 @@ class RunningLaw:
         rate would have given the recent output of the other law. The block at the sample rate
         continues from the other's state if both blocks are equal; otherwise it starts at rest. The
         remaining step is removed by a change of the states. If a block has no state that gives a
-        voltage, the other block gives its share too.
-
-        Raises
-        ------
-        FeedbackLawError
-            If this law passes an inverse whose past the other law does not provide, expects another
-            run, has a lower limit than the present voltage, or begins later than now.
+        voltage, the other block gives its share too. Raises `FeedbackLawError` if this law passes
+        an inverse whose past the other law does not provide, expects another run, has a lower limit
+        than the present voltage, or begins later than now.
         """
         scale = self._volts_per_volt(other)
         self._check_follows(other, scale)

@@ -13,20 +13,9 @@ SWINGS = 40
 
 
 def past_voltages(past: str, first_v: float, low_v: float, high_v: float) -> FloatArray:
-    """Return extremes of the voltage before a recording.
+    """Return extremes of the voltage before a recording, (K,), for one of `PASTS`.
 
-    Parameters
-    ----------
-    past : str
-        One of `PASTS`.
-    first_v : float
-        Voltage with which the recording begins.
-    low_v, high_v : float
-        Range of the voltage.
-
-    Returns
-    -------
-    ndarray, shape (K,)
+    The recording begins with the first voltage; the others are the range of the voltage.
     """
     if past == "rising":
         return np.array([low_v])

@@ -182,23 +182,9 @@ class PreisachModel:
     def everett_um(self, alpha_v: ArrayLike, beta_v: ArrayLike) -> FloatArray:
         """Integrate the density over beta_v <= beta <= alpha <= alpha_v: the Everett function.
 
-        It is the rise of the output from a minimum beta_v to alpha_v, and the fall from a maximum
-        alpha_v to beta_v.
-
-        Parameters
-        ----------
-        alpha_v, beta_v : array_like
-            Broadcast against each other; limited to the voltage range.
-
-        Returns
-        -------
-        array
-            Exact integral in um; zero if `alpha_v` <= `beta_v`.
-
-        Raises
-        ------
-        ValueError
-            If a voltage is not finite.
+        It is the rise of the output (um) from a minimum beta_v to alpha_v, and the fall from a
+        maximum alpha_v to beta_v; zero if alpha_v <= beta_v. The voltages are broadcast against
+        each other, and limited to the voltage range. Raises ValueError if one is not finite.
         """
         limits = self.voltage_min_v, self.voltage_max_v
         alpha, beta = np.broadcast_arrays(np.clip(alpha_v, *limits), np.clip(beta_v, *limits))
@@ -324,15 +310,7 @@ class PreisachModel:
 
         The gain is that of the secant from negative saturation. At one voltage it is smallest on
         the way up from negative saturation and largest on the way down from positive saturation.
-
-        Parameters
-        ----------
-        voltage_v : array_like, optional
-            Voltages to consider, above `voltage_min_v`; by default all upper edges of the cells.
-
-        Returns
-        -------
-        (float, float)
+        The voltages are above `voltage_min_v`; by default they are all upper edges of the cells.
         """
         voltage = self.levels_v[1:] if voltage_v is None else np.asarray(voltage_v, dtype=float)
         if not (voltage > self.voltage_min_v).all():

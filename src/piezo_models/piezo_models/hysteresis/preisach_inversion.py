@@ -93,27 +93,10 @@ def _along_rise(target_um: FloatArray, voltage_v: FloatArray, n: int, v: float, 
                 grid: Grid, table: Table) -> tuple[int, float]:
     """Invert targets from sample `n` on for as long as they rise from one minimum.
 
-    Parameters
-    ----------
-    target_um, voltage_v : (N,) array
-        Targets, and the array for the voltages.
-    n : int
-        First sample; its target lies above the minimum's output and below `limit_um`.
-    v : float
-        Present voltage, below which the voltage does not fall.
-    start_v, start_um : float
-        Minimum and its output.
-    limit_v, limit_um : float
-        Stored maximum and its output; reaching it wipes the minimum out.
-    rounding_um : float
-        No flat stretch is crossed for a smaller remainder.
-
-    Returns
-    -------
-    n : int
-        First sample that falls or reaches the limit.
-    v : float
-        Last voltage in V.
+    The target of sample `n` lies above the minimum's output and below `limit_um`, the output of the
+    stored maximum; reaching it wipes the minimum out. The voltage does not fall below the present
+    one, `v`. No flat stretch is crossed for a remainder below `rounding_um`. Returned are the first
+    sample that falls or reaches the limit, and the last voltage in V.
     """
     voltage_min, _, cell_width = grid
     columns, _, diagonal, reversible = table
@@ -236,18 +219,8 @@ def invert_while_room(target_um: FloatArray, voltage_v: FloatArray, n: int, roun
                       table: Table) -> tuple[int, int]:
     """Write the voltage from sample `n` on, without allocation, until the memory is full.
 
-    Parameters
-    ----------
-    target_um, voltage_v : (N,) array
-    extremes, outputs : array
-        Stacks of the memory; changed in place.
-
-    Returns
-    -------
-    n : int
-        N, or the sample whose reversal does not fit into the memory.
-    top : int
-        Index of the present point in the stacks.
+    The stacks of the memory are changed in place. Returned are N, or the sample whose reversal does
+    not fit into the memory, and the index of the present point in the stacks.
     """
     while n < target_um.size:
         goal = target_um[n]
@@ -287,23 +260,11 @@ def invert_while_room(target_um: FloatArray, voltage_v: FloatArray, n: int, roun
 @njit(cache=True)
 def invert(target_um: FloatArray, rounding_um: float, extremes: FloatArray,
            outputs: FloatArray, top: int, grid: Grid, table: Table) -> Past:
-    """Return the voltages that bring the output to each target, continuing a stored past.
+    """Return the voltages (V) that bring the output to each target, continuing a stored past.
 
-    Parameters
-    ----------
-    target_um : (N,) array
-        Targets within the output range.
-    rounding_um : float
-        No flat stretch is crossed for a smaller remainder.
-    extremes, outputs : array
-        Stacks of the memory; changed in place, and replaced by longer ones if they are full.
-
-    Returns
-    -------
-    (N,) array
-        Voltage in V.
-    extremes, outputs : array
-    top : int
+    The targets, (N,), lie within the output range. No flat stretch is crossed for a remainder below
+    `rounding_um`. The stacks of the memory are changed in place, and replaced by longer ones if
+    they are full.
     """
     voltage = np.empty(target_um.size)
     n, top = invert_while_room(

@@ -63,19 +63,9 @@ def between(near: FloatArray, far: FloatArray, part: float, level: int) -> float
     """Interpolate the Everett function between two levels of one voltage, at a level of the other.
 
     If the voltage lies at the fraction x of its cell from `near`, the function is smaller than the
-    result by x (1 - x) times the triangle of this cell on the diagonal.
-
-    Parameters
-    ----------
-    near, far : ndarray, shape (n + 1,)
-        The function at the two levels of the one voltage, over the levels of the other, in um.
-    part : float
-        Fraction of the way from `near` to `far`.
-
-    Returns
-    -------
-    float
-        Interpolated value in um.
+    result by x (1 - x) times the triangle of this cell on the diagonal. `near` and `far` are the
+    function at the two levels of the one voltage, over the levels of the other, in um; `part` is
+    the fraction of the way between them.
     """
     return near[level] + part * (far[level] - near[level])
 
@@ -99,17 +89,9 @@ def _everett(alpha: float, beta: float, columns: FloatArray, diagonal: FloatArra
 @njit(cache=True)
 def everett_values(alpha_v: FloatArray, beta_v: FloatArray, grid: Grid,
                    table: Table) -> FloatArray:
-    """Return the Everett function at pairs of voltages.
+    """Return the Everett function (um) at pairs of voltages within the grid, (N,).
 
-    Parameters
-    ----------
-    alpha_v, beta_v : (N,) array
-        Voltages within the grid.
-
-    Returns
-    -------
-    (N,) array
-        Values in um; zero if `alpha_v` <= `beta_v`.
+    It is zero if `alpha_v` <= `beta_v`.
     """
     voltage_min, _, cell_width = grid
     columns, _, diagonal, reversible = table
@@ -156,23 +138,9 @@ def _along_rise(voltage_v: FloatArray, output_um: FloatArray, n: int, beta: floa
                start_um: float, limit_v: float, grid: Grid, table: Table) -> tuple[int, float]:
     """Play voltages from sample `n` on for as long as they rise from one minimum.
 
-    Parameters
-    ----------
-    voltage_v, output_um : (N,) array
-        Voltages, and the array for the output.
-    n : int
-        First sample; its voltage lies above the minimum and below `limit_v`.
-    beta, start_um : float
-        Minimum, in cells, and its output.
-    limit_v : float
-        Stored maximum; reaching it wipes the minimum out.
-
-    Returns
-    -------
-    n : int
-        First sample that falls or reaches the limit.
-    present_v : float
-        Last voltage in V.
+    The voltage of sample `n` lies above the minimum, `beta` in cells, and below the stored maximum
+    `limit_v`; reaching it wipes the minimum out. Returned are the first sample that falls or
+    reaches the limit, and the last voltage in V.
     """
     voltage_min, voltage_max, cell_width = grid
     columns, _, diagonal, reversible = table
@@ -244,18 +212,8 @@ def simulate_while_room(voltage_v: FloatArray, output_um: FloatArray, n: int,
                         table: Table) -> tuple[int, int]:
     """Write the output from sample `n` on, without allocation, until the memory is full.
 
-    Parameters
-    ----------
-    voltage_v, output_um : (N,) array
-    extremes, outputs : array
-        Stacks of the memory; changed in place.
-
-    Returns
-    -------
-    n : int
-        N, or the sample whose reversal does not fit into the memory.
-    top : int
-        Index of the present point in the stacks.
+    The stacks of the memory are changed in place. Returned are N, or the sample whose reversal does
+    not fit into the memory, and the index of the present point in the stacks.
     """
     voltage_min, voltage_max, cell_width = grid
     scale = 1.0 / cell_width

@@ -34,24 +34,11 @@ LONG = 128
 
 def run_blocks(a: FloatArray, b: FloatArray, c: FloatArray, direct: float, samples: FloatArray,
                state: FloatArray, output: FloatArray) -> int:
-    """Simulate all whole blocks, and return their number of samples.
+    """Simulate all whole blocks, and return their number of samples, a multiple of `LENGTH`.
 
-    Parameters
-    ----------
-    a : (n, n) array
-    b, c : (n,) array
-    direct : float
-        System x[k + 1] = a x[k] + b v[k], y[k] = c x[k] + direct v[k].
-    samples : (N,) array
-    state : (n,) array
-        State at the first sample; updated in place to that after the last block.
-    output : (N,) array
-        Filled with the output of the blocks.
-
-    Returns
-    -------
-    int
-        Number of samples, a multiple of `LENGTH`.
+    The system is x[k + 1] = a x[k] + b v[k], y[k] = c x[k] + direct v[k]. The state at the first
+    sample is updated in place to that after the last block; the output is filled with that of the
+    blocks.
     """
     gains, outputs, impulse, transposed = _block(a, b, c, direct, LENGTH)
     answers = np.ascontiguousarray(
@@ -67,22 +54,10 @@ def run_blocks(a: FloatArray, b: FloatArray, c: FloatArray, direct: float, sampl
 
 def blocks_at(a: FloatArray, b: FloatArray, c: FloatArray, direct: float, samples: FloatArray,
               state: FloatArray, at: NDArray[np.intp]) -> FloatArray:
-    """Simulate whole blocks, and return the output at a few of their samples.
+    """Simulate whole blocks of `LONG` samples; return the output at a few of their samples, sorted.
 
     For the other blocks only the states are computed, which saves most of the work and the memory.
-
-    Parameters
-    ----------
-    a, b, c, direct, state
-        As for `run_blocks`.
-    samples : (N,) array
-        Input; N is a multiple of `LONG`.
-    at : (n,) array of int
-        Samples whose output is returned, sorted.
-
-    Returns
-    -------
-    (n,) array
+    The system and its state are those of `run_blocks`.
     """
     gains, outputs, impulse, transposed = _block(a, b, c, direct, LONG)
     output, latest_first = np.empty(at.size), impulse[::-1].copy()

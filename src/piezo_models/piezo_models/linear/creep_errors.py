@@ -11,18 +11,9 @@ def creep_error_map(creep: CreepDynamics) -> np.ndarray:
 
     Pole and zero of a pair lie so close that they cannot be determined separately: an error of a
     few percent in one alone would reverse the sign of the creep. The independent quantities are
-    their common rate and the size of the pair, zero - pole.
-
-    Parameters
-    ----------
-    creep : CreepDynamics
-        Creep with P pairs.
-
-    Returns
-    -------
-    ndarray, shape (2 P, 2 P)
-        Columns: errors of the rates, then of the sizes. Rows: errors of the logarithms of the
-        poles, then of the zeros.
+    their common rate and the size of the pair, zero - pole. Of P pairs, the columns of the matrix,
+    (2 P, 2 P), are errors of the rates, then of the sizes; the rows are errors of the logarithms of
+    the poles, then of the zeros.
     """
     poles, zeros = np.array(creep.poles_rad_per_s), np.array(creep.zeros_rad_per_s)
     identity = np.eye(poles.size)
@@ -31,13 +22,7 @@ def creep_error_map(creep: CreepDynamics) -> np.ndarray:
 
 
 def with_creep_errors(creep: CreepDynamics, errors: np.ndarray) -> CreepDynamics:
-    """Return the creep with relative errors of rates and sizes.
-
-    Parameters
-    ----------
-    errors : ndarray, shape (2 P,)
-        Errors of the pairs' rates, then of their sizes.
-    """
+    """Return the creep with relative errors of the pairs' rates, then of their sizes, (2 P,)."""
     changes = np.exp(creep_error_map(creep) @ errors)
     by_pole, by_zero = np.split(changes, 2)
     return CreepDynamics(tuple(creep.poles_rad_per_s * by_pole),

@@ -141,10 +141,7 @@ class ElectricVibrationDynamics:
     def state_space(self, parallel_modes: Sequence[Any] = ()) -> control.StateSpace:
         """Return the continuous state space of the lag and the modes.
 
-        Parameters
-        ----------
-        parallel_modes : sequence of `piezo_models.effects.vibration_mode.VibrationMode`
-            Additional parallel modes; the others keep the rest of the displacement.
+        Additional parallel modes take their share of the displacement; the others keep the rest.
         """
         lag: list[Section] = []
         if self.time_constant_s > 0.0:
@@ -252,17 +249,10 @@ def zoh(system: control.StateSpace, sample_period_s: float) -> control.StateSpac
 def answering_means(system: control.StateSpace, sample_period_s: float) -> control.StateSpace:
     """Return a system whose response to held means of an input is that to the input itself.
 
-    Holding the means of an input over periods h smooths it, by 1 + (s h)^2 / 12 up to the third
-    power of s h. The outputs y become y - h C z (1 - 3 z / 2) / (1 - z / 2)^3 x' / 12, with z = A
-    h. This cancels the smoothing to the same order, keeps the DC gain, and is bounded for any
-    stable pole.
-
-    Parameters
-    ----------
-    system : control.StateSpace
-        Continuous system; its states are kept.
-    sample_period_s : float
-        Period in s for which each mean is held.
+    Holding the means of an input over periods h, in s, smooths it, by 1 + (s h)^2 / 12 up to the
+    third power of s h. The outputs y become y - h C z (1 - 3 z / 2) / (1 - z / 2)^3 x' / 12, with z
+    = A h. This cancels the smoothing to the same order, keeps the DC gain, and is bounded for any
+    stable pole. The system is continuous; its states are kept.
     """
     a, b, c, d = matrices_of(system)
     none, z = np.eye(len(a)), sample_period_s * a
@@ -275,15 +265,8 @@ def zoh_response(system: control.StateSpace, frequency_hz: ArrayLike,
                  sample_period_s: float) -> ComplexArray:
     """Return the response of the ZOH-sampled system, its transfer function at exp(j 2 pi f T).
 
-    Parameters
-    ----------
-    system : control.StateSpace
-        Continuous system with one input and one output.
-
-    Returns
-    -------
-    complex array
-        Response in the shape of `frequency_hz`.
+    The system is continuous, with one input and one output. The response has the shape of the
+    frequencies.
     """
     discrete = zoh(system, sample_period_s)
     _check_single(discrete)
@@ -301,18 +284,9 @@ def zoh_response(system: control.StateSpace, frequency_hz: ArrayLike,
 
 
 def equilibrium_state(system: control.StateSpace, held_input: float = 1.0) -> FloatArray:
-    """Return the state in which a continuous system rests under a constant input.
+    """Return the state in which a continuous, stable system rests under a constant input, (n,).
 
     The ZOH-sampled system has the same states and therefore the same equilibrium.
-
-    Parameters
-    ----------
-    system : control.StateSpace
-        Continuous, stable system.
-
-    Returns
-    -------
-    (n,) array
     """
     return np.linalg.solve(system.A, -held_input * system.B[:, 0])
 
@@ -347,21 +321,9 @@ def simulate_linear(discrete_system: control.StateSpace, input: ArrayLike,
 
 def continue_linear(discrete_system: control.StateSpace, input: ArrayLike,
                     state: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Return the output of `simulate_linear`, and the state with which to continue.
+    """Return the output of `simulate_linear`, (N,), and the state at the sample after the last one.
 
-    Parameters
-    ----------
-    discrete_system : control.StateSpace
-        Discrete system with one input and one output.
-    input : (N,) array_like
-    state : (n,) array_like
-        State at the first sample; not changed.
-
-    Returns
-    -------
-    output : (N,) array
-    state : (n,) array
-        State at the sample after the last one.
+    The state at the first sample, (n,), is not changed.
     """
     _check_single(discrete_system)
     if not discrete_system.isdtime(strict=True):

@@ -11,19 +11,10 @@ def lift(a: FloatArray, b: FloatArray, c: FloatArray, samples_per_tick: int,
     """Lift a sampled system to the tick rate, with its averaging and its delay.
 
     In tick k the mean of the samples of tick k - 1 is known. The input that is decided in tick k is
-    held for all samples of tick k + `delay_ticks`.
-
-    Parameters
-    ----------
-    a, b, c : ndarray, shape (n, n), (n, i), (o, n)
-        Strictly proper system at the sample rate.
-
-    Returns
-    -------
-    a, b, c : ndarray, shape (m, m), (m, i), (o, m)
-        System at the tick rate, m = n + o + i * `delay_ticks`. Its states are those of the sampled
-        system at the start of the tick, the known means, and the decided inputs that have not acted
-        yet, the oldest first.
+    held for all samples of tick k + `delay_ticks`. The system, with matrices (n, n), (n, i), (o,
+    n), is strictly proper. The lifted one has m = n + o + i * `delay_ticks` states: those of the
+    sampled system at the start of the tick, the known means, and the decided inputs that have not
+    acted yet, the oldest first.
     """
     order, inputs, outputs = len(a), b.shape[1], len(c)
     known, size = order + outputs, order + outputs + inputs * delay_ticks

@@ -15,21 +15,9 @@ FEW = 8
 
 def simulate_linear_at(discrete_system: control.StateSpace, input: FloatArray,
                        initial_state: FloatArray, at: NDArray[np.intp]) -> FloatArray:
-    """Simulate like `piezo_models.linear.dynamics.simulate_linear`, but return few of the outputs.
+    """Simulate like `simulate_linear`, but return few of the outputs, (m,).
 
-    Parameters
-    ----------
-    discrete_system : control.StateSpace
-        Discrete system with one input and one output.
-    input : (N,) array
-    initial_state : (n,) array
-        State at the first sample; not changed.
-    at : (m,) array of int
-        Samples whose output is returned, sorted.
-
-    Returns
-    -------
-    (m,) array
+    The state at the first sample, (n,), is not changed. The samples `at` are sorted.
     """
     whole = input.size // LONG * LONG
     if not initial_state.size or FEW * at.size > input.size or not whole:

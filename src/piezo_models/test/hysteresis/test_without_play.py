@@ -4,8 +4,8 @@
 import numpy as np
 import pytest
 
+from piezo_models.effects.backlash import without_play
 from piezo_models.hysteresis.preisach import PreisachModel
-from piezo_models.hysteresis.without_play import without_play
 
 LEVELS, SPAN_V = 80, 100.0
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from piezo_models.linear import block_simulation
+import piezo_models.linear.block_simulation as block_simulation
 from piezo_models.linear.block_simulation import LONG
 from piezo_models.linear.dynamics import zoh
 from piezo_models.linear.outputs_at import FEW, simulate_linear_at

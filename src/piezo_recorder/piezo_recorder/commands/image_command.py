@@ -21,7 +21,7 @@ def _add_options(parser: argparse.ArgumentParser) -> None:
 
 COMMAND = Command(
     "image", "Make images from recordings of scans, by the measured positions.", _add_options,
-    "piezo_recorder.images.image_work:make_images", inputs=("data", "specimen"),
+    "piezo_recorder.images.image_page:make_images", inputs=("data", "specimen"),
     folders=("output",))
 main = COMMAND.main
 

@@ -17,13 +17,7 @@ SHOWN_PERCENT = (1.0, 99.0)
 
 
 def write_image(image: ScanImage, folder: Path, name: str) -> Iterator[str]:
-    """Write an image with its deviations into a folder; yield a sentence for each file.
-
-    Parameters
-    ----------
-    name : str
-        Name of the files without their ends.
-    """
+    """Write an image with its deviations into a folder; yield a sentence for each file."""
     for part, values in (("", image.values), ("_deviation", image.deviation)):
         path = folder / f"{name}{part}.gsf"
         write_gsf(path, image.field(values))

@@ -1,29 +1,23 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The page of a scan: its images side by side, and how far they are distorted."""
 
+import argparse
 from collections.abc import Mapping
 from pathlib import Path
 
-from piezo_common.gsf import Field
+from piezo_common.gsf import Field, read_gsf
 from piezo_common.report_page import Section, pictured, render_page
 from piezo_common.summary_table import SummaryTable
 from piezo_recorder.images.geometric_error import error_by_sensors, error_by_specimen
 from piezo_recorder.images.image_files import image_figure, write_image
-from piezo_recorder.images.scan_image import ScanImage
+from piezo_recorder.images.scan_image import ScanImage, image_of
+from piezo_recorder.reading.axes import read_axes
 
 PAGE = "report.html"
 
 
 def distortion(images: Mapping[str, ScanImage], specimen: Field | None = None) -> SummaryTable:
-    """Return the geometric errors of images as a table, in pixels.
-
-    Parameters
-    ----------
-    images : mapping
-        Images by what they are.
-    specimen : Field, optional
-        What they show.
-    """
+    """Return the geometric errors of images as a table, in pixels."""
     rows = []
     for name, image in images.items():
         seen = error_by_sensors(image).rms
@@ -62,3 +56,11 @@ def write_images(images: Mapping[str, ScanImage], folder: Path,
              for cell in row] for row in table.rows]])])
     (folder / PAGE).write_text(page, encoding="utf-8")
     return [str(table), *lines, f"report: {folder / PAGE}"]
+
+
+def make_images(options: argparse.Namespace) -> None:
+    """Make the image of each recording, and the page of all."""
+    images = {path.stem: image_of(recording, options.signal)
+              for path in options.data for recording in read_axes(path)}
+    specimen = options.specimen and read_gsf(options.specimen)
+    print("\n".join(write_images(images, options.output, specimen)))

@@ -12,8 +12,6 @@ class Patience:
     ----------
     limit_s : float
         Longest time without a change (s).
-    clock : callable
-        Returns the present time (s).
     """
 
     def __init__(self, limit_s: float, clock: Callable[[], float] = time.monotonic) -> None:
@@ -22,13 +20,7 @@ class Patience:
         self._since_s = clock()
 
     def ended(self, state: object = None) -> bool:
-        """Return whether this state, compared by equality, has lasted for longer than the limit.
-
-        Parameters
-        ----------
-        state : object
-            A value that changes while there is progress.
-        """
+        """Return whether this state, compared by equality, has lasted for longer than the limit."""
         now_s = self._clock()
         if state != self._state:
             self._state, self._since_s = state, now_s

@@ -5,8 +5,9 @@ import functools
 import importlib
 import shutil
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from pathlib import Path
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from piezo_interfaces.msg import SampleBlock, StageDescription
@@ -14,6 +15,7 @@ from piezo_interfaces.srv import StartRecording, StopRecording
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.lifecycle.node import LifecycleState
+from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.subscription import Subscription
 from rclpy.task import Future
@@ -23,7 +25,6 @@ from piezo_common.data_root import DataRootError, check_file_name
 from piezo_recorder import sample_block
 from piezo_recorder.node.attached_files import read_attachments
 from piezo_recorder.node.patience import Patience
-from piezo_recorder.node.waiting_services import create_waiting_service
 from piezo_recorder.reading import tracked_reference
 from piezo_recorder.writing.message_definition import MessageDefinition, installed_definition
 from piezo_recorder.writing.quality_profiles import offered_profile
@@ -32,6 +33,7 @@ from piezo_recorder.writing.writer import FLUSH_PERIOD_S, RecordingWriter
 from piezo_ros.clock_guard import keep_clock
 from piezo_ros.deadlines import asks_the_same, why_too_late
 from piezo_ros.diagnostics import diagnostic
+from piezo_ros.late_responses import LateResponse, create_late_service
 from piezo_ros.parameters import declare, declare_data_root
 from piezo_ros.presence import Presence
 from piezo_ros.quality import SAMPLES
@@ -79,9 +81,9 @@ class Recorder(LifecycleNode):
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._housekeeping: list[Timer] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        create_waiting_service(
+        _create_waiting_service(
             self, StartRecording, "recorder/start_recording", self._start_recording)
-        create_waiting_service(
+        _create_waiting_service(
             self, StopRecording, "recorder/stop_recording", self._stop_recording)
         keep_clock(self, lambda: "a recording runs" if self._recording else "")
         autostart(self)
@@ -418,6 +420,22 @@ def _sentence(error: OSError) -> str:
     if error.strerror is None:
         return str(error)
     return f"{error.strerror}: {error.filename}" if error.filename else error.strerror
+
+
+def _create_waiting_service(
+        node: Node, service_type: type, name: str,
+        callback: Callable[[Any, Any], Coroutine[None, None, Any]]) -> None:
+    """Create a service whose callback, a coroutine, takes request and response."""
+    def begin(request: Any, late: LateResponse) -> None:
+        async def answer() -> None:
+            late.response = await callback(request, late.response)
+            late.give()
+
+        executor = node.executor
+        if executor is not None:  # otherwise the node has ended without waiting any longer
+            executor.create_task(answer)
+
+    create_late_service(node, service_type, name, begin)
 
 
 def main(args: list[str] | None = None) -> None:

@@ -22,8 +22,6 @@ def read_all_given(path: str | PathLike[str], options: argparse.Namespace,
     ----------
     options : argparse.Namespace
         Options of a parser with `add_columns_option`.
-    several_axes : bool
-        Whether a recording of several axes is accepted, too.
 
     Raises
     ------

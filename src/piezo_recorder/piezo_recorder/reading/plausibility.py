@@ -55,13 +55,7 @@ USUAL = UsualStage()
 
 
 def implausible(recording: Recording) -> list[str]:
-    """Return descriptions of what is unusual for any stage.
-
-    Returns
-    -------
-    list of str
-        Sentences, without the name of the file.
-    """
+    """Return descriptions of what is unusual for any stage."""
     voltage_v, displacement_um = recording.voltage_v, recording.displacement_um
     texts = []
     if len(voltage_v) < USUAL.fewest_rows:

@@ -58,13 +58,6 @@ class SignalSource:
 def needed_columns(table: Table, described: ColumnsDocument) -> dict[str, SignalSource]:
     """Choose the columns of the signals.
 
-    Parameters
-    ----------
-    table : Table
-        Table, whose rows are not used.
-    described : ColumnsDocument
-        Description by the user; the rest is guessed.
-
     Returns
     -------
     dict of str to SignalSource

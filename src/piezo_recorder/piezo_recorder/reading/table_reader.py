@@ -44,11 +44,6 @@ def read_table_recordings(path: Path, columns: ColumnsDocument = GUESSED,
     columns : ColumnsDocument
         Description of the columns; `columns_for` adds that of a YAML file next to the data.
 
-    Returns
-    -------
-    list of Recording
-        One or more recordings, in the order of the file.
-
     Raises
     ------
     RecordingError

@@ -109,10 +109,6 @@ def time_axis(time_s: FloatArray, place: Callable[[int], str], label: str) -> Ti
     ----------
     time_s : ndarray, shape (N,)
         At least two rows.
-    place : callable
-        Returns the position of a row, for messages.
-    label : str
-        Label of the column of time.
 
     Raises
     ------

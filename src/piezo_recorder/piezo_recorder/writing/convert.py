@@ -54,8 +54,6 @@ def write_recording(recording: Recording, path: Path) -> None:
     ----------
     recording : Recording
         Recording; of its further columns only marks and signals are written, and gaps are.
-    path : Path
-        Directory to create.
 
     Raises
     ------

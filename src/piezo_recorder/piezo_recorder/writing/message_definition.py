@@ -42,11 +42,6 @@ class MessageDefinition:
 def installed_definition(type_name: str) -> MessageDefinition:
     """Return the definition of an installed message type; the sample block needs no ROS.
 
-    Parameters
-    ----------
-    type_name : str
-        Name, for instance ``std_msgs/msg/Header``.
-
     Raises
     ------
     ValueError

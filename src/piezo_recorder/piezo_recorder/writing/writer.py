@@ -87,8 +87,6 @@ class RecordingWriter:
 
         Parameters
         ----------
-        topic : str
-            Full name.
         quality_profiles : sequence of dict
             Profiles that its publishers offer, see `quality_profiles.offered_profile`; a replay
             offers the same.
@@ -111,13 +109,7 @@ class RecordingWriter:
         return channel
 
     def attach(self, name: str, content: bytes) -> None:
-        """Store a file in the recording.
-
-        Parameters
-        ----------
-        name : str
-            Name, for instance ``model.json``.
-        """
+        """Store a file in the recording."""
         media_type = mimetypes.guess_type(name)[0] or "text/plain"
         now_ns = time.time_ns()
         self._mcap.add_attachment(now_ns, now_ns, name, media_type, content)

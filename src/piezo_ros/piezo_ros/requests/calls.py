@@ -75,11 +75,8 @@ class Cancelled(Exception):
 def may_be_repeated(request: Message) -> bool:
     """Return whether a request may be repeated if no response comes; number it if possible.
 
-    Returns
-    -------
-    repeatable : bool
-        True if a repetition has no further effect: the request has a number, or is idempotent. A
-        recorder gives the same response to a repeated start by a named client, and to any stop.
+    A repetition has no further effect if the request has a number, or is idempotent. A recorder
+    gives the same response to a repeated start by a named client, and to any stop.
     """
     if isinstance(request, StartRecording.Request):
         return bool(request.client)
@@ -87,14 +84,9 @@ def may_be_repeated(request: Message) -> bool:
 
 
 def number_request(request: Message) -> bool:
-    """Give a request a unique number, if it has such a field and it is not set.
+    """Give a request a unique number, if it has such a field and it is not set; return if it has.
 
     The server acts once for each number, so that such a request may be repeated.
-
-    Returns
-    -------
-    repeatable : bool
-        True if the request has a number.
     """
     if getattr(request, "request_id", None) == 0:
         request.request_id = secrets.randbits(63) + 1
@@ -103,19 +95,10 @@ def number_request(request: Message) -> bool:
 
 def call_service(node: Node, client: Client, request: Message, timeout_s: float = CALL_TIMEOUT_S,
                  appearance_s: float = CALL_TIMEOUT_S) -> Message:
-    """Call a service whose response has ``success`` and ``message``.
+    """Call a service whose response has ``success`` and ``message``; times are in s.
 
     A request is repeated if no response comes and `may_be_repeated` allows it. If it has a field
     for a deadline, it does not act after its client has stopped waiting.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Node of the client, which logs the wait.
-    timeout_s : float
-        Time to wait for the response in s.
-    appearance_s : float
-        Time to wait for the service to appear in s.
 
     Raises
     ------
@@ -146,7 +129,7 @@ class ActionCaller:
 
     def run(self, goal: Message, on_feedback: Callable[[Message], object] | None = None,
             cancelled: Callable[[], bool] = lambda: False) -> Message:
-        """Run one goal to its end.
+        """Run one goal to its end; return its result, also that of a cancelled goal.
 
         Parameters
         ----------
@@ -156,11 +139,6 @@ class ActionCaller:
         cancelled : callable
             Called periodically; True cancels the goal, whose end is still awaited.
 
-        Returns
-        -------
-        result : message
-            Result; also that of a cancelled goal.
-
         Raises
         ------
         CallFailed
@@ -168,8 +146,6 @@ class ActionCaller:
             meanwhile.
         GoalAborted
             If the goal ended without success.
-        Exception
-            Exception of ``on_feedback``.
         """
         _await_service(self._node, self._client.wait_for_server, self._name, CALL_TIMEOUT_S)
         set_deadline(goal, CALL_TIMEOUT_S)

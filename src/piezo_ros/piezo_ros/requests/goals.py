@@ -40,10 +40,7 @@ class GoalState(StrEnum):
 class Progress:
     """Reports of the work while it runs, and requests to end it.
 
-    Parameters
-    ----------
-    why_ending : callable
-        Returns why the server ends its goals; empty if it does not.
+    The function returns why the server ends its goals; empty if it does not.
     """
 
     def __init__(self, goal_handle: ServerGoalHandle, feedback_type: MessageType, client: Presence,
@@ -125,11 +122,8 @@ class GoalServers(ManagedEntity):
     def serve(self, action_type: MessageType, name: str, work: Work) -> None:
         """Serve an action whose result has ``success`` and ``message``.
 
-        Parameters
-        ----------
-        work : callable
-            Called as ``work(goal, result, progress)`` to fill in the result. A ValueError aborts
-            the goal with its text as the message; ``Cancelled`` cancels it.
+        ``work(goal, result, progress)`` fills in the result. A ValueError aborts the goal with its
+        text as the message; ``Cancelled`` cancels it.
         """
         self._servers.append(ActionServer(
             self._node, action_type, name, self._end_goal, goal_callback=self._examine,

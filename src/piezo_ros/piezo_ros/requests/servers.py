@@ -10,13 +10,7 @@ WORD_AFTER_S = 5.0
 
 
 class Waiting:
-    """Log periodically which node a request waits for.
-
-    Parameters
-    ----------
-    service : str
-        Name of the service or action.
-    """
+    """Log periodically which node a request waits for, by the name of its service or action."""
 
     def __init__(self, node: Node, service: str) -> None:
         self._node, self._service = node, service
@@ -35,14 +29,9 @@ class Waiting:
 
 
 def described_server(node: Node, service: str) -> str:
-    """Return the full name of the node that serves a service or an action, or a description of it.
+    """Return `server_of` a service or an action, or a description of it.
 
     The middleware forgets the name of a node that it once took for dead, but not its services.
-
-    Parameters
-    ----------
-    node, service
-        As for `server_of`.
     """
     return server_of(node, service) or f"the node that serves {service}"
 
@@ -50,10 +39,7 @@ def described_server(node: Node, service: str) -> str:
 def server_of(node: Node, service: str) -> str:
     """Return the full name of the node that serves a service or an action; empty if unknown.
 
-    Parameters
-    ----------
-    service : str
-        Name of the service or action, relative to the node's namespace or full.
+    The name of the service is full, or relative to the node's namespace.
     """
     names = _names(node, service)
     for name, namespace in node.get_node_names_and_namespaces():

@@ -27,15 +27,7 @@ POLL_S = 0.05
 class DescribedStage:
     """The stage of a node's namespace, as it describes itself.
 
-    Parameters
-    ----------
-    on_change : callable, optional
-        Called with each `StageDescription`.
-
-    Attributes
-    ----------
-    topic : str
-        Full name of the topic of the description.
+    Its topic is the full name of that of the description; the function is called with each of them.
     """
 
     def __init__(self, node: Node,
@@ -79,18 +71,9 @@ class DescribedStage:
     def wait(self, check: Callable[[], None], several_axes: bool = False) -> StageDescription:
         """Return the description of the stage; wait for one that is starting.
 
-        Parameters
-        ----------
-        check : callable
-            Called periodically; ends the wait by an exception.
-        several_axes : bool
-            True to accept a stage of several axes.
-
-        Raises
-        ------
-        CallFailed
-            If there is no stage, it is not configured or has too many axes, or a parameter
-            contradicts it.
+        The check is called periodically, and ends the wait by an exception. A stage of several axes
+        must be allowed for. Raises `CallFailed` if there is no stage, it is not configured or has
+        too many axes, or a parameter contradicts it.
         """
         begin_s, asked_s, state = time.monotonic(), -math.inf, None
         waiting = Waiting(self._node, self._state.srv_name)
@@ -111,18 +94,7 @@ class DescribedStage:
         return description
 
     def check_unchanged(self, description: StageDescription) -> None:
-        """Check that the stage for which something was planned has not been replaced.
-
-        Parameters
-        ----------
-        description : StageDescription
-            Description at the time of planning.
-
-        Raises
-        ------
-        CallFailed
-            If the stage is gone, or its description has changed.
-        """
+        """Raise `CallFailed` if the stage is gone, or its description has changed since."""
         present = self.description
         if present is None:
             raise CallFailed(f"the stage that {self.topic} described is gone: start it again")

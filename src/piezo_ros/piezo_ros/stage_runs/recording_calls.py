@@ -151,19 +151,9 @@ class RecorderCaller:
                attachments: Mapping[str, Attachment], unrecorded: bool = False) -> RunRecording:
         """Start a recording under a name that is not used yet.
 
-        Parameters
-        ----------
-        directory, name : str
-            Folder and name; a number is added to the name if a recording has that name.
-        attachments : dict of str to Attachment
-            Texts to store in the recording, by name.
-        unrecorded : bool
-            True if the run may continue after its recording has ended.
-
-        Raises
-        ------
-        CallFailed
-            If the recorder cannot start the recording.
+        A number is added to the name if a recording has that name. The texts are stored in the
+        recording, by name. If `unrecorded`, the run may continue after its recording has ended.
+        Raises `CallFailed` if the recorder cannot start the recording.
         """
         request = StartRecording.Request(
             directory=str(Path(directory).absolute()), name=free_name(directory, name),

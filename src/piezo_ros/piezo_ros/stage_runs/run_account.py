@@ -77,13 +77,7 @@ class RunAccount:
 
 
 def declare_run_limits(node: Node) -> dict[str, float]:
-    """Declare the parameters ``max_late_percent`` and ``max_limited_percent``.
-
-    Returns
-    -------
-    dict
-        Arguments of `RunAccount`.
-    """
+    """Declare ``max_late_percent`` and ``max_limited_percent``, arguments of `RunAccount`."""
     return {
         "max_late_percent": declare(
             node, "max_late_percent", MAX_LATE_PERCENT,

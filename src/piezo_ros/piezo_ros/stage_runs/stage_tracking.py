@@ -132,20 +132,9 @@ class StageTracker:
                 law: FeedbackLaw | None) -> int:
         """Replace feedforward and law of the present run in one tick; callable from any thread.
 
-        Parameters
-        ----------
-        once_voltage_v, period_voltage_v, law
-            As for `run`, with the same length as what plays.
-
-        Returns
-        -------
-        int
-            Ticks from the beginning of the run to the replacement.
-
-        Raises
-        ------
-        CallFailed
-            If nothing runs, or the stage rejects it; the run then continues unchanged.
+        They are those of `run`, with the same length as what plays. Returned are the ticks from the
+        beginning of the run to the replacement. Raises `CallFailed` if nothing runs, or the stage
+        rejects it; the run then continues unchanged.
         """
         if not self._begun.wait(STOP_TIMEOUT_S):
             raise CallFailed(f"no run began within {STOP_TIMEOUT_S:g} s: start one first")

@@ -22,8 +22,6 @@ class Stream:
 
     Parameters
     ----------
-    more : callable
-        Returns the next voltages, shape (n,): empty at the end, None while not available.
     loaded_samples : int
         Samples loaded before the first chunk.
     append : callable

@@ -8,8 +8,9 @@ from typing import ClassVar
 from numba import njit
 
 from piezo_common.arrays import FloatArray
-from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.plant_effect import NOT_NEGATIVE, POSITIVE, Bounded, Surroundings, parameter
 from piezo_sim.plant.random_stream import NormalStream, bits_for
+from piezo_sim.plant.state_runner import StateRunner
 
 
 @njit(cache=True)
@@ -23,7 +24,7 @@ def _drift(samples: FloatArray, normals: FloatArray, ambient_k: float, stage_k: 
 
 
 @dataclass(frozen=True)
-class ThermalDrift:
+class ThermalDrift(Bounded):
     """A thermal mass driven by a random walk of the ambient temperature.
 
     Temperatures are relative to that of the stage at the first sample.
@@ -33,40 +34,14 @@ class ThermalDrift:
 
     expansion_um_per_k: float = parameter("um/K")
     ambient_start_k: float = parameter("K")
-    ambient_walk_k_per_sqrt_s: float = parameter("K/s^0.5")
-    time_constant_s: float = parameter("s")
+    ambient_walk_k_per_sqrt_s: float = parameter("K/s^0.5", NOT_NEGATIVE)
+    time_constant_s: float = parameter("s", POSITIVE)
 
-    def __post_init__(self) -> None:
-        require(
-            self.ambient_walk_k_per_sqrt_s >= 0.0,
-            self,
-            "ambient_walk_k_per_sqrt_s must not be negative.",
-        )
-        require(self.time_constant_s > 0.0, self, "time_constant_s must be positive.")
-
-    def start(self, surroundings: Surroundings) -> "DriftRunner":
-        """Start the walk from the seed."""
-        return DriftRunner(self, surroundings)
-
-
-class DriftRunner:
-    """Thermal drift with its temperatures as state."""
-
-    def __init__(self, effect: ThermalDrift, surroundings: Surroundings) -> None:
+    def start(self, surroundings: Surroundings) -> StateRunner:
+        """Start the walk from the seed; it does not depend on the displacement."""
         period_s = surroundings.sample_period_s
-        self._constants = (
-            effect.expansion_um_per_k,
-            effect.ambient_walk_k_per_sqrt_s * math.sqrt(period_s),
-            -math.expm1(-period_s / effect.time_constant_s),
-        )
-        self._normals = NormalStream(bits_for(effect.name, surroundings.seed))
-        self._temperatures_k = (effect.ambient_start_k, 0.0)
-
-    def rest(self, level: float) -> float:
-        """Return the level unchanged, as the temperature does not depend on displacement."""
-        return level
-
-    def apply(self, samples: FloatArray) -> None:
-        """Add the expansion to displacements."""
-        normals = self._normals.next(samples.size)
-        self._temperatures_k = _drift(samples, normals, *self._temperatures_k, *self._constants)
+        return StateRunner(
+            _drift, lambda level: ((self.ambient_start_k, 0.0), level),
+            (self.expansion_um_per_k, self.ambient_walk_k_per_sqrt_s * math.sqrt(period_s),
+             -math.expm1(-period_s / self.time_constant_s)),
+            NormalStream(bits_for(self.name, surroundings.seed)))

@@ -19,7 +19,7 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_sim.plant.linear_effects import StateSpace
-from piezo_sim.plant.plant_effect import parameter, require
+from piezo_sim.plant.plant_effect import POSITIVE, Bounded, parameter, require
 
 # Roots of cos(x) cosh(x) = 1: wave number times length of the modes.
 WAVE_NUMBERS = (4.730040744862704, 7.853204624095838, 10.995607838001671)
@@ -35,34 +35,25 @@ def mode_shape(wave_number: float, place: float) -> float:
 
 
 @dataclass(frozen=True)
-class ClampedBeam:
+class ClampedBeam(Bounded):
     """Material and dimensions of the beam, modal damping, actuator and sensor on it."""
 
     name: ClassVar[str] = "clamped_beam"
 
-    length_m: float = parameter("m")
-    thickness_m: float = parameter("m")
-    width_m: float = parameter("m")
-    elastic_modulus_pa: float = parameter("Pa")
-    density_kg_per_m3: float = parameter("kg/m^3")
-    damping_ratios: tuple[float, ...] = parameter("1")
-    actuator_stiffness_n_per_m: float = parameter("N/m")
+    length_m: float = parameter("m", POSITIVE)
+    thickness_m: float = parameter("m", POSITIVE)
+    width_m: float = parameter("m", POSITIVE)
+    elastic_modulus_pa: float = parameter("Pa", POSITIVE)
+    density_kg_per_m3: float = parameter("kg/m^3", POSITIVE)
+    damping_ratios: tuple[float, ...] = parameter("1", POSITIVE)
+    actuator_stiffness_n_per_m: float = parameter("N/m", POSITIVE)
     actuator_place: float = parameter("1")
     sensor_place: float = parameter("1")
 
     def __post_init__(self) -> None:
-        positive = (self.length_m, self.thickness_m, self.width_m, self.elastic_modulus_pa,
-                    self.density_kg_per_m3, self.actuator_stiffness_n_per_m)
-        require(
-            min(positive) > 0.0,
-            self,
-            "dimensions, material constants and actuator_stiffness_n_per_m must be positive.",
-        )
-        require(
-            len(self.damping_ratios) == len(WAVE_NUMBERS) and min(self.damping_ratios) > 0.0,
-            self,
-            "damping_ratios must be three positive numbers, one for each mode.",
-        )
+        super().__post_init__()
+        require(len(self.damping_ratios) == len(WAVE_NUMBERS), self,
+                "damping_ratios must be three numbers, one for each mode.")
         require(
             0.0 < self.actuator_place < 1.0 and 0.0 < self.sensor_place < 1.0,
             self,

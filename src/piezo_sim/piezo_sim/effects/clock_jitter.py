@@ -13,35 +13,34 @@ from typing import ClassVar
 from numba import njit
 
 from piezo_common.arrays import FloatArray
-from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.plant_effect import NOT_NEGATIVE, Bounded, Surroundings, parameter
 from piezo_sim.plant.random_stream import NormalStream, bits_for
+from piezo_sim.plant.state_runner import StateRunner, unmoved
 
 
 @njit(cache=True)
 def _deviate(samples: FloatArray, normals: FloatArray, previous: float,
-             rms_share: float) -> float:
+             rms_share: float) -> tuple[float]:
     for n in range(samples.size):
         level = samples[n]
         share = min(abs(normals[n]) * rms_share, 1.0)
         samples[n] = level + (previous - level) * share
         previous = level
-    return previous
+    return (previous,)
 
 
 @dataclass(frozen=True)
-class Jitter:
+class Jitter(Bounded):
     """Deviations from the ticks at random."""
 
     name: ClassVar[str]
 
-    jitter_rms_s: float = parameter("s")
+    jitter_rms_s: float = parameter("s", NOT_NEGATIVE)
 
-    def __post_init__(self) -> None:
-        require(self.jitter_rms_s >= 0.0, self, "jitter_rms_s must not be negative.")
-
-    def start(self, surroundings: Surroundings) -> "JitterRunner":
-        """Start the deviations from the seed."""
-        return JitterRunner(self, surroundings)
+    def start(self, surroundings: Surroundings) -> StateRunner:
+        """Start the deviations from the seed; at rest, they have no effect."""
+        return StateRunner(_deviate, unmoved, (self.jitter_rms_s / surroundings.sample_period_s,),
+                           NormalStream(bits_for(self.name, surroundings.seed)))
 
 
 class UpdateJitter(Jitter):
@@ -54,22 +53,3 @@ class SamplingJitter(Jitter):
     """Readings of the displacement that are early at random."""
 
     name = "sampling_jitter"
-
-
-class JitterRunner:
-    """Jitter with the previous sample as its state."""
-
-    def __init__(self, effect: Jitter, surroundings: Surroundings) -> None:
-        self._rms_share = effect.jitter_rms_s / surroundings.sample_period_s
-        self._normals = NormalStream(bits_for(effect.name, surroundings.seed))
-        self._previous = 0.0
-
-    def rest(self, level: float) -> float:
-        """Rest at the constant input `level`, where a deviation in time has no effect."""
-        self._previous = level
-        return level
-
-    def apply(self, samples: FloatArray) -> None:
-        """Replace samples by those at the deviating instants."""
-        normals = self._normals.next(samples.size)
-        self._previous = _deviate(samples, normals, self._previous, self._rms_share)

@@ -12,12 +12,13 @@ from typing import ClassVar
 from numba import njit
 
 from piezo_common.arrays import FloatArray
-from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.plant_effect import POSITIVE, Bounded, Surroundings, parameter
+from piezo_sim.plant.state_runner import StateRunner, unmoved
 
 
 @njit(cache=True)
 def _charge(samples: FloatArray, output_v: float, period_s: float, source_v_per_s: float,
-            sink_v_per_s: float, growth_per_v: float) -> float:
+            sink_v_per_s: float, growth_per_v: float) -> tuple[float]:
     for n in range(samples.size):
         change_v = samples[n] - output_v
         if change_v == 0.0:
@@ -32,50 +33,22 @@ def _charge(samples: FloatArray, output_v: float, period_s: float, source_v_per_
             output_v += rate_v_per_s * period_s
         # The mean over the sample, whose first part is a ramp.
         samples[n] = output_v - 0.5 * rate_v_per_s * charging_s * charging_s / period_s
-    return output_v
+    return (output_v,)
 
 
 @dataclass(frozen=True)
-class CurrentLimit:
+class CurrentLimit(Bounded):
     """Largest currents into and out of a capacitance C(v) = capacitance exp(growth v)."""
 
     name: ClassVar[str] = "current_limit"
 
-    source_current_a: float = parameter("A")
-    sink_current_a: float = parameter("A")
-    capacitance_f: float = parameter("F")
+    source_current_a: float = parameter("A", POSITIVE)
+    sink_current_a: float = parameter("A", POSITIVE)
+    capacitance_f: float = parameter("F", POSITIVE)
     capacitance_growth_per_v: float = parameter("1/V")
 
-    def __post_init__(self) -> None:
-        require(
-            self.source_current_a > 0.0 and self.sink_current_a > 0.0,
-            self,
-            "source_current_a and sink_current_a must be positive.",
-        )
-        require(self.capacitance_f > 0.0, self, "capacitance_f must be positive.")
-
-    def start(self, surroundings: Surroundings) -> "CurrentLimitRunner":
-        """Start with a voltage that `rest` sets."""
-        return CurrentLimitRunner(self, surroundings.sample_period_s)
-
-
-class CurrentLimitRunner:
-    """Current limit with the voltage at the actuator as its state."""
-
-    def __init__(self, effect: CurrentLimit, sample_period_s: float) -> None:
-        self._output_v = 0.0
-        self._constants = (
-            sample_period_s,
-            effect.source_current_a / effect.capacitance_f,
-            effect.sink_current_a / effect.capacitance_f,
-            effect.capacitance_growth_per_v,
-        )
-
-    def rest(self, level: float) -> float:
-        """Settle at the voltage `level`."""
-        self._output_v = level
-        return level
-
-    def apply(self, samples: FloatArray) -> None:
-        """Replace voltages by their means over each sample."""
-        self._output_v = _charge(samples, self._output_v, *self._constants)
+    def start(self, surroundings: Surroundings) -> StateRunner:
+        """Start with the voltage at the actuator that `rest` sets."""
+        return StateRunner(_charge, unmoved, (
+            surroundings.sample_period_s, self.source_current_a / self.capacitance_f,
+            self.sink_current_a / self.capacitance_f, self.capacitance_growth_per_v))

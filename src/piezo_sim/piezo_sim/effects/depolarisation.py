@@ -8,8 +8,8 @@ from typing import ClassVar
 from numba import njit
 
 from piezo_common.arrays import FloatArray
-from piezo_sim.plant.accumulating import AccumulatingRunner
-from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.plant_effect import POSITIVE, Bounded, Surroundings, parameter, require
+from piezo_sim.plant.state_runner import StateRunner
 
 
 @njit(cache=True)
@@ -23,7 +23,7 @@ def _age(samples: FloatArray, previous_um: float, travelled_um: float, lost_gain
 
 
 @dataclass(frozen=True)
-class Depolarisation:
+class Depolarisation(Bounded):
     """The gain falls by `lost_gain` in the end, by 63 % of that after the distance `travel_um`.
 
     Place it behind the hysteresis.
@@ -32,12 +32,13 @@ class Depolarisation:
     name: ClassVar[str] = "depolarisation"
 
     lost_gain: float = parameter("1")
-    travel_um: float = parameter("um")
+    travel_um: float = parameter("um", POSITIVE)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require(self.lost_gain < 1.0, self, "lost_gain must be below 1.")
-        require(self.travel_um > 0.0, self, "travel_um must be positive.")
 
-    def start(self, surroundings: Surroundings) -> AccumulatingRunner:
+    def start(self, surroundings: Surroundings) -> StateRunner:
         """Start with a fresh ceramic; `rest` starts the count of the distance."""
-        return AccumulatingRunner(_age, self.lost_gain, self.travel_um)
+        return StateRunner(_age, lambda level: ((level, 0.0), level),
+                           (self.lost_gain, self.travel_um))

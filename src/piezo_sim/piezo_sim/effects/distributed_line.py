@@ -17,7 +17,8 @@ import numpy as np
 from numba import njit
 
 from piezo_common.arrays import FloatArray
-from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.plant_effect import POSITIVE, Bounded, Surroundings, parameter
+from piezo_sim.plant.state_runner import StateRunner
 
 # Parts with more than this many decays per sample have no state from one sample to the next.
 _FASTEST = 36.0
@@ -25,7 +26,7 @@ _FASTEST = 36.0
 
 @njit(cache=True)
 def _charge(samples: FloatArray, levels_v: FloatArray, weights: FloatArray, decays: FloatArray,
-            mean_decays: FloatArray, instant: float) -> None:
+            mean_decays: FloatArray, instant: float) -> tuple[FloatArray]:
     for n in range(samples.size):
         entrance_v = samples[n]
         mean_v = instant * entrance_v
@@ -34,48 +35,26 @@ def _charge(samples: FloatArray, levels_v: FloatArray, weights: FloatArray, deca
             mean_v += weights[k] * (entrance_v + mean_decays[k] * missing_v)
             levels_v[k] = entrance_v + decays[k] * missing_v
         samples[n] = mean_v
+    return (levels_v,)
 
 
 @dataclass(frozen=True)
-class DistributedLine:
+class DistributedLine(Bounded):
     """Line with its total resistance and capacitance."""
 
     name: ClassVar[str] = "distributed_line"
 
-    resistance_ohm: float = parameter("ohm")
-    capacitance_f: float = parameter("F")
+    resistance_ohm: float = parameter("ohm", POSITIVE)
+    capacitance_f: float = parameter("F", POSITIVE)
 
-    def __post_init__(self) -> None:
-        require(self.resistance_ohm > 0.0, self, "resistance_ohm must be positive.")
-        require(self.capacitance_f > 0.0, self, "capacitance_f must be positive.")
-
-    def start(self, surroundings: Surroundings) -> "LineRunner":
-        """Start with a charge that `rest` sets."""
-        return LineRunner(self, surroundings.sample_period_s)
-
-
-class LineRunner:
-    """Line with the levels of its partial fractions as state."""
-
-    def __init__(self, effect: DistributedLine, sample_period_s: float) -> None:
-        charging_s = effect.resistance_ohm * effect.capacitance_f
-        count = math.ceil(math.sqrt(_FASTEST * charging_s / sample_period_s) / math.pi + 0.5)
+    def start(self, surroundings: Surroundings) -> StateRunner:
+        """Start with the levels of the partial fractions that `rest` sets."""
+        charging_s = self.resistance_ohm * self.capacitance_f
+        period_s = surroundings.sample_period_s
+        count = math.ceil(math.sqrt(_FASTEST * charging_s / period_s) / math.pi + 0.5)
         products = ((np.arange(count, dtype=np.float64) + 0.5) * math.pi) ** 2
-        exponents = products * (sample_period_s / charging_s)
+        exponents = products * (period_s / charging_s)
         weights = 2.0 / products
-        self._levels_v = np.zeros(count)
-        self._decays = np.exp(-exponents)
-        self._mean_decays = -np.expm1(-exponents) / exponents
-        self._weights = weights
-        self._instant = 1.0 - float(weights.sum())
-
-    def rest(self, level: float) -> float:
-        """Settle at the voltage `level`."""
-        self._levels_v[:] = level
-        return level
-
-    def apply(self, samples: FloatArray) -> None:
-        """Replace the voltage at the entrance by the mean over layers and sample."""
-        _charge(
-            samples, self._levels_v, self._weights, self._decays, self._mean_decays, self._instant
-        )
+        return StateRunner(_charge, lambda level: ((np.full(count, level),), level), (
+            weights, np.exp(-exponents), -np.expm1(-exponents) / exponents,
+            1.0 - float(weights.sum())))

@@ -23,7 +23,14 @@ import numpy as np
 from numba import njit
 
 from piezo_common.arrays import FloatArray
-from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.plant_effect import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    Bounded,
+    Surroundings,
+    parameter,
+    require,
+)
 
 
 @njit(cache=True)
@@ -45,38 +52,27 @@ def _play(samples: FloatArray, plays_v: FloatArray, thresholds_v: FloatArray, ke
 
 
 @dataclass(frozen=True)
-class GeneralisedPlays:
+class GeneralisedPlays(Bounded):
     """Generalised Prandtl-Ishlinskii hysteresis, rate-dependent, with a quadratic output."""
 
     name: ClassVar[str] = "generalised_plays"
 
     lowest_voltage_v: float = parameter("V")
     plays: int = parameter("1")
-    threshold_scale_v: float = parameter("V")
-    threshold_shape: float = parameter("1")
+    threshold_scale_v: float = parameter("V", POSITIVE)
+    threshold_shape: float = parameter("1", POSITIVE)
     threshold_growth_per_v: float = parameter("1/V")
     envelope_centre_v: float = parameter("V")
-    envelope_scale_v: float = parameter("V")
-    instant_gain_um_per_v: float = parameter("um/V")
-    play_gain_um_per_v: float = parameter("um/V")
-    viscous_time_s: float = parameter("s")
+    envelope_scale_v: float = parameter("V", POSITIVE)
+    instant_gain_um_per_v: float = parameter("um/V", NOT_NEGATIVE)
+    play_gain_um_per_v: float = parameter("um/V", NOT_NEGATIVE)
+    viscous_time_s: float = parameter("s", POSITIVE)
     curvature_per_um: float = parameter("1/um")
     offset_um: float = parameter("um")
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require(1 <= self.plays <= 256, self, "plays must be an integer from 1 to 256.")
-        require(
-            self.threshold_scale_v > 0.0 and self.threshold_shape > 0.0,
-            self,
-            "threshold_scale_v and threshold_shape must be positive.",
-        )
-        require(self.envelope_scale_v > 0.0, self, "envelope_scale_v must be positive.")
-        require(
-            self.instant_gain_um_per_v >= 0.0 and self.play_gain_um_per_v >= 0.0,
-            self,
-            "instant_gain_um_per_v and play_gain_um_per_v must not be negative.",
-        )
-        require(self.viscous_time_s > 0.0, self, "viscous_time_s must be positive.")
         lowest_v = self.lowest_voltage_v - self.envelope_centre_v
         require(
             abs(self.threshold_growth_per_v * lowest_v) < 1.0,

@@ -11,12 +11,12 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
 from numba import njit
 
 from piezo_common.arrays import FloatArray
 from piezo_sim.effects.hardening_spring import HardeningSpring
-from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.plant_effect import POSITIVE, Bounded, Surroundings, parameter
+from piezo_sim.plant.state_runner import Rested, StateRunner
 
 LARGEST_TURN_RAD = 0.05
 """Largest angle in rad by which the mode turns in a step: the midpoint rule then has an error of
@@ -24,9 +24,9 @@ LARGEST_TURN_RAD = 0.05
 
 
 @njit(cache=True)
-def _swing(samples: FloatArray, state: FloatArray, relaxed_um: float, length_um: float,
-           damping_ratio: float, turn_rad: float, steps: int) -> None:
-    before_um, taken_um, speed_um = state
+def _swing(samples: FloatArray, before_um: float, taken_um: float, speed_um: float,
+           relaxed_um: float, length_um: float, damping_ratio: float, turn_rad: float,
+           steps: int) -> tuple[float, float, float]:
     for n in range(samples.size):
         for step in range(steps):
             free_um = before_um + (step + 0.5) / steps * (samples[n] - before_um)
@@ -38,48 +38,35 @@ def _swing(samples: FloatArray, state: FloatArray, relaxed_um: float, length_um:
             taken_um += 0.5 * turn_rad * speed_um
         before_um = samples[n]
         samples[n] = before_um - taken_um
-    state[0], state[1], state[2] = before_um, taken_um, speed_um
+    return before_um, taken_um, speed_um
 
 
 @dataclass(frozen=True)
-class GuideSpring:
+class GuideSpring(Bounded):
     """The cubic part of the spring of a mode; place it behind the mode, with the same numbers."""
 
     name: ClassVar[str] = "guide_spring"
 
-    frequency_rad_per_s: float = parameter("rad/s")
-    damping_ratio: float = parameter("1")
+    frequency_rad_per_s: float = parameter("rad/s", POSITIVE)
+    damping_ratio: float = parameter("1", POSITIVE)
     relaxed_um: float = parameter("um")
-    hardening_length_um: float = parameter("um")
+    hardening_length_um: float = parameter("um", POSITIVE)
 
-    def __post_init__(self) -> None:
-        require(self.frequency_rad_per_s > 0.0, self, "frequency_rad_per_s must be positive.")
-        require(self.damping_ratio > 0.0, self, "damping_ratio must be positive.")
-        require(self.hardening_length_um > 0.0, self, "hardening_length_um must be positive.")
+    def start(self, surroundings: Surroundings) -> StateRunner:
+        """Start in the equilibrium of the cubic spring with the drive.
 
-    def start(self, surroundings: Surroundings) -> "GuideRunner":
-        """Start with a position that `rest` sets."""
-        return GuideRunner(self, surroundings)
-
-
-class GuideRunner:
-    """Guide with the displacement that the cube removes, and its velocity over the frequency."""
-
-    def __init__(self, spring: GuideSpring, surroundings: Surroundings) -> None:
-        turned_rad = spring.frequency_rad_per_s * surroundings.sample_period_s
+        The state is the drive, the displacement that the cube removes, and its velocity over the
+        frequency.
+        """
+        turned_rad = self.frequency_rad_per_s * surroundings.sample_period_s
         steps = math.ceil(turned_rad / LARGEST_TURN_RAD)
-        self._balance = HardeningSpring(
-            spring.relaxed_um, spring.hardening_length_um).start(surroundings)
-        self._constants = (spring.relaxed_um, spring.hardening_length_um, spring.damping_ratio,
-                           turned_rad / steps, steps)
-        self._state = np.zeros(3)
+        balance = HardeningSpring(
+            self.relaxed_um, self.hardening_length_um).start(surroundings)
 
-    def rest(self, level: float) -> float:
-        """Set the equilibrium under the drive `level`; return it."""
-        balanced_um = self._balance.rest(level)
-        self._state[:] = level, level - balanced_um, 0.0
-        return balanced_um
+        def at_rest(level: float) -> Rested:
+            balanced_um = balance.rest(level)
+            return (level, level - balanced_um, 0.0), balanced_um
 
-    def apply(self, samples: FloatArray) -> None:
-        """Replace displacements of the linear mode by those of the guide."""
-        _swing(samples, self._state, *self._constants)
+        return StateRunner(_swing, at_rest, (
+            self.relaxed_um, self.hardening_length_um, self.damping_ratio, turned_rad / steps,
+            steps))

@@ -8,7 +8,7 @@ from typing import ClassVar
 from numba import njit
 
 from piezo_common.arrays import FloatArray
-from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.plant_effect import POSITIVE, Bounded, Surroundings, parameter
 from piezo_sim.plant.pointwise import PointwiseRunner
 
 
@@ -22,16 +22,13 @@ def _balance(samples: FloatArray, relaxed_um: float, length_um: float) -> None:
 
 
 @dataclass(frozen=True)
-class HardeningSpring:
+class HardeningSpring(Bounded):
     """Balance e + e^3 / length^2 = f - relaxed of the free stroke f, for x = relaxed + e."""
 
     name: ClassVar[str] = "hardening_spring"
 
     relaxed_um: float = parameter("um")
-    hardening_length_um: float = parameter("um")
-
-    def __post_init__(self) -> None:
-        require(self.hardening_length_um > 0.0, self, "hardening_length_um must be positive.")
+    hardening_length_um: float = parameter("um", POSITIVE)
 
     def start(self, surroundings: Surroundings) -> PointwiseRunner:
         """Start; there is no state."""

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from piezo_common.arrays import FloatArray
-from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.plant_effect import POSITIVE, Bounded, Surroundings, parameter, require
 from piezo_sim.plant.random_stream import EventStream, bits_for
 
 
 @dataclass(frozen=True)
-class IntermittentContact:
+class IntermittentContact(Bounded):
     """While loose, a share of the displacement from the joint's own position is lost.
 
     Tight and loose times are exponentially distributed; it starts tight.
@@ -20,16 +20,12 @@ class IntermittentContact:
 
     lost_share: float = parameter("1")
     joint_um: float = parameter("um")
-    mean_tight_time_s: float = parameter("s")
-    mean_loose_time_s: float = parameter("s")
+    mean_tight_time_s: float = parameter("s", POSITIVE)
+    mean_loose_time_s: float = parameter("s", POSITIVE)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require(0.0 <= self.lost_share <= 1.0, self, "lost_share must be between 0 and 1.")
-        require(
-            self.mean_tight_time_s > 0.0 and self.mean_loose_time_s > 0.0,
-            self,
-            "mean_tight_time_s and mean_loose_time_s must be positive.",
-        )
 
     def start(self, surroundings: Surroundings) -> "IntermittentContactRunner":
         """Start the times from the seed."""

@@ -5,18 +5,17 @@ A mass or a spring is attached to the moving part, given in parts of its own mas
 viscous damping is unchanged. A negative part is removed.
 """
 
-import math
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from piezo_sim.plant.linear_effects import StateSpace, VibrationMode
-from piezo_sim.plant.plant_effect import parameter, require
+from piezo_sim.plant.plant_effect import NOT_NEGATIVE, POSITIVE, Bounded, parameter, require
 
 
 @dataclass(frozen=True)
-class LoadedMode:
+class LoadedMode(Bounded):
     """A mode m x'' + c x' + k x = k u whose m and k change at a given time.
 
     After that it is (m + dm) x'' + c x' + (k + dk) x = k u: with dm the mode is slower, with dk
@@ -25,18 +24,16 @@ class LoadedMode:
 
     name: ClassVar[str] = "loaded_mode"
 
-    frequency_rad_per_s: float = parameter("rad/s")
-    damping_ratio: float = parameter("1")
+    frequency_rad_per_s: float = parameter("rad/s", POSITIVE)
+    damping_ratio: float = parameter("1", POSITIVE)
     added_mass: float = parameter("1")
     added_stiffness: float = parameter("1")
-    begin_s: float = parameter("s")
+    begin_s: float = parameter("s", NOT_NEGATIVE)
 
     def __post_init__(self) -> None:
-        require(self.frequency_rad_per_s > 0.0, self, "frequency_rad_per_s must be positive.")
-        require(self.damping_ratio > 0.0, self, "damping_ratio must be positive.")
+        super().__post_init__()
         require(min(self.added_mass, self.added_stiffness) > -1.0, self,
                 "added_mass and added_stiffness must be above -1, parts of the mode's own.")
-        require(self.begin_s >= 0.0, self, "begin_s must not be negative.")
 
     def state_space(self) -> StateSpace:
         """Return the mode without the load, in position and velocity / w."""
@@ -48,9 +45,3 @@ class LoadedMode:
         a = np.array([[0.0, w], [-w * (1.0 + self.added_stiffness) / inertia,
                                  -2.0 * self.damping_ratio * w / inertia]])
         return StateSpace(a, np.array([0.0, w / inertia]), np.array([1.0, 0.0]), 0.0)
-
-    @property
-    def loaded_frequency_rad_per_s(self) -> float:
-        """Return the undamped frequency with the load."""
-        return self.frequency_rad_per_s * math.sqrt(
-            (1.0 + self.added_stiffness) / (1.0 + self.added_mass))

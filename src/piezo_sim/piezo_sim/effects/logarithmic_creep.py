@@ -16,24 +16,24 @@ from typing import ClassVar
 import numpy as np
 
 from piezo_sim.plant.linear_effects import StateSpace
-from piezo_sim.plant.plant_effect import parameter, require
+from piezo_sim.plant.plant_effect import POSITIVE, Bounded, parameter, require
 
 # Relaxations faster than this number over the onset time have weights below exp(-12).
 _FASTEST = 12.0
 
 
 @dataclass(frozen=True)
-class LogarithmicCreep:
+class LogarithmicCreep(Bounded):
     """Creep of `gain_per_efold` for each e-fold of time, from the onset until the memory ends."""
 
     name: ClassVar[str] = "logarithmic_creep"
 
     gain_per_efold: float = parameter("1")
-    onset_time_s: float = parameter("s")
+    onset_time_s: float = parameter("s", POSITIVE)
     memory_s: float = parameter("s")
 
     def __post_init__(self) -> None:
-        require(self.onset_time_s > 0.0, self, "onset_time_s must be positive.")
+        super().__post_init__()
         require(
             self.memory_s > self.onset_time_s, self, "memory_s must be longer than onset_time_s."
         )

@@ -7,11 +7,11 @@ from typing import ClassVar
 import numpy as np
 
 from piezo_sim.plant.linear_effects import StateSpace, VibrationMode
-from piezo_sim.plant.plant_effect import parameter, require
+from piezo_sim.plant.plant_effect import POSITIVE, Bounded, parameter, require
 
 
 @dataclass(frozen=True)
-class ParallelMode:
+class ParallelMode(Bounded):
     """A mode with a share of the static compliance, in parallel with the effects before it.
 
     With the mode M = w^2 / (s^2 + 2 zeta w s + w^2) the effects G become (1 - share) G + share M:
@@ -20,14 +20,13 @@ class ParallelMode:
 
     name: ClassVar[str] = "parallel_mode"
 
-    frequency_rad_per_s: float = parameter("rad/s")
-    damping_ratio: float = parameter("1")
+    frequency_rad_per_s: float = parameter("rad/s", POSITIVE)
+    damping_ratio: float = parameter("1", POSITIVE)
     compliance_share: float = parameter("1")
     beside: int = parameter("1")
 
     def __post_init__(self) -> None:
-        require(self.frequency_rad_per_s > 0.0, self, "frequency_rad_per_s must be positive.")
-        require(self.damping_ratio > 0.0, self, "damping_ratio must be positive.")
+        super().__post_init__()
         require(
             -1.0 < self.compliance_share < 1.0,
             self,

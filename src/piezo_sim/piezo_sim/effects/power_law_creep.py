@@ -19,7 +19,8 @@ from numba import njit
 from scipy.special import gamma
 
 from piezo_common.arrays import FloatArray
-from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.plant_effect import POSITIVE, Bounded, Surroundings, parameter, require
+from piezo_sim.plant.state_runner import StateRunner
 
 # Relaxations faster than this number over the onset time have weights below exp(-12).
 _FASTEST = 12.0
@@ -27,7 +28,7 @@ _FASTEST = 12.0
 
 @njit(cache=True)
 def _creep(samples: FloatArray, levels: FloatArray, weights: FloatArray,
-           shares: FloatArray) -> None:
+           shares: FloatArray) -> tuple[FloatArray]:
     for n in range(samples.size):
         level = samples[n]
         output = level
@@ -35,53 +36,38 @@ def _creep(samples: FloatArray, levels: FloatArray, weights: FloatArray,
             output += weights[k] * levels[k]
             levels[k] += shares[k] * (level - levels[k])
         samples[n] = output
+    return (levels,)
 
 
 @dataclass(frozen=True)
-class PowerLawCreep:
+class PowerLawCreep(Bounded):
     """Creep by the power `exponent` of time, from the onset until the memory ends."""
 
     name: ClassVar[str] = "power_law_creep"
 
     creep_at_reference: float = parameter("1")
-    reference_time_s: float = parameter("s")
+    reference_time_s: float = parameter("s", POSITIVE)
     exponent: float = parameter("1")
-    onset_time_s: float = parameter("s")
+    onset_time_s: float = parameter("s", POSITIVE)
     memory_s: float = parameter("s")
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require(0.0 < self.exponent < 1.0, self, "exponent must be between 0 and 1.")
-        require(self.onset_time_s > 0.0, self, "onset_time_s must be positive.")
-        require(self.reference_time_s > 0.0, self, "reference_time_s must be positive.")
         require(
             self.memory_s > self.onset_time_s, self, "memory_s must be longer than onset_time_s."
         )
 
-    def start(self, surroundings: Surroundings) -> "CreepRunner":
-        """Start with relaxations that `rest` sets."""
-        return CreepRunner(self, surroundings.sample_period_s)
-
-
-class CreepRunner:
-    """Creep with the level of each relaxation as its state."""
-
-    def __init__(self, effect: PowerLawCreep, sample_period_s: float) -> None:
+    def start(self, surroundings: Surroundings) -> StateRunner:
+        """Start with the relaxations that `rest` sets, all of them over."""
         fastest = math.log(_FASTEST)
-        slowest = math.log(effect.onset_time_s / effect.memory_s)
+        slowest = math.log(self.onset_time_s / self.memory_s)
         rates = np.exp(np.arange(slowest, fastest + 1.0))
         reference = math.expm1(
-            effect.exponent * math.log1p(effect.reference_time_s / effect.onset_time_s)
-        )
-        scale = effect.creep_at_reference / reference * effect.exponent / gamma(1 - effect.exponent)
-        self._weights = scale * np.exp(-rates) * rates**-effect.exponent
-        self._shares = -np.expm1(-rates * sample_period_s / effect.onset_time_s)
-        self._levels = np.zeros(rates.size)
-
-    def rest(self, level: float) -> float:
-        """Settle at the constant input `level`; return the output with all creep."""
-        self._levels[:] = level
-        return float(level * (1.0 + self._weights.sum()))
-
-    def apply(self, samples: FloatArray) -> None:
-        """Add to the inputs their creep at the start of each sample."""
-        _creep(samples, self._levels, self._weights, self._shares)
+            self.exponent * math.log1p(self.reference_time_s / self.onset_time_s))
+        scale = self.creep_at_reference / reference * self.exponent / gamma(1 - self.exponent)
+        weights = scale * np.exp(-rates) * rates**-self.exponent
+        shares = -np.expm1(-rates * surroundings.sample_period_s / self.onset_time_s)
+        return StateRunner(_creep, lambda level: (
+            (np.full(rates.size, level),), float(level * (1.0 + weights.sum()))),
+            (weights, shares))

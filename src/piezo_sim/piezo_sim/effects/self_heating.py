@@ -11,8 +11,8 @@ from typing import ClassVar
 from numba import njit
 
 from piezo_common.arrays import FloatArray
-from piezo_sim.plant.accumulating import AccumulatingRunner
-from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.plant_effect import NOT_NEGATIVE, POSITIVE, Bounded, Surroundings, parameter
+from piezo_sim.plant.state_runner import StateRunner
 
 
 @njit(cache=True)
@@ -27,7 +27,7 @@ def _heat(samples: FloatArray, previous_um: float, warm_k: float, heating_k_per_
 
 
 @dataclass(frozen=True)
-class SelfHeating:
+class SelfHeating(Bounded):
     """Temperature above ambient from travel and cooling, which changes the gain.
 
     Place it behind the hysteresis.
@@ -35,21 +35,13 @@ class SelfHeating:
 
     name: ClassVar[str] = "self_heating"
 
-    heating_k_per_um: float = parameter("K/um")
-    cooling_time_constant_s: float = parameter("s")
+    heating_k_per_um: float = parameter("K/um", NOT_NEGATIVE)
+    cooling_time_constant_s: float = parameter("s", POSITIVE)
     gain_per_k: float = parameter("1/K")
 
-    def __post_init__(self) -> None:
-        require(self.heating_k_per_um >= 0.0, self, "heating_k_per_um must not be negative.")
-        require(
-            self.cooling_time_constant_s > 0.0, self, "cooling_time_constant_s must be positive."
-        )
-
-    def start(self, surroundings: Surroundings) -> AccumulatingRunner:
+    def start(self, surroundings: Surroundings) -> StateRunner:
         """Start at ambient temperature; travel heats."""
-        return AccumulatingRunner(
-            _heat,
+        return StateRunner(_heat, lambda level: ((level, 0.0), level), (
             self.heating_k_per_um,
             math.exp(-surroundings.sample_period_s / self.cooling_time_constant_s),
-            self.gain_per_k,
-        )
+            self.gain_per_k))

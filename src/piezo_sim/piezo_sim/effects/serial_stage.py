@@ -13,44 +13,40 @@ from typing import ClassVar
 import numpy as np
 
 from piezo_sim.plant.mechanism import Mechanism
-from piezo_sim.plant.plant_effect import parameter, require
+from piezo_sim.plant.plant_effect import POSITIVE, Bounded, parameter, require
 
 
 @dataclass(frozen=True)
-class SerialStage:
+class SerialStage(Bounded):
     """Masses, springs and places; the platform's place is relative to the carriage's centre."""
 
     name: ClassVar[str] = "serial_stage"
     axes: ClassVar[int] = 2
 
-    carriage_mass_kg: float = parameter("kg")
-    carriage_inertia_kg_m2: float = parameter("kg m^2")
-    platform_mass_kg: float = parameter("kg")
-    platform_inertia_kg_m2: float = parameter("kg m^2")
+    carriage_mass_kg: float = parameter("kg", POSITIVE)
+    carriage_inertia_kg_m2: float = parameter("kg m^2", POSITIVE)
+    platform_mass_kg: float = parameter("kg", POSITIVE)
+    platform_inertia_kg_m2: float = parameter("kg m^2", POSITIVE)
     platform_place_m: tuple[float, ...] = parameter("m")
-    guide_n_per_m: tuple[float, ...] = parameter("N/m")
+    guide_n_per_m: tuple[float, ...] = parameter("N/m", POSITIVE)
     guide_cross_n_per_m: float = parameter("N/m")
-    guide_yaw_n_m_per_rad: float = parameter("N m/rad")
-    platform_springs_n_per_m: float = parameter("N/m")
+    guide_yaw_n_m_per_rad: float = parameter("N m/rad", POSITIVE)
+    platform_springs_n_per_m: float = parameter("N/m", POSITIVE)
     platform_askew_rad: float = parameter("rad")
-    actuators_n_per_m: tuple[float, ...] = parameter("N/m")
+    actuators_n_per_m: tuple[float, ...] = parameter("N/m", POSITIVE)
     slow_actuator_beside_m: float = parameter("m")
     sensors_askew_rad: tuple[float, ...] = parameter("rad")
-    damping_ratios: tuple[float, ...] = parameter("1")
+    damping_ratios: tuple[float, ...] = parameter("1", POSITIVE)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for listed in ("platform_place_m", "guide_n_per_m", "actuators_n_per_m",
                        "sensors_askew_rad"):
             require(len(getattr(self, listed)) == 2, self, f"{listed} must be two numbers.")
-        require(min(self.carriage_mass_kg, self.carriage_inertia_kg_m2, self.platform_mass_kg,
-                    self.platform_inertia_kg_m2, self.guide_yaw_n_m_per_rad,
-                    self.platform_springs_n_per_m, *self.guide_n_per_m,
-                    *self.actuators_n_per_m) > 0.0, self,
-                "masses and stiffnesses must be positive.")
         require(self.guide_cross_n_per_m**2 < math.prod(self.guide_n_per_m), self,
                 "guide_cross_n_per_m must leave the guide stable.")
-        require(len(self.damping_ratios) == 4 and min(self.damping_ratios) > 0.0, self,
-                "damping_ratios must be four positive numbers, one for each mode.")
+        require(len(self.damping_ratios) == 4, self,
+                "damping_ratios must be four numbers, one for each mode.")
 
     def mechanism(self) -> Mechanism:
         """Return the matrices of the carriage in x, y and yaw, and of the platform on it (um)."""

@@ -19,7 +19,8 @@ from numba import njit
 from scipy.linalg import expm
 
 from piezo_common.arrays import FloatArray
-from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.plant_effect import POSITIVE, Bounded, Surroundings, parameter
+from piezo_sim.plant.state_runner import StateRunner
 
 # Steps per sample; the regime is chosen anew at each of them.
 STEPS = 8
@@ -52,54 +53,23 @@ def _follow(samples: FloatArray, output_v: float, slope_v_per_s: float, steps: i
 
 
 @dataclass(frozen=True)
-class SlewingAmplifier:
+class SlewingAmplifier(Bounded):
     """Bandwidth, damping and slew rate of the amplifier with its load."""
 
     name: ClassVar[str] = "slewing_amplifier"
 
-    natural_frequency_rad_per_s: float = parameter("rad/s")
-    damping_ratio: float = parameter("1")
-    slew_rate_v_per_s: float = parameter("V/s")
+    natural_frequency_rad_per_s: float = parameter("rad/s", POSITIVE)
+    damping_ratio: float = parameter("1", POSITIVE)
+    slew_rate_v_per_s: float = parameter("V/s", POSITIVE)
 
-    def __post_init__(self) -> None:
-        require(
-            self.natural_frequency_rad_per_s > 0.0,
-            self,
-            "natural_frequency_rad_per_s must be positive.",
-        )
-        require(self.damping_ratio > 0.0, self, "damping_ratio must be positive.")
-        require(self.slew_rate_v_per_s > 0.0, self, "slew_rate_v_per_s must be positive.")
-
-    def start(self, surroundings: Surroundings) -> "SlewingRunner":
-        """Start with a voltage that `rest` sets."""
-        return SlewingRunner(self, surroundings.sample_period_s)
-
-
-class SlewingRunner:
-    """Amplifier with its output and slope as state."""
-
-    def __init__(self, effect: SlewingAmplifier, sample_period_s: float) -> None:
-        w, zeta = effect.natural_frequency_rad_per_s, effect.damping_ratio
-        self._output_v, self._slope_v_per_s = 0.0, 0.0
-        step_s = sample_period_s / STEPS
-        self._constants = (
-            STEPS,
-            _step_matrix(-w * w, -2.0 * zeta * w, w * w, step_s),
-            _step_matrix(0.0, -2.0 * zeta * w, 2.0 * zeta * w, step_s),
-            w / (2.0 * zeta),
-            effect.slew_rate_v_per_s,
-        )
-
-    def rest(self, level: float) -> float:
-        """Settle at the voltage `level`."""
-        self._output_v, self._slope_v_per_s = level, 0.0
-        return level
-
-    def apply(self, samples: FloatArray) -> None:
-        """Replace held voltages by the mean output over each sample."""
-        self._output_v, self._slope_v_per_s = _follow(
-            samples, self._output_v, self._slope_v_per_s, *self._constants
-        )
+    def start(self, surroundings: Surroundings) -> StateRunner:
+        """Start with the voltage that `rest` sets, and without slope."""
+        w, zeta = self.natural_frequency_rad_per_s, self.damping_ratio
+        step_s = surroundings.sample_period_s / STEPS
+        return StateRunner(_follow, lambda level: ((level, 0.0), level), (
+            STEPS, _step_matrix(-w * w, -2.0 * zeta * w, w * w, step_s),
+            _step_matrix(0.0, -2.0 * zeta * w, 2.0 * zeta * w, step_s), w / (2.0 * zeta),
+            self.slew_rate_v_per_s))
 
 
 def _step_matrix(stiffness: float, friction: float, drive: float, step_s: float) -> FloatArray:

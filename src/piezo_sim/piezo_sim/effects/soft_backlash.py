@@ -12,7 +12,8 @@ from typing import ClassVar
 from numba import njit
 
 from piezo_common.arrays import FloatArray
-from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.plant_effect import POSITIVE, Bounded, Surroundings, parameter
+from piezo_sim.plant.state_runner import StateRunner
 
 
 @njit(cache=True)
@@ -35,33 +36,14 @@ def _trail(samples: FloatArray, drive_um: float, trail_um: float,
 
 
 @dataclass(frozen=True)
-class SoftBacklash:
+class SoftBacklash(Bounded):
     """The driven part trails by at most half the backlash, `half_gap_um`, in either direction."""
 
     name: ClassVar[str] = "soft_backlash"
 
-    half_gap_um: float = parameter("um")
+    half_gap_um: float = parameter("um", POSITIVE)
 
-    def __post_init__(self) -> None:
-        require(self.half_gap_um > 0.0, self, "half_gap_um must be positive.")
-
-    def start(self, surroundings: Surroundings) -> "BacklashRunner":
-        """Start with a position that `rest` sets."""
-        return BacklashRunner(self.half_gap_um)
-
-
-class BacklashRunner:
-    """Backlash with the positions of drive and driven part as state."""
-
-    def __init__(self, half_gap_um: float) -> None:
-        self._gap_um = half_gap_um
-        self._state = (0.0, 0.0)
-
-    def rest(self, level: float) -> float:
-        """Set the displacement `level`, reached from far below."""
-        self._state = (level, self._gap_um)
-        return level - self._gap_um
-
-    def apply(self, samples: FloatArray) -> None:
-        """Replace displacements of the drive by those of the driven part."""
-        self._state = _trail(samples, *self._state, self._gap_um)
+    def start(self, surroundings: Surroundings) -> StateRunner:
+        """Start at a displacement that was reached from far below."""
+        gap_um = self.half_gap_um
+        return StateRunner(_trail, lambda level: ((level, gap_um), level - gap_um), (gap_um,))

@@ -8,7 +8,7 @@ from typing import ClassVar
 from numba import njit
 
 from piezo_common.arrays import FloatArray
-from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.plant_effect import POSITIVE, Bounded, Surroundings, parameter, require
 from piezo_sim.plant.pointwise import PointwiseRunner
 
 
@@ -25,18 +25,18 @@ def _saturate(samples: FloatArray, low_v: float, high_v: float, knee_v: float) -
 
 
 @dataclass(frozen=True)
-class SoftSaturation:
+class SoftSaturation(Bounded):
     """Identity between the limits, a smooth knee at each."""
 
     name: ClassVar[str] = "soft_saturation"
 
     low_v: float = parameter("V")
     high_v: float = parameter("V")
-    knee_v: float = parameter("V")
+    knee_v: float = parameter("V", POSITIVE)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require(self.low_v < self.high_v, self, "low_v must be below high_v.")
-        require(self.knee_v > 0.0, self, "knee_v must be positive.")
 
     def start(self, surroundings: Surroundings) -> PointwiseRunner:
         """Start; there is no state."""

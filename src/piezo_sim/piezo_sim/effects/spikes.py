@@ -7,23 +7,19 @@ from typing import ClassVar
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.plant_effect import NOT_NEGATIVE, POSITIVE, Bounded, Surroundings, parameter
 from piezo_sim.plant.random_stream import EventStream, bits_for
 
 
 @dataclass(frozen=True)
-class Spikes:
+class Spikes(Bounded):
     """Spikes at random instants, of either sign, with log-normal heights about a typical one."""
 
     name: ClassVar[str] = "spikes"
 
-    rate_per_s: float = parameter("1/s")
+    rate_per_s: float = parameter("1/s", POSITIVE)
     height_um: float = parameter("um")
-    height_spread: float = parameter("1")
-
-    def __post_init__(self) -> None:
-        require(self.rate_per_s > 0.0, self, "rate_per_s must be positive.")
-        require(self.height_spread >= 0.0, self, "height_spread must not be negative.")
+    height_spread: float = parameter("1", NOT_NEGATIVE)
 
     def start(self, surroundings: Surroundings) -> "SpikesRunner":
         """Start the instants from the seed."""

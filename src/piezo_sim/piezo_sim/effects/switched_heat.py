@@ -7,43 +7,30 @@ from typing import ClassVar
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.plant_effect import NOT_NEGATIVE, POSITIVE, Bounded, Surroundings, parameter
+from piezo_sim.plant.state_runner import StateRunner
+
+
+def _heat(samples: FloatArray, sample: int, expansion_um: float, rate: float) -> tuple[int]:
+    end = sample + samples.size
+    if end > 0:
+        samples -= expansion_um * np.expm1(-rate * np.maximum(np.arange(sample, end), 0))
+    return (end,)
 
 
 @dataclass(frozen=True)
-class SwitchedHeat:
+class SwitchedHeat(Bounded):
     """A displacement e (1 - exp(-(t - t0) / tau)) from t0 on."""
 
     name: ClassVar[str] = "switched_heat"
 
     expansion_um: float = parameter("um")
-    time_constant_s: float = parameter("s")
-    begin_s: float = parameter("s")
+    time_constant_s: float = parameter("s", POSITIVE)
+    begin_s: float = parameter("s", NOT_NEGATIVE)
 
-    def __post_init__(self) -> None:
-        require(self.time_constant_s > 0.0, self, "time_constant_s must be positive.")
-        require(self.begin_s >= 0.0, self, "begin_s must not be negative.")
-
-    def start(self, surroundings: Surroundings) -> "HeatRunner":
-        """Start the clock."""
-        return HeatRunner(self, surroundings.sample_period_s)
-
-
-class HeatRunner:
-    """Expansion with its clock as state."""
-
-    def __init__(self, effect: SwitchedHeat, sample_period_s: float) -> None:
-        self._expansion_um = effect.expansion_um
-        self._rate = sample_period_s / effect.time_constant_s
-        self._sample = -round(effect.begin_s / sample_period_s)
-
-    def rest(self, level: float) -> float:
-        """Return the level unchanged, as the source is off."""
-        return level
-
-    def apply(self, samples: FloatArray) -> None:
-        """Add the expansion to displacements."""
-        heated = self._sample + np.arange(samples.size)
-        self._sample += samples.size
-        if self._sample > 0:
-            samples -= self._expansion_um * np.expm1(-self._rate * np.maximum(heated, 0))
+    def start(self, surroundings: Surroundings) -> StateRunner:
+        """Start the clock, with the source off."""
+        period_s = surroundings.sample_period_s
+        return StateRunner(
+            _heat, lambda level: ((-round(self.begin_s / period_s),), level),
+            (self.expansion_um, period_s / self.time_constant_s))

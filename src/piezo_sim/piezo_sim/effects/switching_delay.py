@@ -13,8 +13,8 @@ from typing import ClassVar
 from numba import njit
 
 from piezo_common.arrays import FloatArray
-from piezo_sim.plant.accumulating import AccumulatingRunner
-from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.plant_effect import POSITIVE, Bounded, Surroundings, parameter
+from piezo_sim.plant.state_runner import StateRunner
 
 
 @njit(cache=True)
@@ -29,7 +29,7 @@ def _shift(samples: FloatArray, previous_v: float, speed_v_per_s: float, period_
 
 
 @dataclass(frozen=True)
-class SwitchingDelay:
+class SwitchingDelay(Bounded):
     """Thresholds shifted by shift arsinh(speed / reference), the speed averaged over a short time.
 
     Place it before the hysteresis.
@@ -38,21 +38,12 @@ class SwitchingDelay:
     name: ClassVar[str] = "switching_delay"
 
     threshold_shift_v: float = parameter("V")
-    reference_speed_v_per_s: float = parameter("V/s")
-    averaging_time_s: float = parameter("s")
+    reference_speed_v_per_s: float = parameter("V/s", POSITIVE)
+    averaging_time_s: float = parameter("s", POSITIVE)
 
-    def __post_init__(self) -> None:
-        require(
-            self.reference_speed_v_per_s > 0.0, self, "reference_speed_v_per_s must be positive."
-        )
-        require(self.averaging_time_s > 0.0, self, "averaging_time_s must be positive.")
-
-    def start(self, surroundings: Surroundings) -> AccumulatingRunner:
-        """Start with a voltage that `rest` sets; the accumulated quantity is the averaged speed."""
-        return AccumulatingRunner(
-            _shift,
-            surroundings.sample_period_s,
-            -math.expm1(-surroundings.sample_period_s / self.averaging_time_s),
-            self.threshold_shift_v,
-            self.reference_speed_v_per_s,
-        )
+    def start(self, surroundings: Surroundings) -> StateRunner:
+        """Start with the voltage that `rest` sets, and without speed."""
+        period_s = surroundings.sample_period_s
+        return StateRunner(_shift, lambda level: ((level, 0.0), level), (
+            period_s, -math.expm1(-period_s / self.averaging_time_s), self.threshold_shift_v,
+            self.reference_speed_v_per_s))

@@ -8,7 +8,7 @@ from typing import ClassVar
 from numba import njit
 
 from piezo_common.arrays import FloatArray
-from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.plant_effect import POSITIVE, Bounded, Surroundings, parameter
 from piezo_sim.plant.pointwise import PointwiseRunner
 
 
@@ -19,16 +19,13 @@ def _bend(samples: FloatArray, centre_um: float, reach_um: float) -> None:
 
 
 @dataclass(frozen=True)
-class TransducerCurve:
+class TransducerCurve(Bounded):
     """Reading centre + reach arctan((x - centre) / reach): exact at the centre, flat far off."""
 
     name: ClassVar[str] = "transducer_curve"
 
     centre_um: float = parameter("um")
-    reach_um: float = parameter("um")
-
-    def __post_init__(self) -> None:
-        require(self.reach_um > 0.0, self, "reach_um must be positive.")
+    reach_um: float = parameter("um", POSITIVE)
 
     def start(self, surroundings: Surroundings) -> PointwiseRunner:
         """Start; there is no state."""

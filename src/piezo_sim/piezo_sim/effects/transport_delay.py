@@ -9,12 +9,13 @@ import numpy as np
 from numba import njit
 
 from piezo_common.arrays import FloatArray
-from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.plant_effect import NOT_NEGATIVE, Bounded, Surroundings, parameter
+from piezo_sim.plant.state_runner import StateRunner
 
 
 @njit(cache=True)
 def _delay(samples: FloatArray, history: FloatArray, newest: int, first: int,
-           weights: FloatArray) -> int:
+           weights: FloatArray) -> tuple[FloatArray, int]:
     length = history.size
     for n in range(samples.size):
         newest = (newest + 1) % length
@@ -23,47 +24,26 @@ def _delay(samples: FloatArray, history: FloatArray, newest: int, first: int,
         for j in range(weights.size):
             output += weights[j] * history[(newest - first - j) % length]
         samples[n] = output
-    return newest
+    return history, newest
 
 
 @dataclass(frozen=True)
-class TransportDelay:
+class TransportDelay(Bounded):
     """Delay of a smooth signal: cubic interpolation between its samples."""
 
     name: ClassVar[str] = "transport_delay"
 
-    delay_s: float = parameter("s")
+    delay_s: float = parameter("s", NOT_NEGATIVE)
 
-    def __post_init__(self) -> None:
-        require(self.delay_s >= 0.0, self, "delay_s must not be negative.")
-
-    def start(self, surroundings: Surroundings) -> "DelayRunner":
-        """Start with a history that `rest` fills."""
-        return DelayRunner(self.delay_s / surroundings.sample_period_s)
-
-
-class DelayRunner:
-    """Delay with the samples that it has not put out yet."""
-
-    def __init__(self, delay_samples: float) -> None:
+    def start(self, surroundings: Surroundings) -> StateRunner:
+        """Start with a history of the level that `rest` sets."""
+        delay_samples = self.delay_s / surroundings.sample_period_s
         # Four samples around the delayed instant; none of them in the future.
-        self._first = max(math.floor(delay_samples) - 1, 0)
-        wanted = delay_samples - self._first
-        nodes = np.arange(4.0)
-        self._weights = np.array(
-            [
-                np.prod((wanted - np.delete(nodes, j)) / (j - np.delete(nodes, j)))
-                for j in range(nodes.size)
-            ]
-        )
-        self._history = np.zeros(self._first + nodes.size)
-        self._newest = 0
-
-    def rest(self, level: float) -> float:
-        """Fill the history with the constant input `level`."""
-        self._history[:] = level
-        return level
-
-    def apply(self, samples: FloatArray) -> None:
-        """Replace samples by delayed ones."""
-        self._newest = _delay(samples, self._history, self._newest, self._first, self._weights)
+        first = max(math.floor(delay_samples) - 1, 0)
+        wanted, nodes = delay_samples - first, np.arange(4.0)
+        weights = np.array([
+            np.prod((wanted - np.delete(nodes, j)) / (j - np.delete(nodes, j)))
+            for j in range(nodes.size)])
+        return StateRunner(
+            _delay, lambda level: ((np.full(first + nodes.size, level), 0), level),
+            (first, weights))

@@ -13,39 +13,37 @@ from typing import ClassVar
 import numpy as np
 
 from piezo_sim.plant.mechanism import Mechanism
-from piezo_sim.plant.plant_effect import parameter, require
+from piezo_sim.plant.plant_effect import POSITIVE, Bounded, parameter, require
 
 
 @dataclass(frozen=True)
-class XYFlexure:
+class XYFlexure(Bounded):
     """Masses, springs and directions; lists hold a value for x, then one for y."""
 
     name: ClassVar[str] = "xy_flexure"
     axes: ClassVar[int] = 2
 
-    mass_kg: float = parameter("kg")
-    inertia_kg_m2: float = parameter("kg m^2")
-    suspension_n_per_m: tuple[float, ...] = parameter("N/m")
+    mass_kg: float = parameter("kg", POSITIVE)
+    inertia_kg_m2: float = parameter("kg m^2", POSITIVE)
+    suspension_n_per_m: tuple[float, ...] = parameter("N/m", POSITIVE)
     suspension_cross_n_per_m: float = parameter("N/m")
-    suspension_yaw_n_m_per_rad: float = parameter("N m/rad")
-    actuators_n_per_m: tuple[float, ...] = parameter("N/m")
+    suspension_yaw_n_m_per_rad: float = parameter("N m/rad", POSITIVE)
+    actuators_n_per_m: tuple[float, ...] = parameter("N/m", POSITIVE)
     actuators_askew_rad: tuple[float, ...] = parameter("rad")
     actuators_beside_m: tuple[float, ...] = parameter("m")
     sensors_askew_rad: tuple[float, ...] = parameter("rad")
     sensors_beside_m: tuple[float, ...] = parameter("m")
-    damping_ratios: tuple[float, ...] = parameter("1")
+    damping_ratios: tuple[float, ...] = parameter("1", POSITIVE)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for listed in ("suspension_n_per_m", "actuators_n_per_m", "actuators_askew_rad",
                        "actuators_beside_m", "sensors_askew_rad", "sensors_beside_m"):
             require(len(getattr(self, listed)) == 2, self, f"{listed} must be two numbers.")
-        require(min(self.mass_kg, self.inertia_kg_m2, self.suspension_yaw_n_m_per_rad,
-                    *self.suspension_n_per_m, *self.actuators_n_per_m) > 0.0, self,
-                "masses and stiffnesses must be positive.")
         require(self.suspension_cross_n_per_m**2 < math.prod(self.suspension_n_per_m), self,
                 "suspension_cross_n_per_m must leave the suspension stable.")
-        require(len(self.damping_ratios) == 3 and min(self.damping_ratios) > 0.0, self,
-                "damping_ratios must be three positive numbers, one for each mode.")
+        require(len(self.damping_ratios) == 3, self,
+                "damping_ratios must be three numbers, one for each mode.")
 
     def mechanism(self) -> Mechanism:
         """Return the matrices of x, y and yaw (um and urad)."""

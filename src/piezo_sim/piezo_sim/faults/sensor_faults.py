@@ -8,7 +8,7 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_sim.faults.window import Fault, Spoil
-from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.plant_effect import POSITIVE, Surroundings, parameter
 from piezo_sim.plant.random_stream import NormalStream, bits_for
 
 
@@ -60,11 +60,10 @@ class NoisySensor(Fault):
 
     name: ClassVar[str] = "noisy_sensor"
 
-    noise_rms_um: float = parameter("um")
+    noise_rms_um: float = parameter("um", POSITIVE)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require(self.noise_rms_um > 0.0, self, "noise_rms_um must be positive.")
 
     def spoiling(self, surroundings: Surroundings) -> Spoil:
         """Add noise from the seed to the readings."""

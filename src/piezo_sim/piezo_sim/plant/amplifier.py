@@ -9,7 +9,7 @@ from numba import njit
 
 from piezo_common.arrays import FloatArray
 from piezo_sim.plant.converter import converter_of
-from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.plant_effect import POSITIVE, Bounded, Surroundings, parameter
 
 
 @njit(cache=True)
@@ -27,7 +27,7 @@ def _slew(samples: FloatArray, output_v: float, largest_change_v: float) -> floa
 
 
 @dataclass(frozen=True)
-class VoltageAmplifier:
+class VoltageAmplifier(Bounded):
     """Range, resolution and slew rate of the amplifier.
 
     The slew rate limits the change from one sample to the next; the output is held within a sample.
@@ -38,11 +38,11 @@ class VoltageAmplifier:
     voltage_min_v: float = parameter("V")
     voltage_max_v: float = parameter("V")
     converter_bits: int = parameter("1")
-    slew_rate_v_per_s: float = parameter("V/s")
+    slew_rate_v_per_s: float = parameter("V/s", POSITIVE)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         converter_of(self, "voltage_min_v", "voltage_max_v")  # checks the parameters
-        require(self.slew_rate_v_per_s > 0.0, self, "slew_rate_v_per_s must be positive.")
 
     def start(self, surroundings: Surroundings) -> "AmplifierRunner":
         """Start at the rest voltage."""

@@ -21,7 +21,14 @@ import numpy as np
 from numba import njit
 
 from piezo_common.arrays import FloatArray
-from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.plant_effect import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    Bounded,
+    Surroundings,
+    parameter,
+    require,
+)
 
 
 # Numba's cache ignores changes in other files, so compiled functions that call each other are here.
@@ -97,35 +104,26 @@ def _follow(samples: FloatArray, extremes_v: FloatArray, outputs_um: FloatArray,
 
 
 @dataclass(frozen=True)
-class PreisachHysteresis:
+class PreisachHysteresis(Bounded):
     """Preisach hysteresis with the density of this module; relays are 0 or 1."""
 
     name: ClassVar[str] = "preisach_hysteresis"
 
     saturation_voltage_v: float = parameter("V")
-    broad_density_um_per_v2: float = parameter("um/V^2")
-    ridge_density_um_per_v2: float = parameter("um/V^2")
-    ridge_width_v: float = parameter("V")
+    broad_density_um_per_v2: float = parameter("um/V^2", NOT_NEGATIVE)
+    ridge_density_um_per_v2: float = parameter("um/V^2", NOT_NEGATIVE)
+    ridge_width_v: float = parameter("V", POSITIVE)
     position_modulation: float = parameter("1")
     modulation_centre_v: float = parameter("V")
-    modulation_period_v: float = parameter("V")
+    modulation_period_v: float = parameter("V", POSITIVE)
     offset_um: float = parameter("um")
 
     def __post_init__(self) -> None:
-        require(
-            self.broad_density_um_per_v2 >= 0.0
-            and self.ridge_density_um_per_v2 >= 0.0
-            and self.broad_density_um_per_v2 + self.ridge_density_um_per_v2 > 0.0
-            and abs(self.position_modulation) < 1.0,
-            self,
-            "the density must be positive everywhere: give densities that are not negative, one of "
-            "them positive, and a position_modulation between -1 and 1.",
-        )
-        require(
-            self.ridge_width_v > 0.0 and self.modulation_period_v > 0.0,
-            self,
-            "ridge_width_v and modulation_period_v must be positive.",
-        )
+        super().__post_init__()
+        require(self.broad_density_um_per_v2 + self.ridge_density_um_per_v2 > 0.0
+                and abs(self.position_modulation) < 1.0, self,
+                "the density must be positive everywhere: give a positive density, and a "
+                "position_modulation between -1 and 1.")
 
     @property
     def shape(self) -> tuple[float, ...]:

@@ -15,7 +15,14 @@ from numba import njit
 from scipy.linalg import expm
 
 from piezo_common.arrays import FloatArray
-from piezo_sim.plant.plant_effect import Effect, PlantConfigError, parameter, require
+from piezo_sim.plant.plant_effect import (
+    POSITIVE,
+    Bounded,
+    Effect,
+    PlantConfigError,
+    parameter,
+    require,
+)
 
 
 class StateSpace(NamedTuple):
@@ -205,24 +212,20 @@ class LinearRunner:
 
 
 @dataclass(frozen=True)
-class Creep:
+class Creep(Bounded):
     """Slow relaxations, prod (s + z) / (s + p): unit gain at high frequency (thesis eq. (4.4))."""
 
     name: ClassVar[str] = "creep"
 
-    poles_rad_per_s: tuple[float, ...] = parameter("rad/s")
-    zeros_rad_per_s: tuple[float, ...] = parameter("rad/s")
+    poles_rad_per_s: tuple[float, ...] = parameter("rad/s", POSITIVE)
+    zeros_rad_per_s: tuple[float, ...] = parameter("rad/s", POSITIVE)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require(
             len(self.poles_rad_per_s) == len(self.zeros_rad_per_s) > 0,
             self,
             "poles_rad_per_s and zeros_rad_per_s must be lists of the same length.",
-        )
-        require(
-            min(self.poles_rad_per_s + self.zeros_rad_per_s) > 0.0,
-            self,
-            "poles_rad_per_s and zeros_rad_per_s must be positive.",
         )
 
     def state_space(self) -> StateSpace:
@@ -233,15 +236,12 @@ class Creep:
 
 
 @dataclass(frozen=True)
-class ElectricLag:
+class ElectricLag(Bounded):
     """Resistance and capacitance of the actuator, 1 / (tau s + 1) (thesis eq. (4.3))."""
 
     name: ClassVar[str] = "electric_lag"
 
-    time_constant_s: float = parameter("s")
-
-    def __post_init__(self) -> None:
-        require(self.time_constant_s > 0.0, self, "time_constant_s must be positive.")
+    time_constant_s: float = parameter("s", POSITIVE)
 
     def state_space(self) -> StateSpace:
         """Return the low-pass filter; its state is its output."""
@@ -250,17 +250,13 @@ class ElectricLag:
 
 
 @dataclass(frozen=True)
-class VibrationMode:
+class VibrationMode(Bounded):
     """One mechanical mode, w^2 / (s^2 + 2 zeta w s + w^2) (thesis eq. (4.3))."""
 
     name: ClassVar[str] = "vibration_mode"
 
-    frequency_rad_per_s: float = parameter("rad/s")
-    damping_ratio: float = parameter("1")
-
-    def __post_init__(self) -> None:
-        require(self.frequency_rad_per_s > 0.0, self, "frequency_rad_per_s must be positive.")
-        require(self.damping_ratio > 0.0, self, "damping_ratio must be positive.")
+    frequency_rad_per_s: float = parameter("rad/s", POSITIVE)
+    damping_ratio: float = parameter("1", POSITIVE)
 
     def state_space(self) -> StateSpace:
         """Return the mode in position and velocity / w, which keeps the matrix balanced."""

@@ -5,6 +5,8 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
+import numpy as np
+
 from piezo_common.arrays import FloatArray
 
 
@@ -52,9 +54,32 @@ class StartedEffect(Effect, Protocol):
         """Return the runner of this effect."""
 
 
-def parameter(unit: str) -> Any:
-    """Declare a parameter of an effect, with the unit that the plant file must state."""
-    return dataclasses.field(metadata={"unit": unit})
+POSITIVE, NOT_NEGATIVE = "must be positive.", "must not be negative."
+
+
+def parameter(unit: str, sign: str = "") -> Any:
+    """Declare a parameter of an effect, with the unit that the plant file must state.
+
+    Parameters
+    ----------
+    sign : str
+        `POSITIVE` or `NOT_NEGATIVE`; what a `Bounded` effect requires of it, and of each number of
+        a list.
+    """
+    return dataclasses.field(metadata={"unit": unit, "sign": sign})
+
+
+@dataclass(frozen=True)
+class Bounded:
+    """Base of effects, which checks the signs of their parameters."""
+
+    name: ClassVar[str]
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            sign, numbers = field.metadata["sign"], np.ravel(getattr(self, field.name))
+            good = numbers > 0.0 if sign == POSITIVE else numbers >= 0.0
+            require(not sign or bool(good.all()), self, f"{field.name} {sign}")
 
 
 def require(condition: bool, effect: Effect, sentence: str) -> None:

@@ -8,23 +8,23 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_sim.plant.converter import converter_of
-from piezo_sim.plant.plant_effect import Surroundings, parameter, require
+from piezo_sim.plant.plant_effect import NOT_NEGATIVE, Bounded, Surroundings, parameter
 from piezo_sim.plant.random_stream import NormalStream
 
 
 @dataclass(frozen=True)
-class DisplacementSensor:
+class DisplacementSensor(Bounded):
     """White Gaussian noise on every sample, then quantisation by the converter."""
 
     name: ClassVar[str] = "displacement_sensor"
 
-    noise_rms_um: float = parameter("um")
+    noise_rms_um: float = parameter("um", NOT_NEGATIVE)
     displacement_min_um: float = parameter("um")
     displacement_max_um: float = parameter("um")
     converter_bits: int = parameter("1")
 
     def __post_init__(self) -> None:
-        require(self.noise_rms_um >= 0.0, self, "noise_rms_um must not be negative.")
+        super().__post_init__()
         converter_of(self, "displacement_min_um", "displacement_max_um")  # checks the parameters
 
     def start(self, surroundings: Surroundings) -> "SensorRunner":

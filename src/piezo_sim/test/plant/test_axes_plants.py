@@ -156,5 +156,5 @@ def test_what_is_wrong_in_a_file_of_several_axes_is_named_with_its_axis():
         parse_plant(yaml.safe_dump(content))
     content = xy_content()
     content["mechanics"]["mass_kg"]["value"] = -1.0
-    with pytest.raises(PlantConfigError, match="xy_flexure: masses and stiffnesses must be"):
+    with pytest.raises(PlantConfigError, match="xy_flexure: mass_kg must be positive"):
         parse_plant(yaml.safe_dump(content))

@@ -168,5 +168,5 @@ def test_default_stage_has_the_gain_and_the_loop_of_the_thesis():
     ],
 )
 def test_a_density_that_is_not_positive_is_refused(change):
-    with pytest.raises(PlantConfigError, match="positive"):
+    with pytest.raises(PlantConfigError, match="positive|negative"):
         PreisachHysteresis(**(vars(DEFAULT) | change))

@@ -73,11 +73,6 @@ class NidaqmxStage:
 
     All axes are channels of the same two tasks, so they share one sample clock.
 
-    Parameters
-    ----------
-    driver : namespace, optional
-        Driver; the result of `load_driver` by default.
-
     Raises
     ------
     ValueError

@@ -84,11 +84,6 @@ class Nv200:
     """An NV200 as a `WaveformInstrument`.
 
     Its library is asynchronous: a thread runs it, and every call waits for its result.
-
-    Parameters
-    ----------
-    library : namespace, optional
-        Library; the result of `load_library` by default.
     """
 
     name = "nv200"

@@ -122,11 +122,6 @@ class PiController:
 
     Every command and every question names all axes, so the controller moves and reads them
     together.
-
-    Parameters
-    ----------
-    library : namespace, optional
-        Library; the result of `load_library` by default.
     """
 
     name = "pi_gcs"

@@ -102,8 +102,6 @@ class BlockCollector:
             Whether the samples that follow belong to another block.
         feedback_v : float or ndarray, shape (axes,), optional
             Voltage of a feedback on board, if there is one (V).
-        detected : Detected
-            Marks and signals of the samples.
 
         Returns
         -------

@@ -41,13 +41,7 @@ class Replacement:
 
 
 class StageCommands:
-    """Turn the commands of clients into programs that the engine plays.
-
-    Parameters
-    ----------
-    feedback_limits : FeedbackLimits, optional
-        Limits of a single answer.
-    """
+    """Turn the commands of clients into programs that the engine plays."""
 
     def __init__(self, engine: "StageEngine", limits: Limits, ticks: Ticks, ramps: Ramps,
                  latch: StopLatch, guards: GuardSet,
@@ -268,8 +262,6 @@ class StageCommands:
             Whether to add the answers to the blocks.
         ticks : int
             Duration; 0 until a stop.
-        client : str
-            Name of the client, see `play`.
         onboard : bool
             Whether to add the output of the loaded law, instead of answers.
         feedforward_id : int

@@ -52,8 +52,6 @@ class StageEngine:
         Guard that examines every answer before it acts; see `GuardSet`.
     latch : StopLatch, optional
         Latch of a stop, which outlives the engine; any thread may set it, for the next tick.
-    feedback_limits : FeedbackLimits, optional
-        Limits of a single answer.
     samples_per_block : int
         Samples of a block during tracking without answers; at least one tick. A stretch of a
         waveform is no longer.
@@ -201,10 +199,6 @@ class StageEngine:
 
         Parameters
         ----------
-        client : str
-            Name of the client; reported to others that are refused meanwhile.
-        feedback : FeedbackHold or OnboardFeedback, optional
-            Feedback that is added to the program.
         decimation : int
             Samples of the clock per published sample.
         """

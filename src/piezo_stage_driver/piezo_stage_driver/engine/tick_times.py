@@ -24,13 +24,6 @@ class TickTimes:
     or by a tick if nothing is written ahead. If a backend restarts its clock after a long pause,
     the phase is determined anew.
 
-    Parameters
-    ----------
-    backend : StageBackend
-        Backend that is driven; its other attributes are passed on.
-    clock : callable
-        Returns the time (s).
-
     Attributes
     ----------
     missed : int

@@ -23,8 +23,6 @@ class StageLoop:
 
     Parameters
     ----------
-    publish : callable
-        Takes each `Block`.
     report_stop, settle : callable
         Called after the ticks, from the ticking thread: to report a stop that has occurred since,
         and to answer the clients that wait for rest.

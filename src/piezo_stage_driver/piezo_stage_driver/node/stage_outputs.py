@@ -160,13 +160,7 @@ class StageOutputs:
         clock.publish(Clock(clock=self.stamp(next_sample)))
 
     def publish_diagnostics(self, level: bytes, message: str, values: dict[str, object]) -> None:
-        """Publish the status of the stage.
-
-        Parameters
-        ----------
-        level : bytes
-            Level of ``DiagnosticStatus``.
-        """
+        """Publish the status of the stage."""
         self._diagnostics.publish(diagnostic(
             self._node, "stage", level, message, values, self._settings.joint_name))
 

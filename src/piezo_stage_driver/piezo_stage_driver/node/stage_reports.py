@@ -19,11 +19,6 @@ from piezo_stage_driver.safety.supervisor import UNSAFE
 class StageReports:
     """The log of stops, and the stage's status on ``/diagnostics``.
 
-    Parameters
-    ----------
-    loop : callable
-        Returns the `StageLoop` of the configured stage, or None.
-
     Attributes
     ----------
     latency : AnswerLatency

@@ -20,15 +20,11 @@ class Command:
 
     Parameters
     ----------
-    event : Event
-        Event of the command, one of `transitions.COMMANDS`.
     act : callable
         Calls the requested method of the `StageCommands` that it is given.
     on_done : callable
         ``on_done(value, error)``: result of `act`, or the ValueError that refuses the command.
         Called once, in whichever thread decides.
-    goal : Goal, optional
-        Goal of a waveform.
     run : int, optional
         Number of the only run in which it may act.
     asked_s : float

@@ -135,8 +135,6 @@ class VoltageLimits:
         voltage_v : ndarray, shape (n,)
         previous_v : float
             Voltage before the first sample.
-        sample_period_s : float
-            Period of the sample clock (s).
 
         Returns
         -------

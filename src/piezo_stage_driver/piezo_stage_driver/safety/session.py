@@ -16,13 +16,7 @@ class SessionOver(BackendFault):
 
 
 class BackendSession:
-    """A backend between ``open`` and ``close``, as the engine drives it.
-
-    Parameters
-    ----------
-    clock : callable
-        Returns the time (s).
-    """
+    """A backend between ``open`` and ``close``, as the engine drives it."""
 
     def __init__(self, backend: StageBackend, clock: Callable[[], float]):
         self._backend, self._clock = backend, clock

@@ -57,8 +57,6 @@ class StageSupervisor:
     closing_ticks : int
         Ticks that a goal lasts beyond its return to rest. If time stops after it, they report the
         end to all subscribers.
-    clock : callable
-        Returns the time (s).
 
     Attributes
     ----------
@@ -149,13 +147,7 @@ class StageSupervisor:
             self._follow()
 
     def leave(self, cause: str) -> None:
-        """Let the next ticks return to rest and close the backend; refuse commands from now on.
-
-        Parameters
-        ----------
-        cause : str
-            Cause that is reported to the client of a waveform.
-        """
+        """Let the next ticks return to rest and close the backend; refuse commands from now on."""
         with self._lock:
             if self.active:
                 self._leaving = self._leaving or cause

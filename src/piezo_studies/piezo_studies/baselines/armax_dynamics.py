@@ -7,7 +7,13 @@ import numpy as np
 from scipy.signal import lfilter
 
 from piezo_common.arrays import ComplexArray, FloatArray
-from piezo_identification.estimators.dynamics.multisine import hysteresis_and_displacement
+from piezo_identification.conditioning.waveforms import slow_branches
+from piezo_identification.estimators.dynamics.fast_estimate import WARM_UP_S
+from piezo_identification.estimators.dynamics.fast_signals import (
+    joined_record,
+    played_at_the_clock,
+    through_hysteresis,
+)
 from piezo_identification.estimators.dynamics.pole_search import dynamics_of_poles
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
@@ -44,12 +50,14 @@ def estimate_dynamics_armax(
         If the recording has gaps, is averaged or too short, or does not suit the hysteresis, or
         the orders are too low for the modes.
     """
-    signals = hysteresis_and_displacement(recording, hysteresis, creep)
-    stretches = np.split(signals.kept, np.flatnonzero(np.diff(signals.kept) > 1) + 1)
-    part = max(stretches, key=len)
-    input_um = signals.entering_um[part]
-    armax = fit_armax(input_um, signals.displacement_um[part], *orders, signals.drift[part])
-    return dynamics_of_armax(armax, input_um, signals.sample_period_s, mode_count)
+    part = played_at_the_clock(recording)
+    entering_um = through_hysteresis(recording, part, hysteresis)
+    slow = np.flatnonzero(slow_branches(part.time_s, part.voltage_v))
+    begin = max(slow[-1] + 1 if slow.size else 0, round(WARM_UP_S / part.sample_period_s))
+    record = joined_record([part], [entering_um], [begin], creep)
+    input_um = entering_um[record.kept]
+    armax = fit_armax(input_um, record.measured_um, *orders, record.fixed)
+    return dynamics_of_armax(armax, input_um, part.sample_period_s, mode_count)
 
 
 def dynamics_of_armax(

@@ -40,16 +40,10 @@ class TruncatedSvd:
         return self.vectors @ ((self.vectors.T @ self.right_side) / self.singular_values)
 
     def updated(self, row: FloatArray, output: float, fixed_rank: bool = True) -> "TruncatedSvd":
-        """Return the SVD after one more sample, (2.13)-(2.24).
+        """Return the SVD after one more sample with row a_1, (n,), and output y_1, (2.13)-(2.24).
 
-        Parameters
-        ----------
-        row : ndarray, shape (n,)
-            Row a_1 of the sample.
-        output : float
-            Output y_1 of the sample.
-        fixed_rank : bool
-            Keep the rank, as in the thesis; otherwise, it grows if the row adds a direction.
+        With `fixed_rank` the rank stays, as in the thesis; otherwise, it grows if the row adds a
+        direction.
         """
         along = self.vectors.T @ row
         across = row - self.vectors @ along

@@ -9,11 +9,11 @@ import numpy as np
 from scipy.optimize import brentq
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.monitoring.model_monitor import MonitorSettings
-from piezo_identification.monitoring.slow_offset import SlowOffset
+from piezo_identification.monitoring.model_monitor import MonitorSettings, SlowOffset
 from piezo_sim.plant.plant_file import PlantConfig
 from piezo_studies.changes_in_operation.reference_kinds import CLOCK, plan_of
 from piezo_studies.changes_in_operation.watched import WatchedStage, opened, samples
+from piezo_studies.tables import markdown_table
 
 CHANGE_S, MEASURED_S, WATCHED_S = 5.07, 2.0, 6.0
 """Time of the change in a run, time afterwards in which the error is twice as large on average, and
@@ -58,15 +58,7 @@ class Doubling:
 
 
 def watch_doubling(watched: WatchedStage, kind: str, change: str) -> Doubling:
-    """Track a reference while the stage changes so that the model's error doubles.
-
-    Parameters
-    ----------
-    watched : WatchedStage
-        Stage; it is copied and not modified.
-    change : str
-        Key of `CHANGES`.
-    """
+    """Track a reference on a copy of a stage that changes so that the model's error doubles."""
     voltage_v = plan_of(kind, watched.identified.model, 0).voltage_v(
         0, samples(CHANGE_S + WATCHED_S))
     unchanged, changed = (
@@ -92,10 +84,7 @@ def watch_doubling(watched: WatchedStage, kind: str, change: str) -> Doubling:
 def error_um(residual_um: FloatArray) -> float:
     """Return the RMS error in the time `MEASURED_S` after the change, as the monitor computes it.
 
-    Parameters
-    ----------
-    residual_um : ndarray, shape (N,)
-        Residual from the beginning of a run on.
+    The residual, (N,), is that from the beginning of a run on.
     """
     size, slow, squares = samples(MonitorSettings().block_s), SlowOffset(), []
     for begin in range(size, samples(CHANGE_S + MEASURED_S), size):
@@ -107,23 +96,17 @@ def error_um(residual_um: FloatArray) -> float:
 
 
 def table(rows: list[tuple[str, list[Doubling], list[Doubling]]]) -> str:
-    """Return the results as a Markdown table.
-
-    Parameters
-    ----------
-    rows : list of (str, list of Doubling, list of Doubling)
-        Change, and its results on each reference after hours of tracking and in the first run.
-    """
-    lines = ["| what changes | after hours: found in 2 s | median | slowest "
-             "| in the first run: found in 2 s | median | slowest |", 7 * "|---" + "|"]
-    return "\n".join([*lines, *(f"| {change} | {_cells(later)} | {_cells(first)} |"
-                                for change, later, first in rows)]) + "\n"
+    """Return as Markdown each change, with its results after hours and in the first run."""
+    return markdown_table(
+        ("what changes", "after hours: found in 2 s", "median", "slowest",
+         "in the first run: found in 2 s", "median", "slowest"),
+        [(change, *_cells(later), *_cells(first)) for change, later, first in rows])
 
 
-def _cells(doublings: list[Doubling]) -> str:
+def _cells(doublings: list[Doubling]) -> tuple[str, str, str]:
     found_s = np.array([each.found_s for each in doublings])
     soon = np.count_nonzero(found_s <= MEASURED_S)
     slowest = (f"{found_s.max():.1f} s" if np.isfinite(found_s).all()
                else f"{np.count_nonzero(np.isnan(found_s))} not in {WATCHED_S:g} s")
     median_s = np.median(np.where(np.isnan(found_s), np.inf, found_s))
-    return f"{soon} of {found_s.size} | {median_s:.1f} s | {slowest}"
+    return f"{soon} of {found_s.size}", f"{median_s:.1f} s", slowest

@@ -53,15 +53,7 @@ KINDS: dict[str, Reference] = {
 
 @cache
 def plan_of(kind: str, model: StageModel, draw: int) -> FeedforwardPlan:
-    """Plan a run of a kind of reference.
-
-    Parameters
-    ----------
-    kind : str
-        Key of `KINDS`.
-    draw : int
-        Number of a random reference; other references do not depend on it.
-    """
+    """Plan a run of a kind of reference; only random references depend on the number `draw`."""
     reference = KINDS[kind]
     if reference.kind == "random":
         samples = round(PERIOD_S * CLOCK.sample_rate_hz)

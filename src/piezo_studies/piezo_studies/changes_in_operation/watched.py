@@ -57,14 +57,7 @@ class WatchedStage:
 
     def play(self, voltage_v: FloatArray, added_um: FloatArray | None = None,
              flags: int = int(Flag.TRACKING)) -> list[Suspicion]:
-        """Play voltages and return the reported changes.
-
-        Parameters
-        ----------
-        voltage_v : ndarray, shape (N,)
-        added_um : ndarray, shape (N,), optional
-            Displacement that a change of the stage adds.
-        """
+        """Play voltages, to which a change may add displacements; return reported changes."""
         raised: list[Suspicion] = []
         for begin in range(0, voltage_v.size, PART_SAMPLES):
             part = slice(begin, begin + PART_SAMPLES)
@@ -98,12 +91,9 @@ def samples(duration_s: float) -> int:
 
 
 def watch_unchanged(watched: WatchedStage, hours: float) -> list[Report]:
-    """Track references in random order on a stage that does not change.
+    """Track references in random order for simulated hours on a stage that does not change.
 
-    Parameters
-    ----------
-    hours : float
-        Simulated time; the last kinds of references are tracked only in its second half.
+    The last kinds of references are tracked only in the second half.
     """
     random, kinds = np.random.default_rng(0), list(KINDS)
     runs, reports = round(3600.0 * hours / RUN_S), []

@@ -13,6 +13,7 @@ from piezo_studies.coupled_scans.marks import mark_table, rasters_marked
 from piezo_studies.coupled_scans.scan_trials import TABLES, Row
 from piezo_studies.coupled_scans.xy_stage import identified
 from piezo_studies.marked_sections import write_sections
+from piezo_studies.tables import markdown_table
 
 PICTURE_DOTS_PER_INCH, COLOURS = 110, 64
 SECTIONS = "scans: "
@@ -49,12 +50,11 @@ def main(arguments: list[str] | None = None) -> None:
 def table(name: str, rows: Iterable[Row]) -> str:
     """Return the rows of a table as Markdown."""
     measured, unit, _ = TABLES[name]
-    lines = [f"| {measured}, {unit} | no inverse | inverse of the model | learned | runs | noise | "
-             "wanted |", "|---|---|---|---|---|---|---|"]
-    lines += [f"| {row.asked} | {_rounded(row.none)} | {_rounded(row.inverse)} | "
-              f"{_rounded(row.learned)} | {row.runs} | {_rounded(row.noise)} | {row.wanted:g} |"
-              for row in rows]
-    return "\n".join(lines) + "\n"
+    return markdown_table(
+        (f"{measured}, {unit}", "no inverse", "inverse of the model", "learned", "runs", "noise",
+         "wanted"),
+        [(row.asked, *map(_rounded, (row.none, row.inverse, row.learned)), str(row.runs),
+          _rounded(row.noise), f"{row.wanted:g}") for row in rows])
 
 
 def _rounded(number: float) -> str:

@@ -27,6 +27,7 @@ from piezo_studies.coupled_scans.xy_stage import (
     plant_of_study,
     ramp_of_study,
 )
+from piezo_studies.tables import markdown_table
 
 SIZE_UM, LINES = 20.0, 10
 LINES_PER_S = (5.0, 20.0, 100.0)
@@ -106,13 +107,12 @@ def followed_with_law(planned: StoredScan, law: AxesLaw, held_s: float,
 
 def feedback_table(rows: Iterator[FeedbackRow]) -> str:
     """Return the rows as Markdown: error of the worse axis, and the largest offset."""
-    heads = [f"with feedback, {hz:.0f} Hz" for hz in DISTURBANCES_HZ]
-    lines = [f"| raster of {SIZE_UM:.0f} um | change | " + " | ".join(
-        f"{head}: error, % | offset, um" for head in ("without", *heads)) + " | noise, % |",
-        "|---" * (5 + 2 * len(heads)) + "|"]
+    led = [f"with feedback, {hz:.0f} Hz" for hz in DISTURBANCES_HZ]
+    heads = [head for each in ("without", *led) for head in (f"{each}: error, %", "offset, um")]
+    cells = []
     for row in rows:
-        cells = [f"{max(run.error_percent):.2g} | {np.abs(run.offset_um).max():.2g}"
-                 for run in (row.without, *row.led)]
+        numbers = [number for run in (row.without, *row.led) for number in (
+            max(run.error_percent), np.abs(run.offset_um).max())]
         noise = max(100.0 * NOISE_UM / np.ptp(row.without.scan.position_um, axis=0))
-        lines.append(f"| {row.path} | {row.change} | {' | '.join(cells)} | {noise:.2g} |")
-    return "\n".join(lines) + "\n"
+        cells.append([row.path, row.change, *(f"{number:.2g}" for number in (*numbers, noise))])
+    return markdown_table([f"raster of {SIZE_UM:.0f} um", "change", *heads, "noise, %"], cells)

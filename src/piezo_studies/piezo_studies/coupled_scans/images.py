@@ -19,6 +19,7 @@ from piezo_recorder.images.scan_image import ScanImage, image_of
 from piezo_sim.specimen.grating import grating
 from piezo_studies.coupled_scans.scan_trials import VOLTAGE_RANGE_V
 from piezo_studies.coupled_scans.xy_stage import imaged
+from piezo_studies.tables import markdown_table
 
 SIZE_UM, LINES, RATE_HZ = 20.0, 256, 20.0
 PITCH_UM, SEED = 2.5, 1
@@ -66,10 +67,9 @@ def image_table(images: Mapping[str, ScanImage], specimen: Field) -> str:
     for name, image in images.items():
         known = error_by_specimen(image, specimen)
         numbers = (error_by_sensors(image).rms, known.rms, known.rms_calibrated)
-        rows.append(f"| {name} | " + " | ".join(f"{number:.2g}" for number in numbers) + " |")
-    return "\n".join([
-        "| RMS in pixels | by the sensors | by the specimen | without scale, rotation, "
-        "squareness |", "|---|---|---|---|", *rows]) + "\n"
+        rows.append((name, *(f"{number:.2g}" for number in numbers)))
+    return markdown_table(("RMS in pixels", "by the sensors", "by the specimen",
+                           "without scale, rotation, squareness"), rows)
 
 
 def images_figure(images: Mapping[str, ScanImage]) -> Figure:

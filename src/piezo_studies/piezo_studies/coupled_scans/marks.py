@@ -21,6 +21,7 @@ from piezo_studies.coupled_scans.xy_stage import (
     moving,
     plant_of_study,
 )
+from piezo_studies.tables import markdown_table
 
 SIZE_UM, LINES = 20.0, 16
 LINES_PER_S = (5.0, 20.0, 100.0)
@@ -76,10 +77,9 @@ def _seen_um(reading_um: FloatArray, true_um: FloatArray) -> FloatArray:
 
 def mark_table(rows: Iterator[MarkRow]) -> str:
     """Return the rows as Markdown."""
-    lines = ["| raster of 20 um, both directions | a sample, nm | by time: RMS, samples | largest "
-             "| by position: RMS, samples | largest |", "|---|---|---|---|---|---|"]
-    for row in rows:
-        numbers = (f"{np.sqrt(np.mean(late**2)):.2g} | {np.abs(late).max():.2g}"
-                   for late in (row.by_time, row.by_position))
-        lines.append(f"| {row.path} | {row.sample_nm:.2g} | {' | '.join(numbers)} |")
-    return "\n".join(lines) + "\n"
+    return markdown_table(
+        ("raster of 20 um, both directions", "a sample, nm", "by time: RMS, samples", "largest",
+         "by position: RMS, samples", "largest"),
+        [(row.path, *(f"{number:.2g}" for number in (row.sample_nm, *(
+            number for late in (row.by_time, row.by_position)
+            for number in (np.sqrt(np.mean(late**2)), np.abs(late).max()))))) for row in rows])

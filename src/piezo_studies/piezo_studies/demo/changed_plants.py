@@ -12,21 +12,9 @@ SOURCE = "the demo: a change that is hidden from the model"
 
 
 def with_faster_mode(plant, factor, begin_s):
-    """Return a plant whose last vibration mode becomes faster while it runs.
+    """Return a plant file's content whose last mode becomes faster by a factor at a stage time.
 
-    Parameters
-    ----------
-    plant : str
-        Name of a plant that comes with the simulator, or path of a plant file.
-    factor : float
-        Ratio of the frequencies after and before the change.
-    begin_s : float
-        Stage time of the change.
-
-    Returns
-    -------
-    dict or None
-        Content of a plant file; None if the plant has no such mode.
+    It is None if the plant has no vibration mode.
     """
     content = _content(plant)
     modes = [number for number, entry in enumerate(content["stage"])
@@ -41,18 +29,7 @@ def with_faster_mode(plant, factor, begin_s):
 
 
 def with_sensor_lag(plant, lag_s):
-    """Return a plant whose displacement passes a first-order low-pass before it is measured.
-
-    Parameters
-    ----------
-    plant : str
-        Name of a plant that comes with the simulator, or path of a plant file.
-
-    Returns
-    -------
-    dict
-        Content of a plant file.
-    """
+    """Return a plant file's content whose displacement passes a first-order lag at the sensor."""
     content = _content(plant)
     content["sensor"].insert(0, {
         "effect": "distributed_lag", "lag_s": _valued(lag_s, "s"), "sections": _valued(1, "1")})
@@ -60,13 +37,7 @@ def with_sensor_lag(plant, lag_s):
 
 
 def write_plant(content, path):
-    """Write the content of a plant file; return its path.
-
-    Parameters
-    ----------
-    path : Path
-        Path of the file; its folder is created if it is missing.
-    """
+    """Write the content of a plant file, and its folder if it is missing; return its path."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
     return path

@@ -124,7 +124,6 @@ def run_demo(plant, directory, command, progress, show_summary, has_second_part=
     directory : Path
         Directory for the recordings, ``model.json``, ``summary.json``, ``report.html``, the figure
         ``tracking.png`` and the logs.
-    progress : ProgressLine
     show_summary : callable
         Called with the summary of the first part after its report was written.
     has_second_part : bool
@@ -212,13 +211,17 @@ def _write_page(directory, plant, command, sections):
         render_report(plant, command, sections), encoding="utf-8")
 
 
+def _shown(progress, step):
+    """Return a function that shows the feedback of an action."""
+    return lambda feedback: progress.show(
+        f"{step}, {feedback.stage}", feedback.fraction, feedback.seconds_left)
+
+
 def _identify(client, processes, plant, directory, progress):
     """Identify, and bring the stage to rest during the estimation."""
-    def show(feedback):
-        progress.show(f"identify, {feedback.stage}", feedback.fraction, feedback.seconds_left)
-
     with _blaming(processes, "identification"):
-        goal = RunningGoal(client, "identify", show, directory=directory)
+        goal = RunningGoal(
+            client, "identify", _shown(progress, "identify"), directory=directory)
         if goal.wait_until(lambda: goal.stage.startswith("estimate")):
             _rest(client, processes)
         return goal.result()
@@ -226,23 +229,19 @@ def _identify(client, processes, plant, directory, progress):
 
 def _record_diagnostic(client, processes, directory, progress):
     """Run the diagnostic experiment, and return the path of its recording."""
-    def show(feedback):
-        progress.show(f"diagnose, {feedback.stage}", feedback.fraction, feedback.seconds_left)
-
     with _blaming(processes, "identification"):
-        return client.run_experiment("diagnostic", directory, on_feedback=show).recording
+        return client.run_experiment(
+            "diagnostic", directory, on_feedback=_shown(progress, "diagnose")).recording
 
 
 @contextmanager
 def _diagnosing(client, processes, identified, recording, directory, progress):
     """Start the diagnosis, and yield its running goal."""
-    def show(feedback):
-        progress.show(f"diagnose, {feedback.stage}", feedback.fraction, feedback.seconds_left)
-
     with _blaming(processes, "identification"):
         yield RunningGoal(
-            client, "diagnose", show, directory=directory / "diagnosis", model=identified.model,
-            recordings=[recording], holdout=_recording_of("validation", identified))
+            client, "diagnose", _shown(progress, "diagnose"), directory=directory / "diagnosis",
+            model=identified.model, recordings=[recording],
+            holdout=_recording_of("validation", identified))
 
 
 def _rest(client, processes):

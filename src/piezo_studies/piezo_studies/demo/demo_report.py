@@ -25,12 +25,7 @@ SHOWN_EXPERIMENTS = "creep", "dynamics", "validation"
 
 
 def render_report(plant, command, sections):
-    """Return the report as one HTML page.
-
-    Parameters
-    ----------
-    sections : sequence of Section
-    """
+    """Return the report as one HTML page."""
     return render_page(TITLE, _introduction(plant, command), sections)
 
 
@@ -45,17 +40,7 @@ class DrawnRuns:
 
 
 def draw_runs(errors, model, recordings, tracks, directory):
-    """Read the identified model, its recordings and the runs with it, and draw them.
-
-    Parameters
-    ----------
-    recordings : sequence of path-like
-        Recordings of `SHOWN_EXPERIMENTS`, in this order.
-    tracks : sequence of path-like
-        Recordings of the runs.
-    directory : path-like
-        Directory of the model and the recordings.
-    """
+    """Read the identified model, recordings of `SHOWN_EXPERIMENTS` and runs, and draw them."""
     runs = [read_tracked_run(track) for track in tracks]
     read = dict(zip(SHOWN_EXPERIMENTS, map(read_recording, recordings), strict=True))
     return drawn_runs(errors, load_model(model), read, runs, directory)
@@ -72,14 +57,7 @@ def drawn_runs(errors, identified, recordings, runs, directory):
 
 
 def report_sections(summary, drawn, extended):
-    """Return the sections of the report on the first part of the demo.
-
-    Parameters
-    ----------
-    summary : dict
-        Summary from `summary.summarise`.
-    drawn : DrawnRuns
-    """
+    """Return the sections of the report on the first part of the demo; see `summary.summarise`."""
     return [
         _errors_section(summary), *drawn.sections,
         *extended_model_sections(summary, drawn.runs, extended),

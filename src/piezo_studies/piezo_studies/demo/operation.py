@@ -69,11 +69,6 @@ class Decided:
 def start_changing_stage(session, plant, directory):
     """Start the stage on which a mode becomes faster, and the monitor, without waiting for them.
 
-    Parameters
-    ----------
-    directory : Path
-        Directory of the second part; the plant file is written to its folder ``monitor``.
-
     Returns
     -------
     float or None
@@ -92,14 +87,7 @@ def start_changing_stage(session, plant, directory):
 def monitor_a_change(session, change_s, model, directory):
     """Track while a mode becomes faster, and accept the model that the monitor then offers.
 
-    Parameters
-    ----------
-    session : Session
-        Session in which `start_changing_stage` has started the stage.
-    change_s : float
-        Time returned by `start_changing_stage`.
-    model : path-like
-        Model that is monitored.
+    The stage was started, and the time of the change returned, by `start_changing_stage`.
 
     Raises
     ------
@@ -143,19 +131,9 @@ def _proposal(path):
 
 
 def second_part(session, plant, change_s, model, directory):
-    """Run both parts, and return their results for the summary.
+    """Run both parts with the extended model of the first; return their results for the summary.
 
-    Parameters
-    ----------
-    change_s : float or None
-        Time from `start_changing_stage`.
-    model : path-like
-        Extended model of the first part.
-
-    Returns
-    -------
-    dict
-        Results with the keys ``monitor`` (or None) and ``decision``.
+    The results have the keys ``monitor``, None without a time of the change, and ``decision``.
     """
     watched = None if change_s is None else monitor_a_change(
         session, change_s, model, Path(directory, "monitor"))

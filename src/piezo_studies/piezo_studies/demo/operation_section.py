@@ -6,26 +6,14 @@ from piezo_identification.diagnosis.joint.probabilities import LISTED
 
 
 def operation_sections(operation):
-    """Return the sections of the report.
-
-    Parameters
-    ----------
-    operation : dict
-        Results from `operation.second_part`.
-    """
+    """Return the sections of the report on the results of `operation.second_part`."""
     monitor = operation["monitor"]
     return [*([] if monitor is None else [_monitor_section(monitor)]),
             _decision_section(operation["decision"])]
 
 
 def format_operation(operation):
-    """Return one line of text for each of the two parts.
-
-    Parameters
-    ----------
-    operation : dict
-        Results from `operation.second_part`.
-    """
+    """Return one line of text for each of the two results of `operation.second_part`."""
     lines, monitor, decision = [], operation["monitor"], operation["decision"]
     if monitor is not None:
         lines.append(

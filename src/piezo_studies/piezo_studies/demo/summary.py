@@ -32,7 +32,6 @@ def summarise(runs, identification, directory):
 
     Parameters
     ----------
-    runs : list of TrackedRun
     identification : dict of str to float
         Errors of the model on unseen data, by name.
     directory : path-like
@@ -52,13 +51,10 @@ def summarise(runs, identification, directory):
 
 
 def summarise_run(run, directory):
-    """Return the errors of one run.
+    """Return one run with the thesis' figure or None, and its errors.
 
-    Returns
-    -------
-    dict
-        Run and its errors: e_rms (2.32) by the sensor, of the simulator's true displacement, and by
-        the sensor without the mean error, together with the thesis' figure or None.
+    These are e_rms (2.32) by the sensor, of the simulator's true displacement, and by the sensor
+    without the mean error.
     """
     return {
         "frequency_hz": run.frequency_hz,

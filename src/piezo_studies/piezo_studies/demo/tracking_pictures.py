@@ -27,12 +27,8 @@ MODE_MARKERS = {"open_loop": "s", "feedforward": "^", "composite": "o"}
 def draw_errors(entries, entries_after=()):
     """Draw the error e_rms of every mode over the frequency, and the thesis' composite controller.
 
-    Parameters
-    ----------
-    entries : list of dict
-        Entries from `summary.summarise_run`.
-    entries_after : list of dict, optional
-        Entries with the extended model; only composite is drawn.
+    The entries are those of `summary.summarise_run`; with the extended model, in `entries_after`,
+    only composite is drawn.
     """
     figure = new_figure(4.2)
     axes = figure.subplots()
@@ -66,13 +62,7 @@ def _plot_errors(axes, entries, key, **style):
 
 
 def draw_tracking(runs):
-    """Draw reference, displacement and error of the runs of one frequency.
-
-    Parameters
-    ----------
-    runs : dict of str to TrackedRun
-        Runs by mode.
-    """
+    """Draw reference, displacement and error of the runs of one frequency, by mode."""
     shown, time_ms = _last_periods(next(iter(runs.values())))
     figure = new_figure(2.4 + 1.3 * len(runs))
     above, *below = figure.subplots(1 + len(runs), 1, sharex=True,
@@ -94,12 +84,7 @@ def draw_tracking(runs):
 
 
 def draw_voltages(feedforward_v, feedback_v, run):
-    """Draw the feedforward voltage over the last periods, feedback voltage over the whole run.
-
-    Parameters
-    ----------
-    feedforward_v, feedback_v : ndarray, shape (N,)
-    """
+    """Draw the feedforward voltage over the last periods, feedback voltage over the whole run."""
     shown, time_ms = _last_periods(run)
     figure = new_figure(4.4)
     above, below = figure.subplots(2, 1)
@@ -112,12 +97,7 @@ def draw_voltages(feedforward_v, feedback_v, run):
 
 
 def draw_spectra(feedforward_v, feedback_v, sample_rate_hz):
-    """Draw the spectra of the feedforward and the feedback voltage over the whole run.
-
-    Parameters
-    ----------
-    feedforward_v, feedback_v : ndarray, shape (N,)
-    """
+    """Draw the spectra of the feedforward and the feedback voltage over the whole run."""
     figure = new_figure(3.6)
     axes = figure.subplots()
     for voltage_v, style in ((feedforward_v, FEEDFORWARD), (feedback_v, FEEDBACK)):
@@ -131,18 +111,9 @@ def draw_spectra(feedforward_v, feedback_v, sample_rate_hz):
 
 
 def amplitude_spectrum(signal, sample_rate_hz):
-    """Return the amplitudes of the sines in a signal with a Hann window.
+    """Return the frequencies and the amplitudes of the sines in a signal, without the mean, (M,).
 
-    The window reduces the leakage of a drift.
-
-    Parameters
-    ----------
-    signal : ndarray, shape (N,)
-
-    Returns
-    -------
-    frequency_hz, amplitude : ndarray, shape (M,)
-        Spectrum without the mean.
+    A Hann window reduces the leakage of a drift.
     """
     window = np.hanning(len(signal) + 1)[:-1]
     harmonics = np.fft.rfft((signal - signal.mean()) * window)

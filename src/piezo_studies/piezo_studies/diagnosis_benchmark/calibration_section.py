@@ -5,6 +5,7 @@ from piezo_common.picture_style import new_figure, to_png
 from piezo_studies.diagnosis_benchmark.coverage import KNOWN, coverage
 from piezo_studies.diagnosis_benchmark.reliability import calibrate, draw_reliability
 from piezo_studies.marked_sections import write_sections
+from piezo_studies.tables import markdown_table
 
 
 def write_section(page, document):
@@ -20,24 +21,23 @@ def write_section(page, document):
     kind, results = document["kind"], document["results"]
     length, found = "short" if kind == "short" else "long", calibrate(results)
     picture = page.parent / "pictures" / f"diagnosis_{length}.png"
-    write_sections(page, {f"{length} cases": "\n".join([
-        f"{len(results)} {kind} cases of seed {document['seed']}:", "",
-        "| probability of the first statement | cases | mean | true |", "|---|---|---|---|",
-        *(f"| {low:.1f} to {high:.1f} | {count} | {stated:.2f} | {true:.2f} |"
-          for low, high, stated, true, count in zip(
-              found.edges[:-1], found.edges[1:], found.stated, found.true, found.counts,
-              strict=True) if count),
-        "", "| figure | value |", "|---|---|",
-        *(f"| {group}: {what} | {count} |" for group, counts in sorted(
+    first = markdown_table(
+        ("probability of the first statement", "cases", "mean", "true"),
+        [(f"{low:.1f} to {high:.1f}", str(count), f"{stated:.2f}", f"{true:.2f}")
+         for low, high, stated, true, count in zip(
+             found.edges[:-1], found.edges[1:], found.stated, found.true, found.counts,
+             strict=True) if count])
+    strict_error = calibrate(results, strict=True).expected_calibration_error
+    figures = markdown_table(("figure", "value"), [
+        *((f"{group}: {what}", str(count)) for group, counts in sorted(
             document["outcomes"].items()) for what, count in counts.items()),
-        f"| expected calibration error | {found.expected_calibration_error:.3f} |",
-        f"| the same of a calibrated program, mean | {found.calibrated_mean:.3f} |",
-        f"| in 95 of 100 of its runs at most | {found.calibrated_most:.3f} |",
-        "| expected calibration error, strict | "
-        f"{calibrate(results, strict=True).expected_calibration_error:.3f} |",
-        *_intervals(results),
-        "", f"![How often statements come true, over their probability](pictures/{picture.name})",
-        ""])})
+        ("expected calibration error", f"{found.expected_calibration_error:.3f}"),
+        ("the same of a calibrated program, mean", f"{found.calibrated_mean:.3f}"),
+        ("in 95 of 100 of its runs at most", f"{found.calibrated_most:.3f}"),
+        ("expected calibration error, strict", f"{strict_error:.3f}"), *_intervals(results)])
+    write_sections(page, {f"{length} cases": (
+        f"{len(results)} {kind} cases of seed {document['seed']}:\n\n{first}\n{figures}\n"
+        f"![How often statements come true, over their probability](pictures/{picture.name})\n")})
     figure = new_figure()
     draw_reliability(figure.subplots(), found)
     picture.parent.mkdir(exist_ok=True)
@@ -55,7 +55,7 @@ def _intervals(results):
         "the same, of the parameter that was drawn": coverage(results, "drawn"),
         **{f"{level} of `{cause}`": shown for cause in KNOWN
            if (shown := coverage(_with_cause(results, cause)))["intervals"]}}
-    return [f"| {what} | {each['right']} of {each['intervals']} |" for what, each in found.items()]
+    return [(what, f"{each['right']} of {each['intervals']}") for what, each in found.items()]
 
 
 def _with_cause(results, cause):

@@ -6,7 +6,38 @@ with the same meaning in both are evaluated.
 """
 
 import numpy as np
+from scipy.optimize import least_squares
 from scipy.stats import norm
+
+from piezo_models.effects import fitted_values, with_fitted_values
+
+
+def nearest_parameters(effect, without_um, added_um, sample_period_s, regression):
+    """Return the parameters with which an effect approximates a hidden one best.
+
+    The plant is known and free of noise, so the parameters contain neither model errors nor errors
+    from fitting noise.
+
+    Parameters
+    ----------
+    effect : piezo_models.effects.effect.Effect
+        Effect of the named form, which acts after the stage; the search begins with it.
+    without_um, added_um : (N,) array
+        Response of the plant without the hidden effect, and the contribution of that effect.
+    regression : Regression
+        Regression on one recording of these samples, which gives rows, weights and regressors.
+    """
+    rows, = regression.dataset.rows
+    values, low, high = fitted_values(effect, regression.dataset.extent)
+
+    def error(numbers):
+        tried = with_fitted_values(effect, numbers)
+        missing_um = added_um + without_um - tried.apply(without_um, sample_period_s)
+        return regression.remainder(missing_um[rows] / regression.tolerance_um)
+
+    solution = least_squares(error, np.clip(values, low, high), bounds=(low, high), x_scale="jac")
+    return with_fitted_values(effect, solution.x).parameters()
+
 
 LEVEL = 0.9
 """Confidence level of the intervals."""
@@ -56,19 +87,9 @@ def estimates(cause, effect, entries, nearest=None):
 
 
 def coverage(results, value="true"):
-    """Return how many intervals contain their parameter.
+    """Return the confidence level, the number of intervals, and how many contain their parameter.
 
-    Parameters
-    ----------
-    results : list of dict
-        Results of `run_case`.
-    value : str
-        Value that they should contain: `true` or `drawn`.
-
-    Returns
-    -------
-    dict
-        Confidence `level`, number of `intervals`, and how many are `right`.
+    The value that they should contain is the one named `value`: `true` or `drawn`.
     """
     found = [estimate for result in results for estimate in result.get("estimates", [])]
     half_width = norm.ppf(0.5 + 0.5 * LEVEL)

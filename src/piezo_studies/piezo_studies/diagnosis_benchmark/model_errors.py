@@ -15,22 +15,14 @@ from piezo_studies.diagnosis_benchmark import records
 from piezo_studies.diagnosis_benchmark.cases import Case
 from piezo_studies.diagnosis_benchmark.plants import draw_plant, noise_um
 from piezo_studies.diagnosis_benchmark.run_case import clean_model
-from piezo_studies.diagnosis_benchmark.short_cases import KINDS, PLANTS, waveform
+from piezo_studies.diagnosis_benchmark.short_case import KINDS, PLANTS, waveform
 
 
 def errors_over_stated(seed, plant, identified):
     """Return the errors of a model on clean recordings over the error that its file states.
 
-    Parameters
-    ----------
-    seed, plant : int
-        Seed and number of the plant.
-
-    Returns
-    -------
-    (n,) array
-        RMS beyond the noise on held-out stretches over the stated error, for each kind of waveform
-        at each rate.
+    The errors, (n,), are the RMS beyond the noise on held-out stretches, for each kind of waveform
+    at each rate.
     """
     stage, ratios = draw_plant((seed, plant)), []
     for is_slow in (False, True):

@@ -52,13 +52,10 @@ def _group_of_refused(result):
 
 
 def outcome(result):
-    """Classify the result of a case.
+    """Return the group of a case, "clean", "outside", "clear" or "weak", and how its result counts.
 
-    Returns
-    -------
-    group, counted : str
-        The group is "clean", "outside", "clear" or "weak", by the contribution. The first name is
-        right only if all further named effects are present.
+    The group follows from the contribution. The first name is right only if all further named
+    effects are present.
     """
     if result["verdict"] == "refused":
         return _group_of_refused(result), "refused"

@@ -12,12 +12,7 @@ from piezo_sim.plant.sensor import DisplacementSensor
 
 
 def draw_plant(seed):
-    """Draw a plant with the default structure and random parameters.
-
-    Parameters
-    ----------
-    seed : sequence of int
-    """
+    """Draw a plant with the default structure and random parameters."""
     random = np.random.default_rng([*seed, *b"plant"])
     plant = read_plant()
     size = _factor(random, 1.8)

@@ -148,10 +148,7 @@ def play_proposed(plant, experiment, seed):
 def player_of_proposals(plant, seed):
     """Return a function that plays proposed experiments on a plant; see `decide.decide`.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of the previous recording; each further recording uses the next one.
+    The seed is that of the previous recording; each further recording uses the next one.
     """
     seeds = itertools.count(seed + 1)
     return lambda proposal, progress: play_proposed(plant, proposal.experiment, next(seeds))

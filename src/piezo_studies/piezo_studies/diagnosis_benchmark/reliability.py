@@ -56,21 +56,9 @@ class Reliability:
 def is_true(result, label, strict=False):
     """Return whether a statement of a diagnosis is true in a case.
 
-    Parameters
-    ----------
-    result : dict
-        Result of `run_case`.
-    label : str
-        A key of `probabilities`.
-    strict : bool
-        Accept "something else" only for causes outside the list.
-
-    Returns
-    -------
-    bool
-        A set of effects is true if all its effects are present, including a strongest one. "None"
-        is true if no effect is present, or none is clear. "Something else" is true if the cause is
-        outside the list, or if it is named but differs in form from the effect in the list.
+    A set of effects is true if all its effects are present, including a strongest one. "None" is
+    true if no effect is present, or none is clear. "Something else" is true if the cause is outside
+    the list, or, unless `strict`, if it is named but differs in form from the effect in the list.
     """
     group, _ = outcome(result)
     if label == NONE:
@@ -88,18 +76,7 @@ def is_true(result, label, strict=False):
 
 
 def first_statements(results, strict=False):
-    """Return the largest probability of each case, and whether its statement is true.
-
-    Parameters
-    ----------
-    strict : bool
-        Passed to `is_true`.
-
-    Returns
-    -------
-    probabilities : (n,) array of float
-    true : (n,) array of bool
-    """
+    """Return the largest probability of each case, (n,), and whether its statement is true."""
     weighed = [result for result in results if result.get("probabilities")]
     first = [max(result["probabilities"], key=result["probabilities"].get) for result in weighed]
     return (np.array([result["probabilities"][label]
@@ -109,13 +86,7 @@ def first_statements(results, strict=False):
 
 
 def reliability(probabilities, true, bins=BINS):
-    """Return how often statements are true, in bins of their probability.
-
-    Parameters
-    ----------
-    probabilities : (n,) array of float
-    true : (n,) array of bool
-    """
+    """Return how often statements, (n,), are true, in bins of their probability."""
     probabilities = np.asarray(probabilities, dtype=float)
     edges = np.linspace(0.0, 1.0, bins + 1)
     number = np.minimum((probabilities * bins).astype(int), bins - 1)
@@ -160,11 +131,5 @@ def draw_reliability(axes, found):
 
 
 def calibrate(results, strict=False):
-    """Return the calibration of a table of cases.
-
-    Parameters
-    ----------
-    strict : bool
-        Passed to `is_true`.
-    """
+    """Return the calibration of a table of cases; for `strict` see `is_true`."""
     return reliability(*first_statements(results, strict))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from piezo_identification.diagnosis.comparison.measures_of_fits import lack_of_fit
+from piezo_identification.diagnosis.comparison.criteria import lack_of_fit
 from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_identification.diagnosis.evidence.known_noise import noise_of_model
 from piezo_identification.diagnosis.experiment_design.decide import decide
@@ -21,7 +21,6 @@ from piezo_identification.fitting.dataset import simulate_recordings
 from piezo_identification.fitting.parameter_sensitivities import parameter_sensitivities
 from piezo_identification.fitting.regression import first_regression
 from piezo_identification.identification.identify import identify
-from piezo_identification.simulation.nuisance import nuisance_regressors
 from piezo_studies.diagnosis_benchmark import records
 from piezo_studies.diagnosis_benchmark.coverage import estimates
 from piezo_studies.diagnosis_benchmark.effect_draws import (
@@ -40,14 +39,7 @@ WEAKEST_MULTIPLE = 1e-2
 
 
 def identified_model(plant, seed):
-    """Identify a model of a plant, including its effects, from designed experiments.
-
-    Returns
-    -------
-    IdentifiedModel
-    tuple of Recording
-        Recordings from which the model was identified.
-    """
+    """Identify a model of a plant with its effects from designed recordings; return both."""
     experiments = records.identification_experiments()
     with tempfile.TemporaryDirectory() as folder:
         recordings = {}
@@ -74,7 +66,7 @@ def clean_model(seed, plant):
 
 
 def run_case(case, clean, experiments=0):
-    """Record a drawn case, diagnose it, and return the result.
+    """Record a drawn case, diagnose it, and return the result, which no machine changes.
 
     Parameters
     ----------
@@ -82,24 +74,11 @@ def run_case(case, clean, experiments=0):
         Model and recordings of the plant without effects; see `identified_model`.
     experiments : int
         Most proposed recordings that may be made if alternatives remain.
-
-    Returns
-    -------
-    dict
-        Result as plain values; it does not depend on the machine.
     """
     plant = draw_plant((case.seed, case.plant))
     experiment = records.KINDS[case.kind](case.random("waveform"), case.slow)
     seed = int(case.random("noise").integers(2**31))
-    surroundings = records.surroundings(experiment, seed)
-    voltage_v, _ = records.commanded(experiment)
-    clock_samples = records.clock_samples(experiment)
-    drawn: list[DrawnEffect] = []
-    for index, (cause, multiple) in enumerate(zip(case.causes, case.multiples, strict=True)):
-        previous = drawn[-1].plant if drawn else plant
-        drawn.append(drawn_effect(
-            cause, previous, voltage_v, surroundings, multiple, seed + index, clock_samples))
-    hidden = drawn[-1].plant if drawn else plant
+    drawn, hidden = drawn_effects(case, plant, experiment, seed)
     (model, _), (known, identified_from) = clean, clean
     if drawn and not case.later:
         known, identified_from = identified_model(hidden, seed % 2**20)
@@ -111,12 +90,9 @@ def run_case(case, clean, experiments=0):
     noise = noise_um(plant)
     contributions = []
     for effect, previous in zip(drawn, [plant, *(effect.plant for effect in drawn)], strict=False):
-        with_it_um, without_um = (
-            response_um(stage, voltage_v, surroundings, clock_samples)[recording.playing]
-            for stage in (effect.plant, previous)
-        )
+        _, added_um = responses_um(previous, effect.plant, experiment, seed, recording)
         part = diagnosis.selection.regression.dataset.simulated[0]
-        beyond_um = _beyond_model_um(part, with_it_um - without_um)
+        beyond_um = _beyond_model_um(part, added_um)
         contributions.append({
             "cause": effect.cause, "effect": repr(effect.effect),
             "over_noise": effect.contribution_rms_um / noise,
@@ -176,23 +152,43 @@ def _missing_um(diagnosis):
     return float(rms_tolerances * np.sqrt(np.mean(regression.tolerance_um**2)))
 
 
-def drawn_effect(cause, plant, voltage_v, surroundings, multiple, seed, clock_samples):
-    """Draw the effect; halve its contribution until the recording can show it."""
-    while True:
-        try:
-            return draw_effect(
-                cause, plant, voltage_v, surroundings, multiple, seed, clock_samples)
-        except DrawError:
-            if multiple < WEAKEST_MULTIPLE:
-                raise
-            multiple *= 0.5
+def drawn_effects(case, plant, experiment, seed):
+    """Return the effects of a case, each drawn on the plant with the others, and the last plant.
+
+    A contribution is halved until the recording can show it.
+    """
+    voltage_v, _ = records.commanded(experiment)
+    surroundings = records.surroundings(experiment, seed)
+    drawn: list[DrawnEffect] = []
+    for index, (cause, multiple) in enumerate(zip(case.causes, case.multiples, strict=True)):
+        while len(drawn) == index:
+            try:
+                drawn.append(draw_effect(cause, plant, voltage_v, surroundings, multiple,
+                                         seed + index, records.clock_samples(experiment)))
+            except DrawError:
+                if multiple < WEAKEST_MULTIPLE:
+                    raise
+                multiple *= 0.5
+        plant = drawn[-1].plant
+    return drawn, plant
+
+
+def responses_um(plant, changed, experiment, seed, recording):
+    """Return the noise-free response of a plant, and the contribution of a change, (N,) each."""
+    voltage_v, _ = records.commanded(experiment)
+    surroundings = records.surroundings(experiment, seed)
+    without_um, with_it_um = (
+        response_um(stage, voltage_v, surroundings, records.clock_samples(experiment))[
+            recording.playing]
+        for stage in (plant, changed))
+    return without_um, with_it_um - without_um
 
 
 def _beyond_model_um(part, added_um):
     """Return the RMS of a signal with offset, initial creep and model parameters projected out."""
     rows = np.arange(part.begin, added_um.size)
     columns = np.column_stack([
-        nuisance_regressors(part, rows), parameter_sensitivities(part, rows)])
+        part.nuisance_regressors(rows), parameter_sensitivities(part, rows)])
     columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     residual = added_um[rows]
     residual = residual - columns @ np.linalg.lstsq(columns, residual, rcond=1e-10)[0]

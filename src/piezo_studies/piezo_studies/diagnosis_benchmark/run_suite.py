@@ -18,8 +18,7 @@ from piezo_studies.diagnosis_benchmark.outcome import (
 )
 from piezo_studies.diagnosis_benchmark.reliability import calibrate
 from piezo_studies.diagnosis_benchmark.run_case import clean_model, run_case
-from piezo_studies.diagnosis_benchmark.short_case import run_short_case
-from piezo_studies.diagnosis_benchmark.short_cases import draw_short_cases
+from piezo_studies.diagnosis_benchmark.short_case import draw_short_cases, run_short_case
 from piezo_studies.kept_results import KeptResults
 
 DRAWS = {"long": draw_cases, "all-along": draw_cases_all_along, "short": draw_short_cases}

@@ -35,7 +35,6 @@ def decide_twin(cause, clean, plant_seed, seed, budget=1):
         A key of `TWINS`.
     clean : (IdentifiedModel, tuple of Recording)
         Model and recordings of the plant without effects; see `run_case.clean_model`.
-    plant_seed : sequence of int
     """
     plant = draw_plant(plant_seed)
     experiment = records.tracking(np.random.default_rng(seed), TWINS[cause])

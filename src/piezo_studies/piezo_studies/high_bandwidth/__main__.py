@@ -6,8 +6,7 @@ import json
 import sys
 from pathlib import Path
 
-from piezo_studies.high_bandwidth.page import draw, sections
-from piezo_studies.high_bandwidth.trade_off import TITLES, Compared, compare
+from piezo_studies.high_bandwidth.trade_off import TITLES, Compared, compare, draw, sections
 from piezo_studies.marked_sections import write_sections
 from piezo_studies.thesis.identified_stage import identified_stage
 from piezo_studies.thesis.pictures import small_png

@@ -71,14 +71,9 @@ class Search:
             report: Callable[[str, FloatArray, float], None]) -> float:
         """Search, and return the largest margin found (dB).
 
-        Exceeded bounds reduce the margin to the demands.
-
-        Parameters
-        ----------
-        starts, trials : int
-            Number of random initial values, and of random changes of the best result.
-        report : callable
-            Called at each improvement with its name, the best parameters and their margin.
+        A number of random initial values, and of random changes of the best result, are tried.
+        Exceeded bounds reduce the margin to the demands. Each improvement is reported by its name,
+        the best parameters and their margin.
         """
         rng = np.random.default_rng(seed)
         best, least = np.empty(0), np.inf

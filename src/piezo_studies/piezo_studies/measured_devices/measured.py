@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from piezo_identification.conditioning.settling import settling_time_s
 from piezo_identification.estimators.frequency_response.response_file import (
     FrequencyResponse,
     read_frequency_response,
@@ -17,15 +16,9 @@ from piezo_identification.estimators.frequency_response.response_fit import (
 )
 from piezo_identification.estimators.hysteresis.density_fit import estimate_density
 from piezo_identification.prediction import Prediction
-from piezo_models.cascade import StageModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.measures import e_rms_percent
 from piezo_recorder.reading.reader import read_recording
-from piezo_studies.measured_devices.jump_response import (
-    JumpResponse,
-    estimate_jump_dynamics,
-    jump_response,
-)
 
 NESTED_LOOPS = "piezo_scanner/nested_minor_loops.csv"
 MAJOR_LOOPS = "piezo_scanner/major_loops.csv"
@@ -37,10 +30,8 @@ TRANSLATION_WEIGHT, SMOOTHING_WEIGHT = 1e-8, 1e-14
 equally wide loops elsewhere. Samples held out from the same loops cannot determine these weights.
 With either of them ten times larger or smaller the errors are 0.38 to 0.42 % and 0.41 to 0.59 %."""
 
-RINGING_FITTED_S = 0.012
-RINGING_SHOWN_S = 0.032
-RINGING_MODES = 2
-"""Number of modes in the band of the sensor; a third one is strongly damped and does not ring."""
+RINGING_S = 0.032
+"""Time after the jump of the cantilever in which it rings, and which is not fitted."""
 
 FITTED_CYCLES, TESTED_CYCLES = 4, 2
 
@@ -79,18 +70,6 @@ class Figure:
         return self.ours <= self.bound
 
 
-@dataclass(frozen=True, eq=False)
-class Ringing:
-    """Measured and modelled response to a jump."""
-
-    response: JumpResponse
-
-    modelled_um: np.ndarray
-    """Shape (N,)."""
-    dynamics: ElectricVibrationDynamics
-    standard_deviations: dict
-
-
 def nrmse_percent(prediction):
     """Return the RMS error over the measured range in percent, with the offset removed."""
     return e_rms_percent(prediction.measured_um, prediction.simulated_um, remove_offset=True)
@@ -107,12 +86,6 @@ def scanner(directory):
 
     The recordings are slow and have no time base. Only the hysteresis is fitted, so that the creep
     is part of the error.
-
-    Returns
-    -------
-    figures : list of Figure
-    predictions : dict of str to Prediction
-        Predictions for the unseen recordings by title.
     """
     nested, major = (read_recording(Path(directory) / name) for name in (NESTED_LOOPS, MAJOR_LOOPS))
     figures, predictions = [], {}
@@ -136,50 +109,44 @@ def scanner(directory):
 
 
 def cantilever(directory):
-    """Fit ringing and first cycles of the cantilever, and test on the following ones.
+    """Fit the first cycles of the cantilever after its jump, and test on the following ones.
 
-    Returns
-    -------
-    figures : list of Figure
-    prediction : Prediction
-        Prediction for the unseen cycles.
-    ringing : Ringing
+    Its modes are so much faster than the cycles that only the hysteresis is fitted.
     """
     recording = read_recording(Path(directory) / CANTILEVER)
-    ringing_figure, ringing = _ringing(jump_response(recording, RINGING_SHOWN_S))
-    jump, period = first_cycle(recording.voltage_v)
+    model, begin, period = fitted_cycles(recording)
     sample = np.arange(recording.voltage_v.size)
-    begin = jump + FITTED_CYCLES * period
-    end = begin + TESTED_CYCLES * period
-    settled = jump + settling_time_s(ringing.dynamics) / recording.sample_period_s
-    fitted = recording.select((sample >= settled) & (sample < begin))
-    estimate = estimate_density(fitted, CreepDynamics(), ringing.dynamics, level_count=50)
-    model = StageModel(estimate.model(), CreepDynamics(), ringing.dynamics)
-    played = recording.select((sample >= settled) & (sample < end))
-    simulated_um = model.simulate(played.voltage_v, played.sample_period_s)
-    tested = slice(fitted.voltage_v.size, None)
+    tested = (sample >= begin) & (sample < begin + TESTED_CYCLES * period)
+    simulated_um = model.simulate(recording.voltage_v)
     prediction = _without_offset(
-        played.time_s[tested], played.voltage_v[tested], played.displacement_um[tested],
+        recording.time_s[tested], recording.voltage_v[tested], recording.displacement_um[tested],
         simulated_um[tested])
-    figure = Figure(
+    return [Figure(
         "cantilever", "NRMSE", f"cycles 1 to {FITTED_CYCLES}",
         f"cycles {FITTED_CYCLES + 1} to {FITTED_CYCLES + TESTED_CYCLES}", "%", 0.233, 0.233,
         nrmse_percent(prediction), "the scatter of the cycles makes 0.129 %",
-    )
-    return [figure, ringing_figure], prediction, ringing
+    )], prediction
+
+
+def fitted_cycles(recording):
+    """Fit the hysteresis of the cantilever to its first cycles.
+
+    The model is returned with the first sample after these cycles, and the samples of a cycle.
+    """
+    jump, period = first_cycle(recording.voltage_v)
+    sample = np.arange(recording.voltage_v.size)
+    end = int(np.ceil(jump + FITTED_CYCLES * period))
+    rung = jump + round(RINGING_S / recording.sample_period_s)
+    fitted = recording.select((sample >= rung) & (sample < end))
+    return estimate_density(fitted, CreepDynamics(), ElectricVibrationDynamics(),
+                            level_count=50).model(), end, period
 
 
 def nanopositioner(directory):
     """Fit the frequency response of the nanopositioner, and predict omitted frequencies.
 
-    Returns
-    -------
-    figures : list of Figure
-    measured : FrequencyResponse
-    modelled : ndarray of complex, shape (N,)
-        Response of the model fitted to all frequencies.
-    predicted : ndarray of complex, shape (N,)
-        Response at each frequency of the model whose fit omitted it.
+    Measured response, that of the model fitted to all frequencies, and that at each frequency of
+    the model whose fit omitted it, are returned with the figures.
     """
     measured = read_frequency_response(Path(directory) / NANOPOSITIONER).between(*BAND_HZ)
     part = np.arange(measured.gain.size) % PARTS
@@ -207,30 +174,6 @@ def nanopositioner(directory):
             float(100.0 * error), remark,
         ))
     return figures, measured, whole.response(measured.frequency_hz), predicted
-
-
-def _ringing(response):
-    """Fit the dynamics to the first ringing, and test them on the following ringing."""
-    estimate = estimate_jump_dynamics(response.first(RINGING_FITTED_S), RINGING_MODES)
-    dynamics = estimate.model
-    basis = response.basis(dynamics)
-    coefficients = np.linalg.lstsq(basis, response.displacement_um, rcond=1e-12)[0]
-    modelled_um = basis @ coefficients
-    difference_um = response.displacement_um - modelled_um
-    unseen = response.time_s >= RINGING_FITTED_S
-    ringing_um = modelled_um - response.basis(ElectricVibrationDynamics()) @ coefficients
-    frequency_hz = dynamics.mode_frequencies_rad_per_s[0] / (2.0 * np.pi)
-    deviations = estimate.standard_deviations
-    deviation_hz = deviations["mode_frequencies_rad_per_s"][0] / (2.0 * np.pi)
-    figure = Figure(
-        "cantilever", "RMS of the rest", f"ringing, {1e3 * RINGING_FITTED_S:g} ms",
-        f"the next {1e3 * (RINGING_SHOWN_S - RINGING_FITTED_S):g} ms", "um", 0.049,
-        float(np.std(ringing_um[unseen])), float(np.std(difference_um[unseen])),
-        f"ringing there {np.std(ringing_um[unseen]):.3f} um RMS; mode {frequency_hz:.1f} "
-        f"+- {deviation_hz:.1f} Hz, damping {dynamics.damping_ratios[0]:.4f} "
-        f"+- {deviations['damping_ratios'][0]:.4f}",
-    )
-    return figure, Ringing(response, modelled_um, dynamics, deviations)
 
 
 def first_cycle(voltage_v):

@@ -23,14 +23,14 @@ from piezo_recorder.reading.reader import read_recording
 from piezo_studies.measured_devices.measured import (
     BAND_HZ,
     CANTILEVER,
-    FITTED_CYCLES,
     MAJOR_LOOPS,
     NANOPOSITIONER,
     NESTED_LOOPS,
-    RINGING_SHOWN_S,
+    RINGING_S,
     SMOOTHING_WEIGHT,
     TRANSLATION_WEIGHT,
     first_cycle,
+    fitted_cycles,
 )
 
 BEFORE_JUMP_S = 0.12
@@ -76,14 +76,12 @@ class Finding:
 def cantilever_without_vibration(directory):
     """Diagnose a static hysteresis, fitted on slow cycles, on rest and ringing after the jump."""
     recording = read_recording(Path(directory) / CANTILEVER)
-    jump, period = first_cycle(recording.voltage_v)
+    static = _static(fitted_cycles(recording)[0])
+    jump, _ = first_cycle(recording.voltage_v)
+    before, after = (round(each_s / recording.sample_period_s)
+                     for each_s in (BEFORE_JUMP_S, RINGING_S))
     sample = np.arange(recording.voltage_v.size)
-    shown = round(RINGING_SHOWN_S / recording.sample_period_s)
-    fitted = recording.select((sample >= jump + shown) & (sample < jump + FITTED_CYCLES * period))
-    static = _static(estimate_density(
-        fitted, CreepDynamics(), ElectricVibrationDynamics(), level_count=50).model())
-    rest = round(BEFORE_JUMP_S / recording.sample_period_s)
-    ringing = recording.select((sample >= jump - rest) & (sample < jump + shown))
+    ringing = recording.select((sample >= jump - before) & (sample < jump + after))
     return finding_of("cantilever", "static hysteresis", diagnose(static, [ringing]),
                       "a third of the samples around the jump")
 
@@ -119,10 +117,6 @@ def symmetric(hysteresis):
     """Return the nearest hysteresis whose falling branches are rising ones turned by 180 degrees.
 
     Its density is unchanged if both thresholds are mirrored at the middle.
-
-    Parameters
-    ----------
-    hysteresis : PreisachModel
     """
     density, reversible = hysteresis.density_um_per_v2, hysteresis.reversible_um_per_v
     return replace(
@@ -142,11 +136,3 @@ def finding_of(data, poor_model, diagnosis, held_out):
         tuple(entry["name"] for entry in diagnosis.effects), held_out,
         diagnosis.before["e_y_percent"], diagnosis.after["e_y_percent"], left=diagnosis.left,
     )
-
-
-FINDINGS = {
-    "cantilever": lambda directory: [cantilever_without_vibration(directory)],
-    "nanopositioner": lambda directory: [nanopositioner_without_creep(directory)],
-    "scanner": scanner_without_asymmetry,
-}
-"""Functions that diagnose poor models of a set, by the name of the set."""

@@ -4,10 +4,8 @@
 import numpy as np
 
 from piezo_common.picture_style import (
-    BLACK,
     DIFFERENCE,
     GREEN,
-    LIMIT,
     MEASURED,
     MODELLED,
     VERMILION,
@@ -35,41 +33,10 @@ def draw_loops_and_difference(path, title, prediction):
     figure.savefig(path, dpi=DOTS_PER_INCH)
 
 
-def draw_ringing(path, title, ringing, fitted_s):
-    """Draw the response to a jump, and the difference.
-
-    Parameters
-    ----------
-    fitted_s : float
-        Time after the jump up to which the dynamics were fitted.
-    """
-    response = ringing.response
-    time_ms = 1e3 * response.time_s
-    figure = new_figure(5.0, WIDE_IN)
-    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    above.plot(time_ms, response.displacement_um, **POINTS)
-    above.plot(time_ms, ringing.modelled_um, **MODELLED)
-    above.legend(loc="upper right")
-    label(above, y="displacement (um)", title=title)
-    below.plot(time_ms, response.displacement_um - ringing.modelled_um, **DIFFERENCE)
-    label(below, "time after the jump (ms)", "difference (um)")
-    for axes in above, below:
-        axes.axvline(1e3 * fitted_s, **LIMIT)
-    above.text(1e3 * fitted_s, above.get_ylim()[0], " not fitted from here on", va="bottom",
-               color=BLACK, size="small")
-    figure.savefig(path, dpi=DOTS_PER_INCH)
-
-
 def draw_frequency_response(path, title, frequency_hz, measured, modelled, predicted):
-    """Draw gain and phase of a measured response and of its model.
+    """Draw gain and phase of a measured response, of its model, and as predicted, (N,) each.
 
-    Parameters
-    ----------
-    frequency_hz : ndarray, shape (N,)
-    measured : ndarray of complex, shape (N,)
-    modelled, predicted : ndarray of complex, shape (N,)
-        Response of the model fitted to all frequencies, and at each frequency of the model whose
-        fit omitted it.
+    Each predicted value is that of the model whose fit omitted this frequency.
     """
     figure = new_figure(5.5, WIDE_IN)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))

@@ -5,7 +5,7 @@ They are a circuit that behaves like a mass on a cubic spring (Silverbox), and a
 with hysteresis (Bouc-Wen).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,11 +22,12 @@ from piezo_recorder.reading.recording import Recording
 from piezo_studies.measured_devices.measured import Figure
 from piezo_studies.measured_devices.measured_diagnosis import Finding, finding_of
 
-CIRCUIT, ARROW = "circuit_cubic_spring/multisine.csv", "circuit_cubic_spring/arrow.csv"
+CIRCUIT_FILES = "circuit_cubic_spring/multisine.csv", "circuit_cubic_spring/arrow.csv"
+"""Multisines, and the arrow."""
 
-BOUC_WEN, BOUC_WEN_MULTISINE, BOUC_WEN_SWEEP = (
-    "bouc_wen/train_multisine.csv", "bouc_wen/test_multisine_two_periods.csv",
-    "bouc_wen/test_sweep.csv")
+BOUC_WEN_FILES = ("bouc_wen/train_multisine.csv", "bouc_wen/test_multisine_two_periods.csv",
+                  "bouc_wen/test_sweep.csv")
+"""Training data, test multisine, and sweep."""
 
 FITTED_PART = 0.7
 """Fraction of a recording that is fitted; the rest is predicted."""
@@ -38,17 +39,9 @@ MV_PER_UM = 1e3
 """Conversion of displacements to voltages of the circuit: the files store 1 V as 1 um."""
 
 
-@dataclass(frozen=True, eq=False)
-class Benchmark:
-    """The results for an oscillator."""
-
-    figures: list[Figure]
-    finding: Finding
-
-
-def circuit(directory: Path) -> Benchmark:
+def circuit(directory: Path) -> tuple[list[Figure], list[Finding]]:
     """Identify the circuit on multisines, diagnose it, and predict further ones and the arrow."""
-    multisine, arrow = (read_recording(Path(directory) / name) for name in (CIRCUIT, ARROW))
+    multisine, arrow = (read_recording(Path(directory) / name) for name in CIRCUIT_FILES)
     fitted, unseen = divided(multisine)
     identified = identify(dynamics=fitted)
     fitted, unseen, arrow = (_aligned(identified, each) for each in (fitted, unseen, arrow))
@@ -64,17 +57,17 @@ def circuit(directory: Path) -> Benchmark:
             Figure("circuit", "RMS, diagnosed", "multisines", name, "mV", nonlinear_mv,
                    nonlinear_mv, after, "the best published"),
         ]
-    return Benchmark(figures, finding_of("circuit", "linear", diagnosis, "the arrow"))
+    return figures, [finding_of("circuit", "linear", diagnosis, "the arrow")]
 
 
-def bouc_wen(directory: Path) -> Benchmark:
+def bouc_wen(directory: Path) -> tuple[list[Figure], list[Finding]]:
     """Identify the hysteretic oscillator on noisy multisines, diagnose it, and predict unseen data.
 
     The training data have no noise; the benchmark's rules add `NOISE_UM` RMS.
     """
     train, multisine, sweep = (
         read_recording(Path(directory) / name)
-        for name in (BOUC_WEN, BOUC_WEN_MULTISINE, BOUC_WEN_SWEEP))
+        for name in BOUC_WEN_FILES)
     noise_um = NOISE_UM * np.random.default_rng(0).normal(size=train.displacement_um.size)
     train = replace(train, displacement_um=train.displacement_um + noise_um)
     identified = identify(dynamics=train)
@@ -93,7 +86,7 @@ def bouc_wen(directory: Path) -> Benchmark:
                    1.8, bounds[1], after, f"{0.01 * after * travel_um:.2g} um; the best published, "
                    "12 um with 217 parameters, is a black box, ours has the form of the equation"),
         ]
-    return Benchmark(figures, finding_of("Bouc-Wen", "linear", diagnosis, "the test multisine"))
+    return figures, [finding_of("Bouc-Wen", "linear", diagnosis, "the test multisine")]
 
 
 def _aligned(identified: IdentifiedModel, recording: Recording) -> Recording:

@@ -49,13 +49,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 def in_own_process(stage: str, seed: int, folder: Path, is_diagnosed: bool,
                    cpu_minutes: int) -> Outcome:
-    """Run a trial in a separate process; terminate it with all its children after a time limit.
-
-    Parameters
-    ----------
-    stage : str
-        Key of `MAKES`.
-    """
+    """Run a trial in a separate process; terminate it with all its children after a time limit."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / OUTCOME).unlink(missing_ok=True)
     command = [sys.executable, "-u", "-m", "piezo_studies.other_makes.trial", "--stage", stage,

@@ -2,7 +2,7 @@
 """Linear systems as sums over poles: lags, modes, creep by a continuum of rates, flexures."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import reduce
 from math import gamma
 from typing import Any, Self
@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 
 from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_studies.other_makes.hystereses import Hysteresis
 
 RATES_PER_DECADE = 4
 """Rates per decade that represent a continuum; the trapezoidal rule is then exact to 1e-7."""
@@ -83,11 +84,8 @@ def coupled_flexures(mass: FloatArray, damping: FloatArray, stiffness: FloatArra
                      force: FloatArray, reading: FloatArray, direct: float) -> LinearSystem:
     """Return bodies on springs moved by a force, with a static gain of 1 including the direct part.
 
-    Parameters
-    ----------
-    mass, damping, stiffness : ndarray, shape (B, B)
-    force, reading : ndarray, shape (B,)
-        Weights of the force on the bodies, and of the bodies in the sensor's reading.
+    The matrices are (B, B). The weights of the force on the bodies, and of the bodies in the
+    sensor's reading, are (B,).
     """
     bodies = len(mass)
     a = np.block([[np.zeros((bodies, bodies)), np.eye(bodies)],
@@ -104,14 +102,9 @@ def coupled_flexures(mass: FloatArray, damping: FloatArray, stiffness: FloatArra
 
 def spectrum(share_of: Callable[[FloatArray], FloatArray], fastest_s: float,
              slowest_s: float) -> LinearSystem:
-    """Return 1 plus a continuum of relaxations.
+    """Return 1 plus a continuum of relaxations between two time constants.
 
-    Parameters
-    ----------
-    share_of : callable
-        Density of the relaxations over the natural logarithm of their time constants (s).
-    fastest_s, slowest_s : float
-        Smallest and largest time constant.
+    Their density is over the natural logarithm of their time constants (s).
     """
     count = round(RATES_PER_DECADE * np.log10(slowest_s / fastest_s)) + 1
     times_s = np.geomspace(fastest_s, slowest_s, count)
@@ -152,21 +145,10 @@ def fractional_creep(share: float, time_s: float, order: float, fastest_s: float
 
 
 def knots_s(period_s: float, fastest_per_s: float, read_s: float) -> FloatArray:
-    """Return times within a row between which signals are approximated by straight lines.
+    """Return increasing times within a row between which signals are approximated by lines.
 
-    They are dense after the edge of the row, and sparse once the front has settled.
-
-    Parameters
-    ----------
-    fastest_per_s : float
-        Magnitude of the fastest pole before the hysteresis; 0 if there is none.
-    read_s : float
-        Time that must be included.
-
-    Returns
-    -------
-    ndarray
-        Increasing times from 0 to the period.
+    They include the time of the reading, are dense after the edge of the row, and sparse once the
+    fastest pole before the hysteresis, 0 if there is none, has settled.
     """
     times = [0.0]
     if fastest_per_s > 0.0:
@@ -185,19 +167,9 @@ steps."""
 
 def held_response(system: LinearSystem, voltage_v: FloatArray, knots: FloatArray,
                   state: ComplexArray) -> tuple[FloatArray, ComplexArray]:
-    """Return the exact response to a voltage held in each row, at the knots of the row.
+    """Return the exact response, (N, K), to a voltage held in each row, at the knots of the row.
 
-    Parameters
-    ----------
-    voltage_v : ndarray, shape (N,)
-    knots : ndarray, shape (K,)
-    state : ndarray of complex, shape (P,)
-        State before the first row.
-
-    Returns
-    -------
-    response_v : ndarray, shape (N, K)
-    state : ndarray of complex, shape (P,)
+    The state, (P,), is that before the first row; the one after the last row is returned with it.
     """
     if system.poles_per_s.size == 0:
         return np.repeat(system.direct * voltage_v[:, None], knots.size, axis=1), state
@@ -208,22 +180,11 @@ def held_response(system: LinearSystem, voltage_v: FloatArray, knots: FloatArray
 
 def straight_response(system: LinearSystem, input_um: FloatArray, knots: FloatArray, read: int,
                       state: ComplexArray) -> tuple[FloatArray, ComplexArray]:
-    """Return the exact response to straight lines between the knots of each row.
+    """Return the exact response, (N,), to straight lines between the knots of each row.
 
-    Parameters
-    ----------
-    input_um : ndarray, shape (N, K)
-        Input; it may jump between the last knot of a row and the first of the next one.
-    knots : ndarray, shape (K,)
-    read : int
-        Number of the knot at which the response is read; at the first one, before the jump.
-    state : ndarray of complex, shape (P,)
-        State before the first row.
-
-    Returns
-    -------
-    response_um : ndarray, shape (N,)
-    state : ndarray of complex, shape (P,)
+    The input, (N, K), may jump between the last knot of a row and the first of the next one; at the
+    first knot the response is read before the jump. The state, (P,), is that before the first row;
+    the one after the last row is returned with it.
     """
     steps = np.diff(knots)[:, None]
     reached: ComplexArray = steps * system.poles_per_s
@@ -275,3 +236,51 @@ def _straight(kept: ComplexArray, first: ComplexArray, second: ComplexArray,
                     state[p] = (kept[k, p] * state[p] + first[k, p] * signal[n, k]
                                 + second[k, p] * signal[n, k + 1])
     return response, state
+
+
+@dataclass(frozen=True)
+class HeldVoltage:
+    """A voltage that is held for a period in each row."""
+
+    voltage_v: FloatArray
+    """Shape (N,)."""
+    period_s: float
+
+
+@dataclass(frozen=True)
+class Stage:
+    """The cascade of a stage, which is independent of the models."""
+
+    hysteresis: Hysteresis
+
+    behind: LinearSystem
+    """Creep, modes and lags after the hysteresis."""
+    front: LinearSystem = field(default_factory=unchanged)
+    """The amplifier, before the hysteresis."""
+    delay_s: float = 0.0
+    """Delay of the reading."""
+
+    def displacement_um(self, past: list[HeldVoltage], played: HeldVoltage) -> FloatArray:
+        """Return the displacement, (N,), at the times at which the voltages of rows change.
+
+        The stage was never cycled and begins at rest at 0 V, before the past voltages.
+        """
+        late_rows = int(np.ceil(self.delay_s / played.period_s - 1e-9))
+        read_s = max(late_rows * played.period_s - self.delay_s, 0.0)
+        begun = HeldVoltage(np.append(np.full(late_rows, played.voltage_v[0]), played.voltage_v),
+                       played.period_s)
+        fastest_per_s = np.abs(self.front.poles_per_s).max(initial=0.0)
+        pieces, knots, state = [], [], np.zeros(self.front.poles_per_s.size, complex)
+        for each in (*past, begun):
+            knots.append(knots_s(each.period_s, fastest_per_s,
+                                 read_s if each is begun else 0.0))
+            reached_v, state = held_response(self.front, each.voltage_v, knots[-1], state)
+            pieces.append(reached_v)
+        driven_um = self.hysteresis(np.concatenate([piece.ravel() for piece in pieces]))
+        state, first = np.zeros(self.behind.poles_per_s.size, complex), 0
+        for piece, instants in zip(pieces, knots, strict=True):
+            part_um = driven_um[first : first + piece.size].reshape(piece.shape)
+            first += piece.size
+            read = int(np.argmin(np.abs(instants - read_s))) if piece is pieces[-1] else 0
+            answer_um, state = straight_response(self.behind, part_um, instants, read, state)
+        return answer_um[: played.voltage_v.size]

@@ -11,6 +11,7 @@ from piezo_identification.experiments.stage_limits import StageLimits
 from piezo_studies.other_makes.hystereses import JilesAtherton, MaxwellSlip, Plays
 from piezo_studies.other_makes.linear_system import (
     LinearSystem,
+    Stage,
     coupled_flexures,
     fractional_creep,
     in_parallel,
@@ -19,7 +20,6 @@ from piezo_studies.other_makes.linear_system import (
     mode,
     power_creep,
 )
-from piezo_studies.other_makes.stage_by_rows import Stage
 
 ANY_SLEW_V_PER_S = 1e9
 """Slew limit of the makes, which has no effect."""
@@ -52,13 +52,7 @@ class Make:
 
 
 class Draw:
-    """Random parameters about their nominal values.
-
-    Parameters
-    ----------
-    seed : int
-        Seed; 0 gives the nominal values.
-    """
+    """Random parameters about their nominal values; the seed 0 gives the nominal ones."""
 
     def __init__(self, seed: int) -> None:
         self._random = np.random.default_rng(seed) if seed else None

@@ -24,8 +24,8 @@ from piezo_identification.experiments.catalogue import (
     validation,
 )
 from piezo_models.measures import e_y_percent
+from piezo_studies.other_makes.linear_system import HeldVoltage
 from piezo_studies.other_makes.makes import Make
-from piezo_studies.other_makes.stage_by_rows import HeldVoltage
 
 IDENTIFICATION, UNSEEN = ("creep", "dynamics", "hysteresis"), ("slow", "fast", "mixed")
 KNOWN = "known.json"

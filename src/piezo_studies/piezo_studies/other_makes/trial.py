@@ -89,12 +89,8 @@ def failed(failure: str) -> Outcome:
 def run(folder: Path, is_diagnosed: bool) -> Outcome:
     """Identify a make from the recordings in a folder, and predict the unseen motions.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder from `recordings.record`; the model and the diagnosis are written there.
-    is_diagnosed : bool
-        Whether to diagnose the mixed motion with the model, with the fast one held out.
+    If `is_diagnosed`, the mixed motion is diagnosed with the model, with the fast one held out.
+    Model and diagnosis are written into the folder.
     """
     model = folder / MODEL
     model.unlink(missing_ok=True)
@@ -141,15 +137,10 @@ def unseen_error_percent(identified: IdentifiedModel, path: Path,
 
 
 def intervals(identified: IdentifiedModel, true: dict[str, list[float]]) -> list[Interval]:
-    """Compare the parameters of a model with the true ones.
+    """Compare the parameters of a model with the true ones of a make.
 
     Each true mode is compared with the mode of the model that is nearest in frequency, in series or
     parallel. A lag or delay with the true value 0 is included only if the model has one.
-
-    Parameters
-    ----------
-    true : dict of str to list of float
-        True values as in `makes.Make`.
     """
     modes = modes_of(identified)
     found = []

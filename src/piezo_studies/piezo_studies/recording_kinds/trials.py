@@ -12,9 +12,40 @@ from pathlib import Path
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_studies.other_makes.stage_by_rows import Stage
+from piezo_studies.other_makes.hystereses import Duhem, Plays
+from piezo_studies.other_makes.linear_system import HeldVoltage, Stage, lag, logarithmic_creep, mode
 from piezo_studies.recording_kinds.laboratory_voltages import KINDS, Played, validation
-from piezo_studies.recording_kinds.stages import displacement_um, duhem_stage, play_stage
+
+REST_S = 20.0
+"""Duration (s) of the rise from 0 V to the first voltage of a recording, and of the rest there."""
+
+RISE_ROWS = 400
+"""Number of rows of that rise, and of that rest."""
+
+
+def play_stage() -> Stage:
+    """Return a stage with plays between two curves, for 100 V and about 13 um."""
+    widths_v = np.linspace(0.0, 25.0, 12)
+    weights = 0.12 * np.append(0.8, 0.04 * np.exp(-widths_v[1:] / 15.0))
+    modes = mode(620.0, 0.02, 0.92).parallel_to(mode(1450.0, 0.015, 0.08))
+    return Stage(Plays(widths_v, weights, (1.0, 1.5e-3), (1.002, 1.0e-3)),
+                 logarithmic_creep(0.012, 1e-3, 1e4).then(modes).then(lag(4e-4)))
+
+
+def duhem_stage() -> Stage:
+    """Return a stage with the Duhem equation and slower modes, for 100 V and about 30 um."""
+    modes = mode(210.0, 0.03, 0.9).parallel_to(mode(760.0, 0.02, 0.1))
+    return Stage(Duhem(0.2, 0.2, 0.4, 0.03, 0.5),
+                 logarithmic_creep(0.008, 1e-3, 1e4).then(modes).then(lag(8e-4)))
+
+
+def displacement_um(stage: Stage, voltage_v: FloatArray, period_s: float) -> FloatArray:
+    """Return the displacement, (N,), of a rested stage while a voltage is played."""
+    past_v = np.append(np.linspace(0.0, voltage_v[0], RISE_ROWS),
+                       np.full(RISE_ROWS, voltage_v[0]))
+    return stage.displacement_um([HeldVoltage(past_v, REST_S / RISE_ROWS)],
+                                 HeldVoltage(voltage_v, period_s))
+
 
 COMMAND = "piezo_identification.commands.identify_command"
 STAGES: dict[str, Callable[[], Stage]] = {"plays": play_stage, "Duhem": duhem_stage}
@@ -66,13 +97,7 @@ class Outcome:
 
 
 def trials(stages: tuple[str, ...] = tuple(STAGES)) -> Iterator[Trial]:
-    """Yield trials that vary the kind of one recording, its variant, or the omitted experiment.
-
-    Parameters
-    ----------
-    stages : tuple of str
-        Keys of `STAGES`.
-    """
+    """Yield trials that vary the kind of one recording, its variant, or the omitted experiment."""
     usual = {name: next(iter(kinds)) for name, kinds in KINDS.items()}
     for stage in stages:
         yield Trial(stage, usual)
@@ -90,13 +115,7 @@ def trials(stages: tuple[str, ...] = tuple(STAGES)) -> Iterator[Trial]:
 
 
 def run(trial: Trial, folder: Path) -> Outcome:
-    """Record the stage of a trial, identify it with the command, and read the result.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder for recordings and models; existing recordings are used again.
-    """
+    """Record the stage of a trial unless the folder has it, identify it, and read the result."""
     model = folder / "model.json"
     model.unlink(missing_ok=True)
     arguments = ["--output", str(model), "--no-report"]
@@ -140,12 +159,7 @@ def recordings(stage: str, experiment: str, kind: str, variant: str, folder: Pat
 def recorded(stage: str, name: str, played: Played, variant: str, folder: Path) -> Path:
     """Record a stage for a voltage in a table, unless the folder already has it.
 
-    Parameters
-    ----------
-    stage : str
-        Key of `STAGES`.
-    variant : str
-        One of `VARIANTS` except the last.
+    The variant is one of `VARIANTS` except the last.
     """
     path = folder / f"{stage} {name} {variant}.csv".replace(" ", "_")
     if path.exists():

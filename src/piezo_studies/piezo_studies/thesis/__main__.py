@@ -7,9 +7,50 @@ import time
 from pathlib import Path
 
 from piezo_studies.marked_sections import write_sections
+from piezo_studies.thesis import (
+    chirp_response,
+    compensation,
+    designed_hysteresis,
+    excitation,
+    feedback_figures,
+    identified_stage,
+    inverse_feedforward,
+    known_density,
+    known_dynamics,
+    learned_tracking,
+    multirate_tracking,
+    multisine_dynamics,
+    one_sine,
+    scanning,
+    slow_hysteresis,
+    slow_tracking,
+    stepwise_inversion,
+    unseen_inputs,
+)
 from piezo_studies.thesis.figure_table import as_json, as_markdown, as_text
 from piezo_studies.thesis.pictures import small_png
-from piezo_studies.thesis.studies import STUDIES
+
+STUDIES = (
+    ("a density from one sine", one_sine.study),
+    ("compensation with an offset", compensation.study),
+    ("slow hysteresis of the stage", slow_hysteresis.study),
+    ("slow tracking by PID and composite", slow_tracking.study),
+    ("hysteresis from designed samples", designed_hysteresis.study),
+    ("dynamics from six sines", multisine_dynamics.study),
+    ("inversion by steps", stepwise_inversion.study),
+    ("scanning by PI and composite", scanning.study),
+    ("creep and dynamics of a known plant", known_dynamics.study),
+    ("density of a known plant", known_density.study),
+    ("frequency response by a chirp", chirp_response.study),
+    ("the stage step by step", identified_stage.study),
+    ("the stage's model on unseen input", unseen_inputs.study),
+    ("inverse feedforward", inverse_feedforward.study),
+    ("feedback design", feedback_figures.study),
+    ("multirate and single-rate tracking", multirate_tracking.study),
+    ("learned tracking", learned_tracking.study),
+    ("excitation of the designed input", excitation.study),
+)
+
 
 SECTION = "reproduced figures"
 """Mark of the table in the page."""
@@ -37,7 +78,7 @@ def main(arguments=None):
         (options.output / "table.json").write_text(as_json(rows), encoding="utf-8")
         for figure, drawing in result.pictures.items():
             (pictures / f"figure_{figure}.png").write_bytes(small_png(drawing))
-    write_sections(options.page, {SECTION: as_markdown(rows) + "\n"})
+    write_sections(options.page, {SECTION: as_markdown(rows)})
     print(as_text(rows))
     print(f"{len(rows)} rows in {time.monotonic() - begin_s:.0f} s: "
           f"{options.output / 'table.json'}, {options.page}")

@@ -60,18 +60,7 @@ def study():
 
 
 def fit_response(frequency_hz, response):
-    """Fit a gain, a lag and a mode, without a delay, to a frequency response.
-
-    Parameters
-    ----------
-    frequency_hz : ndarray, shape (N,)
-    response : ndarray of complex, shape (N,)
-
-    Returns
-    -------
-    gain : float
-    dynamics : ElectricVibrationDynamics
-    """
+    """Fit a gain, a lag and a mode, without a delay, to a frequency response."""
     def dynamics(logarithms):
         time_constant_s, rate_rad_per_s, damping = np.exp(logarithms)
         return ElectricVibrationDynamics(time_constant_s, (rate_rad_per_s,), (damping,))

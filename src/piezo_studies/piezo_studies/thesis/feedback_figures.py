@@ -6,8 +6,8 @@ import numpy as np
 from piezo_common.picture_style import CURVES, label, new_figure
 from piezo_controller.feedback.feedback_design import design_feedback
 from piezo_controller.feedback.loop_measures import loop_responses
-from piezo_controller.feedback.loop_rules import choose_rates
-from piezo_controller.feedback.robustness import check_robustness
+from piezo_controller.feedback.robustness import plant_errors
+from piezo_controller.feedback.stage_design import choose_rates
 from piezo_controller.feedback.synthesis.generalised_plant import design_plant
 from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_controller.feedback.synthesis.ziegler_nichols import ultimate_point_by_relay
@@ -58,8 +58,8 @@ def study():
             known = thesis if name == THESIS_DESIGN or key == SETTLING else None
             rows.append(Row(SECTION, f"{quantity}, {name}", known, found.report[key], unit,
                             "thesis: measured, Fig. 5.6" if key == SETTLING else ""))
-        robust = check_robustness(model, found.state_space(), CLOCK_PERIOD_S, GAIN_SPREAD,
-                                  at_once=at_once)
+        robust = plant_errors(model, found.sample_period_s, CLOCK_PERIOD_S, GAIN_SPREAD,
+                              at_once).robustness(found.state_space())
         rows.append(Row(SECTION, f"Ms at the worst errors, {name}", None,
                         robust.worst_peak_sensitivity, "1",
                         f"5 % in every parameter, 12 % in the gain; of {robust.samples} drawn "

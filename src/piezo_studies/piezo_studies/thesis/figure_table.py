@@ -4,6 +4,8 @@
 import json
 from dataclasses import asdict, dataclass, field
 
+from piezo_studies.tables import markdown_table, text_table
+
 
 @dataclass(frozen=True)
 class Row:
@@ -51,19 +53,12 @@ HEADER = ("section", "quantity", "thesis", "ours", "unit", "remark")
 
 def as_text(rows):
     """Return the table as text with aligned columns."""
-    lines = [HEADER, *(row.cells() for row in rows)]
-    widths = [max(len(line[column]) for line in lines) for column in range(len(HEADER) - 1)]
-    return "\n".join(
-        "  ".join([*(cell.ljust(width) for cell, width in zip(line, widths, strict=False)),
-                   line[-1]]).rstrip()
-        for line in lines
-    )
+    return text_table([HEADER, *(row.cells() for row in rows)])
 
 
 def as_markdown(rows):
-    """Return the table as Markdown."""
-    lines = [HEADER, ("---", "---", "---:", "---:", "---", "---"), *(row.cells() for row in rows)]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    """Return the table as Markdown, ending with a new line."""
+    return markdown_table(HEADER, [row.cells() for row in rows], ("thesis", "ours"))
 
 
 def as_json(rows):

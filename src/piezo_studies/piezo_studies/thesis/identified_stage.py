@@ -7,7 +7,7 @@ import numpy as np
 
 from piezo_common.picture_style import new_figure
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
-from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics
+from piezo_identification.estimators.dynamics.fast_estimate import estimate_dynamics
 from piezo_identification.estimators.hysteresis.density_fit import estimate_density
 from piezo_identification.experiments import catalogue as experiments
 from piezo_models.cascade import StageModel

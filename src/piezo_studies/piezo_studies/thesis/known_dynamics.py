@@ -4,8 +4,8 @@
 import numpy as np
 
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
-from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S, estimate_dynamics
-from piezo_identification.fitting.sensitivities import sensitivity_systems
+from piezo_identification.estimators.dynamics.fast_estimate import WARM_UP_S, estimate_dynamics
+from piezo_identification.fitting.parameter_sensitivities import sensitivity_systems
 from piezo_models.linear.dynamics import equilibrium_state, simulate_linear, zoh
 from piezo_studies.baselines.armax import fit_armax
 from piezo_studies.thesis.figure_table import Row, Study

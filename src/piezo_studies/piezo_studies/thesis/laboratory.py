@@ -54,13 +54,7 @@ def record_experiment(experiment, clock_hz=CLOCK_HZ, seed=1, plant=None):
 
 
 def record_model(name, model, voltage_v, sample_period_s, noise_um, seed=1):
-    """Record a model that begins with all relays off and without creep, with white noise.
-
-    Parameters
-    ----------
-    model : StageModel
-    voltage_v : ndarray, shape (N,)
-    """
+    """Record a model that begins with all relays off and without creep, with white noise."""
     linear = zoh(model.linear(), sample_period_s)
     displacement_um, _ = continue_linear(
         linear, model.hysteresis.simulate(voltage_v), np.zeros(linear.nstates)

@@ -7,8 +7,8 @@ import numpy as np
 from scipy.signal import periodogram
 
 from piezo_common.picture_style import FEEDBACK, FEEDFORWARD, LIMIT, MODE_STYLES, label, new_figure
-from piezo_controller.feedback.computing_time import answer_times_s
 from piezo_controller.feedback.multirate_feedback import MultirateFeedback
+from piezo_controller.feedback.stage_design import answer_times_s
 from piezo_studies.thesis.figure_table import Row, Study
 from piezo_studies.thesis.tracked_stage import FAST, OFFSET_UM, controller, track
 

@@ -7,7 +7,7 @@ The simulated stage has the parameters of chapter 4, which differ slightly from 
 import numpy as np
 
 from piezo_common.picture_style import DIFFERENCE, MEASURED, MODELLED, label, new_figure
-from piezo_identification.estimators.dynamics.multisine import estimate_dynamics_multisine
+from piezo_identification.estimators.dynamics.fast_estimate import estimate_dynamics
 from piezo_identification.prediction import predict
 from piezo_models.cascade import StageModel
 from piezo_studies.baselines.armax_dynamics import estimate_dynamics_armax
@@ -38,8 +38,8 @@ def study():
     """Estimate the parameters by output error and by ARMAX, and the error of the simulation."""
     stage = identified_stage()
     record = record_stage("multisine", multisine_v())
-    dynamics = estimate_dynamics_multisine(
-        record, stage.hysteresis, stage.creep, mode_count=2, delay=ROWS_LATE).model
+    dynamics = estimate_dynamics(
+        record, stage.creep, mode_count=2, delay=ROWS_LATE, hysteresis=stage.hysteresis).model
     armax, _ = estimate_dynamics_armax(
         record, stage.creep, stage.hysteresis, orders=(5, 5, 5), mode_count=2)
     prediction = predict(StageModel(stage.hysteresis, stage.creep, dynamics), record)

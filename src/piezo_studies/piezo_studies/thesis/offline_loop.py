@@ -48,16 +48,9 @@ def play_run(run: TrackingRun, plan: FeedforwardPlan,
 
 def play_law(run: TrackingRun, law: RunningLaw, plan: FeedforwardPlan,
              exchange: Callable[[FloatArray], FloatArray]) -> PlayedRun:
-    """Play a run to its end with a control law that the stage evaluates.
+    """Play a run without feedback of its own with a control law that the stage evaluates.
 
-    Parameters
-    ----------
-    run : TrackingRun
-        Run without its own feedback.
-    law : RunningLaw
-        Control law in its initial state.
-    plan, exchange
-        Arguments as in `play_run`.
+    The law is in its initial state; for plan and exchange see `play_run`.
     """
     at_once = law.samples_at_once
     parts = -(-run.total_samples // at_once)

@@ -11,16 +11,9 @@ DOTS_PER_INCH = 85
 
 
 def draw_plane(figure, axes, levels_v, values, unit):
-    """Draw values over the Preisach plane.
+    """Draw values, (L, L), over the Preisach plane with edges at L + 1 levels.
 
-    Parameters
-    ----------
-    figure, axes : matplotlib objects
-    levels_v : ndarray, shape (L + 1,)
-    values : ndarray, shape (L, L)
-        Values; only those on and below the diagonal are drawn, and no nan.
-    unit : str
-        Label of the colour bar, with the unit.
+    Only values on and below the diagonal are drawn, and no nan. The colour bar has the given unit.
     """
     hidden = np.triu(np.ones(values.shape, dtype=bool), 1) | np.isnan(values)
     shown = np.ma.array(values, mask=hidden)

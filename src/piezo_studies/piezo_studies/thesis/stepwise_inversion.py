@@ -11,7 +11,7 @@ import time
 import numpy as np
 
 from piezo_studies.thesis.figure_table import Row, Study
-from piezo_studies.thesis.wrong_model import wrong_model
+from piezo_studies.thesis.learned_tracking import wrong_model
 
 SECTION = "3.3.2, Algorithm 1"
 HIGHEST_V, LEVELS = 60.0, 180
@@ -47,7 +47,6 @@ def invert_by_steps(hysteresis, wanted_um, step_v=STEP_V, tolerance_um=0.0):
 
     Parameters
     ----------
-    hysteresis : PreisachModel
     wanted_um : (N,) array
         Wanted output of the hysteresis.
     step_v : float

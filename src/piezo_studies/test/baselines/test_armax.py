@@ -9,9 +9,8 @@ from piezo_models.linear.dynamics import (
     zoh_response,
 )
 from piezo_models.linear.dynamics_vector import dynamics_vector
-from piezo_studies.baselines.armax import _PredictionErrors, fit_armax
+from piezo_studies.baselines.armax import _PredictionErrors, fit_armax, identify_subspace
 from piezo_studies.baselines.armax_dynamics import dynamics_of_armax
-from piezo_studies.baselines.subspace import identify_subspace
 
 ONE_MODE = ElectricVibrationDynamics(0.001, (3000.0,), (0.1,))
 TWO_MODES = ElectricVibrationDynamics(0.00049, (2846.0, 4909.0), (0.685, 0.082))

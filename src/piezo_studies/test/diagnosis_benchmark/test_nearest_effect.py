@@ -9,7 +9,7 @@ import pytest
 from piezo_models.effects import Extent
 from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.periodic_disturbance import PeriodicDisturbance
-from piezo_studies.diagnosis_benchmark.nearest_effect import nearest_parameters
+from piezo_studies.diagnosis_benchmark.coverage import nearest_parameters
 
 PERIOD_S, SAMPLES = 1e-3, 4000
 TIME_S = np.arange(SAMPLES) * PERIOD_S

@@ -8,7 +8,7 @@ import pytest
 
 from piezo_studies.diagnosis_benchmark.effect_draws import CAUSES_OUTSIDE
 from piezo_studies.diagnosis_benchmark.model_errors import sentence
-from piezo_studies.diagnosis_benchmark.short_cases import (
+from piezo_studies.diagnosis_benchmark.short_case import (
     KINDS,
     LEVELS,
     draw_short_cases,

@@ -5,11 +5,8 @@ import numpy as np
 import pytest
 
 from piezo_studies.measured_devices.oscillators import (
-    ARROW,
-    BOUC_WEN,
-    BOUC_WEN_MULTISINE,
-    BOUC_WEN_SWEEP,
-    CIRCUIT,
+    BOUC_WEN_FILES,
+    CIRCUIT_FILES,
     bouc_wen,
     circuit,
 )
@@ -68,30 +65,30 @@ def write(path, inputs, read, period_s, noise):
 @pytest.mark.long
 def test_the_circuit_is_found_to_stiffen_and_the_arrow_is_predicted(tmp_path):
     for name, inputs in (
-            (CIRCUIT, multisine(5000, 0.03, 0.5)),
-            (ARROW, multisine(2000, 0.05, 0.5, seed=2) * np.linspace(0.0, 1.0, 2000))):
+            (CIRCUIT_FILES[0], multisine(5000, 0.03, 0.5)),
+            (CIRCUIT_FILES[1],
+             multisine(2000, 0.05, 0.5, seed=2) * np.linspace(0.0, 1.0, 2000))):
         write(tmp_path / name, inputs, played(cubic_spring, [0.0, 0.0], inputs, CIRCUIT_S),
               CIRCUIT_S, 1e-5)
-    benchmark = circuit(tmp_path)
-    assert "stiffening" in benchmark.finding.effects
+    figures, (finding,) = circuit(tmp_path)
+    assert "stiffening" in finding.effects
     linear_mv, diagnosed_mv, linear_arrow_mv, diagnosed_arrow_mv = (
-        figure.ours for figure in benchmark.figures)
+        figure.ours for figure in figures)
     assert diagnosed_mv < 0.2 * linear_mv
     assert diagnosed_arrow_mv < 0.2 * linear_arrow_mv
 
 
 @pytest.mark.long
 def test_the_hysteresis_of_a_spring_is_named_and_unseen_data_are_predicted(tmp_path):
-    for name, size, seed in ((BOUC_WEN, 6000, 0), (BOUC_WEN_MULTISINE, 3000, 1),
-                             (BOUC_WEN_SWEEP, 3000, 2)):
+    for name, size, seed in zip(BOUC_WEN_FILES, (6000, 3000, 3000), range(3), strict=True):
         inputs = multisine(size, 50.0, 0.4, seed)
         read = 1e6 * played(hysteretic_spring, [0.0, 0.0, 0.0], inputs, BOUC_WEN_S)
         write(tmp_path / name, inputs, read, BOUC_WEN_S, 1.0)
-    benchmark = bouc_wen(tmp_path)
-    assert benchmark.finding.effects[0] == "hysteretic_spring"
-    assert [figure.data for figure in benchmark.figures] == ["Bouc-Wen"] * 4
+    figures, (finding,) = bouc_wen(tmp_path)
+    assert finding.effects[0] == "hysteretic_spring"
+    assert [figure.data for figure in figures] == ["Bouc-Wen"] * 4
     linear, diagnosed, linear_sweep, diagnosed_sweep = (
-        figure.ours for figure in benchmark.figures)
+        figure.ours for figure in figures)
     assert 5.0 < linear < 40.0
     assert diagnosed < 0.2 * linear
     assert diagnosed_sweep < 0.2 * linear_sweep

@@ -9,6 +9,8 @@ from scipy.signal import StateSpace, TransferFunction, cont2discrete, dlsim, lsi
 
 from piezo_studies.other_makes.hystereses import Duhem, JilesAtherton, MaxwellSlip, Plays
 from piezo_studies.other_makes.linear_system import (
+    HeldVoltage,
+    Stage,
     coupled_flexures,
     fractional_creep,
     knots_s,
@@ -18,7 +20,6 @@ from piezo_studies.other_makes.linear_system import (
     power_creep,
 )
 from piezo_studies.other_makes.makes import MAKES
-from piezo_studies.other_makes.stage_by_rows import HeldVoltage, Stage
 
 PERIOD_S = 5e-5
 CREEPING_RAD_PER_S = np.geomspace(1e-3, 1e2, 30)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-from piezo_studies.published_reference.by_preview import Followed, table
+from piezo_studies.published_reference.__main__ import Followed, table
 
 
 def test_table_holds_each_run_with_its_errors():

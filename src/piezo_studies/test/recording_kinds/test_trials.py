@@ -7,11 +7,13 @@ import pytest
 from piezo_recorder.reading.reader import read_recording
 from piezo_studies.recording_kinds import __main__
 from piezo_studies.recording_kinds.laboratory_voltages import KINDS
-from piezo_studies.recording_kinds.stages import displacement_um, duhem_stage, play_stage
 from piezo_studies.recording_kinds.trials import (
     STAGES,
     Outcome,
     Trial,
+    displacement_um,
+    duhem_stage,
+    play_stage,
     recordings,
     run,
     trials,

@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piezo_studies.recording_recipe import recipe_trials
-from piezo_studies.recording_recipe.__main__ import page
-from piezo_studies.recording_recipe.recipe_trials import TABLES, Trial
+from piezo_studies.recording_recipe import __main__ as recording_recipe
+from piezo_studies.recording_recipe.__main__ import TABLES, Trial, page
 
 PAGE = Path(__file__).parents[4] / "docs" / "recipe.md"
 MADE = {name: [Trial("7 levels", 14.0, 14000, 0.12345)] for name in TABLES}
@@ -34,7 +33,7 @@ def test_page_without_a_section_is_refused():
 
 
 def test_means_of_a_slow_recording_follow_the_voltage():
-    recording = recipe_trials.hysteresis_recording(3, 100.0)
+    recording = recording_recipe.hysteresis_recording(3, 100.0)
     playing = recording.select(recording.playing)
     assert playing.sample_period_s == pytest.approx(0.01)
     assert (playing.voltage_v.min(), playing.voltage_v.max()) == pytest.approx((-20.0, 120.0))

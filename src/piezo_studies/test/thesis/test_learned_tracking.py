@@ -6,9 +6,8 @@ import pytest
 
 from piezo_sim.plant.continuous_preisach import everett_um
 from piezo_sim.plant.plant_file import read_plant
-from piezo_studies.thesis.learned_tracking import learn
+from piezo_studies.thesis.learned_tracking import learn, wrong_model
 from piezo_studies.thesis.stepwise_inversion import STEP_V, invert_by_steps
-from piezo_studies.thesis.wrong_model import wrong_model
 
 SEEDS = range(3)
 

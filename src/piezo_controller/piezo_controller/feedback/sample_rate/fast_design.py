@@ -73,22 +73,9 @@ def measured_design(controller: control.StateSpace, model: StageModel, demands: 
                     model_sha256: str = "", delay_ticks: int = 0) -> FeedbackController:
     """Return a controller at the rate of the sample clock, with its performance in its report.
 
-    Parameters
-    ----------
-    own : dict
-        Entries of the report that are specific to the method.
-
-    Returns
-    -------
-    FeedbackController
-        In addition to what `feedback_from_control` reports, its report holds ``demands``,
-        ``figures`` (`LoopFigures`), ``margin_db``, ``added_noise_um``, ``noise_voltage_v``
-        and `own`.
-
-    Raises
-    ------
-    UnstableLoop
-        If it is not stable with every stage.
+    In addition to what `feedback_from_control` reports, its report holds ``demands``, ``figures``
+    (`LoopFigures`), ``margin_db``, ``added_noise_um``, ``noise_voltage_v`` and the `own` entries of
+    the method. Raises `UnstableLoop` if it is not stable with every stage.
     """
     figures = loops.measure(controller)
     if figures.unstable:

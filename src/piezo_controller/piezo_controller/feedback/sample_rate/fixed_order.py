@@ -44,19 +44,10 @@ class FixedOrder:
 
     def response(self, numbers: FloatArray,
                  points: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return the response and its relative derivatives with respect to the parameters.
+        """Return the response, (F,), and the derivatives of its logarithm, (n, F).
 
-        Parameters
-        ----------
-        numbers : ndarray, shape (n,)
-        points : ndarray of complex, shape (F,)
-            Values of the Laplace variable (rad/s).
-
-        Returns
-        -------
-        response : ndarray, shape (F,)
-        derivatives : ndarray, shape (n, F)
-            Derivatives of the response's logarithm.
+        The derivatives are those by the parameters; the points are values of the Laplace variable
+        (rad/s).
         """
         s = points / self.unit_rad_per_s
         gain, zeros, poles, zero_pairs, pole_pairs = self._parts(numbers)

@@ -52,14 +52,8 @@ def light_mode_problem(model: StageModel, weights: SampleRateWeights,
     """Return the generalised plant of the design, for a plant of gain 1.
 
     Creep is omitted: it is slower than all that the feedback is designed for, and its poles close
-    to 1 would cost the Riccati equations their accuracy.
-
-    Parameters
-    ----------
-    model : piezo_models.cascade.StageModel
-        Model with a light mode that has no antiresonance.
-    delay_ticks : int
-        Ticks of computing time, see `design_plant`.
+    to 1 would cost the Riccati equations their accuracy. The light mode has no antiresonance; for
+    the ticks of computing time see `design_plant`.
 
     Returns
     -------

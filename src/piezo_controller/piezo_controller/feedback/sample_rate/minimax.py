@@ -42,21 +42,10 @@ class Linearised:
 
 def lower_largest(linearise: Callable[[FloatArray], Linearised], numbers: FloatArray,
                   low: FloatArray, high: FloatArray, steps: int) -> tuple[FloatArray, Linearised]:
-    """Lower the largest value step by step.
+    """Lower the largest value step by step from admissible parameters, (n,), within bounds, (n,).
 
     Each step is the solution of a linear program within a box, whose size depends on how well the
     linear functions predicted the last step (a trust region).
-
-    Parameters
-    ----------
-    numbers : ndarray, shape (n,)
-        Initial parameters; admissible.
-    low, high : ndarray, shape (n,)
-
-    Returns
-    -------
-    numbers : ndarray, shape (n,)
-    there : Linearised
     """
     numbers = np.clip(numbers, low, high)
     there, size = linearise(numbers), FIRST_STEP

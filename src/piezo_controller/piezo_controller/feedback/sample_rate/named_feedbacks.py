@@ -25,7 +25,7 @@ from piezo_controller.feedback.synthesis.design_choices import FEEDBACKS, PEAK_S
 from piezo_models.cascade import StageModel
 
 ERRORS = ModelErrors(0.05, 0.05)
-"""Errors of all parameters, the same as `check_robustness` draws."""
+"""Errors of all parameters, the same as `plant_errors` draws."""
 
 NO_BANDWIDTH = 1e-3
 """Bandwidth over the first mode's frequency that every loop exceeds: only attenuation counts."""

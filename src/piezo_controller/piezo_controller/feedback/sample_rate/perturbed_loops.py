@@ -98,9 +98,8 @@ class PerturbedLoops:
     ----------
     plants : list of control.StateSpace
         Sampled plants; the first is that of the model itself.
-    frequency_hz : ndarray, shape (F,)
     responses : ndarray of complex, shape (P, F)
-        Responses of the plants (um/V).
+        Responses of the plants (um/V) at the frequencies.
     slow : ndarray of bool, shape (F,)
         Which frequencies lie below half the lowest disturbance.
     disturbances : list of ndarray

@@ -31,13 +31,10 @@ START = (*FORMS["pi"].start, 0.03)
 
 
 class Repetitive:
-    """Repetitive feedbacks of one frequency for a model.
+    """Repetitive feedbacks of one fundamental frequency for a model.
 
-    Parameters
-    ----------
-    frequency_hz : float
-        Fundamental frequency. Multiples above the first mode are omitted, as there the model's
-        errors change the phase too much.
+    Multiples above the first mode are omitted, as there the model's errors change the phase too
+    much.
     """
 
     def __init__(self, model: StageModel, frequency_hz: float, clock_period_s: float) -> None:

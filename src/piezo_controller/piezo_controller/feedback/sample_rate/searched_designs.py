@@ -7,7 +7,7 @@ These are H-infinity synthesis over its weights and constant scalings (D and K a
 
 import warnings
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import control
@@ -61,40 +61,90 @@ def design_by(method: str, model: StageModel, demands: Demands, clock_period_s: 
               effort: float = 1.0) -> FeedbackController:
     """Design a feedback that the stage evaluates at every sample by a method of `METHODS`.
 
-    Parameters
-    ----------
-    clock_period_s, effort
-        See `design_at_sample_rate`.
-
-    Returns
-    -------
-    FeedbackController
-        See `measured_design`; its report also holds the ``numbers`` of the family, and for
-        ``h_infinity`` ``gamma`` and ``mu``.
-
-    Raises
-    ------
-    UnstableLoop, ValueError
-        See `design_at_sample_rate`.
+    For the arguments and errors see `design_at_sample_rate`. The report of `measured_design` also
+    holds the ``numbers`` of the family, and for ``h_infinity`` ``gamma`` and ``mu``.
     """
     if method == METHOD:
         return design_at_sample_rate(model, demands, clock_period_s, effort)
     check_modes(model)
     loops = demands.loops(model, clock_period_s)
     first_mode_hz = min(model.dynamics.mode_frequencies_rad_per_s) / (2 * np.pi)
-    family: _Family
-    if method == H_INFINITY:
-        family = _HInfinityFamily(model, clock_period_s)
-    elif method == REPETITIVE:
-        family = _RepetitiveFamily(model, min(demands.disturbance_hz), clock_period_s)
-    else:
-        family = _ClassicalFamily(model, method, clock_period_s)
+    family = _family(method, model, min(demands.disturbance_hz), clock_period_s)
     numbers = _search_by_trial(family, loops, demands, first_mode_hz, effort)
     return measured_design(family.controller(numbers), model, demands, loops, method,
                            family.report(numbers))
 
 
-def _search_by_trial(family: "_Family", loops: PerturbedLoops, demands: Demands,
+@dataclass(frozen=True)
+class _Family:
+    """Controllers with a few positive parameters, and the effort of their search."""
+
+    names: tuple[str, ...]
+    start: tuple[float, ...]
+    bounds: tuple[tuple[float, float], ...]
+
+    trials: tuple[int, int, int]
+    """Controllers that are tried anywhere, near the best one, and by the simplex."""
+    controller: Callable[[FloatArray], control.StateSpace]
+    own: Callable[[FloatArray], dict[str, Any]] = lambda numbers: {}
+    """Returns further entries of the report."""
+
+    def report(self, numbers: FloatArray) -> dict[str, Any]:
+        """Return the entries of the report that are specific to this family."""
+        return {"numbers": dict(zip(self.names, map(float, numbers), strict=True)),
+                **self.own(numbers)}
+
+
+def _family(method: str, model: StageModel, lowest_hz: float, clock_period_s: float) -> _Family:
+    if method == H_INFINITY:
+        return _h_infinity_family(model, clock_period_s)
+    if method == REPETITIVE:
+        made = repetitive.Repetitive(model, lowest_hz, clock_period_s)
+        return _Family(
+            repetitive.NAMES, repetitive.START, repetitive.BOUNDS, (60, 60, 150), made.controller,
+            lambda _: {"repeats_hz": float(made.frequencies_hz[0])})
+    form = FORMS[method]
+    return _Family(form.names, form.start, form.bounds, (60, 60, 250),
+                   lambda numbers: form.controller(model, numbers, clock_period_s))
+
+
+def _h_infinity_family(model: StageModel, clock_period_s: float) -> _Family:
+    """Return H-infinity controllers over their weights and constant scalings.
+
+    Frequencies are ratios to that of the light mode.
+    """
+    mode_hz = model.dynamics.mode_frequencies_rad_per_s[light_mode(model)] / (2 * np.pi)
+    gain_um_per_v = nominal_hysteresis_gain(model)
+
+    def synthesised(numbers: FloatArray) -> tuple[
+            SampleRateWeights, control.StateSpace, control.StateSpace, float]:
+        crossover, corner, peak, control_gain, roll_off, noise, of_gain, of_mode, *scalings = (
+            map(float, numbers))
+        weights = SampleRateWeights(
+            crossover * mode_hz, corner * mode_hz, peak, control_gain, roll_off * mode_hz, noise,
+            of_gain, of_mode)
+        problem = light_mode_problem(model, weights, clock_period_s, delay_ticks=0)
+        return weights, problem, *synthesise(scale(problem, scalings), SLACK, tolerance=COARSE)
+
+    def own(numbers: FloatArray) -> dict[str, Any]:
+        weights, problem, controller, gamma = synthesised(numbers)
+        points: ComplexArray = np.exp(
+            2j * np.pi * tick_frequencies(clock_period_s, 200) * clock_period_s)
+        mu, _ = structured_singular_values(
+            sampled_response(close(problem, controller), points), UNCERTAINTIES)
+        return {"sample_rate_weights": asdict(weights), "gamma": float(gamma),
+                "mu": float(mu.max())}
+
+    return _Family(
+        ("crossover", "corner", "peak", "control_gain", "roll_off", "noise", "gain_uncertainty",
+         "mode_uncertainty", "gain_scaling", "mode_scaling"),
+        (0.67, 0.36, 7.6, 0.66, 13.7, 0.001, 0.22, 0.10, 17.0, 3.9),
+        ((0.3, 10.0), (0.02, 0.6), (1.2, 8.0), (0.5, 8.0), (1.0, 15.0), (1e-4, 0.3),
+         (0.05, 0.6), (0.01, 0.5), (0.05, 50.0), (0.05, 50.0)),
+        (0, 60, 80), lambda numbers: synthesised(numbers)[2] * (1 / gain_um_per_v), own)
+
+
+def _search_by_trial(family: _Family, loops: PerturbedLoops, demands: Demands,
                      first_mode_hz: float, effort: float) -> FloatArray:
     """Return the parameters with the largest margin that was found."""
     def cost(logarithms: FloatArray) -> float:
@@ -112,99 +162,13 @@ def _search_by_trial(family: "_Family", loops: PerturbedLoops, demands: Demands,
     return np.asarray(np.exp(_search(cost, family, effort)))
 
 
-class _ClassicalFamily:
-    """A form of `FORMS`."""
-
-    ANYWHERE, NEARBY, SIMPLEX = 60, 60, 250
-
-    def __init__(self, model: StageModel, method: str, clock_period_s: float) -> None:
-        self._model, self._clock_period_s = model, clock_period_s
-        self._form = FORMS[method]
-        self.start, self.bounds = self._form.start, self._form.bounds
-
-    def controller(self, numbers: FloatArray) -> control.StateSpace:
-        """Return the controller for given parameters."""
-        return self._form.controller(self._model, numbers, self._clock_period_s)
-
-    def report(self, numbers: FloatArray) -> dict[str, Any]:
-        """Return the entries of the report that are specific to this family."""
-        return {"numbers": dict(zip(self._form.names, map(float, numbers), strict=True))}
-
-
-class _RepetitiveFamily:
-    """Repetitive feedbacks of the lowest disturbance."""
-
-    ANYWHERE, NEARBY, SIMPLEX = 60, 60, 150
-    start, bounds = repetitive.START, repetitive.BOUNDS
-
-    def __init__(self, model: StageModel, frequency_hz: float, clock_period_s: float) -> None:
-        self._made = repetitive.Repetitive(model, frequency_hz, clock_period_s)
-
-    def controller(self, numbers: FloatArray) -> control.StateSpace:
-        """Return the controller for given parameters."""
-        return self._made.controller(numbers)
-
-    def report(self, numbers: FloatArray) -> dict[str, Any]:
-        """Return the entries of the report that are specific to this family."""
-        return {"numbers": dict(zip(repetitive.NAMES, map(float, numbers), strict=True)),
-                "repeats_hz": float(self._made.frequencies_hz[0])}
-
-
-class _HInfinityFamily:
-    """H-infinity controllers over their weights and constant scalings."""
-
-    ANYWHERE, NEARBY, SIMPLEX = 0, 60, 80
-    NAMES = ("crossover", "corner", "peak", "control_gain", "roll_off", "noise",
-             "gain_uncertainty", "mode_uncertainty", "gain_scaling", "mode_scaling")
-    start = (0.67, 0.36, 7.6, 0.66, 13.7, 0.001, 0.22, 0.10, 17.0, 3.9)
-    """Frequencies as ratios to that of the light mode."""
-
-    bounds = ((0.3, 10.0), (0.02, 0.6), (1.2, 8.0), (0.5, 8.0), (1.0, 15.0), (1e-4, 0.3),
-              (0.05, 0.6), (0.01, 0.5), (0.05, 50.0), (0.05, 50.0))
-
-    def __init__(self, model: StageModel, clock_period_s: float) -> None:
-        self._model, self._clock_period_s = model, clock_period_s
-        self._mode_hz = (model.dynamics.mode_frequencies_rad_per_s[light_mode(model)]
-                         / (2 * np.pi))
-        self._gain_um_per_v = nominal_hysteresis_gain(model)
-
-    def _synthesised(self, numbers: FloatArray) -> tuple[
-            SampleRateWeights, control.StateSpace, control.StateSpace, float]:
-        crossover, corner, peak, control_gain, roll_off, noise, of_gain, of_mode, *scalings = (
-            map(float, numbers))
-        weights = SampleRateWeights(
-            crossover * self._mode_hz, corner * self._mode_hz, peak, control_gain,
-            roll_off * self._mode_hz, noise, of_gain, of_mode)
-        problem = light_mode_problem(self._model, weights, self._clock_period_s, delay_ticks=0)
-        controller, gamma = synthesise(scale(problem, scalings), SLACK, tolerance=COARSE)
-        return weights, problem, controller, gamma
-
-    def controller(self, numbers: FloatArray) -> control.StateSpace:
-        """Return the controller for given parameters."""
-        return self._synthesised(numbers)[2] * (1 / self._gain_um_per_v)
-
-    def report(self, numbers: FloatArray) -> dict[str, Any]:
-        """Return the entries of the report that are specific to this family."""
-        weights, problem, controller, gamma = self._synthesised(numbers)
-        points: ComplexArray = np.exp(
-            2j * np.pi * tick_frequencies(self._clock_period_s, 200) * self._clock_period_s)
-        mu, _ = structured_singular_values(
-            sampled_response(close(problem, controller), points), UNCERTAINTIES)
-        return {"numbers": dict(zip(self.NAMES, map(float, numbers), strict=True)),
-                "sample_rate_weights": asdict(weights), "gamma": float(gamma),
-                "mu": float(mu.max())}
-
-
-_Family = _ClassicalFamily | _RepetitiveFamily | _HInfinityFamily
-
-
 def _search(cost: Callable[[FloatArray], float], family: _Family, effort: float) -> FloatArray:
     """Return the logarithms of the best parameters: global search, local search, simplex."""
     rng = np.random.default_rng(0)
     low, high = np.log(family.bounds).T
     best = np.log(family.start)
     least = cost(best)
-    anywhere, nearby = round(effort * family.ANYWHERE), round(effort * family.NEARBY)
+    anywhere, nearby, simplex_trials = (round(effort * trials) for trials in family.trials)
     for trial in range(anywhere + nearby):
         numbers = (rng.uniform(low, high) if trial < anywhere
                    else best + rng.normal(size=best.size) * rng.choice(STEPS))
@@ -214,4 +178,4 @@ def _search(cost: Callable[[FloatArray], float], family: _Family, effort: float)
     simplex = best + np.vstack([np.zeros(best.size), 0.1 * np.eye(best.size)])
     return minimize(cost, best, method="Nelder-Mead", bounds=list(zip(low, high, strict=True)),
                     options={"initial_simplex": np.clip(simplex, low, high), "adaptive": True,
-                             "maxfev": max(10, round(effort * family.SIMPLEX))}).x
+                             "maxfev": max(10, simplex_trials)}).x

@@ -139,10 +139,7 @@ def _stable(loop: ComplexArray) -> bool:
 class TunedFamily:
     """Controllers of a fixed order, which `search` tunes over all stages.
 
-    Parameters
-    ----------
-    start : ndarray
-        Initial parameters of the tuning; the gain is lowered if they are unstable.
+    The tuning begins with the start, whose gain is lowered if it is unstable.
     """
 
     def __init__(self, model: StageModel, structure: FixedOrder, start: FloatArray,

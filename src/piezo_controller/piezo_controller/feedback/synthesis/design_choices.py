@@ -25,13 +25,7 @@ SAMPLE_RATE_HZ = 40_000.0
 
 
 def check_choices(method: str, scaling: str) -> None:
-    """Check the names of a method and of a scaling.
-
-    Raises
-    ------
-    ValueError
-        If one of them is unknown.
-    """
+    """Raise ValueError if the name of a method or of a scaling is unknown."""
     if method not in METHODS:
         raise ValueError(f'unknown method {method!r} of the feedback: use one of '
                          f'{", ".join(METHODS)}')

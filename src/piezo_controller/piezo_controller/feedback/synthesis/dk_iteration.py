@@ -148,13 +148,7 @@ def tick_frequencies(tick_s: float, count: int = FREQUENCIES) -> FloatArray:
 def constant_scaling(responses: ComplexArray, scalars: int, axes: int = 1) -> FloatArray:
     """Return positive numbers d with the lowest peak of the largest singular value of D M D^-1.
 
-    Parameters
-    ----------
-    responses : ndarray of complex, shape (F, outputs, inputs)
-
-    Returns
-    -------
-    ndarray, shape (scalars,)
+    The responses M have the shape (F, outputs, inputs), the numbers (scalars,).
     """
     _, outputs, inputs = responses.shape
 
@@ -172,17 +166,7 @@ def constant_scaling(responses: ComplexArray, scalars: int, axes: int = 1) -> Fl
 
 def fit_scaling(frequency_hz: FloatArray, magnitude: FloatArray, importance: FloatArray,
                 tick_s: float) -> control.StateSpace:
-    """Fit a stable system with a stable inverse to a magnitude.
-
-    Parameters
-    ----------
-    frequency_hz, magnitude, importance : ndarray, shape (F,)
-
-    Returns
-    -------
-    control.StateSpace
-        Fitted system, with real zeros and poles.
-    """
+    """Fit a stable system with a stable inverse, of real zeros and poles, to a magnitude, (F,)."""
     points = np.exp(2j * np.pi * frequency_hz * tick_s)
     target = np.log(magnitude)
 
@@ -209,10 +193,7 @@ def scale(plant: control.StateSpace, scalings: Sequence[Scaling] | FloatArray,
           axes: int = 1) -> control.StateSpace:
     """Scale the outputs of the uncertainties by D, their inputs by the inverse.
 
-    Parameters
-    ----------
-    scalings : sequence of float or control.StateSpace
-        Scaling of each scalar uncertainty of an axis; a system must have a stable inverse.
+    There is a scaling for each scalar uncertainty of an axis; a system must have a stable inverse.
     """
     systems = [scaling if isinstance(scaling, control.StateSpace)
                else control.ss([], [], [], [[scaling]], plant.dt)

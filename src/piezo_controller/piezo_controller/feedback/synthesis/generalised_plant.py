@@ -17,7 +17,10 @@ outputs."""
 
 def design_plant(model: StageModel, tick_s: float, clock_period_s: float,
                  at_once: bool = False, delay_ticks: int = 1) -> tuple[control.StateSpace, float]:
-    """Return the linear plant that the feedback is designed for.
+    """Return the linear plant that the feedback is designed for, and the nominal gain k_h (um/V).
+
+    The plant leads from the hysteresis' output decided in a tick to the displacement known in it
+    (um per um), including the hold and the delay of the sensor.
 
     Parameters
     ----------
@@ -29,14 +32,6 @@ def design_plant(model: StageModel, tick_s: float, clock_period_s: float,
     delay_ticks : int
         Ticks of computing time: 1 if a node answers the stage, 0 if the stage evaluates the
         feedback by itself.
-
-    Returns
-    -------
-    plant : control.StateSpace
-        From the hysteresis' output decided in a tick to the displacement known in it (um per um),
-        including the hold and the delay of the sensor.
-    hysteresis_gain_um_per_v : float
-        Nominal gain k_h, see `nominal_hysteresis_gain`.
     """
     samples_per_tick = round(tick_s / clock_period_s)
     if samples_per_tick < 1 or abs(samples_per_tick * clock_period_s / tick_s - 1) > 1e-9:
@@ -135,21 +130,10 @@ def lift(system: control.StateSpace, samples_per_tick: int,
          delay_ticks: int = 1) -> control.StateSpace:
     """Lift a fast discrete system to the tick, with averaging and computing time.
 
-    The voltage that the controller decides in tick k is held over tick k + `delay_ticks`. Its input
-    in tick k is the mean of the samples of tick k - 1.
-
-    Parameters
-    ----------
-    system : control.StateSpace
-        Strictly proper, at the sample clock's period.
-    delay_ticks : int
-        1 if a node answers by a message, 0 if the stage evaluates the feedback by itself.
-
-    Returns
-    -------
-    control.StateSpace
-        From the voltages decided in a tick to the means known in it, at the tick's period. States:
-        those of `system` at the start of the tick, the known means, the acting voltages.
+    The voltage that the controller decides in tick k is held over tick k + `delay_ticks`: 1 if a
+    node answers by a message, 0 if the stage evaluates the feedback by itself. Its input in tick k
+    is the mean of the samples of tick k - 1. The system is strictly proper. The states of the
+    result are those of the system at the start of the tick, the known means, the acting voltages.
     """
     a, b, c = lift_matrices(system.A, system.B, system.C, samples_per_tick, delay_ticks)
     return control.ss(a, b, c, 0.0, system.dt * samples_per_tick)

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Discrete H-infinity synthesis: the controller of smallest closed-loop norm."""
+"""Discrete H-infinity synthesis: the controller of smallest norm, and of fewer states."""
+
+import warnings
+from collections.abc import Callable
 
 import control
 import numpy as np
-from slycot import sb10dd
-from slycot.exceptions import SlycotArithmeticError
+from slycot import ab09ad, sb10dd
+from slycot.exceptions import SlycotArithmeticError, SlycotResultWarning
 
 STEP_BACK = 0.01
 
@@ -18,7 +21,8 @@ def synthesise(plant: control.StateSpace, slack: float = 0.0, largest_norm: floa
     """Find the H-infinity (sub)optimal controller of a generalised plant by bisection.
 
     Only stable controllers are accepted: an unstable one could not be at rest before a run, nor
-    when the voltage is limited.
+    when the voltage is limited. Returned with it is the upper bound of the norm of the closed loop
+    (gamma).
 
     Parameters
     ----------
@@ -33,13 +37,6 @@ def synthesise(plant: control.StateSpace, slack: float = 0.0, largest_norm: floa
         Relative width at which the bisection ends.
     axes : int
         Number of controls, and of measurements.
-
-    Returns
-    -------
-    controller : control.StateSpace
-        From measurement to control.
-    norm : float
-        Upper bound of the norm of the closed loop (gamma).
 
     Raises
     ------
@@ -72,15 +69,7 @@ def synthesise(plant: control.StateSpace, slack: float = 0.0, largest_norm: floa
 def close(plant: control.StateSpace, controller: control.StateSpace) -> control.StateSpace:
     """Close the loop of a generalised plant: the lower linear fractional transformation.
 
-    Parameters
-    ----------
-    plant, controller : control.StateSpace
-        Arguments and result of `synthesise`.
-
-    Returns
-    -------
-    control.StateSpace
-        From the exogenous inputs to the regulated outputs.
+    The result leads from the exogenous inputs to the regulated outputs.
     """
     return plant.lft(controller, nu=controller.noutputs, ny=controller.ninputs)
 
@@ -101,3 +90,28 @@ def _admissible(plant: control.StateSpace, norm: float, axes: int) -> control.St
     controller = control.ss(*matrices, plant.dt)
     stable = is_stable(controller) and is_stable(close(plant, controller))
     return controller if stable else None
+
+
+def reduce_order(controller: control.StateSpace,
+                 acceptable: Callable[[control.StateSpace], bool]) -> control.StateSpace:
+    """Return the controller of lowest order that is still acceptable; itself if no other one is.
+
+    The order of the discrete and stable controller is lowered step by step until a controller is
+    not acceptable.
+    """
+    best = controller
+    for order in range(controller.nstates - 1, 0, -1):
+        candidate = _truncate(controller, order)
+        if not (is_stable(candidate) and acceptable(candidate)):
+            break
+        best = candidate
+    return best
+
+
+def _truncate(system: control.StateSpace, order: int) -> control.StateSpace:
+    with warnings.catch_warnings():
+        # An order above that of a minimal realisation is lowered to it, which is intended.
+        warnings.simplefilter("ignore", SlycotResultWarning)
+        _, a, b, c, _ = ab09ad("D", "B", "N", system.nstates, system.ninputs, system.noutputs,
+                               system.A, system.B, system.C, nr=order)
+    return control.ss(a, b, c, system.D, system.dt)

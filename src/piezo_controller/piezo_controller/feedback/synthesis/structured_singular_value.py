@@ -12,21 +12,12 @@ COMPLEX = 2
 
 def structured_singular_values(responses: ComplexArray,
                                scalars: int) -> tuple[FloatArray, FloatArray]:
-    """Return the upper bound of the structured singular value at each frequency.
+    """Return the upper bound of the structured singular value at each frequency, with its scalings.
 
     The structure is `scalars` independent complex numbers, followed by one full complex block, the
     performance, from all other inputs to all other outputs; it is padded with zeros to be square.
-
-    Parameters
-    ----------
-    responses : ndarray of complex, shape (F, outputs, inputs)
-
-    Returns
-    -------
-    mu : ndarray, shape (F,)
-    scalings : ndarray, shape (F, scalars)
-        Positive d such that the largest singular value of ``D M D^-1`` with ``D = diag(d, 1)``
-        is mu.
+    The responses M have the shape (F, outputs, inputs). The scalings, (F, scalars), are positive d
+    such that the largest singular value of ``D M D^-1`` with ``D = diag(d, 1)`` is the bound.
     """
     frequencies, outputs, inputs = responses.shape
     size = max(outputs, inputs)

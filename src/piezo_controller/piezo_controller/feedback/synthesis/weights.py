@@ -3,17 +3,26 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import ClassVar, TypeVar
 
 import control
+from pydantic import model_validator
 from scipy.signal import zpk2ss
 
-from piezo_common.schema import SchemaError, load_document, parsed
+from piezo_common.schema import (
+    Document,
+    Number,
+    Numbers,
+    Part,
+    SchemaError,
+    entry,
+    load_document,
+    parsed,
+    violation,
+)
 from piezo_controller.feedback.synthesis.design_choices import DEFAULT_WEIGHTS, DISTURBANCE_HZ
-from piezo_controller.feedback.synthesis.weights_document import WeightEntry, WeightsDocument
 
 BUILT_IN = {DEFAULT_WEIGHTS: files("piezo_controller") / "weights.yaml",
             "thesis": files("piezo_controller") / "weights_thesis.yaml"}
@@ -26,13 +35,22 @@ class WeightsError(ValueError):
     """A weights file that does not describe a design."""
 
 
-@dataclass(frozen=True)
-class Weight:
+class Weight(Part):
     """The weight ``gain * prod(z - zero) / prod(z - pole)`` at the tick rate."""
 
-    gain: float
-    zeros: tuple[float, ...] = ()
-    poles: tuple[float, ...] = ()
+    gain: Number = entry("Gain.", above=0.0)
+    zeros: Numbers = entry("Zeros in the plane of z, no more than poles.")
+    poles: Numbers = entry("Poles in the plane of z, each inside the unit circle.")
+
+    @model_validator(mode="after")
+    def _check_proper_and_stable(self) -> "Weight":
+        if len(self.zeros) > len(self.poles):
+            raise violation("has more zeros than poles", "give as many poles")
+        for i, pole in enumerate(self.poles):
+            if abs(pole) >= 1:
+                raise violation("lies on or outside the unit circle, for which no controller "
+                                "exists", "use 0.9995 for integral action", f"poles[{i}]")
+        return self
 
     def state_space(self, sample_period_s: float) -> control.StateSpace:
         """Return the weight as a discrete ``control.StateSpace``."""
@@ -51,36 +69,36 @@ class Weight:
 
         # Zeros at infinity, as many as there are fewer zeros than poles, move to this point.
         missing = (1 + factor) / (1 - factor)
-        zeros = (*map(moved, self.zeros), *(missing,) * (len(self.poles) - len(self.zeros)))
-        poles = tuple(map(moved, self.poles))
+        zeros = [*map(moved, self.zeros), *[missing] * (len(self.poles) - len(self.zeros))]
+        poles = [*map(moved, self.poles)]
         # The magnitude is preserved at a point without real roots.
         gain = self.gain * abs(_product(1j, self.zeros, self.poles)
                                / _product(moved(1j), zeros, poles))
-        return Weight(gain, zeros, poles)
+        return Weight(gain=gain, zeros=zeros, poles=poles)
 
 
-@dataclass(frozen=True)
-class DesignWeights:
-    """Weights of the generalised plant (thesis fig. 5.5)."""
+class DesignWeights(Document):
+    """The weights file: the requirements on the feedback loop over frequency (thesis fig. 5.5)."""
 
-    sample_period_s: float
-    """Period of the tick (s)."""
-    performance: Weight
-    control: Weight
-    reference: Weight
-    noise: Weight
-    disturbance: Weight
-    """``w1``, ``w2``, ``w_r``, ``w_n``, ``w_d``; those of the thesis are (5.15) and (5.16)."""
-    feedforward_error: float
-    """``w_delta`` of (5.12)."""
-    hysteresis_uncertainty: float
-    """``w_u``: the hysteresis' gain lies within ``1 +- w_u`` of its nominal value."""
+    TITLE: ClassVar[str] = "weights file"
+    SYNTAX: ClassVar[str] = "yaml"
+    RENEW: ClassVar[str] = "add it, as in the weights that come with the package"
+
+    sample_period_s: Number = entry("Tick that the weights are written for.", unit="s", above=0.0)
+    performance: Weight = entry("Weight w1 of the tracking error, (5.15).")
+    control: Weight = entry("Weight w2 of the control voltage, (5.15).")
+    reference: Weight = entry("Weight w_r of the reference, (5.16).")
+    noise: Weight = entry("Weight w_n of the sensor's noise, (5.16).")
+    disturbance: Weight = entry("Weight w_d of the disturbance, (5.16).")
+    feedforward_error: Number = entry("Error w_delta of the feedforward, (5.12).", above=0.0)
+    hysteresis_uncertainty: Number = entry(
+        "The hysteresis' gain lies within 1 +- w_u of its nominal value.", above=0.0)
 
     def at_tick(self, sample_period_s: float) -> "DesignWeights":
         """Return weights with the same requirements at another tick."""
         names = ("performance", "control", "reference", "noise", "disturbance")
         stretched = self._stretched(names, sample_period_s / self.sample_period_s)
-        return replace(stretched, sample_period_s=sample_period_s)
+        return stretched.model_copy(update={"sample_period_s": sample_period_s})
 
     def for_disturbances(self, bandwidth_hz: float) -> "DesignWeights":
         """Return weights for another bandwidth of the disturbances; ``w1`` and ``w_d`` move."""
@@ -88,42 +106,22 @@ class DesignWeights:
 
     def _stretched(self, names: Sequence[str], factor: float) -> "DesignWeights":
         """Return weights, some of them with frequencies multiplied by a factor."""
-        return replace(self, **{name: getattr(self, name).stretched(factor) for name in names})
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain numbers and lists, in the layout of the weights file."""
-        return {name: {key: list(item) if isinstance(item, tuple) else item
-                       for key, item in value.items()} if isinstance(value, dict) else value
-                for name, value in asdict(self).items()}
+        return self.model_copy(update={
+            name: getattr(self, name).stretched(factor) for name in names})
 
 
 def load_weights(path: str | Path = DEFAULT_WEIGHTS) -> DesignWeights:
-    """Read a weights file.
+    """Read a weights file (YAML), or built-in weights by their name, ``default`` or ``thesis``.
 
-    Parameters
-    ----------
-    path : path-like
-        YAML file, or the name of built-in weights: ``default`` or ``thesis``.
-
-    Raises
-    ------
-    WeightsError
-        If the file is not valid; the message names the file, the entry and what it should be.
+    Raises `WeightsError` if the file is not valid; the message names the file, the entry and what
+    it should be.
     """
     built_in = BUILT_IN.get(str(path))
     try:
-        document = (load_document(WeightsDocument, path) if built_in is None
-                    else parsed(WeightsDocument, built_in.read_text(encoding="utf-8")))
+        return (load_document(DesignWeights, path) if built_in is None
+                else parsed(DesignWeights, built_in.read_text(encoding="utf-8")))
     except SchemaError as error:
         raise WeightsError(f"the weights file {path}: {error}") from None
-    return DesignWeights(
-        document.sample_period_s, _weight(document.performance), _weight(document.control),
-        _weight(document.reference), _weight(document.noise), _weight(document.disturbance),
-        document.feedforward_error, document.hysteresis_uncertainty)
-
-
-def _weight(entry: WeightEntry) -> Weight:
-    return Weight(entry.gain, tuple(entry.zeros), tuple(entry.poles))
 
 
 def _product(point: complex, zeros: Sequence[float], poles: Sequence[float]) -> complex:

@@ -38,22 +38,8 @@ def ultimate_point_by_relay(model: StageModel, samples_per_tick: int, clock_peri
     """Determine the ultimate point by a relay in a loop with the model, as in thesis 2.4.2.
 
     The relay switches about the middle of the travel, once per tick, by the mean known at that
-    time.
-
-    Parameters
-    ----------
-    swing : float
-        Peak-to-peak swing of the relay, as a part of the model's range.
-
-    Returns
-    -------
-    UltimatePoint
-        Computed by the describing function of the relay.
-
-    Raises
-    ------
-    NoOscillation
-        If the relay does not settle to a cycle.
+    time. Its peak-to-peak swing is a part of the model's range. The point follows from the relay's
+    describing function. Raises `NoOscillation` if the relay does not settle to a cycle.
     """
     hysteresis = model.hysteresis
     middle_v = (hysteresis.voltage_min_v + hysteresis.voltage_max_v) / 2
@@ -91,20 +77,10 @@ def ultimate_point_by_response(plant: control.StateSpace,
                                largest_gain_um_per_v: float) -> UltimatePoint:
     """Determine the ultimate point from the linear dynamics, corrected for the hysteresis' gain.
 
-    By (3.18) and (3.19) the period is that at which the phase crosses -180 degrees, and the gain
-    is the gain margin there, divided by the largest gain of the hysteresis.
-
-    Parameters
-    ----------
-    plant : control.StateSpace
-        Discrete, from the hysteresis' output to the known displacement.
-    largest_gain_um_per_v : float
-        Delta_max of (3.16).
-
-    Raises
-    ------
-    NoOscillation
-        If the phase never crosses -180 degrees.
+    By (3.18) and (3.19) the period is that at which the phase crosses -180 degrees, and the gain is
+    the gain margin there, divided by the largest gain of the hysteresis, Delta_max of (3.16). The
+    plant leads from the hysteresis' output to the known displacement. Raises `NoOscillation` if the
+    phase never crosses -180 degrees.
     """
     frequency_hz = np.geomspace(1e-3, 1.0, FREQUENCIES) * 0.5 / plant.dt
     response = plant(np.exp(2j * np.pi * frequency_hz * plant.dt), squeeze=True)
@@ -119,14 +95,10 @@ def ultimate_point_by_response(plant: control.StateSpace,
 
 
 def pid(ultimate: UltimatePoint, tick_s: float) -> control.StateSpace:
-    """Return a PID by the rule of Ziegler and Nichols, discretised by Tustin's rule.
+    """Return a PID from error (um) to voltage (V) by the rule of Ziegler and Nichols.
 
-    It is 0.6 Ku (1 + 2 / (Tu s) + Tu s / 8), (2.31), with a lag on the derivative.
-
-    Returns
-    -------
-    control.StateSpace
-        From error (um) to voltage (V).
+    It is 0.6 Ku (1 + 2 / (Tu s) + Tu s / 8), (2.31), with a lag on the derivative, discretised by
+    Tustin's rule.
     """
     gain, period_s = ultimate.gain, ultimate.period_s
     lag_s = DERIVATIVE_LAG_PERIODS * period_s
@@ -137,13 +109,7 @@ def pid(ultimate: UltimatePoint, tick_s: float) -> control.StateSpace:
 
 
 def proportional_integral(ultimate: UltimatePoint, tick_s: float) -> control.StateSpace:
-    """Return a PI, 0.6 Ku (1 + 2 / (Tu s)), (3.20), discretised by Tustin's rule.
-
-    Returns
-    -------
-    control.StateSpace
-        From error (um) to voltage (V).
-    """
+    """Return a PI from error (um) to voltage (V), 0.6 Ku (1 + 2 / (Tu s)), (3.20)."""
     integral = _tustin([[0.0]], [[1.0]], [[2 / ultimate.period_s]], [[0.0]], tick_s)
     return 0.6 * ultimate.gain * (1 + integral)
 

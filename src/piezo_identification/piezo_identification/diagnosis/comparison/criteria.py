@@ -7,16 +7,66 @@ Instead, fits are compared on held-out data, with a penalty for every fitted par
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
-from piezo_identification.diagnosis.comparison.measures_of_fits import (
-    distance,
-    lack_of_fit,
-    mean_square,
-    significance,
-)
 from piezo_identification.fitting.regression import Fit, Regression
+
+
+def mean_square(regression: Regression, fit: Fit) -> float:
+    """Return the mean square residual of a fit on the validation set, in tolerances."""
+    return float(np.mean(fit.residual[regression.validation] ** 2))
+
+
+def lack_of_fit(regression: Regression, fit: Fit) -> float:
+    """Return the mean square residual beyond the noise on the validation set, in tolerances."""
+    return max(0.0, mean_square(regression, fit) - noise(regression) ** 2)
+
+
+def noise(regression: Regression) -> float:
+    """Return the RMS of the sensor noise on the validation set, in tolerances."""
+    return float(np.sqrt(np.mean(regression.noise_of_rows()[regression.validation] ** 2)))
+
+
+def significance(regression: Regression, before: Fit, after: Fit) -> float:
+    """Return by how many standard deviations the second fit is better on the validation set.
+
+    The difference of the predictions is correlated with the residual of the first fit. The products
+    are summed within each stretch, so that errors with long correlation count as one.
+    """
+    rows = regression.validation
+    change = before.residual[rows] - after.residual[rows]
+    stretch = regression.dataset.stretch[rows]
+    signal = np.bincount(stretch, before.residual[rows] * change)
+    chance = np.bincount(stretch, after.residual[rows] * change)
+    # The noise remains even with a perfect fit.
+    least = np.mean(after.residual[rows] ** 2) * np.sum(change**2)
+    spread = np.sqrt(max(np.sum(chance**2), least))
+    return float(np.sum(signal) / spread) if spread > 0.0 else 0.0
+
+
+def visible_part(regression: Regression, before: Fit, after: Fit) -> float:
+    """Return the part (0 to 1) of what effects contribute that the regressors cannot explain."""
+    contribution = before.difference - after.difference
+    contribution = contribution - contribution[regression.estimation].mean()
+    whole = float(np.linalg.norm(contribution[regression.estimation]))
+    return float(np.linalg.norm(regression.remainder(contribution))) / max(whole, 1e-300)
+
+
+def contribution_rms(regression: Regression, before: Fit, after: Fit) -> float:
+    """Return the RMS contribution of effects to validation rows, without means, in tolerances."""
+    squares, count = 0.0, 0
+    for mask in regression.dataset.masks():
+        added = (before.difference - after.difference)[mask & regression.validation]
+        squares, count = squares + np.sum((added - added.mean()) ** 2), count + added.size
+    return float(np.sqrt(squares / count))
+
+
+def distance(regression: Regression, before: Fit, after: Fit) -> float:
+    """Return the RMS difference of two predictions of the validation set, in tolerances."""
+    rows = regression.validation
+    return float(np.sqrt(np.mean((before.residual[rows] - after.residual[rows]) ** 2)))
 
 
 @dataclass(frozen=True)
@@ -61,12 +111,7 @@ def is_noise(regression: Regression, fit: Fit) -> bool:
 def is_convincing(regression: Regression, start: Fit, before: Fit, after: Fit) -> bool:
     """Return whether a fit is better than another both significantly and noticeably.
 
-    Parameters
-    ----------
-    start : Fit
-        Fit without any effect.
-    before, after : Fit
-        Fits with the smaller and the larger set.
+    `start` is the fit without any effect.
     """
     residual = np.sqrt(mean_square(regression, start))
     least = max(CRITERIA.noticeable, CRITERIA.noticeable_share * residual)
@@ -84,12 +129,7 @@ def is_indistinguishable(regression: Regression, best: Fit, other: Fit,
     """Return whether the data cannot distinguish a set of effects from the best one.
 
     The residual of the best set beyond the noise shows the accuracy of its prediction: sets that
-    differ by less cannot be distinguished.
-
-    Parameters
-    ----------
-    distinguished : float
-        Standard deviations by which the best set must be better.
+    differ by less, or by less than `distinguished` standard deviations, cannot be distinguished.
     """
     return bool(distance(regression, other, best) < _remaining(regression, best)
                 or significance(regression, other, best) < distinguished)
@@ -134,3 +174,27 @@ def simplest_first(regression: Regression, fits: list[Fit]) -> list[Fit]:
 def _remaining(regression: Regression, fit: Fit) -> float:
     """Return the RMS residual beyond the noise on held-out data, in tolerances."""
     return np.sqrt(max(CRITERIA.noticeable**2, lack_of_fit(regression, fit)))
+
+
+class Reason(StrEnum):
+    """Kind of reason, for use by programs; users read the sentence."""
+
+    NOT_EXCITED = "not excited"
+    IMPOSSIBLE = "impossible"
+    SAME_AS_OTHER_PARAMETERS = "same as other parameters"
+    LIKE_ANOTHER = "like another effect"
+    WORSE_ON_HELD_OUT = "worse on held-out data"
+
+
+@dataclass(frozen=True)
+class Undecided:
+    """A reason with its sentence."""
+
+    reason: Reason
+
+    sentence: str
+    """Sentence without its end."""
+
+
+OTHER_PARAMETERS = Undecided(Reason.SAME_AS_OTHER_PARAMETERS,
+                             "here a model with slightly other parameters does the same")

@@ -9,7 +9,7 @@ import numpy as np
 from piezo_common.arrays import BoolArray, FloatArray
 from piezo_identification.conditioning.outlier_samples import outlier_text
 from piezo_identification.conditioning.waveforms import played
-from piezo_identification.diagnosis.comparison.reasons import Reason, Undecided
+from piezo_identification.diagnosis.comparison.criteria import Reason, Undecided
 from piezo_identification.fitting.effect_fit import fit_effects, impossible_effects
 from piezo_identification.fitting.model_weights import HeldOut, Remainder
 from piezo_identification.fitting.regression import Fit, Regression
@@ -57,13 +57,7 @@ class Validation:
         return str(self.holdout.path)
 
     def errors(self, fit: Fit | None) -> HeldOutErrors:
-        """Return the errors of the model as given and of a fit, on the same samples.
-
-        Parameters
-        ----------
-        fit : Fit or None
-            None for the model as given.
-        """
+        """Return errors of the model as given and of a fit, or of it alone, on the same samples."""
         given, extended = self._given, self._of(fit)
         good = given.good & extended.good
         return HeldOutErrors(
@@ -71,15 +65,7 @@ class Validation:
             {"source": self.source, "samples": int(np.count_nonzero(good))})
 
     def accepted(self, fit: Fit) -> tuple[Fit, dict[str, Undecided]]:
-        """Remove the effects that are physically impossible, or that increase the error.
-
-        Returns
-        -------
-        fit : Fit
-            Fit with the remaining effects.
-        refused : dict of str to Undecided
-            Names of the effects that were removed, and why.
-        """
+        """Remove the effects that are impossible or increase the error; return why, by name."""
         fit, refused = self._possible(fit)
         # On stretches of the same recordings, this was the criterion for selecting each effect.
         while self.holdout is not None and len(fit.effects) > 1:
@@ -109,11 +95,7 @@ class Validation:
     def remainders(self, fit: Fit) -> list[Remainder]:
         """Return the residual of a fit for each diagnosed recording and for the held-out one.
 
-        Parameters
-        ----------
-        fit : Fit
-            If it has no effect, the given model is used for the held-out recording if that reduces
-            the error.
+        For a fit without effects, that of the given model is used for the latter if it is smaller.
         """
         regression, dataset = self.regression, self.regression.dataset
         residual_um = fit.residual * regression.tolerance_um

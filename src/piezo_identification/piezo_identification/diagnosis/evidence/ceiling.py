@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 from sklearn.base import RegressorMixin
@@ -22,11 +21,11 @@ from threadpoolctl import threadpool_limits
 
 from piezo_common.arrays import FloatArray
 from piezo_common.side_by_side import side_by_side
-from piezo_identification.diagnosis.comparison.criteria import CRITERIA
-from piezo_identification.diagnosis.comparison.measures_of_fits import significance
+from piezo_identification.diagnosis.comparison.criteria import CRITERIA, significance
 from piezo_identification.fitting.dataset import SPLIT
 from piezo_identification.fitting.noise_estimate import residual_um
 from piezo_identification.fitting.regression import Fit, Regression
+from piezo_models.effects.backlash import Backlash
 
 
 @dataclass(frozen=True)
@@ -141,21 +140,10 @@ def _of_voltage(voltage_v: FloatArray, simulated_um: FloatArray,
         yield (simulated_um - simulated_um[0] - slow)[rows]
     span = float(np.ptp(voltage_v))
     for width in SETTINGS.play_widths:
-        yield _play(voltage_v, 0.5 * width * span)[rows]
+        yield Backlash(width * span).apply(voltage_v, 1.0)[rows]
     for lag in lags:
         for signal in (voltage_v, simulated_um):
             yield signal[rows] - _before(signal, rows, lag)
-
-
-@njit(cache=True)
-def _play(voltage_v: FloatArray, half_width_v: float) -> FloatArray:
-    """Return the output of a play operator, (N,)."""
-    output = np.empty_like(voltage_v)
-    state = voltage_v[0]
-    for number in range(voltage_v.size):
-        state = min(max(state, voltage_v[number] - half_width_v), voltage_v[number] + half_width_v)
-        output[number] = state
-    return output
 
 
 def _lags(samples: int) -> list[int]:

@@ -41,20 +41,7 @@ STEP = float(np.finfo(float).eps ** (1.0 / 3.0))
 
 
 def with_model_errors(regression: Regression, fit: Fit) -> Fit:
-    """Return a fit whose covariance includes errors of the model.
-
-    Parameters
-    ----------
-    regression : Regression
-        Regression in which it was fitted.
-    fit : Fit
-        Fit with the covariance from the scatter of the residual, or without any.
-
-    Returns
-    -------
-    Fit
-        Without a covariance if there was none.
-    """
+    """Return a fit whose covariance includes errors of the model."""
     if fit.covariance is None or not fit.covariance.size:
         return fit
     slopes = derivatives(regression, fit)
@@ -85,10 +72,7 @@ def with_model_errors(regression: Regression, fit: Fit) -> Fit:
 def derivatives(regression: Regression, fit: Fit) -> FloatArray:
     """Return the derivatives of the difference by the fitted values, without the regressors.
 
-    Returns
-    -------
-    (n + p, m) array
-        Rows as in `Regression.remainder`.
+    They have the shape (n + p, m), with rows as in `Regression.remainder`.
     """
     columns = []
     for number, effect in enumerate(fit.effects):

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import irfft, next_fast_len, rfft
+from scipy.signal import correlate
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.outlier_samples import with_outliers_marked
@@ -74,11 +74,7 @@ def without_faults(model: StageModel,
                    recording: Recording) -> tuple[Recording, list[RecordingFault]]:
     """Return a recording with the sign and the rows of the model and its outliers marked.
 
-    Returns
-    -------
-    recording : Recording
-    faults : list of RecordingFault
-        Faults that were corrected.
+    Also return the faults that were corrected.
 
     Raises
     ------
@@ -162,15 +158,14 @@ def _coarse_shift(measured_um: FloatArray, simulated_um: FloatArray) -> int:
     """Return the shift with the largest correlation; 0 unless it is clearly larger."""
     centred = [signal - signal.mean() for signal in (measured_um, simulated_um)]
     most = min(SETTINGS.most_rows, measured_um.size // 4)
-    size = next_fast_len(measured_um.size + most, real=True)
-    products = irfft(rfft(centred[0], size) * np.conj(rfft(centred[1], size)), size)
     shifts = np.arange(-most, most + 1)
+    products = correlate(*centred, method="fft")[measured_um.size - 1 + shifts]
     energies = [np.concatenate([[0.0], np.cumsum(signal**2)]) for signal in centred]
     late, early = np.maximum(shifts, 0), np.maximum(-shifts, 0)
     overlap = measured_um.size - np.abs(shifts)
     of_both = [energy[begin + overlap] - energy[begin]
                for energy, begin in zip(energies, (late, early), strict=True)]
-    alike = np.abs(products[shifts]) / np.sqrt(np.maximum(of_both[0] * of_both[1], 1e-300))
+    alike = np.abs(products) / np.sqrt(np.maximum(of_both[0] * of_both[1], 1e-300))
     unlike = np.maximum(1.0 - alike, 0.0)  # rounding would make equal signals more than alike
     # A periodic waveform correlates equally well one period later.
     close = np.flatnonzero(unlike <= SETTINGS.as_much_alike * unlike.min())

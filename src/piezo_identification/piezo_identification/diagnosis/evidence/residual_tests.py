@@ -5,11 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import irfft, next_fast_len, prev_fast_len, rfft
-from scipy.signal import csd, welch
+from scipy.fft import prev_fast_len
+from scipy.signal import correlate, csd, welch
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.waveforms import turning_points
+from piezo_identification.fitting.noise_estimate import residual_um
+from piezo_identification.fitting.regression import Fit, Regression
 
 
 @dataclass(frozen=True)
@@ -59,12 +61,7 @@ class CorrelationTest:
 
 
 def whiteness(residual_um: FloatArray) -> CorrelationTest:
-    """Return the autocorrelation of the residual.
-
-    Parameters
-    ----------
-    residual_um : (N,) array
-    """
+    """Return the autocorrelation of a residual, (N,)."""
     residual = residual_um - residual_um.mean()
     lags = np.arange(1, min(SETTINGS.most_lags, residual.size // 4) + 1)
     return CorrelationTest(lags, _correlation(residual, residual, lags),
@@ -72,14 +69,10 @@ def whiteness(residual_um: FloatArray) -> CorrelationTest:
 
 
 def input_correlation(residual_um: FloatArray, input: FloatArray) -> CorrelationTest:
-    """Correlate the residual with earlier values of an input.
+    """Correlate a residual with earlier values of an input, both (N,).
 
     Both are filtered first so that the input becomes white, because a smooth input correlates with
     everything.
-
-    Parameters
-    ----------
-    residual_um, input : (N,) array
     """
     white_input, coefficients = _whitened(input - input.mean())
     residual = np.convolve(residual_um - residual_um.mean(), coefficients, mode="valid")
@@ -91,9 +84,7 @@ def input_correlation(residual_um: FloatArray, input: FloatArray) -> Correlation
 def _whitened(signal: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Make a signal white by an autoregressive filter; return it, and the filter."""
     order = SETTINGS.whitening_order
-    lagged = np.column_stack(
-        [signal[order - lag : signal.size - lag] for lag in range(1, order + 1)]
-    )
+    lagged = np.lib.stride_tricks.sliding_window_view(signal, order + 1)[:, -2::-1]
     weights = np.linalg.lstsq(lagged, signal[order:], rcond=1e-10)[0]
     coefficients = np.concatenate([[1.0], -weights])
     return np.convolve(signal, coefficients, mode="valid"), coefficients
@@ -107,16 +98,7 @@ def _correlation(later: FloatArray, earlier: FloatArray, lags: NDArray[np.intp])
 
 
 def spectrum(signal_um: FloatArray, sample_period_s: float) -> tuple[FloatArray, FloatArray]:
-    """Estimate the power spectral density of a signal.
-
-    Parameters
-    ----------
-    signal_um : (N,) array
-
-    Returns
-    -------
-    frequency_hz, density_um2_per_hz : arrays
-    """
+    """Return frequencies (Hz) and power spectral density (um^2/Hz) of a signal, (N,)."""
     return welch(signal_um, 1.0 / sample_period_s, nperseg=_segment(signal_um.size),
                  detrend="linear")
 
@@ -145,13 +127,7 @@ class ErrorResponse:
 
 def error_response(residual_um: FloatArray, displacement_um: FloatArray,
                    sample_period_s: float) -> ErrorResponse:
-    """Estimate how the residual depends on the model's displacement at each frequency.
-
-    Parameters
-    ----------
-    residual_um, displacement_um : (N,) array
-        Measured minus simulated displacement, and simulated displacement.
-    """
+    """Estimate how a residual depends on the model's displacement, both (N,), at each frequency."""
     segment = _segment(displacement_um.size)
     options = {"fs": 1.0 / sample_period_s, "nperseg": segment, "detrend": "linear"}
     frequency_hz, cross = csd(displacement_um, residual_um, **options)
@@ -182,12 +158,7 @@ class Dependence:
 
 
 def dependence(residual_um: FloatArray, values: FloatArray, quantity: str) -> Dependence:
-    """Estimate how the residual depends on a quantity.
-
-    Parameters
-    ----------
-    residual_um, values : (N,) array
-    """
+    """Estimate how a residual depends on the values of a quantity, both (N,)."""
     # Bins of equally many samples each.
     edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, SETTINGS.bins + 1)))
     index = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, max(0, edges.size - 2))
@@ -209,17 +180,7 @@ def dependence(residual_um: FloatArray, values: FloatArray, quantity: str) -> De
 
 def dependences(residual_um: FloatArray, displacement_um: FloatArray, voltage_v: FloatArray,
                 time_s: FloatArray) -> list[Dependence]:
-    """Estimate how the residual depends on each quantity that may be related to an effect.
-
-    Parameters
-    ----------
-    residual_um, displacement_um, voltage_v, time_s : (N,) array
-
-    Returns
-    -------
-    list of Dependence
-        Dependences on displacement, speed, amplitude, direction, history and time.
-    """
+    """Estimate how a residual depends on quantities that may be related to effects, all (N,)."""
     speed = np.gradient(displacement_um, time_s)
     amplitude, history = _branches(voltage_v)
     direction = np.sign(np.gradient(voltage_v))
@@ -252,10 +213,47 @@ def _correlated_samples(residual_um: FloatArray) -> float:
     energy = residual @ residual
     if energy == 0.0:
         return 1.0
-    # A length with large prime factors takes ten times as long.
-    padded = next_fast_len(2 * residual.size, real=True)
-    power = np.abs(rfft(residual, padded)) ** 2
-    correlation = irfft(power, padded)[: residual.size] / energy
+    correlation = correlate(residual, residual, method="fft")[residual.size - 1 :] / energy
     below = np.flatnonzero(correlation < 0.05)
     end = int(below[0]) if below.size else residual.size
     return float(max(1.0, 1.0 + 2.0 * np.sum(correlation[1:end])))
+
+
+WORTH_REPORTING = 0.05
+"""Smallest share of the residual power related to a quantity for which the quantity is named."""
+
+MOST_OF_IT = 0.1, 0.9
+"""Quantiles of the power that limit the named band."""
+
+
+def describe_residual(regression: Regression, fit: Fit) -> str:
+    """Describe the residual of a fit, in one sentence for each recording."""
+    return " ".join(_sentence(regression, fit, index)
+                    for index in range(len(regression.dataset.simulated)))
+
+
+def _sentence(regression: Regression, fit: Fit, index: int) -> str:
+    part, noise = regression.dataset.simulated[index], regression.noise
+    residual = residual_um(regression.dataset, index, fit.effects, noise)
+    residual = np.where(noise.outliers[index], 0.0, residual)[part.begin :]
+    frequency_hz, density = spectrum(residual, part.sample_period_s)
+    power = np.cumsum(density[1:])
+    low, high = frequency_hz[1:][np.searchsorted(power, [share * power[-1]
+                                                         for share in MOST_OF_IT])]
+    peak_hz = frequency_hz[1:][np.argmax(density[1:])]
+    found = dependences(residual, part.simulate(fit.effects)[part.begin :],
+                        part.voltage_v[part.begin :], part.time_s[part.begin :])
+    strongest = max(found, key=lambda dependence: dependence.share)
+    worst = part.begin + int(np.argmax(np.abs(residual)))
+    text = (
+        f"{part.path}: {1e3 * np.sqrt(np.mean(residual**2)):.3g} nm RMS, against "
+        f"{1e3 * noise.noise_um[index]:.3g} nm of noise; largest at "
+        f"{part.time_s[worst]:.4g} s, {part.voltage_v[worst]:.4g} V; most of it from "
+        f"{low:.3g} to {high:.3g} Hz, strongest at {peak_hz:.4g} Hz"
+    )
+    if strongest.share > WORTH_REPORTING:
+        text += (f"; {100 * strongest.share:.0f} % of its power goes with "
+                 f"{strongest.quantity.split(' / ')[0]}")
+    if whiteness(residual).passed:
+        text += "; neighbouring samples are not alike"
+    return f"{text}."

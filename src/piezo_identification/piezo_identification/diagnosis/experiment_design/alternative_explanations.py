@@ -9,13 +9,18 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_common.side_by_side import side_by_side
-from piezo_identification.diagnosis.comparison.reasons import Reason
-from piezo_identification.diagnosis.joint.alternatives import Appearance, evidence_of
-from piezo_identification.diagnosis.joint.expected_errors import expected_errors
-from piezo_identification.diagnosis.joint.far_starts import may_lead
+from piezo_identification.diagnosis.comparison.criteria import Reason
+from piezo_identification.diagnosis.joint.alternatives import (
+    Alternative,
+    Appearance,
+    alternative_of,
+    continued,
+)
 from piezo_identification.diagnosis.joint.probabilities import (
     ALTERNATIVE,
     NONE,
+    expected_errors,
+    label_of,
     listed_probabilities,
 )
 from piezo_identification.fitting.effect_fit import fit_one_more
@@ -27,7 +32,7 @@ from piezo_models.effects import Effect, fitted_values, known_effects, with_fitt
 from piezo_models.effects.outliers import Outliers
 from piezo_recorder.reading.recording import Recording
 
-TURNS = 8
+TURNS = 7
 """Largest number of continued fits of two steps each. With the single one of a diagnosis, a correct
 alternative would lose if its model has to change more."""
 IDLE = 1e-3
@@ -39,14 +44,8 @@ Effects = tuple[Effect, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class Alternative:
+class WeighedAlternative(Alternative):
     """A set of effects, estimated with the model on all recordings together."""
-
-    name: str
-    """Names of the effects joined by +, or "none"."""
-    effects: Effects
-    """Effects without those that the model already had."""
-    fit: JointFit
 
     probability: float
     """Probability from the recordings so far; the sum over all listed alternatives is less than one
@@ -56,12 +55,22 @@ class Alternative:
     fitted parameters of the effects, (p, p): a change x costs ``|information x|^2`` in standard
     deviations."""
 
+    @property
+    def name(self) -> str:
+        """Return the names of the effects joined by +, or "none"."""
+        return self.evidence.label
+
+    @property
+    def effects(self) -> Effects:
+        """Return the effects without those that the model already had."""
+        return self.fit.effects[len(self.fit.effects) - len(self.names) :]
+
 
 @dataclass(frozen=True, eq=False)
 class Alternatives:
     """The alternatives, and the errors to expect in the next recording."""
 
-    alternatives: tuple[Alternative, ...]
+    alternatives: tuple[WeighedAlternative, ...]
     """Alternatives, the most probable first."""
     problem: JointProblem
     """Problem with the recordings so far and those of the identification."""
@@ -77,12 +86,7 @@ class Alternatives:
 
 
 def effects_of(verdict: Mapping[str, Any]) -> tuple[Effect, ...]:
-    """Return the effects that a verdict found, with their parameters.
-
-    Parameters
-    ----------
-    verdict : dict
-        Content of `verdict.json`.
+    """Return the effects that a verdict (content of `verdict.json`) found.
 
     Raises
     ------
@@ -116,8 +120,6 @@ def find_alternatives(regression: Regression, verdict: Mapping[str, Any],
     ----------
     regression : Regression
         Regression on the diagnosed recordings, weighted with the effects found.
-    verdict : dict
-        Content of `verdict.json`.
     old : sequence of Recording
         Recordings of the identification, conditioned as for a diagnosis.
     others : iterable of tuples of Effect
@@ -126,10 +128,10 @@ def find_alternatives(regression: Regression, verdict: Mapping[str, Any],
         RMS of the known error of the model.
     """
     dataset, found = regression.dataset, effects_of(verdict)
-    sets: dict[str, Effects] = {_name(found): found}
+    sets: dict[str, Effects] = {label_of(found): found}
     for effects in (*others, *_undecided(regression, found, verdict),
                     *_probable(regression, found, verdict)):
-        sets.setdefault(_name(effects), effects)
+        sets.setdefault(label_of(effects), effects)
     problem = JointProblem(dataset.model, dataset.recordings, old, len(dataset.recordings),
                            simulated=dataset.simulated)
     was_there = any(entry.get("came") == Appearance.BEFORE
@@ -147,14 +149,14 @@ def _fit(problem: JointProblem, sets: Mapping[str, Effects], was_there: bool,
     model without effects remains.
     """
     found, *others = sets.values()
-    first = _gone_on(problem, _fitted(problem, found, was_there))
+    first = continued(problem, _fitted(problem, found, was_there), most=TURNS)
 
     def begins_from_first(effects: Effects) -> bool:
         return {effect.name for effect in found} < {effect.name for effect in effects}
 
     def fit_of(effects: Effects) -> JointFit:
         begun = first if begins_from_first(effects) else None
-        return _gone_on(problem, _fitted(problem, effects, was_there, begun), first)
+        return continued(problem, _fitted(problem, effects, was_there, begun), first, TURNS)
 
     fitted = [first, *side_by_side(fit_of, others)]
     best = min(fitted, key=lambda fit: fit.against)
@@ -164,32 +166,27 @@ def _fit(problem: JointProblem, sets: Mapping[str, Effects], was_there: bool,
         if fit is best or best is first and begins_from_first(effects):
             return fit
         moved = _fitted(problem, effects, was_there, best)
-        return min(fit, _gone_on(problem, moved, best), key=lambda fit: fit.against)
+        return min(fit, continued(problem, moved, best, TURNS), key=lambda fit: fit.against)
 
     fits = dict(zip(sets, side_by_side(again, fitted), strict=True))
     extent = problem.dataset.extent
     possible = {name: fit for name, fit in fits.items()
                 if name == NONE or not any(effect.impossible(extent) for effect in fit.effects)}
     if not possible:
-        possible = {NONE: _gone_on(problem, _fitted(problem, (), was_there))}
+        possible = {NONE: continued(problem, _fitted(problem, (), was_there), most=TURNS)}
     return without_idle(possible, len(problem.own))
 
 
 def without_idle(fits: Mapping[str, JointFit], own: int) -> dict[str, JointFit]:
     """Omit sets in which an effect changes nothing, and which are equal to the set without it.
 
-    Parameters
-    ----------
-    fits : dict of str to JointFit
-        Fits by the names of their effects.
-    own : int
-        Number of effects of the model itself, which come first in every fit.
+    The effects of the model itself, of which there are `own`, come first in every fit.
     """
     def is_another(fit: JointFit) -> bool:
         whole = fit.regression.difference(fit.effects)
         for index in range(own, len(fit.effects)):
             rest = fit.effects[:index] + fit.effects[index + 1:]
-            if _name(rest[own:]) in fits and np.allclose(
+            if label_of(rest[own:]) in fits and np.allclose(
                     fit.regression.difference(rest), whole, rtol=0.0, atol=IDLE):
                 return True
         return False
@@ -197,31 +194,21 @@ def without_idle(fits: Mapping[str, JointFit], own: int) -> dict[str, JointFit]:
     return {name: fit for name, fit in fits.items() if not is_another(fit)}
 
 
-def _gone_on(problem: JointProblem, fit: JointFit, best: JointFit | None = None) -> JointFit:
-    """Continue a fit until there is nothing to gain, or until the best is too far ahead."""
-    for _ in range(1, TURNS):
-        if fit.has_converged or best is not None and not may_lead(fit, best):
-            break
-        fit = problem.fit(fit.effects, fit.later, fit)
-    return fit
-
-
 def _weighed(problem: JointProblem, fitted: Mapping[str, JointFit],
              stated_um: float) -> Alternatives:
     """Calculate the probabilities of the fits."""
-    own = len(problem.own)
-    roots = {name: _information(fit) for name, fit in fitted.items()}
-    evidence = {name: evidence_of(name, fit) for name, fit in fitted.items()}
-    chances = dict(zip(fitted, listed_probabilities(
-        list(evidence.values()), expected_errors(
-            problem.dataset, problem.noise.noise_um, stated_um)).tolist(),
-        strict=True))
+    compared = [alternative_of(
+        [] if name == NONE else name.split("+"), fit, bool(fit.later))
+        for name, fit in fitted.items()]
+    chances = listed_probabilities([each.evidence for each in compared], expected_errors(
+        problem.dataset, problem.noise.noise_um, stated_um)).tolist()
     alternatives = sorted(
-        (Alternative(name, fit.effects[own:], fit, chances[name], roots[name])
-         for name, fit in fitted.items() if chances[name] >= ALTERNATIVE),
+        (WeighedAlternative(each.names, each.since, each.fit, each.evidence, chance,
+                            _information(each.fit))
+         for each, chance in zip(compared, chances, strict=True) if chance >= ALTERNATIVE),
         key=lambda alternative: -alternative.probability)
     return Alternatives(tuple(alternatives), problem,
-                        *_errors(problem, evidence[alternatives[0].name].held_out))
+                        *_errors(problem, alternatives[0].evidence.held_out))
 
 
 def _errors(problem: JointProblem, residuals: Sequence[HeldOut]) -> tuple[float, float]:
@@ -244,10 +231,6 @@ def _fitted(problem: JointProblem, effects: Effects, was_there: bool,
         was_there and (effect.of_the_stage or effect.recurs))]
     own = problem.own if begun is None else begun.effects[: len(problem.own)]
     return problem.fit((*own, *effects), later, begun)
-
-
-def _name(effects: Sequence[Effect]) -> str:
-    return "+".join(sorted(effect.name for effect in effects)) or NONE
 
 
 def _undecided(regression: Regression, found: Effects,
@@ -293,17 +276,7 @@ def _probable(regression: Regression, found: Effects,
 
 def sensitivities(simulate: Callable[..., FloatArray],
                   effects: tuple[Effect, ...]) -> FloatArray:
-    """Return the change of a simulation with each fitted parameter of some effects.
-
-    Parameters
-    ----------
-    simulate : callable
-        Returns an array of shape (N,) for given effects.
-
-    Returns
-    -------
-    (N, p) array
-    """
+    """Return the change of a simulation, (N,), with each fitted parameter of effects, (N, p)."""
     middle, columns = simulate(effects), []
     for number, effect in enumerate(effects):
         values, low, high = fitted_values(effect)

@@ -2,25 +2,44 @@
 """Play what distinguishes the alternatives, and diagnose again, until one remains."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from piezo_common.budget import Budget
 from piezo_common.progress_part import Progress, part_of
-from piezo_identification.diagnosis.diagnose import Diagnosis, diagnose
+from piezo_identification.diagnosis.comparison.validation import Validation
+from piezo_identification.diagnosis.diagnose import (
+    Decision,
+    Diagnosis,
+    ceiling_of,
+    conclude,
+    condition,
+    diagnose,
+    hold_to_noise,
+)
+from piezo_identification.diagnosis.evidence.effect_entries import found_outliers
 from piezo_identification.diagnosis.evidence.known_noise import KnownNoise
 from piezo_identification.diagnosis.experiment_design.alternative_explanations import (
     Alternatives,
     find_alternatives,
 )
-from piezo_identification.diagnosis.experiment_design.decided_verdict import decided_verdict
 from piezo_identification.diagnosis.experiment_design.expected_outcome import SURE
 from piezo_identification.diagnosis.experiment_design.propose import LONGEST_S, Proposal, propose
+from piezo_identification.diagnosis.joint.alternatives import Appearance
+from piezo_identification.diagnosis.joint.competition import (
+    Competition,
+    probabilities_of_named,
+    selection_from,
+)
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
     old_recordings,
 )
+from piezo_identification.diagnosis.joint.probabilities import BELIEVED, SOMETHING_ELSE
 from piezo_identification.experiments.stage_limits import USUAL_LIMITS, StageLimits
+from piezo_identification.fitting.dataset import simulate_recordings
+from piezo_identification.fitting.regression import first_regression, fit_without_effects
 from piezo_models.cascade import StageModel
+from piezo_models.effects.outliers import Outliers
 from piezo_recorder.reading.recording import Recording
 
 DIAGNOSED, COMPARED, DESIGNED = 0.6, 0.7, 0.8
@@ -62,8 +81,6 @@ def decide(model: StageModel, recordings: Sequence[Recording], play: Play, budge
 
     Parameters
     ----------
-    recordings : sequence of Recording
-        Recordings so far.
     play : callable
         Takes a proposal and a progress function called with (what is done, fraction); plays the
         experiment on the stage and returns the recording.
@@ -83,20 +100,7 @@ def decide(model: StageModel, recordings: Sequence[Recording], play: Play, budge
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from piezo_models import (
-    ...     CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel)
-    >>> from piezo_recorder import recording_of
-    >>> line = PreisachModel.line(0.0, 10.0, 2.0)
-    >>> time_s = 0.01 * np.arange(500)
-    >>> voltage_v = 5.0 - 5.0 * np.cos(3.0 * time_s)
-    >>> stage, model = (StageModel(line, CreepDynamics(), ElectricVibrationDynamics(lag_s))
-    ...                 for lag_s in (0.02, 0.0))
-    >>> noise_um = np.random.default_rng(0).normal(0.0, 0.01, 500)
-    >>> recording = recording_of({
-    ...     "time_s": time_s, "voltage_v": voltage_v,
-    ...     "displacement_um": stage.simulate(voltage_v, 0.01) + noise_um})
-    >>> step, = decide(model, [recording], play=None, budget=0)    # without a further recording
+    >>> step, = decide(model, [recording], play=None, budget=0)    # those of `diagnose`
     >>> step.is_decided, sorted(step.probabilities)
     (False, ['amplifier_lag', 'sensor_lag'])
     """
@@ -126,3 +130,52 @@ def decide(model: StageModel, recordings: Sequence[Recording], play: Play, budge
 
 def _is_decided(alternatives: Alternatives) -> bool:
     return max(alternatives.probabilities.values()) >= SURE
+
+
+def decided_verdict(model: StageModel, recordings: Sequence[Recording], holdout: Recording | None,
+                    diagnosis: Diagnosis, alternatives: Alternatives) -> Diagnosis:
+    """Return a diagnosis with the most probable alternative and all probabilities."""
+    best = alternatives.alternatives[0]
+    names = best.names
+    unnamed = diagnosis.probabilities.get(SOMETHING_ELSE, 0.0)
+    listed = sum(alternatives.probabilities.values())
+    if not names and unnamed >= BELIEVED:
+        return diagnosis  # nothing on the list decides, and it names what explains a part
+    chances = {name: (1.0 - unnamed) * share / listed
+               for name, share in alternatives.probabilities.items()} | {SOMETHING_ELSE: unnamed}
+    competition = Competition(chances, best)
+    alike = competition.indistinguishable()
+    found = sorted(entry["name"] for entry in diagnosis.effects if entry["name"] != Outliers.name)
+    if list(names) == found:
+        decided = diagnosis.confounded_with.keys() - alike.keys()
+        return replace(diagnosis.without_undecided(decided), probabilities=chances)
+    given = condition(model, recordings, holdout)
+    first = first_regression(simulate_recordings(model, given.recordings))
+    extended = selection_from(
+        replace(diagnosis.selection, regression=first), competition, best)
+    selection = replace(
+        extended, start=fit_without_effects(extended.regression), indistinguishable=alike)
+    validation = Validation(first, given.holdout).for_regression(extended.regression)
+    if names and not validation.improves(selection.end):
+        return replace(diagnosis, probabilities=chances)
+    outliers = found_outliers(selection.regression, selection.end.effects)
+    if unnamed >= BELIEVED:
+        # The probabilities belong to a fit that is not named here.
+        chances = probabilities_of_named(competition, selection.regression, selection.end, ())
+    held = hold_to_noise(chances, selection, validation, selection.end, outliers, diagnosis.noise,
+                         diagnosis.stated_um)
+    decision = Decision(selection.end, outliers, {}, _appearance(alternatives), held)
+    diagnosed = conclude(
+        model, given, selection, validation, decision, ceiling_of(selection, decision))
+    return replace(
+        diagnosed, identified_from=diagnosis.identified_from, probabilities=held.probabilities,
+        noise=diagnosis.noise, stated_um=diagnosis.stated_um)
+
+
+def _appearance(alternatives: Alternatives) -> Appearance:
+    """Return when the effects of the most probable alternative appeared."""
+    problem = alternatives.problem
+    if problem.new_count == len(problem.dataset.recordings):
+        return Appearance.NOT_ASKED
+    later = alternatives.alternatives[0].fit.later
+    return Appearance.AFTER if later else Appearance.BEFORE

@@ -2,28 +2,25 @@
 """Design of the recording that distinguishes the alternative explanations of a diagnosis."""
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from piezo_common.progress_part import Progress
+from piezo_common.arrays import FloatArray
+from piezo_common.progress_part import Progress, part_of
 from piezo_common.side_by_side import side_by_side
 from piezo_common.text_file import replace_json, replace_text
-from piezo_identification.diagnosis.diagnose import condition
+from piezo_identification.diagnosis.diagnose import Diagnosis, condition
 from piezo_identification.diagnosis.experiment_design.alternative_explanations import (
     Alternatives,
     effects_of,
     find_alternatives,
 )
-from piezo_identification.diagnosis.experiment_design.candidate_waveforms import (
-    Point,
-    grid,
-    waveform,
-)
 from piezo_identification.diagnosis.experiment_design.expected_outcome import (
+    SURE,
     ExpectedOutcome,
     expected_outcome,
 )
@@ -31,12 +28,157 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
     old_recordings,
 )
+from piezo_identification.diagnosis.joint.probabilities import ALTERNATIVE, BELIEVED, SOMETHING_ELSE
 from piezo_identification.experiments.catalogue import Experiment
-from piezo_identification.experiments.stage_limits import StageLimits
-from piezo_identification.fitting.dataset import simulate_recordings
+from piezo_identification.experiments.input_designs import random_phase_multisine
+from piezo_identification.experiments.stage_limits import USUAL_LIMITS, StageLimits
+from piezo_identification.fitting.dataset import Dataset, simulate_recordings
 from piezo_identification.fitting.regression import first_regression, reweighted
 from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording
+
+SLOW_SAMPLES = 30_000
+"""Approximate number of samples of a slow waveform: what a diagnosis fits of one recording."""
+ROUNDED = 41
+"""Number of samples over which an edge of a slow waveform is smoothed."""
+FAST_S = 2.0
+FEWEST_SAMPLES = 1000
+"""Rows of a fast waveform with a slow clock: twice what a comparison needs, as half may settle."""
+FASTEST_OF_CLOCK = 0.1
+"""Highest frequency relative to the sample rate: above it, a held voltage is too coarse."""
+MOST_OF_RANGE = 0.95
+SEED = 0
+"""Seed for random levels and phases."""
+
+
+@dataclass(frozen=True)
+class Family:
+    """A family of waveforms, from which an experiment is chosen by its level and its rate.
+
+    Slow waveforms last for the whole time allowed, with samples held for milliseconds; fast ones
+    last for a second or two at the sample clock.
+    """
+
+    name: str
+
+    levels: tuple[float, ...]
+    """Fractions of the voltage range that are tried."""
+    rates: tuple[float, ...]
+    """Rates in Hz: the frequency of triangles, the number of steps per second, the highest
+    frequency of multisines and sweeps."""
+    fast: bool
+    """Whether it is played at the sample clock."""
+    shape: Callable[[FloatArray, float], FloatArray]
+    """Returns the wave between -1 and 1 for time in s, shape (N,), and rate."""
+
+
+def _triangles(time_s: FloatArray, rate_hz: float) -> FloatArray:
+    """Triangles whose amplitude rises until the middle of the time and falls again."""
+    triangle = 4.0 * np.abs((rate_hz * time_s + 0.25) % 1.0 - 0.5) - 1.0
+    position = time_s / time_s[-1]
+    return triangle * (0.1 + 0.9 * (1.0 - np.abs(2.0 * position - 1.0)))
+
+
+def _steps(time_s: FloatArray, rate_hz: float) -> FloatArray:
+    """Random levels, each held for a random time."""
+    random = np.random.default_rng(SEED)
+    count = max(2, round(rate_hz * time_s[-1]))
+    holds = random.uniform(0.3, 1.7, count)
+    edges_s = np.cumsum(holds)[:-1] * time_s[-1] / holds.sum()
+    return random.uniform(-1.0, 1.0, count)[np.searchsorted(edges_s, time_s, side="right")]
+
+
+def _rest_and_creep(time_s: FloatArray, rate_hz: float) -> FloatArray:
+    """Rest, a step up and a rest, a step down and a rest: drift continues, creep restarts."""
+    rate_hz = max(rate_hz, 1.0 / float(time_s[-1]))
+    return np.where((rate_hz * time_s + 0.75) % 1.0 < 0.5, 1.0, -1.0) * np.where(
+        rate_hz * time_s < 0.25, 0.0, 1.0)
+
+
+def _sweep(time_s: FloatArray, highest_hz: float) -> FloatArray:
+    """Sine with a frequency that rises over two and a half decades."""
+    ratio, duration_s = np.log(300.0), time_s[-1]
+    first_hz = highest_hz / 300.0
+    return np.sin(2.0 * np.pi * first_hz * duration_s / ratio
+                  * np.expm1(ratio * time_s / duration_s))
+
+
+def _multisine(time_s: FloatArray, highest_hz: float) -> FloatArray:
+    """Two periods of a multisine with all lines up to the highest frequency."""
+    samples = time_s.size // 2
+    period_s = samples * float(time_s[1] - time_s[0])
+    lines = np.arange(1, max(2, round(highest_hz * period_s)) + 1)
+    wave = random_phase_multisine(lines, samples, np.random.default_rng(SEED))
+    return np.asarray(np.resize(wave, time_s.size))
+
+
+FAMILIES = (
+    Family("triangles", (0.3, 0.9), (0.2, 2.0), False, _triangles),
+    Family("steps", (0.3, 0.8), (0.3, 2.0), False, _steps),
+    Family("rest_and_creep", (0.3, 0.8), (0.035, 0.1), False, _rest_and_creep),
+    Family("slow_sweep", (0.3, 0.9), (30.0,), False, _sweep),
+    Family("fast_triangles", (0.2, 0.7), (20.0, 100.0), True, _triangles),
+    Family("fast_steps", (0.1, 0.35), (50.0, 200.0), True, _steps),
+    Family("sweep", (0.1, 0.4), (500.0, 3000.0), True, _sweep),
+    Family("multisine", (0.2, 0.6), (300.0, 3000.0), True, _multisine),
+)
+
+
+def _rounded(wave: FloatArray) -> FloatArray:
+    """Smooth the edges, so that fast errors of a model between slow samples do not matter."""
+    window = np.hanning(ROUNDED + 2)[1:-1]
+    padded = np.concatenate([np.full(ROUNDED // 2, wave[0]), wave,
+                             np.full(ROUNDED - 1 - ROUNDED // 2, wave[-1])])
+    return np.asarray(np.convolve(padded, window / window.sum(), mode="valid"))
+
+
+@dataclass(frozen=True)
+class Point:
+    """One waveform of a family."""
+
+    family: Family
+
+    level: float
+    """Fraction of the voltage range."""
+    rate_hz: float
+    """Reduced if the sample clock requires it."""
+
+    def neighbours(self, factor: float) -> "list[Point]":
+        """Return the points with the level or the rate multiplied or divided by a factor."""
+        return [replace(self, level=min(MOST_OF_RANGE, self.level * factor)),
+                replace(self, level=self.level / factor),
+                replace(self, rate_hz=self.rate_hz * factor),
+                replace(self, rate_hz=self.rate_hz / factor)]
+
+
+def grid() -> list[Point]:
+    """Return the points of all families on their grids."""
+    return [Point(family, level, rate_hz) for family in FAMILIES for level in family.levels
+            for rate_hz in family.rates]
+
+
+def waveform(limits: StageLimits, longest_s: float, point: Point) -> Experiment:
+    """Make a waveform as large as its level and the slew limit allow."""
+    family = point.family
+    clock_s = 1.0 / limits.sample_rate_hz
+    period_s = clock_s
+    if not family.fast:
+        period_s = clock_s * max(1, round(longest_s / SLOW_SAMPLES / clock_s))
+    fast_s = max(FAST_S, FEWEST_SAMPLES * clock_s)
+    duration_s = min(longest_s, fast_s) if family.fast else longest_s
+    time_s = period_s * np.arange(round(duration_s / period_s), dtype=np.float64)
+    rate_hz = min(point.rate_hz, FASTEST_OF_CLOCK / period_s)
+    wave = family.shape(time_s, rate_hz)
+    if not family.fast:
+        wave = _rounded(wave)
+    largest_v = 0.99 * limits.slew_limit_v_per_s * clock_s
+    step = float(np.abs(np.diff(wave)).max())
+    amplitude_v = min(0.5 * point.level * limits.span_v, largest_v / max(step, 1e-12))
+    return Experiment(
+        f"{family.name}_{point.level:.3g}_{rate_hz:.4g}Hz",
+        limits.clip(limits.middle_v + amplitude_v * wave), period_s, 1,
+        f"{family.name.replace('_', ' ')} of {2.0 * amplitude_v:.3g} V, {rate_hz:.3g} Hz")
+
 
 LONGEST_S = 30.0
 FACTORS = (1.6, 1.25)
@@ -95,10 +237,6 @@ def alternatives_of_files(model: StageModel, recordings: Sequence[Recording],
 
     Parameters
     ----------
-    model : StageModel
-        Model that was diagnosed.
-    recordings : sequence of Recording
-        Recordings that were diagnosed.
     verdict : dict
         Content of `verdict.json`.
     identified_from : IdentificationRecordings, optional
@@ -108,21 +246,7 @@ def alternatives_of_files(model: StageModel, recordings: Sequence[Recording],
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from piezo_models import (
-    ...     CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel)
-    >>> from piezo_identification import diagnose
-    >>> from piezo_recorder import recording_of
-    >>> line = PreisachModel.line(0.0, 10.0, 2.0)
-    >>> time_s = 0.01 * np.arange(500)
-    >>> voltage_v = 5.0 - 5.0 * np.cos(3.0 * time_s)
-    >>> stage, model = (StageModel(line, CreepDynamics(), ElectricVibrationDynamics(lag_s))
-    ...                 for lag_s in (0.02, 0.0))
-    >>> noise_um = np.random.default_rng(0).normal(0.0, 0.01, 500)
-    >>> recording = recording_of({
-    ...     "time_s": time_s, "voltage_v": voltage_v,
-    ...     "displacement_um": stage.simulate(voltage_v, 0.01) + noise_um})
-    >>> verdict = diagnose(model, [recording]).document()
+    >>> verdict = diagnose(model, [recording]).document()    # the example of `diagnose`
     >>> alternatives = alternatives_of_files(model, [recording], verdict)
     >>> sorted(each.name for each in alternatives.alternatives)
     ['amplifier_lag', 'sensor_lag']
@@ -146,8 +270,6 @@ def propose(alternatives: Alternatives, limits: StageLimits, longest_s: float = 
         Limits of the waveform; the voltage range of the model applies as well.
     longest_s : float
         Longest duration of the waveform.
-    progress : callable, optional
-        Called with (what is done, fraction).
 
     Returns
     -------
@@ -190,17 +312,10 @@ def propose(alternatives: Alternatives, limits: StageLimits, longest_s: float = 
 
 
 def save_proposal(proposal: Proposal, directory: Path) -> tuple[Path, Path]:
-    """Write the waveform and its expected outcome.
+    """Write the waveform and its expected outcome to a directory, which is created if necessary.
 
-    Parameters
-    ----------
-    directory : Path
-        Created if it does not exist.
-
-    Returns
-    -------
-    waveform, outcome : Path
-        `next_experiment.csv` with the columns time_s,voltage_v, and `next_experiment.json`.
+    Return the paths of `next_experiment.csv`, with the columns time_s,voltage_v, and of
+    `next_experiment.json`.
     """
     directory.mkdir(parents=True, exist_ok=True)
     experiment = proposal.experiment
@@ -229,3 +344,46 @@ def _within_model(limits: StageLimits, model: StageModel) -> StageLimits:
             f"is for {model.hysteresis.voltage_min_v:g}..{model.hysteresis.voltage_max_v:g} V: "
             "give limits within the model's")
     return replace(limits, voltage_min_v=lowest_v, voltage_max_v=highest_v)
+
+
+COMPARED = 0.3
+"""Part of the work for estimating the alternatives."""
+
+
+def several_remain(verdict: Mapping[str, Any]) -> bool:
+    """Return whether a verdict (`verdict.json`) leaves several known explanations to decide.
+
+    It does not if something else is most probable, because no known effect predicts it.
+    """
+    shares = dict(verdict.get("probabilities") or {})
+    if shares.pop(SOMETHING_ELSE, 0.0) >= BELIEVED:
+        return False
+    likely = [share for share in shares.values() if share >= ALTERNATIVE]
+    if likely and max(likely) < SURE * sum(likely):
+        return True
+    return bool(verdict.get("not_told_from"))
+
+
+def what_would_decide(diagnosis: Diagnosis, identified_from: IdentificationRecordings,
+                      progress: Progress) -> Proposal | None:
+    """Design the recording that decides between the alternatives of a diagnosis, if any."""
+    verdict = diagnosis.document()
+    if diagnosis.selection.interrupted or not several_remain(verdict):
+        return None
+    regression = diagnosis.selection.regression
+    progress("compare the alternatives", 0.0)
+    alternatives = find_alternatives(
+        regression, verdict, old_recordings(regression.dataset.model, identified_from),
+        stated_um=diagnosis.stated_um)
+    return propose(alternatives, recorded_limits(regression.dataset),
+                   progress=part_of(progress, COMPARED, 1.0))
+
+
+def recorded_limits(dataset: Dataset) -> StageLimits:
+    """Return the voltages of the model as limits, and the clock of the fastest recording."""
+    hysteresis = dataset.model.hysteresis
+    lowest_v, highest_v = hysteresis.voltage_min_v, hysteresis.voltage_max_v
+    return replace(
+        USUAL_LIMITS, voltage_min_v=lowest_v, voltage_max_v=highest_v,
+        rest_voltage_v=min(max(USUAL_LIMITS.rest_voltage_v, lowest_v), highest_v),
+        sample_rate_hz=max(recording.sample_rate_hz for recording in dataset.recordings))

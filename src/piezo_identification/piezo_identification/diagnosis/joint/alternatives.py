@@ -5,8 +5,8 @@ An alternative is a model whose parameters and effects are estimated from the re
 identification and the new ones together.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -16,20 +16,89 @@ from piezo_common.arrays import FloatArray
 from piezo_common.budget import while_time_lasts
 from piezo_common.progress_part import Progress, part_of
 from piezo_common.side_by_side import side_by_side
-from piezo_identification.diagnosis.joint.expected_errors import ExpectedErrors
-from piezo_identification.diagnosis.joint.far_starts import SETTINGS as FITS
-from piezo_identification.diagnosis.joint.far_starts import from_afar
 from piezo_identification.diagnosis.joint.probabilities import (
     NONE,
     Evidence,
+    ExpectedErrors,
     logarithms_of_evidence,
-    penalty_of,
 )
 from piezo_identification.fitting.joint_fit import JointFit, JointProblem
 from piezo_identification.fitting.model_weights import expected_widths, held_out_of
 from piezo_identification.fitting.recording_evidence import recording_evidence
 from piezo_identification.fitting.regression import Regression, accuracies_um
 from piezo_models.effects import Effect, fitted_values, known_effects, with_fitted_values
+
+CONTINUED = 5
+"""Largest number of continued fits, each of several steps."""
+
+HOPEFUL = 3.0
+"""A fit is continued if its deficit of evidence is less than this multiple of the gain of its last
+step."""
+
+
+def from_afar(problem: JointProblem, simpler: JointFit, guesses: Sequence[Effect],
+              nearby: JointFit) -> JointFit:
+    """Return the best fit of an effect: the given one, or one that starts from a changed model.
+
+    The model's parameters compensate for most of an effect that was present at the identification.
+    The effect then looks smaller than it is, and a fit from there underestimates it.
+
+    Parameters
+    ----------
+    simpler : JointFit
+        Fit of the model without the effect.
+    guesses : sequence of piezo_models.effects.effect.Effect
+        Initial guesses of the effect; the given fit started from the first.
+    nearby : JointFit
+        Given fit of the effect.
+    """
+    held = _held(problem, simpler, guesses[1:])
+    if held is not None and _may_lead(held, nearby):
+        nearby = _better(problem.fit(held.effects, begun=held), nearby)
+    fit = _taken_out(problem, simpler, guesses)
+    return nearby if fit is None else _better(continued(problem, fit, nearby), nearby)
+
+
+def continued(problem: JointProblem, fit: JointFit, best: JointFit | None = None,
+              most: int = CONTINUED, report: Callable[[int], None] = lambda turn: None) -> JointFit:
+    """Continue a fit until there is nothing to gain, or until the best is too far ahead."""
+    for turn in range(most):
+        if fit.has_converged or best is not None and not _may_lead(fit, best):
+            break
+        report(turn)
+        fit = problem.fit(fit.effects, fit.later, fit)
+    return fit
+
+
+def _better(*fits: JointFit) -> JointFit:
+    return min(fits, key=lambda fit: fit.against)
+
+
+def _may_lead(fit: JointFit, best: JointFit) -> bool:
+    """Return whether a fit may still become better than the best when it is continued."""
+    return fit.against - HOPEFUL * fit.gain < best.against
+
+
+def _held(problem: JointProblem, simpler: JointFit, guesses: Sequence[Effect]) -> JointFit | None:
+    """Fit the model by one step with each guess held fixed, and return the best."""
+    fits = [problem.fit(simpler.effects, begun=simpler, held=(guess,)) for guess in guesses]
+    return _better(*fits) if fits else None
+
+
+def _taken_out(problem: JointProblem, simpler: JointFit,
+               guesses: Sequence[Effect]) -> JointFit | None:
+    """Remove the best guess from the hysteresis that contains it, and fit both from there."""
+    model, found = problem.dataset.model, []
+    for guess in guesses:
+        ahead = guess.hysteresis_ahead(model.hysteresis)
+        if ahead is not None:
+            made_way = replace(model, hysteresis=ahead)
+            effects = (*simpler.effects, guess)
+            found.append((problem.against(made_way, effects), made_way, effects))
+    if not found:
+        return None
+    _, made_way, effects = min(found, key=lambda entry: entry[0])
+    return problem.about(made_way).fit(effects)
 
 
 class Appearance(StrEnum):
@@ -80,60 +149,30 @@ class Alternative:
     evidence: Evidence
     """Quantities on which its probability depends."""
 
-    @property
-    def mean_square_um2(self) -> tuple[float, ...]:
-        """Return the mean square residual of each recording, including noise."""
-        return self.evidence.mean_square_um2
-
-
-def evidence_of(label: str, fit: JointFit) -> Evidence:
-    """Return the quantities on which the probability of a fit depends."""
-    held_out = tuple(held_out_of(fit))
-    widths = expected_widths(fit.effects, fit.regression.dataset.extent)
-    return Evidence(label, held_out, penalty_of(
-        held_out, fit.covariance, widths, fit.recurrence_count))
-
 
 def settled(problem: JointProblem, progress: Progress) -> JointFit:
     """Fit the model without additional effects until no step is worthwhile."""
-    progress("all recordings together: no effect", 0.0)
-    fit = problem.fit(problem.own)
-    for turn in range(1, FITS.turns):
-        if fit.has_converged:
-            break
+    def report(turn: int) -> None:
         progress("all recordings together: no effect",
-                 0.2 / SETTINGS.most_effects * turn / FITS.turns)
-        fit = problem.fit(fit.effects, begun=fit)
-    return fit
+                 0.2 / SETTINGS.most_effects * (turn + 1) / CONTINUED)
+
+    report(-1)
+    return continued(problem, problem.fit(problem.own), most=CONTINUED - 1, report=report)
 
 
 def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effect]],
             expected: ExpectedErrors, progress: Progress) -> list[Alternative]:
-    """Fit the alternatives.
+    """Fit the alternatives, first the model without additional effects.
 
-    Parameters
-    ----------
-    none : JointFit
-        Fit without additional effects; see `settled`.
-    since : sequence of sequences of Effect
-        Sets that may explain the new recordings alone, the best first.
-    expected : ExpectedErrors
-        Expected errors of the recordings of the problem.
-    progress : callable
-        Called with (what is done, fraction).
-
-    Returns
-    -------
-    list of Alternative
-        The model without additional effects comes first.
+    The sets in `since` may explain the new recordings alone, the best first.
     """
-    alternatives = [_alternative((), none)]
+    alternatives = [alternative_of((), none)]
     named = {tuple(sorted(effect.name for effect in effects)): effects for effects in since}
     for names, effects in named.items():
         if names and not {effect.name for effect in none.effects} & set(names):
             fit = problem.fit((*none.effects, *effects), names, none)
-            alternatives.append(_alternative(names, fit, True))
-    if any(_is_at_noise(problem, each, len(each.mean_square_um2)) for each in alternatives):
+            alternatives.append(alternative_of(names, fit, True))
+    if any(_is_at_noise(problem, each) for each in alternatives):
         # No error remains that another effect could explain.
         return _possible(problem, alternatives)
     best, asked = alternatives[0], {name for names in named for name in names}
@@ -158,25 +197,18 @@ def compete(problem: JointProblem, none: JointFit, since: Sequence[Sequence[Effe
 
 def converged(problem: JointProblem, alternatives: Sequence[Alternative],
               expected: ExpectedErrors) -> list[Alternative]:
-    """Continue the fit of every alternative that may still become the most probable.
-
-    Returns
-    -------
-    list of Alternative
-        Physically possible alternatives, in the same order.
-    """
+    """Continue fits that may still become the most probable; omit impossible alternatives."""
     alternatives = list(alternatives)
-    for _ in range(FITS.turns):
+    for _ in range(CONTINUED):
         logarithms = _logarithms(alternatives, expected)
         behind = np.max(logarithms) - logarithms
         numbers = [number for number, each in enumerate(alternatives)
-                   if not each.fit.has_converged and not _is_at_noise(
-                       problem, each, len(each.mean_square_um2))
-                   and behind[number] < FITS.hopeful * each.fit.gain]
+                   if not each.fit.has_converged and not _is_at_noise(problem, each)
+                   and behind[number] < HOPEFUL * each.fit.gain]
         if not numbers:
             break
         further = side_by_side(
-            lambda each: _alternative(each.names, problem.fit(
+            lambda each: alternative_of(each.names, problem.fit(
                 each.fit.effects, each.fit.later, each.fit), each.since),
             [alternatives[number] for number in numbers])
         for number, each in zip(numbers, further, strict=True):
@@ -195,7 +227,7 @@ def asked_when(problem: JointProblem, alternatives: Sequence[Alternative],
     if not best.since or is_known or not all(
             effect.of_the_stage or effect.recurs for effect in best.fit.effects):
         return list(alternatives)
-    along = _alternative(best.names, problem.fit(best.fit.effects, begun=best.fit))
+    along = alternative_of(best.names, problem.fit(best.fit.effects, begun=best.fit))
     return converged(problem, [*alternatives, along], expected)
 
 
@@ -203,7 +235,7 @@ def fits_of_free_model(problem: JointProblem, sets: Sequence[Sequence[Effect]],
                        expected: ExpectedErrors) -> list[Alternative]:
     """Fit each set of effects together with all parameters of the model."""
     def fitted(effects: Sequence[Effect]) -> Alternative:
-        return _alternative([effect.name for effect in effects],
+        return alternative_of([effect.name for effect in effects],
                             problem.fit((*problem.own, *effects)))
 
     return converged(problem, side_by_side(fitted, sets), expected)
@@ -213,7 +245,7 @@ def _each_with_guess(problem: JointProblem, best: Alternative, guesses: Sequence
                      progress: Progress) -> list[Alternative]:
     """Fit one more effect in addition to those of an alternative, from the best guess of each."""
     def fitted(of_kind: Sequence[Effect]) -> Alternative:
-        return _alternative((*best.names, of_kind[0].name), problem.fit(
+        return alternative_of((*best.names, of_kind[0].name), problem.fit(
             (*best.fit.effects, of_kind[0]), begun=best.fit))
 
     return side_by_side(fitted, guesses, lambda number: progress(
@@ -226,7 +258,7 @@ def _from_afar(problem: JointProblem, best: Alternative, guesses: Sequence[Seque
     def better(entry: tuple[Sequence[Effect], Alternative]) -> Alternative:
         of_kind, nearby = entry
         fit = from_afar(problem, best.fit, of_kind, nearby.fit)
-        return nearby if fit is nearby.fit else _alternative(nearby.names, fit)
+        return nearby if fit is nearby.fit else alternative_of(nearby.names, fit)
 
     return side_by_side(better, list(zip(guesses, fitted, strict=True)))
 
@@ -249,13 +281,9 @@ def most_probable(alternatives: Sequence[Alternative], expected: ExpectedErrors)
 
 def times_of_coming(alternatives: Sequence[Alternative],
                     expected: ExpectedErrors) -> dict[tuple[str, ...], Appearance]:
-    """Return when each set of effects appeared, as far as the recordings show.
+    """Return when each set of effects that was tried appeared, as far as the recordings show.
 
-    Returns
-    -------
-    dict of tuple of str to Came
-        For each set that was tried in at least one way. A set with an effect that depends on when
-        a recording begins can only have appeared later.
+    A set with an effect that depends on when a recording begins can only have appeared later.
     """
     logarithms = _logarithms(alternatives, expected)
     best: dict[tuple[str, ...], dict[bool, float]] = {}
@@ -270,10 +298,11 @@ def times_of_coming(alternatives: Sequence[Alternative],
     return times
 
 
-def _is_at_noise(problem: JointProblem, alternative: Alternative, count: int) -> bool:
-    """Return whether the residual of the first recordings is too small for another effect."""
+def _is_at_noise(problem: JointProblem, alternative: Alternative,
+                 count: int | None = None) -> bool:
+    """Return whether the residual of the first or all recordings is too small for an effect."""
     noise = np.array(problem.noise.noise_um) ** 2 + accuracies_um(problem.dataset) ** 2
-    is_small = np.array(alternative.mean_square_um2) < SETTINGS.second * noise
+    is_small = np.array(alternative.evidence.mean_square_um2) < SETTINGS.second * noise
     return bool(np.all(is_small[:count]))
 
 
@@ -285,9 +314,13 @@ def _possible(problem: JointProblem, alternatives: Sequence[Alternative]) -> lis
         if not any(effect.impossible(extent) for effect in alternative.fit.effects))]
 
 
-def _alternative(names: Sequence[str], fit: JointFit, since: bool = False) -> Alternative:
+def alternative_of(names: Sequence[str], fit: JointFit, since: bool = False) -> Alternative:
+    """Return an alternative with the quantities on which its probability depends."""
     names = tuple(sorted(names))
-    return Alternative(names, since, fit, evidence_of("+".join(names) or NONE, fit))
+    evidence = Evidence.weighed(
+        "+".join(names) or NONE, held_out_of(fit), fit.covariance,
+        expected_widths(fit.effects, fit.regression.dataset.extent), fit.recurrence_count)
+    return Alternative(names, since, fit, evidence)
 
 
 def _promising(problem: JointProblem, regression: Regression, own: Sequence[Effect],

@@ -9,8 +9,11 @@ import numpy as np
 from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.diagnosis.comparison.criteria import is_noise
-from piezo_identification.diagnosis.comparison.selection import Selection
-from piezo_identification.diagnosis.comparison.undecided import in_place_of_the_found
+from piezo_identification.diagnosis.comparison.selection import (
+    Selection,
+    in_place_of_the_found,
+    select_effects,
+)
 from piezo_identification.diagnosis.joint.alternatives import (
     Alternative,
     Appearance,
@@ -21,29 +24,36 @@ from piezo_identification.diagnosis.joint.alternatives import (
     settled,
     times_of_coming,
 )
-from piezo_identification.diagnosis.joint.expected_errors import ExpectedErrors, expected_errors
-from piezo_identification.diagnosis.joint.plain_model import (
-    fits_of_plain_model,
-    is_plain,
-    plain_model,
-)
 from piezo_identification.diagnosis.joint.probabilities import (
+    BELIEVED,
     NONE,
     SOMETHING_ELSE,
     Evidence,
-    penalty_of,
+    ExpectedErrors,
+    expected_errors,
+    label_of,
     probabilities,
 )
-from piezo_identification.diagnosis.joint.probabilities import SETTINGS as PROBABILITIES
-from piezo_identification.fitting.dataset import Dataset, dataset_of
+from piezo_identification.fitting.dataset import Dataset, dataset_of, simulate_recordings
 from piezo_identification.fitting.evidence import log_evidence
 from piezo_identification.fitting.free_parameters import free_count
 from piezo_identification.fitting.joint_fit import JointFit, JointProblem
 from piezo_identification.fitting.model_weights import HeldOut, expected_widths, held_out_of
-from piezo_identification.fitting.regression import Fit, Regression, accuracies_um, reweighted
+from piezo_identification.fitting.regression import (
+    Fit,
+    Regression,
+    accuracies_um,
+    first_regression,
+    reweighted,
+)
+from piezo_identification.fitting.structure_search import loudest_mode
+from piezo_identification.fitting.whole_model import WholeFit, WholeModel
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, known_effects
+from piezo_models.effects.band_limited_voltage import BandLimitedVoltage
 from piezo_models.effects.outliers import Outliers
+from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
 
 LIKELY = 0.05
@@ -53,6 +63,14 @@ LIKELY = 0.05
 MOST_OTHERS = 3
 """Number of sets with nearly as small a residual of the new recordings that are compared as
 well."""
+
+LARGEST_RESIDUAL = 2.0
+"""Largest residual relative to that of the given model for which a simple model is worth a
+comparison of effects: hysteresis, creep and further modes then explain less than half of the
+misfit."""
+
+STEPS = 20
+"""Largest number of steps of its fit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,20 +114,9 @@ def compare_models(model: StageModel, new: Sequence[Recording], old: Sequence[Re
                    progress: Callable[[str, float], None]) -> Competition:
     """Compare models on all recordings, or sets of effects on the new ones alone.
 
-    The recordings of the identification are not used if the model leaves only noise.
-
-    Parameters
-    ----------
-    new, old : sequence of Recording
-        Recordings to diagnose, and those of the identification, with the sign of the model and
-        with marked outliers.
-    selection : Selection
-        Effects that explain the new recordings alone.
-    stated_um : float or None
-        RMS of the known error of the model; None if it is estimated from the recordings of the
-        identification.
-    progress : callable
-        Called with (what is done, fraction).
+    The recordings of the identification, the old ones, are not used if the model leaves only noise.
+    All have the sign of the model, and marked outliers. The known error of the model is estimated
+    from the old ones if `stated_um` is None.
     """
     if not old or is_noise(selection.regression, selection.start):
         stated_um = stated_um or 0.0
@@ -155,18 +162,9 @@ def with_free_model(competition: Competition, model: StageModel, new: Sequence[R
     Without the recordings of the identification, effects are fitted with the given model and small
     changes of it. The error of a model that was identified while the effect was present is larger.
     Some of the effects may then be sufficient.
-
-    Parameters
-    ----------
-    competition : Competition
-        Comparison of the sets of effects.
-    new : sequence of Recording
-        Recordings to diagnose.
-    selection : Selection
-        Effects that explain a part of them.
     """
     effects = selection.end.effects
-    explains = competition.probabilities[SOMETHING_ELSE] < PROBABILITIES.believed
+    explains = competition.probabilities[SOMETHING_ELSE] < BELIEVED
     if explains or not effects or selection.interrupted or competition.times:
         return competition
     problem = JointProblem(model, new, [], simulated=selection.regression.dataset.simulated)
@@ -185,17 +183,6 @@ def with_plain_model(competition: Competition, model: StageModel, new: Sequence[
 
     The given model is then too large for what it explains: hysteresis, creep and further modes may
     imitate the effect of nonlinear mechanics.
-
-    Parameters
-    ----------
-    competition : Competition
-        Comparison for the given model.
-    new, old : sequence of Recording
-        Recordings to diagnose, and those of the identification.
-    selection : Selection
-        Effects found with the given model.
-    progress : callable
-        Called with (what is done, fraction).
     """
     probable = max(competition.probabilities, key=competition.probabilities.__getitem__)
     if probable == NONE or selection.interrupted or is_plain(model):
@@ -249,17 +236,12 @@ def led_by_the_most_probable(selection: Selection, competition: Competition) -> 
     """Return a selection that begins with the most probable of its sets.
 
     Nothing changes if the most probable effects were present from the start.
-
-    Parameters
-    ----------
-    selection : Selection
-        Effects that explain the new recordings alone.
     """
     if competition.best is not None and not competition.best.since:
         return selection
     first = _names(selection.end)
     fits = [selection.end, selection.start, *selection.parts, *selection.alternatives]
-    best = max(fits, key=lambda fit: competition.probabilities.get(_label(fit), 0.0))
+    best = max(fits, key=lambda fit: competition.probabilities.get(label_of(fit.effects), 0.0))
     if best is selection.end:
         return selection
     alike = selection.indistinguishable
@@ -274,29 +256,13 @@ def led_by_the_most_probable(selection: Selection, competition: Competition) -> 
 
 def probabilities_of_named(competition: Competition, regression: Regression, fit: Fit,
                            refused: Iterable[str]) -> dict[str, float]:
-    """Return the probabilities if a fit to the new recordings alone is named.
+    """Return the probabilities, in descending order, if a fit to the new recordings is named.
 
     The probability of something else is that for this fit. The sets of effects share the rest as in
     the comparison, without those that the held-out data refuse. If the most probable set is not
     that of the fit, the comparison does not apply, and the set of the fit gets the whole rest.
-
-    Parameters
-    ----------
-    competition : Competition
-        Comparison of whole models.
-    regression : Regression
-        Regression of the new recordings.
-    fit : Fit
-        Fit that is named.
-    refused : iterable of str
-        Effects that the held-out data refuse.
-
-    Returns
-    -------
-    dict of str to float
-        In descending order; they sum to one.
     """
-    label, without = _label(fit), set(refused)
+    label, without = label_of(fit.effects), set(refused)
     other = _of_fits(regression, [fit], competition.stated_um)[SOMETHING_ELSE]
     kept = {each: share for each, share in competition.probabilities.items()
             if each != SOMETHING_ELSE and share > 0.0 and not without & set(each.split("+"))}
@@ -305,11 +271,6 @@ def probabilities_of_named(competition: Competition, regression: Regression, fit
     whole = sum(kept.values())
     shares = {each: (1.0 - other) * share / whole for each, share in kept.items()}
     return dict(sorted((shares | {SOMETHING_ELSE: other}).items(), key=lambda entry: -entry[1]))
-
-
-def _label(fit: Fit) -> str:
-    """Return the names of the effects of a fit, joined by +, or `none`."""
-    return "+".join(sorted(effect.name for effect in fit.effects)) or NONE
 
 
 def _names(fit: Fit) -> set[str]:
@@ -332,11 +293,11 @@ def _of_fits(regression: Regression, fits: Sequence[Fit], stated_um: float) -> d
 
 def _evidence_of(regression: Regression, fit: Fit) -> Evidence:
     """Return the quantities on which the probability of a fit to the new recordings depends."""
-    held_out = _held_out(regression, fit)
     widths = expected_widths(
         [effect for effect in fit.effects if type(effect) is not Outliers],
         regression.dataset.extent)
-    return Evidence(_label(fit), held_out, penalty_of(held_out, fit.covariance, widths))
+    return Evidence.weighed(
+        label_of(fit.effects), _held_out(regression, fit), fit.covariance, widths)
 
 
 def _held_out(regression: Regression, fit: Fit) -> tuple[HeldOut, ...]:
@@ -348,20 +309,7 @@ def _held_out(regression: Regression, fit: Fit) -> tuple[HeldOut, ...]:
 
 def selection_from(selection: Selection, competition: Competition,
                    alternative: Alternative) -> Selection:
-    """Return a selection of the effects of an alternative that were present from the start.
-
-    Parameters
-    ----------
-    selection : Selection
-        Effects found with the given model.
-    alternative : Alternative
-        Best alternative of the comparison.
-
-    Returns
-    -------
-    Selection
-        Relative to the alternative's model.
-    """
+    """Return a selection, relative to its model, of the effects that an alternative has."""
     effects, count = alternative.fit.effects, len(alternative.names)
     own, added = effects[: len(effects) - count], effects[len(effects) - count :]
     model = replace(alternative.fit.regression.dataset.model, effects=own)
@@ -388,3 +336,63 @@ def _with_model(dataset: Dataset, model: StageModel, has_other_parameters: bool)
     if has_other_parameters:
         return dataset_of(simulated, dataset.recordings)
     return replace(dataset, model=model, simulated=simulated)
+
+
+def is_plain(model: StageModel) -> bool:
+    """Return whether a model already is just a line and a mode."""
+    return not (model.hysteresis.density_um_per_v2.any() or model.creep.poles_rad_per_s
+                or model.dynamics.time_constant_s > 0.0 or model.effects_at("modes")
+                or len(model.dynamics.mode_frequencies_rad_per_s) > 1)
+
+
+def plain_model(model: StageModel, recordings: Sequence[Recording],
+                residual_um: float) -> StageModel | None:
+    """Fit a line and the loudest mode of a model, with a held voltage and with a smooth one.
+
+    The recordings have the sign of the model, and marked outliers. Return the better one, or None
+    if the model has no mode, or both fit far worse than it does.
+    """
+    if model.dynamics.is_static and not model.effects_at("modes"):
+        return None
+    period_s = float(min(each.sample_periods_s.min() for each in recordings))
+    bare = StageModel(_line(model, recordings), CreepDynamics(), loudest_mode(model, period_s))
+    problem = WholeModel(bare, recordings, [0.0] * len(recordings))
+    starts: list[tuple[StageModel, float | None]] = [(bare, None)]
+    if problem.is_sampled:
+        starts.append((replace(bare, effects=(BandLimitedVoltage(),)), 0.5 * period_s))
+    best = min((_fitted(problem, *start) for start in starts), key=_residual_rms_um)
+    is_close = _residual_rms_um(best) < LARGEST_RESIDUAL * residual_um
+    return best.delayed_model if is_close else None
+
+
+def fits_of_plain_model(plain: StageModel, new: Sequence[Recording], old: Sequence[Recording],
+                        expected: Callable[[JointProblem], ExpectedErrors],
+                        report: Callable[[str, float], None],
+                        ) -> tuple[JointProblem, list[Alternative]]:
+    """Select the effects that recordings show with a simple model; refit all, and some of them."""
+    dataset = simulate_recordings(plain, [*new, *old])
+    selection = select_effects(first_regression(dataset), report)
+    problem = JointProblem(plain, new, old, simulated=dataset.simulated)
+    sets = [fit.effects for fit in (selection.end, *selection.parts)]
+    return problem, fits_of_free_model(problem, sets, expected(problem))
+
+
+def _fitted(problem: WholeModel, model: StageModel, delay_s: float | None) -> WholeFit:
+    """Fit a model whose delay must not be negative, because rows are read as in the given one."""
+    fit = problem.fit(model, delay_s, STEPS)
+    return fit if (fit.delay_s or 0.0) >= 0.0 else problem.fit(fit.model, None, STEPS)
+
+
+def _line(model: StageModel, recordings: Sequence[Recording]) -> PreisachModel:
+    """Return a line over the voltages of the recordings, with the gain of a model."""
+    low_v, high_v = model.hysteresis.voltage_min_v, model.hysteresis.voltage_max_v
+    low_um, high_um = model.hysteresis.output_range_um
+    gain_um_per_v = (high_um - low_um) / (high_v - low_v)
+    low_v = min(low_v, *(float(np.min(each.voltage_v)) for each in recordings))
+    high_v = max(high_v, *(float(np.max(each.voltage_v)) for each in recordings))
+    return PreisachModel.line(low_v, high_v, gain_um_per_v, low_um)
+
+
+def _residual_rms_um(fit: WholeFit) -> float:
+    """Return the RMS residual of the fitted rows."""
+    return float(np.sqrt(np.mean(np.concatenate([fitted for fitted, _ in fit.residual_um]) ** 2)))

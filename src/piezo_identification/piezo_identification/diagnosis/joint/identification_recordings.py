@@ -65,10 +65,6 @@ def find_identification_recordings(
 
     Parameters
     ----------
-    model_path : path-like
-        Path of the model file.
-    read_file : callable
-        Returns the recordings of a file.
     moved : sequence of path-like or Recording
         Recordings of the identification at their present paths.
     others : sequence of path-like or Recording
@@ -127,14 +123,10 @@ def fitted_hashes(identified: IdentifiedModel) -> frozenset[str]:
 
 
 def old_recordings(model: StageModel, known: IdentificationRecordings) -> list[Recording]:
-    """Return the usable recordings of the identification, conditioned like the new ones.
+    """Return the recordings of the identification, conditioned like the new ones.
 
-    Only the beginning of long ones is used, because a simulation has to start there.
-
-    Returns
-    -------
-    list of Recording
-        Recordings that are too short are omitted.
+    Those that are too short are omitted. Only the beginning of long ones is used, because a
+    simulation has to start there.
     """
     usable = []
     for recording in known.recordings:

@@ -13,9 +13,10 @@ import numpy as np
 
 from piezo_identification.diagnosis.comparison.criteria import CRITERIA
 from piezo_identification.diagnosis.evidence.known_noise import KnownNoise
-from piezo_identification.diagnosis.joint.expected_errors import errors_of_model
 from piezo_identification.diagnosis.joint.probabilities import (
+    BELIEVED,
     SOMETHING_ELSE,
+    errors_of_model,
     odds_of_something_else,
 )
 from piezo_identification.fitting.evidence import INDEPENDENT
@@ -37,6 +38,11 @@ class HeldToNoise:
     predicted: "Ceiling | None" = None
     """Predictable part of the residual; None if not computed."""
 
+    @property
+    def is_explained(self) -> bool:
+        """Return whether something else than the compared effects is improbable."""
+        return self.probabilities[SOMETHING_ELSE] < BELIEVED
+
 
 def held_to_noise(shares: Mapping[str, float], remainders: Sequence[Remainder], known: KnownNoise,
                   stated_um: float, finds_nothing: bool) -> HeldToNoise:
@@ -46,12 +52,8 @@ def held_to_noise(shares: Mapping[str, float], remainders: Sequence[Remainder], 
     ----------
     shares : dict of str to float
         Probabilities based on the noise that each recording shows itself.
-    remainders : sequence of Remainder
-        Residuals of the diagnosed recordings and of the held-out one.
     known : KnownNoise
         Known noise with at least one source.
-    stated_um : float
-        RMS of the known error of the model.
     finds_nothing : bool
         True if no effect is named. If the identification found components inadequate, the error of
         the model is then limited to the noise, and the tolerance of the identification applies.
@@ -83,16 +85,7 @@ def held_to_prediction(held: HeldToNoise, predicted: "Ceiling", remainders: Sequ
                        stated_um: float) -> HeldToNoise:
     """Return the probability of something else if the noise of the sensor is unknown.
 
-    Parameters
-    ----------
-    held : HeldToNoise
-        Result of the comparison with the smallest bound of the noise.
-    predicted : Ceiling
-        Predictable part of the residual.
-    remainders : sequence of Remainder
-        Residuals of the diagnosed recordings.
-    stated_um : float
-        RMS of the known error of the model.
+    The residual was compared with the smallest bound of the noise before.
     """
     # Less than a learner may predict from noise by chance, or than is relevant.
     least_um = CRITERIA.noticeable * predicted.left_um

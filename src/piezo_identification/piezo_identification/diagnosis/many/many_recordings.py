@@ -137,11 +137,8 @@ def _row(table: Path, number: int, entry: dict[str, str | None], output: Path) -
 def diagnose_row(row: DiagnosisRow) -> dict[str, Any]:
     """Diagnose a row unless its results exist; input errors are returned, not raised.
 
-    Returns
-    -------
-    dict
-        `name`, and either `verdict`, the content of verdict.json, or `error`; `is_new` is True if
-        it was diagnosed now.
+    Return `name`, and either `verdict`, the content of verdict.json, or `error`; `is_new` is True
+    if it was diagnosed now.
     """
     # A worker imports the libraries once; they are not needed here if all rows are done.
     from piezo_identification.diagnosis.report.diagnosis_results import diagnose_files
@@ -257,12 +254,7 @@ def _why_not(future: "Future[Any]") -> str:
 
 
 def cluster_client(scheduler: str | None) -> "Client":
-    """Return a client of a Dask scheduler, or of processes of this machine.
-
-    Parameters
-    ----------
-    scheduler : str or None
-        Address, such as tcp://host:8786.
+    """Return a client of a Dask scheduler (as tcp://host:8786), or of processes of this machine.
 
     Raises
     ------

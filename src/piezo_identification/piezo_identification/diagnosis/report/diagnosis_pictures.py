@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Figures of a diagnosis, with the results before and after on the same axes."""
+"""Figures of a diagnosis, with the results before and after on the same axes.
+
+Residuals have the shape (N,); `noise_um` is the standard deviation of the sensor noise.
+"""
 
 from typing import TYPE_CHECKING, Any
 
@@ -44,25 +47,22 @@ MOST_PERCENT = 1000.0
 
 def residuals_of(diagnosis: "Diagnosis", index: int = 0) -> Figure:
     """Draw the residuals of one of the recordings of a diagnosis; see `draw_residuals`."""
+    return draw_residuals(*residuals_um(diagnosis, index))
+
+
+def residuals_um(diagnosis: "Diagnosis", index: int,
+                 ) -> tuple[SimulatedRecording, FloatArray, FloatArray, float]:
+    """Return a recording, its residuals before and after, and the standard deviation of noise."""
     regression = diagnosis.selection.regression
     dataset, noise = regression.dataset, regression.noise
-    return draw_residuals(
-        dataset.simulated[index], noise_estimate.residual_um(dataset, index, noise=noise),
-        noise_estimate.residual_of_model_um(dataset, index, diagnosis.model, noise),
-        noise.noise_um[index])
+    return (dataset.simulated[index], noise_estimate.residual_um(dataset, index, noise=noise),
+            noise_estimate.residual_of_model_um(dataset, index, diagnosis.model, noise),
+            noise.noise_um[index])
 
 
 def draw_residuals(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray,
                    noise_um: float) -> Figure:
-    """Draw the residuals over time: the whole, and a detail where most was gained.
-
-    Parameters
-    ----------
-    before_um, after_um : (N,) array
-        Residuals.
-    noise_um : float
-        Standard deviation of the sensor noise.
-    """
+    """Draw the residuals over time: the whole, and a detail where most was gained."""
     figure = new_figure(5.5, WIDE_IN)
     whole = slice(part.begin, None)
     columns = zip(
@@ -95,15 +95,7 @@ def _closest_look(part: SimulatedRecording, before_um: FloatArray, after_um: Flo
 
 def draw_spectra(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray,
                  noise_um: float) -> Figure:
-    """Draw spectra of both residuals, of the model's displacement, and of white noise.
-
-    Parameters
-    ----------
-    before_um, after_um : ndarray, shape (N,)
-        Residuals.
-    noise_um : float
-        RMS of the sensor noise.
-    """
+    """Draw spectra of both residuals, of the model's displacement, and of white noise."""
     figure = new_figure(4.5, WIDE_IN)
     axes = figure.subplots()
     signals = (
@@ -142,15 +134,7 @@ def draw_tests(part: SimulatedRecording, before_um: FloatArray, after_um: FloatA
 
 def draw_over_voltage(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray,
                       noise_um: float) -> Figure:
-    """Draw the residuals over the voltage, where errors of a loop form loops.
-
-    Parameters
-    ----------
-    before_um, after_um : ndarray, shape (N,)
-        Residuals.
-    noise_um : float
-        Standard deviation of the sensor noise.
-    """
+    """Draw the residuals over the voltage, where errors of a loop form loops."""
     figure = new_figure(4.5, WIDE_IN)
     axes = figure.subplots()
     every = slice(part.begin, None, max(1, part.time_s.size // MOST_POINTS))
@@ -170,13 +154,6 @@ def draw_error_response(part: SimulatedRecording, before_um: FloatArray, after_u
 
     Frequencies at which the displacement is below the noise are omitted, because the ratio is large
     there for any residual.
-
-    Parameters
-    ----------
-    before_um, after_um : ndarray, shape (N,)
-        Residuals.
-    noise_um : float
-        Standard deviation of the sensor noise.
     """
     figure = new_figure(4.5, WIDE_IN)
     axes = figure.subplots()

@@ -9,30 +9,23 @@ from matplotlib.figure import Figure
 
 from piezo_common.arrays import FloatArray
 from piezo_common.report_page import Picture, Section, pictured, render_page
-from piezo_identification.diagnosis.comparison.attempts import Attempt
+from piezo_identification.analysis.distortion_over_frequency import distortion_png, distortion_rows
+from piezo_identification.analysis.error_distortion import error_distortion
 from piezo_identification.diagnosis.comparison.criteria import CRITERIA
-from piezo_identification.diagnosis.comparison.selection import Selection
+from piezo_identification.diagnosis.comparison.selection import Attempt, Selection
 from piezo_identification.diagnosis.diagnose import Diagnosis
-from piezo_identification.diagnosis.evidence.residual_tests import input_correlation, whiteness
-from piezo_identification.diagnosis.evidence.stand_ins import (
+from piezo_identification.diagnosis.evidence.effect_entries import (
     LEAST_PROBABILITY,
     STAND_IN,
     name_of,
 )
-from piezo_identification.diagnosis.joint.probabilities import LISTED
+from piezo_identification.diagnosis.evidence.residual_tests import input_correlation, whiteness
+from piezo_identification.diagnosis.joint.probabilities import LISTED, SOMETHING_ELSE
 from piezo_identification.diagnosis.report import diagnosis_pictures as pictures
-from piezo_identification.diagnosis.report.distortion_section import distortion_sections
-from piezo_identification.fitting.noise_estimate import (
-    residual_of_model_um,
-    residual_um,
-)
 from piezo_identification.report.parameter_table import effect_rows
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.effects import known_effects
-
-SOMETHING_ELSE = "something_else"
-"""Name of the probability that no known effect is what the model lacks."""
 
 UNLIKELY = 0.5
 """Probability of deciding below which a recording will more likely decide nothing."""
@@ -66,16 +59,11 @@ def _sentence(diagnosis: Diagnosis) -> str:
 
 def _probability(diagnosis: Diagnosis) -> str:
     """Return the sentence on the probability of the verdict; empty if it is not known."""
-    known = _probabilities(diagnosis)
     names = {entry["name"] for entry in diagnosis.effects}
     own = {"none": {"none"}, "unexplained": {SOMETHING_ELSE}}.get(diagnosis.verdict, names)
-    found = next((value for name, value in known.items() if set(name.split("+")) == own), None)
+    found = next((value for name, value in diagnosis.probabilities.items()
+                  if set(name.split("+")) == own), None)
     return "" if found is None else f" The probability of this is {_percent(found)} %."
-
-
-def _probabilities(diagnosis: Diagnosis) -> dict[str, float]:
-    """Return the probability of each set of effects; empty if not computed."""
-    return dict(getattr(diagnosis, "probabilities", None) or {})
 
 
 def _percent(probability: float) -> str:
@@ -87,29 +75,18 @@ def _percent(probability: float) -> str:
 
 
 def render_report(diagnosis: Diagnosis, origin: Sequence[tuple[str, str]] = ()) -> str:
-    """Return the report as one HTML page.
-
-    Parameters
-    ----------
-    origin : sequence of (str, str)
-        Time and files to list on the page, as pairs of name and text.
-    """
-    noise, dataset = diagnosis.selection.regression.noise, diagnosis.selection.regression.dataset
+    """Return the report as one HTML page, with time and files as pairs of name and text."""
+    dataset = diagnosis.selection.regression.dataset
     sections = [_found(diagnosis), *_alternatives(diagnosis)]
     if diagnosis.effects:
         sections.append(Section(
             "What was added", tuple(_on_intervals(diagnosis)), effect_rows(diagnosis.effects)))
     sections += _residual(diagnosis)
     sections += [_undecided(diagnosis), *_would_decide(diagnosis)]
-    sections += [
-        _recording(diagnosis, part, residual_um(dataset, index, noise=noise),
-                   residual_of_model_um(dataset, index, diagnosis.model, noise),
-                   noise.noise_um[index])
-        for index, part in enumerate(dataset.simulated)]
-    for index, part in enumerate(dataset.simulated):
-        sections += distortion_sections(
-            part, residual_um(dataset, index, noise=noise),
-            residual_of_model_um(dataset, index, diagnosis.model, noise))
+    residuals = [pictures.residuals_um(diagnosis, index) for index in range(len(dataset.simulated))]
+    sections += [_recording(diagnosis, *each) for each in residuals]
+    for part, before_um, after_um, _ in residuals:
+        sections += distortion_sections(part, before_um, after_um)
     if diagnosis.model is not dataset.model:
         sections.append(_other_parameters(dataset.model, diagnosis.model))
     sections += _tried(diagnosis.selection)
@@ -148,7 +125,7 @@ def _found(diagnosis: Diagnosis) -> Section:
 
 
 def _alternatives(diagnosis: Diagnosis) -> Iterator[Section]:
-    known = _probabilities(diagnosis)
+    known = diagnosis.probabilities
     if not known:
         return
     shown = [(name, value) for name, value in sorted(
@@ -325,18 +302,37 @@ def _other_parameters(before: StageModel, after: StageModel) -> Section:
         for field in fields(old):
             pairs = zip(np.atleast_1d(getattr(old, field.name)),
                         np.atleast_1d(getattr(new, field.name)), strict=True)
-            rows += [(field.name, _number(was), _number(now), f"{100.0 * (now / was - 1.0):+.2f}")
+            rows += [(field.name, f"{was:.5g}", f"{now:.5g}", f"{100.0 * (now / was - 1.0):+.2f}")
                      for was, now in pairs if was]
     density = [model.hysteresis.density_um_per_v2.sum() for model in (before, after)]
     if density[0]:
-        rows.append(("density of the hysteresis, sum", *map(_number, density),
+        rows.append(("density of the hysteresis, sum", *(f"{each:.5g}" for each in density),
                      f"{100.0 * (density[1] / density[0] - 1.0):+.2f}"))
     return Section("Changes of the model's own parameters", (
         "Without the effects the model's own parameters had been fitted to make up for them. "
         "With the effects they were free to change within their uncertainty.",), rows)
 
 
-def _number(value: float | Sequence[float], digits: int = 5) -> str:
-    if isinstance(value, (list, tuple)):
-        return ", ".join(f"{number:.{min(digits, 4)}g}" for number in value)
-    return f"{value:.{digits}g}"
+def distortion_sections(part: SimulatedRecording, before_um: FloatArray,
+                        after_um: FloatArray) -> list[Section]:
+    """Return the section on distortion from residuals, (N,); empty for other voltages."""
+    before, after = (error_distortion(part, residual) for residual in (before_um, after_um))
+    if before is None or after is None:
+        return []
+    answer = before.answer
+    rows: list[tuple[str, ...]] = [
+        ("part of the answer (%)", "stage", "error before", "error after")]
+    for name, value in (("linear", "linear_um"), ("even distortion", "even_um"),
+                        ("odd distortion", "odd_um"), ("noise of a period", "noise_of_period_um"),
+                        ("significant above", "significant_um")):
+        rows.append((name, *(f"{100.0 * getattr(found, value) / answer.answer_um:.3g}"
+                             for found in (answer, before.error, after.error))))
+    pictures = [
+        Picture(name, caption, distortion_png(found), wide=True) for name, caption, found in (
+            ("Distortion of the stage", "Answer, noise, even and odd distortion, without any "
+             "model.", answer),
+            ("Distortion of the residual", "The same with the extended model.", after.error))]
+    return [
+        Section(f"Distortion in {part.path}", (before.sentence(),), rows, pictures),
+        Section("Distortion over frequency", (), distortion_rows(answer)),
+    ]

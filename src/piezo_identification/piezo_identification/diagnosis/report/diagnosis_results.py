@@ -14,19 +14,25 @@ from piezo_common.text_file import keep_previous
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.diagnosis.diagnose import Diagnosis, diagnose
 from piezo_identification.diagnosis.evidence.known_noise import noise_of_model
+from piezo_identification.diagnosis.experiment_design.decide import DecisionStep, decide
+from piezo_identification.diagnosis.experiment_design.expected_outcome import SURE
 from piezo_identification.diagnosis.experiment_design.propose import (
+    LONGEST_S,
     OUTCOME,
     WAVEFORM,
     Proposal,
+    propose,
     save_proposal,
+    what_would_decide,
 )
-from piezo_identification.diagnosis.experiment_design.what_would_decide import what_would_decide
 from piezo_identification.diagnosis.joint.identification_recordings import (
     IdentificationRecordings,
     find_identification_recordings,
 )
 from piezo_identification.diagnosis.report.diagnosis_report import render_report
-from piezo_identification.diagnosis.verdict import save_extended_model, write_verdict
+from piezo_identification.diagnosis.verdict import write_verdict
+from piezo_identification.experiments.catalogue import Experiment
+from piezo_identification.experiments.stage_limits import StageLimits
 from piezo_identification.prediction.outside_identified import outside_identified
 from piezo_identification.prediction.row_reading import all_as_identified
 from piezo_models.identified_model import IdentifiedModel
@@ -102,8 +108,6 @@ def diagnose_files(
         Created if it does not exist.
     progress : callable
         Called with (what is done, fraction); an exception that it raises ends the work.
-    read_file : callable
-        Returns the recordings of a file.
     identified_from : sequence of path-like
         Recordings from which the model was identified, if they are not at the paths in the model
         file.
@@ -143,11 +147,6 @@ def read_given(
 ) -> GivenFiles:
     """Read the data to diagnose, and create the directory of the results.
 
-    Parameters
-    ----------
-    model, recordings, holdout, directory, read_file, identified_from
-        As in `diagnose_files`.
-
     Raises
     ------
     ValueError
@@ -175,15 +174,7 @@ def read_given(
 
 def write_results(given: GivenFiles, diagnosis: Diagnosis,
                   proposal: Proposal | None = None) -> DiagnosisResults:
-    """Write verdict, extended model and report, and the experiment that would decide more.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-        Diagnosis of the given recordings.
-    proposal : Proposal, optional
-        Next experiment, if several explanations remain.
-    """
+    """Write verdict, extended model and report, and the experiment that would decide more."""
     directory, identified = given.directory, given.identified
     if proposal is not None:
         save_proposal(proposal, directory)
@@ -197,8 +188,7 @@ def write_results(given: GivenFiles, diagnosis: Diagnosis,
         diagnosis, directory / "verdict.json", directory / "extended_model.json",
         directory / "report.html", (*given.rows, *_outside(identified, given.recordings)),
         given.identified_from, proposal)
-    write_verdict(results.verdict, diagnosis)
-    save_extended_model(results.extended_model, identified, diagnosis, given.paths)
+    write_verdict(directory, identified, diagnosis, given.paths)
     origin = [("diagnosed", datetime.now().astimezone().isoformat(" ", "seconds")),
               ("model", f"{given.model}, of {identified.created}"),
               *(("outside", sentence) for sentence in results.outside),
@@ -209,12 +199,9 @@ def write_results(given: GivenFiles, diagnosis: Diagnosis,
 
 
 def stated_error_um(identified: IdentifiedModel) -> float | None:
-    """Return the known error of a model: the largest residual of its components.
+    """Return the known error of a model: the largest residual of its components, RMS beyond noise.
 
-    Returns
-    -------
-    float or None
-        RMS beyond the noise; None if the model file contains none, as for responses.
+    It is None if the model file contains none, as for responses.
     """
     parts = [max(0.0, part["residual_rms_um"] ** 2 - part["noise_rms_um"] ** 2) ** 0.5
              for name, part in identified.adequacy.items() if name in identified.sample_periods_s]
@@ -225,3 +212,62 @@ def _outside(identified: IdentifiedModel, recordings: Sequence[Recording]) -> tu
     return tuple(
         f"{recording.path}: {sentence}" for recording in recordings
         for sentence in outside_identified(identified, played(recording).voltage_v).sentences())
+PlayToFile = Callable[[Experiment, Path, Progress], AnyPath]
+"""Takes an experiment, the directory for its recording, and the progress; returns the recording."""
+
+
+def decide_files(model: AnyPath, recordings: Sequence[AnyPath], holdout: AnyPath | None,
+                 directory: AnyPath, play: PlayToFile, budget: int, limits: StageLimits,
+                 progress: Progress, longest_s: float = LONGEST_S,
+                 begin_budget: Callable[[], Budget] = Budget,
+                 ) -> tuple[DiagnosisResults, list[DecisionStep]]:
+    """Decide by experiments, and write verdict, extended model, report and recordings.
+
+    The files of each proposal and its recording are in `experiment_1` and so on.
+
+    Parameters
+    ----------
+    model, recordings, holdout, directory, progress
+        As in `diagnose_files`.
+    budget, longest_s, begin_budget
+        As in `decide`.
+
+    Raises
+    ------
+    ValueError
+        If a file cannot be read or written, or a recording cannot be used.
+    """
+    progress("read the recordings", 0.0)
+    given = read_given(model, recordings, holdout, directory)
+    played: list[AnyPath] = []
+
+    def play_proposed(proposal: Proposal, report: Progress) -> Recording:
+        nonlocal given
+        folder = given.directory / f"experiment_{len(played) + 1}"
+        save_proposal(proposal, folder)
+        sentence = proposal.sentence()
+        path = play(replace(proposal.experiment, description=sentence), folder,
+                    lambda what, fraction: report(f"{sentence} {what}", fraction))
+        played.append(path)
+        given = given.with_recordings([path])
+        return given.recordings[-1]
+
+    steps = decide(given.identified.model, given.recordings, play_proposed, budget, limits,
+                   longest_s, given.holdout, part_of(progress, READ_FRACTION, REPORT_FRACTION),
+                   given.identified_from, stated_error_um(given.identified),
+                   noise_of_model(given.identified), begin_budget)
+    progress("write the report", REPORT_FRACTION)
+    last = steps[-1]
+    proposal = None if last.is_decided else propose(last.alternatives, limits, longest_s)
+    return write_results(given, last.diagnosis, proposal), steps
+
+
+def decision_sentence(steps: Sequence[DecisionStep]) -> str:
+    """Report what the experiments have decided, and with which probability."""
+    last, played = steps[-1], len(steps) - 1
+    after = f"after {played} experiment{'s' * (played != 1)}"
+    chances = [f"{name} has probability {share:.3f}"
+               for name, share in list(last.probabilities.items())[: 1 if last.is_decided else 3]]
+    if last.is_decided:
+        return f"decided {after}: {chances[0]}"
+    return f"not decided {after}, as none has {SURE:g}: {', '.join(chances)}"

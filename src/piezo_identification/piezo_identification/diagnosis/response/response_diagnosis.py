@@ -10,22 +10,20 @@ import numpy as np
 from piezo_common.arrays import ComplexArray
 from piezo_common.budget import Budget, spending, while_time_lasts
 from piezo_common.progress_part import Progress
-from piezo_identification.diagnosis.comparison.reasons import Reason, Undecided
+from piezo_identification.diagnosis.comparison.criteria import Reason, Undecided
+from piezo_identification.diagnosis.evidence.effect_entries import with_stand_ins
 from piezo_identification.diagnosis.evidence.recording_faults import wrong_sign
-from piezo_identification.diagnosis.evidence.stand_ins import with_stand_ins
-from piezo_identification.diagnosis.response.response_candidates import fit_each_candidate
 from piezo_identification.diagnosis.response.response_effect_fit import (
+    CRITERIA,
     SETTINGS,
     ResponseFit,
     ResponseProblem,
-    full_response,
-)
-from piezo_identification.diagnosis.response.response_measures import (
-    CRITERIA,
     describe_residual,
+    full_response,
     held_out_errors,
     is_convincing,
     is_explained,
+    mean_square,
     reduction_percent,
 )
 from piezo_identification.diagnosis.verdict import Verdict
@@ -33,6 +31,11 @@ from piezo_identification.estimators.frequency_response.response_file import Fre
 from piezo_identification.estimators.frequency_response.response_hold import without_hold
 from piezo_identification.fitting.dataset import SPLIT
 from piezo_models.cascade import StageModel
+from piezo_models.effects import Effect
+from piezo_models.effects.creep import Creep
+from piezo_models.effects.delay import Delay
+from piezo_models.effects.sensor_lag import SensorLag
+from piezo_models.effects.vibration_mode import VibrationMode
 
 SLOWEST = 10
 """One frequency in this many, from the lowest, determines the sign of the sensor."""
@@ -90,8 +93,6 @@ def diagnose_response(
     ----------
     measured : FrequencyResponse
         A hold in it is removed.
-    progress : callable
-        Called with (what is done, fraction).
     budget : Budget, optional
         Time limit. When it is reached, or with Ctrl-C, the comparison ends with the effects found
         so far.
@@ -201,8 +202,7 @@ def _diagnosis(problem: ResponseProblem, selection: ResponseSelection,
         noise_floor_um=problem.noise,
         holdout={"source": "frequencies that were not fitted",
                  "samples": int(np.sum(~problem.estimation))},
-        not_decidable={name: why.sentence for name, why in undecided.items()},
-        reasons={name: why.reason for name, why in undecided.items()},
+        undecided=undecided,
         confounded_with=selection.confounded_with, left=left,
         reversed=[fault.recording for fault in faults], left_out=[],
         recording_faults=[fault.document() for fault in faults],
@@ -210,3 +210,39 @@ def _diagnosis(problem: ResponseProblem, selection: ResponseSelection,
         tried=selection.tried, measured=problem.measured,
         before_gain=problem.gain(given), after_gain=problem.gain(final),
     )
+
+
+GUESSED_MODES = 27
+"""Number of initial frequencies of a mode, so close that one is near any resonance in the range."""
+
+RELAXATIONS = 3
+"""Number of time constants of creep over the lower half of the range."""
+
+
+def fit_each_candidate(problem: ResponseProblem, current: ResponseFit) -> list[ResponseFit]:
+    """Fit every candidate in addition to the effects found, the best on held-out data first."""
+    found = {type(effect) for effect in current.effects}
+    fits = []
+    for kind, guesses in _guesses(problem).items():
+        if kind in found and not kind.several:
+            continue
+        fitted = [problem.fit_last_effect(current, guess) for guess in guesses]
+        best = min(fitted, key=lambda fit: mean_square(problem, fit, problem.estimation))
+        fits.append(problem.fit_dynamics(best))
+    return sorted(fits, key=lambda fit: mean_square(problem, fit))
+
+
+def _guesses(problem: ResponseProblem) -> dict[type[Effect], list[Effect]]:
+    """Return initial guesses of effects, by kind."""
+    low_hz, high_hz = problem.measured.frequency_hz[[0, -1]]
+    middle_hz, count = np.sqrt(low_hz * high_hz), RELAXATIONS
+    slow_s = 1.0 / (2.0 * np.pi * np.geomspace(middle_hz, 0.3 * low_hz, count))
+    return {
+        Creep: [Creep((0.05,) * count, tuple(slow_s))],
+        VibrationMode: [
+            VibrationMode(2.0 * np.pi * frequency_hz, damping, 0.1)
+            for frequency_hz in np.geomspace(*problem.mode_range_hz, GUESSED_MODES)
+            for damping in (0.02, 0.2)],
+        Delay: [Delay(delay_s) for delay_s in np.geomspace(0.01, 1.0, 4) / high_hz],
+        SensorLag: [SensorLag(lag_s) for lag_s in np.geomspace(0.01, 1.0, 4) / high_hz],
+    }

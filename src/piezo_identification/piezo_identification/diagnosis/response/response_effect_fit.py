@@ -12,6 +12,7 @@ from piezo_common.cancellation import check_cancelled
 from piezo_identification.estimators.estimate import parameter_deviations
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.fitting.dataset import SPLIT
+from piezo_identification.fitting.regression import SETTINGS as FIT
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, Extent, fitted_values, with_fitted_values
 from piezo_models.linear.dynamics_vector import dynamics_of_vector, dynamics_vector
@@ -161,19 +162,6 @@ def _least_squares(
     """Fit some of the parameters; return all, and which of the fitted ones the data determine.
 
     Parameters that the data do not determine within their bounds should stay at their start.
-
-    Parameters
-    ----------
-    errors : callable
-        Returns the errors for a vector, in standard deviations.
-    start, low, high : (n,) array
-    free : (n,) array of bool
-
-    Returns
-    -------
-    vector : (n,) array
-    determined : (m,) array of bool
-        For each of the free parameters.
     """
     def whole(part: FloatArray) -> FloatArray:
         vector = start.copy()
@@ -190,16 +178,7 @@ def _least_squares(
 
 
 def full_response(model: StageModel, frequency_hz: FloatArray) -> ComplexArray:
-    """Return the response of a model with its linear effects, including the sensor and delays.
-
-    Parameters
-    ----------
-    frequency_hz : (N,) array
-
-    Returns
-    -------
-    (N,) array of complex
-    """
+    """Return the response, (N,), of a model with its linear effects, sensor and delays."""
     s = np.asarray(2j * np.pi * frequency_hz, dtype=complex)
     response = model.response(frequency_hz)
     behind: Sequence[Effect] = [
@@ -207,3 +186,92 @@ def full_response(model: StageModel, frequency_hz: FloatArray) -> ComplexArray:
     for effect in behind:
         response = response * effect.response(s)
     return response
+
+
+@dataclass(frozen=True)
+class ResponseCriteria:
+    """When a further effect is named."""
+
+    significant: float = 3.0
+    """Significance required of a gain on held-out blocks, in standard deviations."""
+    worthwhile_percent: float = 10.0
+    """Smallest reduction of the error on held-out frequencies for which an effect is named."""
+    distinguished_percent: float = 5.0
+    """Smallest difference of two errors that distinguishes candidates."""
+    explained: float = 1.0
+    """Largest mean square beyond the tolerance of an explained response."""
+    near_noise: float = 3.0
+    """Largest residual of an explained response, relative to the noise."""
+    most_effects: int = 4
+    """Number of kinds of linear effects."""
+
+
+CRITERIA = ResponseCriteria()
+
+
+def mean_square(problem: ResponseProblem, fit: ResponseFit,
+                part: BoolArray | None = None) -> float:
+    """Return the mean square residual in tolerances, by default on the validation set."""
+    return float(np.mean(np.abs(fit.residual[~problem.estimation if part is None else part]) ** 2))
+
+
+def lack_of_fit(problem: ResponseProblem, fit: ResponseFit) -> float:
+    """Return the mean square residual beyond the tolerance."""
+    return max(0.0, mean_square(problem, fit) - 2.0)
+
+
+def reduction_percent(problem: ResponseProblem, before: ResponseFit, after: ResponseFit) -> float:
+    """Return the reduction of the error on held-out frequencies in percent."""
+    squares = [mean_square(problem, fit) for fit in (after, before)]
+    return float(100.0 * (1.0 - np.sqrt(squares[0] / squares[1])))
+
+
+def is_convincing(problem: ResponseProblem, before: ResponseFit, after: ResponseFit) -> bool:
+    """Return whether the second fit is better, consistently over the held-out blocks."""
+    if reduction_percent(problem, before, after) < CRITERIA.worthwhile_percent:
+        return False
+    rows, change = ~problem.estimation, before.residual - after.residual
+
+    def blocks(residual: ComplexArray) -> FloatArray:
+        sums = np.bincount(problem.block[rows], (residual * change.conj()).real[rows])
+        return np.asarray(sums, dtype=float)
+
+    spread = np.sqrt(np.sum(blocks(after.residual) ** 2))
+    return bool(np.sum(blocks(before.residual)) > CRITERIA.significant * spread)
+
+
+def held_out_errors(problem: ResponseProblem, fit: ResponseFit) -> dict[str, float]:
+    """Return the errors of the gain on held-out frequencies: `rms_um` and `e_y_percent`."""
+    rows = ~problem.estimation
+    error = np.linalg.norm((fit.residual * problem.tolerance)[rows])
+    return {
+        "rms_um": float(error / np.sqrt(np.count_nonzero(rows))),
+        "e_y_percent": float(100.0 * error / np.linalg.norm(problem.measured.gain[rows])),
+    }
+
+
+def describe_residual(problem: ResponseProblem, fit: ResponseFit) -> str:
+    """Return a sentence on the residual and its frequencies."""
+    energy = np.abs(fit.residual) ** 2
+    power = np.cumsum(energy) / np.sum(energy)
+    frequency_hz = problem.measured.frequency_hz
+    low_hz, high_hz = frequency_hz[np.searchsorted(power, [0.1, 0.9])]
+    worst = int(np.argmax(energy))
+    return (
+        f"What remains is {held_out_errors(problem, fit)['rms_um'] / problem.noise:.3g} times the "
+        "noise that neighbouring frequencies show. "
+        f"The residual is {np.sqrt(np.mean(energy)):.3g} times the tolerance of "
+        f"{100 * SETTINGS.tolerance:g} % and the noise, most of it from {low_hz:.3g} to "
+        f"{high_hz:.3g} Hz, largest at {frequency_hz[worst]:.4g} Hz."
+    )
+
+
+def is_explained(problem: ResponseProblem, fit: ResponseFit) -> bool:
+    """Return whether the residual on held-out frequencies is small enough to be noise.
+
+    For a response without noise, the accuracy of a good model is the limit.
+    """
+    gain = np.sqrt(np.mean(np.abs(problem.measured.gain[~problem.estimation]) ** 2))
+    passing = CRITERIA.near_noise * np.hypot(problem.noise, FIT.model_tolerance * gain)
+    return bool(lack_of_fit(problem, fit) <= CRITERIA.explained
+                and held_out_errors(problem, fit)["rms_um"] <= passing)

@@ -7,23 +7,15 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from piezo_common.budget import Budget
-from piezo_common.picture_style import (
-    AFTER,
-    BEFORE,
-    BLACK,
-    WIDE_IN,
-    label,
-    new_figure,
-    to_png,
-)
+from piezo_common.picture_style import AFTER, BEFORE, BLACK, WIDE_IN, label, new_figure, to_png
 from piezo_common.progress_part import Progress
 from piezo_common.report_page import Section, pictured, render_page
-from piezo_identification.diagnosis.evidence.stand_ins import name_of
+from piezo_identification.diagnosis.evidence.effect_entries import name_of
 from piezo_identification.diagnosis.response.response_diagnosis import (
     ResponseDiagnosis,
     diagnose_response,
 )
-from piezo_identification.diagnosis.verdict import save_extended_model, write_verdict
+from piezo_identification.diagnosis.verdict import write_verdict
 from piezo_identification.estimators.frequency_response.response_file import read_frequency_response
 from piezo_identification.report.parameter_table import effect_rows
 from piezo_models.model_file import load_model
@@ -57,8 +49,7 @@ def diagnose_response_file(
     measured = read_frequency_response(Path(response)).held(hold_s)
     directory.mkdir(parents=True, exist_ok=True)
     diagnosis = diagnose_response(identified.model, measured, progress, budget)
-    write_verdict(directory / "verdict.json", diagnosis)
-    save_extended_model(directory / "extended_model.json", identified, diagnosis, [response])
+    write_verdict(directory, identified, diagnosis, [response])
     (directory / PICTURE).write_bytes(to_png(response_figure(diagnosis), DOTS_PER_INCH))
     (directory / "report.html").write_text(_report(diagnosis), encoding="utf-8")
     return diagnosis

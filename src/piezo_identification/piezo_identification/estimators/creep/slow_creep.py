@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.linalg import qr, svd
+from scipy.linalg import block_diag, qr, svd
 from scipy.optimize import least_squares
 from scipy.sparse import csr_array
 
@@ -23,7 +23,11 @@ from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.conditioning.creep_removal import inverse_of_creep
 from piezo_identification.conditioning.outlier_samples import good_samples
-from piezo_identification.conditioning.segments import Recordings, played_segments
+from piezo_identification.conditioning.segments import (
+    Recordings,
+    played_segments,
+    voltage_range_v,
+)
 from piezo_identification.conditioning.waveforms import (
     jumps_of,
     longest_run,
@@ -221,12 +225,7 @@ class _Problem:
 
     def __init__(self, parts: Sequence[Recording], settling_s: float,
                  nuisances: Sequence[str] = ()) -> None:
-        lowest_v = min(part.voltage_v.min() for part in parts)
-        highest_v = max(part.voltage_v.max() for part in parts)
-        if lowest_v == highest_v:
-            raise ValueError(
-                f"the voltage of {parts[0].path} is {lowest_v:g} V throughout: give a recording "
-                "in which it moves")
+        lowest_v, highest_v = voltage_range_v(parts)
         levels_v = np.linspace(lowest_v, highest_v, CELLS + 1)
         self._parts = [
             _Part(part, levels_v, settling_s, MOST_BINS // len(parts), nuisances)
@@ -247,14 +246,9 @@ class _Problem:
 
         Smooth directions are explained fully, rough ones only in part, because of the penalties.
         """
-        width = sum(part.offsets.shape[1] for part in self._parts)
-        blocks, first = [], 0
-        for part in self._parts:
-            own = np.zeros((part.offsets.shape[0], width))
-            own[:, first : first + part.offsets.shape[1]] = part.offsets
-            blocks.append(np.hstack([part.everett, own]))
-            first += part.offsets.shape[1]
-        columns = np.vstack(blocks)
+        offsets = block_diag(*(part.offsets for part in self._parts))
+        width = offsets.shape[1]
+        columns = np.hstack([np.vstack([part.everett for part in self._parts]), offsets])
         density = density_operator(CELLS)
         curvature = CELLS**3 * (curvature_operator(CELLS) @ density)
         bend = CELLS**2.5 * reversible_differences(CELLS, 2)
@@ -283,14 +277,7 @@ class _Problem:
         rates, gains = np.exp(np.split(point, 2))
         target = np.concatenate([part.without_creep(rates, gains) for part in self._parts])
         zeros = np.asarray(creep_of_partial_fractions(rates, gains)[0].zeros_rad_per_s)
-        own = [part.decays(zeros) for part in self._parts]
-        both = np.zeros((target.size, 1 + zeros.size * len(own)))
-        both[:, 0] = target
-        first = 0
-        for index, each in enumerate(own):
-            column = 1 + index * zeros.size
-            both[first : first + len(each), column : column + zeros.size] = each
-            first += len(each)
+        both = np.column_stack([target, block_diag(*(part.decays(zeros) for part in self._parts))])
         # As long as the residual of regression and penalties, without the rows of the penalties.
         both = both - self._span @ ((1.0 - self._remaining)[:, None] * (self._span.T @ both))
         residual: FloatArray = both[:, 0]

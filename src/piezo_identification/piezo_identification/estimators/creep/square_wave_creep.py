@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares, nnls
+from scipy.optimize import least_squares
 
 from piezo_common.arrays import FloatArray, IntArray
 from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.conditioning.generator_edges import free_running_level
-from piezo_identification.conditioning.recording_start import square_part, without_first
+from piezo_identification.conditioning.recording_start import square_part
 from piezo_identification.conditioning.settling import (
     MOST_OF_RECORDING,
     USUAL_SETTLING_S,
@@ -41,6 +41,7 @@ from piezo_identification.estimators.estimate import (
     parameter_covariance,
     propagated,
 )
+from piezo_identification.fitting.nonnegative_regression import nonnegative_least_squares
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
 
@@ -130,7 +131,7 @@ def estimate_creep(
     record = _CreepRecord(part, dynamics, delay_s, highest_rad_per_s)
     if record.wave.steps.size < FEWEST_STEPS:
         return _estimate(record, pair_count)
-    later = without_first(part, record.wave.steps[0])
+    later = part.select(np.arange(part.voltage_v.size) >= record.wave.steps[0])
     cut = _estimate(_CreepRecord(
         later, dynamics, delay_s, highest_rad_per_s), pair_count)
     whole = _estimate(record, pair_count)
@@ -318,7 +319,8 @@ class _CreepRecord:
             free = np.delete(basis, gains, axis=1)
             span = np.linalg.qr(free)[0]
             projected = basis[:, gains] - span @ (span.T @ basis[:, gains])
-            positive = nnls(projected, self.displacement - span @ (span.T @ self.displacement))[0]
+            positive = nonnegative_least_squares(
+                projected, self.displacement - span @ (span.T @ self.displacement))[0]
             others = np.linalg.lstsq(
                 free, self.displacement - basis[:, gains] @ positive, rcond=1e-12)[0]
             coefficients = np.concatenate([others[:2], positive, others[2:]])

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Creep in a fast record: too fast for a creep recording, too slow for the modes.
+"""Slow motion in a fast record that is no vibration: fast creep, and errors of the hysteresis.
 
 Materials creep on all time scales. Creep within the half period of a fast square wave is in no
-creep recording, and a fit of lag and modes alone would be biased by it.
+creep recording, and a fit of lag and modes alone would be biased by it. An inexact hysteresis
+leaves large slow errors, which such a fit would describe by modes that no structure has.
 """
 
 from collections.abc import Callable, Collection
@@ -10,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from scipy.optimize import nnls
+from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.settling import RINGING, SLOWER_THAN_MODES
@@ -28,6 +29,7 @@ from piezo_identification.estimators.estimate import (
     Estimate,
     creep_of_partial_fractions,
 )
+from piezo_identification.fitting.nonnegative_regression import nonnegative_least_squares
 from piezo_models.linear.dynamics import CreepDynamics
 
 RATES_PER_DECADE = 2.5
@@ -42,6 +44,21 @@ MOST_TURNS = 4
 AS_GOOD = 5.0
 """Log-evidence by which free poles may be better, because stages have creep but no overdamped
 modes."""
+
+
+LEAST_DAMPING = 5e-4
+"""Damping ratio below which no glued or screwed structure has modes."""
+
+HEAVY_DAMPING, FAR_BELOW = 0.15, 0.05
+"""Damping ratio, and frequency relative to the lowest ringing mode, of slow errors. Structures have
+no such modes, but errors of the hysteresis look like them."""
+
+MOST_WAVES = 300
+"""Largest number of half periods of the fastest cosine: a longer record separates slow motion from
+vibration without them."""
+
+MOST_OF_THE_MOTION = 0.95
+"""Part of the input power that defines the frequency of its loops."""
 
 
 @dataclass(frozen=True)
@@ -64,10 +81,6 @@ def fit_with_fast_creep(
     ----------
     record_without : callable
         Returns the record with a given creep removed.
-    creep : CreepDynamics
-        Known creep.
-    mode_count, delay, among
-        See `output_error.fit_output_error`.
 
     Returns
     -------
@@ -91,11 +104,6 @@ def fast_creep(
     record without it is explained as well by the information criterion, usually with fewer poles.
     The slow poles bias the others, and with them the creep. The creep is therefore sought again
     with the corrected dynamics as long as that explains the record better.
-
-    Parameters
-    ----------
-    creep : CreepDynamics
-        See `fit_with_fast_creep`.
     """
     free = best_free_fit(record_without(creep))
     record = record_without(creep).thinned(ROWS_OF_SEARCH)
@@ -125,13 +133,6 @@ def sought_rates(record: FastRecord, free: FreeFit, creep: CreepDynamics) -> Flo
     They start above the known creep, or where the record lasts for one decay. They end below all
     ringing modes, or where a decay lasts for one row.
 
-    Parameters
-    ----------
-    free : FreeFit
-        Fit of the record.
-    creep : CreepDynamics
-        Known creep.
-
     Returns
     -------
     ndarray, shape (R,)
@@ -156,11 +157,6 @@ def best_free_fit(record: FastRecord, near: FreeFit | None = None) -> FreeFit:
         Record, whose rows are thinned to save time.
     near : FreeFit, optional
         Fit with the initial poles; by default those of a vector fit.
-
-    Returns
-    -------
-    FreeFit
-        Fit of the thinned rows.
     """
     thin = record.thinned(ROWS_OF_SEARCH)
     fits = free_fits(thin, MOST_MODES) if near is None else nested_fits(
@@ -173,6 +169,49 @@ def joined_creep(first: CreepDynamics, second: CreepDynamics) -> CreepDynamics:
     return CreepDynamics(
         tuple(sorted((*first.poles_rad_per_s, *second.poles_rad_per_s))),
         tuple(sorted((*first.zeros_rad_per_s, *second.zeros_rad_per_s))))
+
+
+def project_out_slow_error(record: FastRecord) -> FastRecord:
+    """Remove slow errors from a record if it has them.
+
+    It does if its loops are far slower than the ringing modes, and free poles form slow oscillating
+    pairs, which neither a lag nor creep has. Slow cosines among the further signals then describe
+    the errors; of a long record, slow lines are left out.
+
+    Returns
+    -------
+    FastRecord
+        The same record if it has none.
+    """
+    poles = best_free_fit(record).poles
+    frequencies, dampings = np.abs(poles), -poles.real / np.abs(poles)
+    period_s = record.input.sample_period_s
+    far_above = loop_rad_per_s(record.input.samples, period_s) / FAR_BELOW
+    # Superfluous poles may be faster than half the sample rate, which no row shows.
+    rings = ((dampings >= LEAST_DAMPING) & (dampings < HEAVY_DAMPING)
+             & (frequencies > far_above) & (frequencies < np.pi / period_s))
+    if not rings.any():
+        return record
+    fastest = FAR_BELOW * frequencies[rings].min()
+    waves = min(int(fastest * np.ptp(record.kept) * period_s / np.pi), MOST_WAVES)
+    if not waves or not np.any((poles.imag != 0.0) & (frequencies < fastest)):
+        return record
+    if record.is_long:
+        return replace(record, slowest_rad_per_s=fastest)
+    return replace(record, fixed=np.column_stack([record.fixed, slow_waves(record.kept, waves)]))
+
+
+def loop_rad_per_s(input_um: FloatArray, sample_period_s: float) -> float:
+    """Return the frequency up to which nearly all power of an input lies, shape (N,)."""
+    power = np.abs(np.fft.rfft((input_um - input_um.mean()) * np.hanning(input_um.size))) ** 2
+    line = int(np.searchsorted(np.cumsum(power), MOST_OF_THE_MOTION * power.sum()))
+    return 2.0 * np.pi * line / (input_um.size * sample_period_s)
+
+
+def slow_waves(rows: NDArray[np.intp], count: int) -> FloatArray:
+    """Return cosines of 1, 2, 3, ... half periods over rows of a record, shape (N, count)."""
+    phase = np.pi * (rows - rows[0]) / np.ptp(rows)
+    return np.cos(np.outer(phase, np.arange(1, count + 1)))
 
 
 def _lowest_ringing(free: FreeFit) -> float:
@@ -208,7 +247,7 @@ def _positive_parts(record: FastRecord, free: FreeFit, rates: FloatArray) -> Fas
     used = np.arange(rates.size)
     while used.size:
         chosen = columns[:, [0, *(1 + used)]]
-        parts, norm = nnls(chosen, target)
+        parts, norm = nonnegative_least_squares(chosen, target)
         if parts[0] == 0.0:
             return None
         if not parts.all():

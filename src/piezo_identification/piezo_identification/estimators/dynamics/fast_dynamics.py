@@ -66,17 +66,12 @@ class ModeOrder:
 
 
 def coupled_vector(poles: ComplexArray, residues: ComplexArray) -> FloatArray:
-    """Return the vector of coupled modes behind a lag with given poles and residues.
+    """Return the vector, (1 + 4 m,), of ``ModeOrder(0, 0, m, is_coupled=True)``.
 
     Parameters
     ----------
     poles, residues : ndarray of complex, shape (1 + 2 m,)
         The lag, then adjacent pairs of poles, each conjugate or both real; any gain at rest.
-
-    Returns
-    -------
-    ndarray, shape (1 + 4 m,)
-        Vector of the order ``ModeOrder(0, 0, m, is_coupled=True)``.
     """
     rest = np.sum(-residues / poles).real
     through_lag = residues * (1.0 - poles / poles[0]) / rest
@@ -113,18 +108,13 @@ def fast_dynamics_of(
     effects : tuple of Effect
         Like the dynamics, in order of frequency.
     """
-    values = values_of(ascending(vector, order), order)
+    values = values_of(vector[ascending_places(vector, order)], order)
     main, frequencies, dampings, lags, *shares = _split(values, order)
     kind = CoupledMode if order.is_coupled else VibrationMode
     parallel = (kind(*numbers) for numbers in zip(*(
         each.tolist() for each in (frequencies, dampings, *shares)), strict=True))
     return (dynamics_of_vector(main, order.modes, order.antiresonances),
             (*parallel, *(SensorLag(lag) for lag in lags.tolist())))
-
-
-def ascending(vector: FloatArray, order: ModeOrder) -> FloatArray:
-    """Return a vector with the components of every kind in order of frequency."""
-    return vector[ascending_places(vector, order)]
 
 
 def ascending_places(vector: FloatArray, order: ModeOrder) -> np.ndarray:
@@ -142,11 +132,7 @@ def ascending_places(vector: FloatArray, order: ModeOrder) -> np.ndarray:
 def split_deviations(
     deviations: FloatArray, order: ModeOrder,
 ) -> tuple[dict[str, object], tuple[dict[str, float], ...]]:
-    """Split standard deviations in the order of a vector's values.
-
-    Parameters
-    ----------
-    deviations : ndarray, shape (P,)
+    """Split standard deviations in the order of a vector's values, (P,).
 
     Returns
     -------
@@ -177,16 +163,7 @@ def lag_difference(vector: FloatArray, order: ModeOrder) -> float:
 
 
 def with_lags_apart(vector: FloatArray, order: ModeOrder) -> FloatArray:
-    """Return a vector whose two lags are not nearly equal; unchanged if there is only one.
-
-    Parameters
-    ----------
-    vector : ndarray, shape (P,)
-
-    Returns
-    -------
-    ndarray, shape (P,)
-    """
+    """Return a vector, (P,), whose two lags are not nearly equal; unchanged for a single lag."""
     if not order.sensor_lags:
         return vector
     half = lag_difference(vector, order)

@@ -449,18 +449,7 @@ class _Remembered:
 
 
 def real_products(signals: list[ComplexArray], weights: list[ComplexArray]) -> FloatArray:
-    """Real part of the sum of products of signals and weights, computed with real numbers.
-
-    Parameters
-    ----------
-    signals : list of ndarray of complex, shape (N, n)
-    weights : list of ndarray of complex, shape (n, P)
-        Weights of each signal.
-
-    Returns
-    -------
-    ndarray, shape (N, P)
-    """
+    """Real part of the sum of signals, (N, n), times weights, (n, P), with real numbers, (N, P)."""
     # The transposes are contiguous in memory as computed.
     parts = np.concatenate([part for each in signals for part in (each.T.real, each.T.imag)])
     factors = np.concatenate([part for each in weights for part in (each.real, -each.imag)])
@@ -469,21 +458,15 @@ def real_products(signals: list[ComplexArray], weights: list[ComplexArray]) -> F
 
 
 def independent(columns: FloatArray, span: FloatArray | None = None) -> FloatArray:
-    """Return orthonormal columns of the same span, without directions that are only rounding.
+    """Return orthonormal columns of the span of columns, (N, K), without directions of rounding.
 
     Slow exponentials are nearly equal in a short record. If they were kept as they are, the
     minimum would be obscured by rounding errors, and a search would end anywhere near it.
 
     Parameters
     ----------
-    columns : ndarray, shape (N, K)
     span : ndarray, shape (N, M), optional
         Orthonormal columns, to which the ones returned are orthogonal.
-
-    Returns
-    -------
-    ndarray, shape (N, L)
-        L is at most K.
     """
     norms = np.linalg.norm(columns, axis=0)
     # A decay that ends before the record begins is zero throughout.

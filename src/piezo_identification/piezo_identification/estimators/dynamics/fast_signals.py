@@ -2,17 +2,14 @@
 """Input and output of the electric and vibration dynamics, of one recording or several."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.waveforms import played, samples_per_mean
 from piezo_identification.estimators.dynamics.fast_record import FastRecord
-from piezo_identification.estimators.dynamics.output_error import fit_output_error
-from piezo_identification.estimators.estimate import Estimate
 from piezo_identification.estimators.poles.pole_responses import HeldInput
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics
@@ -26,39 +23,10 @@ LATE_ROWS = 2
 voltage."""
 
 
-@dataclass(frozen=True, eq=False)
-class FastSignals:
-    """Inputs and measured outputs of the dynamics, with recordings joined one after another."""
-
-    entering_um: FloatArray
-    displacement_um: FloatArray
-    """Output of the hysteresis, and the displacement without creep, (N,)."""
-    drift: FloatArray
-    """Offset and possible remains of earlier creep, separately for each recording, (N, K)."""
-    kept: NDArray[np.intp]
-    """Samples in which the input is fast and the start has settled."""
-    begins: tuple[int, ...]
-    """First sample of each recording."""
-    sample_period_s: float
-
-    early: FloatArray | None = None
-    """Fraction of a sample period by which each input precedes its sample, (N,); by default
-    zero."""
-    phase_room: float = 0.0
-    """Fraction of a sample period by which all inputs may be earlier or later."""
-
-    def record(self) -> FastRecord:
-        """Return the record that is fitted."""
-        return FastRecord(
-            HeldInput(self.entering_um, self.sample_period_s, False, self.begins, self.early),
-            self.kept, self.displacement_um[self.kept], self.drift[self.kept],
-            phase_room=self.phase_room)
-
-
-def joined_signals(
+def joined_record(
     parts: Sequence[Recording], inputs_um: Sequence[FloatArray], first_kept: Sequence[int],
     creep: CreepDynamics,
-) -> FastSignals:
+) -> FastRecord:
     """Join recordings one after another, each with its own offset and initial creep.
 
     Parameters
@@ -69,8 +37,6 @@ def joined_signals(
         Input of the dynamics in each recording, in any unit.
     first_kept : sequence of int
         First sample of each recording that is fitted.
-    creep : CreepDynamics
-        Creep to be removed.
 
     Raises
     ------
@@ -87,32 +53,14 @@ def joined_signals(
     begins = np.cumsum([0, *sizes])
     stretches = [slice(begin + first, begin + size - LATE_ROWS)
                  for begin, first, size in zip(begins, first_kept, sizes, strict=False)]
-    blocks = [drift_basis(part.time_s, creep) for part in parts]
-    width = blocks[0].shape[1]
-    drift = np.zeros((begins[-1], width * len(blocks)))
-    for index, block in enumerate(blocks):
-        drift[begins[index] : begins[index + 1], index * width : (index + 1) * width] = block
-    return FastSignals(
-        np.concatenate([np.asarray(each, dtype=float) for each in inputs_um]),
-        np.concatenate([
-            remove_creep(part.displacement_um, creep, part.sample_period_s) for part in parts]),
-        drift, np.concatenate([np.arange(each.start, each.stop) for each in stretches]),
-        tuple(begins[:-1].tolist()), parts[0].sample_period_s)
-
-
-def fit_signals(
-    signals: FastSignals, mode_count: int | None = None, delay: float | None = None,
-) -> Estimate:
-    """Fit the dynamics of least output error behind a known input.
-
-    Parameters
-    ----------
-    mode_count : int, optional
-        By default as many as the Bayesian information criterion justifies.
-    delay : float, optional
-        Delay of the rows in sample periods; by default it is estimated.
-    """
-    return fit_output_error(signals.record(), mode_count, delay)
+    drift = block_diag(*(drift_basis(part.time_s, creep) for part in parts))
+    displacement_um = np.concatenate([
+        remove_creep(part.displacement_um, creep, part.sample_period_s) for part in parts])
+    kept = np.concatenate([np.arange(each.start, each.stop) for each in stretches])
+    return FastRecord(
+        HeldInput(np.concatenate([np.asarray(each, dtype=float) for each in inputs_um]),
+                  parts[0].sample_period_s, False, tuple(begins[:-1].tolist())),
+        kept, displacement_um[kept], drift[kept])
 
 
 def played_at_the_clock(recording: Recording) -> Recording:
@@ -136,16 +84,6 @@ def through_hysteresis(
     recording: Recording, part: Recording, hysteresis: PreisachModel,
 ) -> FloatArray:
     """Return the input of the dynamics: the output of a hysteresis since the recording started.
-
-    Parameters
-    ----------
-    part : Recording
-        Part of the recording in which the waveform plays.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Output during the part.
 
     Raises
     ------

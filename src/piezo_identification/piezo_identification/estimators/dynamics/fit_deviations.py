@@ -10,7 +10,6 @@ from piezo_identification.estimators.dynamics.fast_dynamics import (
 )
 from piezo_identification.estimators.dynamics.fast_record import FastFit
 from piezo_identification.estimators.estimate import (
-    SIGNIFICANT,
     independent_rows,
     parameter_covariance,
 )
@@ -52,14 +51,8 @@ def _of_alike_lags(covariance: FloatArray, fit: FastFit) -> FloatArray:
     """Limit the variance of the difference of two lags to what follows from its square.
 
     If the square of half their difference x has the deviation d, a large x has the deviation
-    d / (2 x), and one that may be zero is below (2 d)^(1/2).
-
-    Parameters
-    ----------
-    covariance : ndarray, shape (P, P)
-        Covariance from the Jacobian with the lags apart.
-    fit : FastFit
-        Fit with a sensor lag.
+    d / (2 x), and one that may be zero is below (2 d)^(1/2). The covariance is that of the
+    Jacobian with the lags apart.
     """
     one, other = 0, fit.order.positive - 1
     half = abs(lag_difference(fit.vector, fit.order))
@@ -87,12 +80,6 @@ def _of_positive_lag(covariance: FloatArray, lag: int) -> FloatArray:
     has the deviation d, a long lag has the deviation d / T, and one that may be zero is below
     (2 d)^(1/2). The variances of all correlated parameters are reduced as if the lag had been
     measured.
-
-    Parameters
-    ----------
-    covariance : ndarray, shape (P, P)
-    lag : int
-        Index of its logarithm.
     """
     variance = covariance[lag, lag]
     # In the logarithm: d / T^2 against (2 d)^(1/2) / T.
@@ -116,16 +103,9 @@ def delay_deviation(fit: FastFit, without: FastFit | None, variance: float) -> f
     ----------
     without : FastFit or None
         Fit of the same order without delay; None if it is not available.
-    variance : float
-        Variance of the delay from the covariance.
     """
     deviation = float(np.sqrt(variance))
     if without is None or without.cost <= FAR_MORE * fit.cost:
         return deviation
     rows = independent_rows(fit.residual)
     return min(deviation, abs(fit.delay) / float(np.sqrt(rows * np.log(without.cost / fit.cost))))
-
-
-def is_significant(fit: FastFit, variance: float) -> bool:
-    """Whether the covariance alone shows that there is a delay."""
-    return bool(abs(fit.delay) > SIGNIFICANT * np.sqrt(variance))

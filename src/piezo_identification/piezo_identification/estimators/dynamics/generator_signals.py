@@ -9,7 +9,6 @@ import numpy as np
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.conditioning.generator_edges import GeneratorEdges
 from piezo_identification.estimators.dynamics.fast_record import FastRecord, FreeFit
-from piezo_identification.estimators.dynamics.fast_signals import FastSignals
 from piezo_identification.estimators.dynamics.output_error import ROWS_OF_SEARCH
 from piezo_identification.estimators.dynamics.pole_search import free_fits
 from piezo_identification.estimators.poles.pole_responses import HeldInput
@@ -28,35 +27,35 @@ INSTANT = 2
 
 
 def with_edges_between(
-    signals: FastSignals, edges: Sequence[GeneratorEdges | None],
-) -> FastSignals:
+    record: FastRecord, edges: Sequence[GeneratorEdges | None],
+) -> FastRecord:
     """Place the edges of generators between the samples if that reduces the error.
 
     Parameters
     ----------
-    signals : FastSignals
-        Levels of square waves, as sampled.
-    edges : sequence of GeneratorEdges or None
-        Edges of each recording.
+    record : FastRecord
+        Record whose input is the levels of square waves, as sampled.
 
     Returns
     -------
-    FastSignals
-        The same signals if a recording has no edges, or if its edges lie at the samples.
+    FastRecord
+        The same record if a recording has no edges, or if its edges lie at the samples.
     """
     found = [each for each in edges if each is not None]
+    held = record.input
+    assert isinstance(held, HeldInput)
     if len(found) < len(edges):
-        return signals
-    sampled = _free_fit(signals.record())
-    directions = np.zeros((signals.entering_um.size, 3 * len(found)))
-    for index, (begin, each) in enumerate(zip(signals.begins, found, strict=True)):
+        return record
+    sampled = _free_fit(record)
+    directions = np.zeros((held.samples.size, 3 * len(found)))
+    for index, (begin, each) in enumerate(zip(held.begins, found, strict=True)):
         rows = slice(begin, begin + each.early.size)
         directions[rows, 3 * index : 3 * index + 3] = each.directions
     timed = replace(
-        signals, early=np.concatenate([each.early for each in found]),
+        record, input=replace(held, early=np.concatenate([each.early for each in found])),
         phase_room=max(each.phase_room for each in found))
-    held, cost_then = _fitted_edges(timed.record(), directions)
-    return replace(timed, early=held.early) if cost_then < sampled.cost else signals
+    moved, cost_then = _fitted_edges(timed, directions)
+    return replace(timed, input=moved) if cost_then < sampled.cost else record
 
 
 def _fitted_edges(record: FastRecord, directions: FloatArray) -> tuple[HeldInput, float]:
@@ -92,7 +91,7 @@ def edge_responses(
     held: HeldInput, directions: FloatArray, poles: ComplexArray, residues: ComplexArray,
     delay: float,
 ) -> FloatArray:
-    """Differentiate the response of poles by displacements of the edges of its input.
+    """Differentiate the response of poles by displacements of the edges of its input, (N, K).
 
     Parameters
     ----------
@@ -101,10 +100,6 @@ def edge_responses(
     poles, residues : ndarray of complex, shape (n,)
     delay : float
         Delay in sample periods.
-
-    Returns
-    -------
-    ndarray, shape (N, K)
     """
     assert held.early is not None
     columns = []

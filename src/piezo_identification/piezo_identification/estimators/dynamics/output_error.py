@@ -28,10 +28,10 @@ from piezo_identification.estimators.dynamics.fast_record import (
 from piezo_identification.estimators.dynamics.fit_deviations import (
     delay_deviation,
     fit_covariance,
-    is_significant,
 )
 from piezo_identification.estimators.dynamics.pole_search import MOST_MODES, free_fits
 from piezo_identification.estimators.estimate import (
+    SIGNIFICANT,
     DelayEstimate,
     Estimate,
     OrderTrial,
@@ -154,7 +154,8 @@ class _Search:
         for free in free_fits(self._coarse, count + MODES_LEFT_OUT):
             if free.modes < count:
                 continue
-            choices = [(_chosen(free.vector, modes)) for modes in _subsets(free.modes, count)]
+            choices = [_chosen(free.vector, modes)
+                       for modes in combinations(range(free.modes), count)]
             best = min(choices, key=lambda vector: self._coarse.parts(
                 [(order, vector)], free.delay)[1])
             self._keep([self._fit(order, [(best, free.delay)])])
@@ -180,7 +181,8 @@ class _Search:
         """Return the fit and its delay; the fit is without delay if that is not significant."""
         of_phase = self._whole.phase_room**2 / 3.0
         variance = of_phase + float(fit_covariance(fit, self._whole.linear_parameters)[-1, -1])
-        without = None if is_significant(fit, variance) else self._whole.fit(
+        is_certain = abs(fit.delay) > SIGNIFICANT * np.sqrt(variance)
+        without = None if is_certain else self._whole.fit(
             fit.order, fit.vector, 0.0, is_delay_free=False)
         period_s = self._record.input.sample_period_s
         deviation = max(delay_deviation(fit, without, variance), np.sqrt(of_phase))
@@ -346,10 +348,6 @@ class _Search:
     def _numbers(self, order: ModeOrder) -> int:
         """Return the number of parameters of an order, including gain and delay."""
         return order.parameters + 1 + (self._known_delay is None)
-
-
-def _subsets(count: int, size: int) -> Iterator[tuple[int, ...]]:
-    return combinations(range(count), size)
 
 
 def _may_be_parallel(vector: FloatArray, modes: int) -> bool:

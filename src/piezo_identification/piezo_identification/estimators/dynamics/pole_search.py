@@ -148,17 +148,7 @@ def _complex(rows: FloatArray) -> ComplexArray:
 
 
 def vector_of_poles(poles: ComplexArray) -> FloatArray:
-    """Logarithms of lag, frequencies and damping ratios with given poles.
-
-    Parameters
-    ----------
-    poles : ndarray of complex, shape (1 + 2 modes,)
-        See `dynamics_of_poles`.
-
-    Returns
-    -------
-    ndarray, shape (1 + 2 modes,)
-    """
+    """Logarithms of lag, frequencies and damping ratios of `dynamics_of_poles`, (1 + 2 modes,)."""
     dynamics = dynamics_of_poles(poles)
     return np.log([dynamics.time_constant_s, *dynamics.mode_frequencies_rad_per_s,
                    *dynamics.damping_ratios])

@@ -174,11 +174,6 @@ class RationalForm:
     def zeros_between(self, vector: FloatArray, rate: FloatArray) -> FloatArray:
         """Zeros of parallel modes, mirrored into the left half plane, as antiresonances.
 
-        Parameters
-        ----------
-        vector : ndarray, shape (P,)
-        rate : ndarray, shape (N,)
-
         Returns
         -------
         ndarray, shape (2, M)

@@ -16,39 +16,13 @@ from piezo_identification.simulation.sampled_response import delayed_zoh
 
 
 def hold_response(frequency_hz: np.ndarray, hold_s: float) -> np.ndarray:
-    """Return the response (1 - exp(-s T)) / (s T) of a zero-order hold.
-
-    Parameters
-    ----------
-    frequency_hz : ndarray, shape (N,)
-    hold_s : float
-        Sample period T.
-
-    Returns
-    -------
-    ndarray of complex, shape (N,)
-    """
+    """Return the response (1 - exp(-s T)) / (s T) of a hold of T at frequencies, (N,)."""
     return np.exp(-1j * np.pi * frequency_hz * hold_s) * np.sinc(frequency_hz * hold_s)
 
 
 def sampled_response(system: control.StateSpace, delay_s: float, frequency_hz: np.ndarray,
                      hold_s: float) -> np.ndarray:
-    """Return the response from held voltage samples to displacement samples, aliases included.
-
-    Parameters
-    ----------
-    system : control.StateSpace
-        Continuous system.
-    delay_s : float
-        Delay after the system.
-    frequency_hz : ndarray, shape (N,)
-    hold_s : float
-        Sample period.
-
-    Returns
-    -------
-    ndarray of complex, shape (N,)
-    """
+    """Return the response from held voltage samples to displacement samples, (N,), with aliases."""
     discrete, late = delayed_zoh(system, hold_s, delay_s)
     z = np.exp(2j * np.pi * frequency_hz * hold_s)
     return discrete(z, squeeze=True) * z**-late
@@ -65,13 +39,6 @@ def without_hold(measured: FrequencyResponse, system: control.StateSpace | None 
     system : control.StateSpace, optional
         Approximate continuous system of the stage. It determines the aliases from above half the
         sample rate, which are small if the response falls fast; by default they are not corrected.
-    delay_s : float
-        Delay after the system.
-
-    Returns
-    -------
-    FrequencyResponse
-        Response without hold.
     """
     if not measured.hold_s:
         return measured

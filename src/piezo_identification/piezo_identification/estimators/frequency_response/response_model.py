@@ -26,13 +26,6 @@ class ResponseModel:
     parallel: tuple[VibrationMode, ...] = ()
     """Parallel modes, which place zeros anywhere in the plane."""
 
-    @property
-    def states(self) -> int:
-        """Number of states of the rational part."""
-        modes = len(self.dynamics.damping_ratios) + len(self.parallel)
-        lag = self.dynamics.time_constant_s > 0.0
-        return len(self.creep.poles_rad_per_s) + lag + 2 * modes
-
     def linear(self) -> control.StateSpace:
         """Continuous `control.StateSpace` without gain and delay."""
         return self.creep.state_space() * self.dynamics.state_space(self.parallel)

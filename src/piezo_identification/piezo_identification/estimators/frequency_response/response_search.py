@@ -234,11 +234,15 @@ class ResponseSearch:
         vector[places], free[places] = 0.0, False
         return self.with_another_lag(self.full_fit(self.quick_fit((form, vector, free))))
 
-    def _further_pair(self, fit: ResponseFit) -> Reduced:
-        """Return the form with the creep pair that explains most of the residual."""
+    def _unexplained(self, fit: ResponseFit) -> tuple[FloatArray, FloatArray]:
+        """Return the residual at the coarse frequencies, and a basis of what a fit can change."""
         error, slopes = self.residual(fit.form, fit.vector, self._coarse)
         basis = np.linalg.qr(slopes[:, fit.free])[0]
-        error = error - basis @ (basis.T @ error)
+        return _orthogonal(error, basis), basis
+
+    def _further_pair(self, fit: ResponseFit) -> Reduced:
+        """Return the form with the creep pair that explains most of the residual."""
+        error, basis = self._unexplained(fit)
         rate = self.rate[self._coarse]
         poles = np.geomspace(0.3 * rate[0], np.sqrt(rate[0] * rate[-1]), CREEP_STARTS)
         whole = self.weight[self._coarse] * fit.form.response(fit.vector, rate)[0]
@@ -253,9 +257,7 @@ class ResponseSearch:
 
     def _further_modes(self, fit: ResponseFit) -> Iterator[Reduced]:
         """Yield the two modes that explain most of the residual, with all else free."""
-        error, slopes = self.residual(fit.form, fit.vector, self._coarse)
-        basis = np.linalg.qr(slopes[:, fit.free])[0]
-        error = error - basis @ (basis.T @ error)
+        error, basis = self._unexplained(fit)
         rate = self.rate[self._coarse]
         before = RationalForm(fit.form.creep_pairs, 0)
         head, _ = before.response(np.append(fit.vector[: before.gain_place], 1.0), rate)
@@ -338,12 +340,10 @@ class ResponseSearch:
     def _promise(self, start: Reduced) -> float:
         """Information after a single linear step."""
         form, vector, free = start
-        error, slopes = self.residual(form, vector, self._coarse)
-        slopes = slopes[:, free]
-        basis = np.linalg.qr(slopes)[0]
-        residual = error - basis @ (basis.T @ error)
+        frequencies = self.rate[self._coarse].size
+        residual, _ = self._unexplained(ResponseFit(form, vector, free, np.nan, frequencies))
         return self.information(ResponseFit(
-            form, vector, free, float(residual @ residual), error.size // 2))
+            form, vector, free, float(residual @ residual), frequencies))
 
     def in_series(self, fit: ResponseFit, antiresonances: int | None) -> ResponseFit:
         """Fit the same modes in series, with the zeros between them."""
@@ -385,16 +385,8 @@ def _orthogonal(columns: FloatArray, basis: FloatArray) -> FloatArray:
 def weight_of_noise(residual: ComplexArray, gain: ComplexArray) -> FloatArray:
     """Return the inverse noise of each gain, which has a constant and a relative part.
 
-    Their ratio maximises the likelihood of the residual of a rich fit.
-
-    Parameters
-    ----------
-    residual, gain : ndarray of complex, shape (N,)
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Scaled so that the weighted error has the mean square of the unweighted one.
+    Their ratio maximises the likelihood of the residual of a rich fit. The result, (N,), is scaled
+    so that the weighted error has the mean square of the unweighted one.
     """
     power, best = np.abs(gain) ** 2, (np.inf, np.ones(gain.size))
     for relative in (0.0, *np.geomspace(1e-2, 1e3, 26)):

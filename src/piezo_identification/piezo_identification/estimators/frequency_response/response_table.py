@@ -66,6 +66,7 @@ def read_response_table(path: Path) -> tuple[FloatArray, ComplexArray]:
     frequency_hz : ndarray, shape (N,)
         Increasing, without 0 Hz.
     gain : ndarray of complex, shape (N,)
+        Mean of the rows of a frequency, which occurs twice where two bands of a sweep meet.
 
     Raises
     ------
@@ -101,16 +102,13 @@ def _sorted(path: Path, table: Table, frequency_hz: FloatArray,
     if wrong.size:
         raise ValueError(f"{table.place(int(wrong[0]))}: no finite gain at a positive frequency: "
                          "remove the row")
-    order = np.argsort(frequency_hz, kind="stable")
-    order = order[frequency_hz[order] > 0.0]
-    twice = np.flatnonzero(np.diff(frequency_hz[order]) == 0.0)
-    if twice.size:
-        row = int(order[twice[0] + 1])
-        raise ValueError(f"{table.place(row)}: {frequency_hz[row]:g} Hz is there twice: keep one "
-                         "row for each frequency")
-    if not order.size:
+    used = frequency_hz > 0.0
+    if not used.any():
         raise ValueError(f"{path} has no row with a positive frequency: measure again")
-    return frequency_hz[order], gain[order]
+    once_hz, line, rows = np.unique(frequency_hz[used], return_inverse=True, return_counts=True)
+    total = np.zeros(once_hz.size, dtype=complex)
+    np.add.at(total, line, gain[used])
+    return once_hz, np.asarray(total / rows)
 
 
 def _columns(path: Path, table: Table) -> dict[str, ResponseColumn]:

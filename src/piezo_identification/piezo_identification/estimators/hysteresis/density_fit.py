@@ -12,7 +12,11 @@ from piezo_identification.conditioning.creep_removal import (
     remove_creep_of_held,
 )
 from piezo_identification.conditioning.outlier_samples import good_samples
-from piezo_identification.conditioning.segments import Recordings, played_segments
+from piezo_identification.conditioning.segments import (
+    Recordings,
+    played_segments,
+    voltage_range_v,
+)
 from piezo_identification.conditioning.settling import (
     first_settled,
     held_delay_s,
@@ -41,7 +45,7 @@ LARGE_STEP_SHARE = 0.9
 def estimate_density(
     recording: Recordings, creep: CreepDynamics, dynamics: ElectricVibrationDynamics,
     level_count: int | None = None, cells_per_level: int = 2,
-    smoothing_weight: float | None = None, translation_weight: float | None = None,
+    smoothing_weight: float | None = None, translation_weight: float = 0.0,
     delay_s: float = 0.0, most_levels: int = LEVELS, near: DensityEstimate | None = None,
     most_rows: int | None = None,
 ) -> DensityEstimate:
@@ -64,7 +68,7 @@ def estimate_density(
     cells_per_level : int
         Number of cells of the model between levels.
     smoothing_weight, translation_weight : float, optional
-        Weights of `smoothed_density`; by default chosen on held-out branches.
+        Weights of `density_of_segments`; by default, the smoothing is chosen on held-out branches.
     delay_s : float
         Delay of the measurement in addition to the dynamics.
     near : DensityEstimate, optional
@@ -107,17 +111,13 @@ def estimate_density(
 def density_of_parts(
     parts: Sequence[Recording], segments: Sequence[HysteresisSegment],
     level_count: int | None = None, cells_per_level: int = 2,
-    smoothing_weight: float | None = None, translation_weight: float | None = None,
+    smoothing_weight: float | None = None, translation_weight: float = 0.0,
     most_levels: int = LEVELS, near: DensityEstimate | None = None,
 ) -> DensityEstimate:
     """Estimate the density from inputs and outputs of the hysteresis in parts of recordings.
 
     Parameters
     ----------
-    parts : sequence of Recording
-        Recordings without gaps.
-    segments : sequence of HysteresisSegment
-        Segment of each part.
     level_count, cells_per_level, smoothing_weight, translation_weight, most_levels, near
         As in `estimate_density`.
 
@@ -126,12 +126,7 @@ def density_of_parts(
     ValueError
         If the voltage does not change or never returns.
     """
-    lowest_v = min(part.voltage_v.min() for part in parts)
-    highest_v = max(part.voltage_v.max() for part in parts)
-    if lowest_v == highest_v:
-        raise ValueError(
-            f"the voltage of {parts[0].path} is {lowest_v:g} V throughout: give a recording in "
-            "which it moves")
+    lowest_v, highest_v = voltage_range_v(parts)
     passed = levels_passed(parts, highest_v - lowest_v)
     is_line = passed < FEWEST_LEVELS
     if level_count is None:
@@ -157,13 +152,7 @@ def levels_passed(parts: Sequence[Recording], range_v: float) -> int:
 def segment_of(
     part: Recording, creep: CreepDynamics, dynamics: ElectricVibrationDynamics, delay_s: float,
 ) -> HysteresisSegment:
-    """Return input and output of the hysteresis in a part of a recording without gaps.
-
-    Parameters
-    ----------
-    creep, dynamics, delay_s
-        See `hysteresis_output_um`.
-    """
+    """Return input and `hysteresis_output_um` of a part of a recording without gaps."""
     used = np.arange(part.time_s.size) >= first_settled(dynamics, part.time_s)
     good = good_samples(part)
     if _answers_in_the_next_row(part, dynamics):
@@ -187,8 +176,6 @@ def hysteresis_output_um(
     dynamics : ElectricVibrationDynamics
         Dynamics, inverted at low frequency by (4.18) and (4.19) if the voltage is slow compared
         with them.
-    delay_s : float
-        Additional delay.
 
     Returns
     -------

@@ -21,12 +21,7 @@ TAPER_SHARE = 0.1
 def follows_fast(
     voltage_v: FloatArray, dynamics: ElectricVibrationDynamics, sample_period_s: float,
 ) -> bool:
-    """Return whether a voltage is too fast for the inverse of the dynamics at low frequency.
-
-    Parameters
-    ----------
-    voltage_v : ndarray, shape (N,)
-    """
+    """Return whether a voltage, (N,), is too fast for the low-frequency inverse of the dynamics."""
     if dynamics.is_static:
         return False
     spectrum = np.abs(np.fft.rfft(np.hanning(voltage_v.size) * (voltage_v - voltage_v.mean())))
@@ -41,7 +36,7 @@ def remove_dynamics(
     displacement_um: FloatArray, voltage_v: FloatArray, dynamics: ElectricVibrationDynamics,
     sample_period_s: float, delay_s: float = 0.0,
 ) -> FloatArray:
-    """Return the input of the dynamics, as values held from each sample on.
+    """Return the input of the dynamics, (N,), as values held from each sample on.
 
     The inverse is the stable, non-causal one of Wiener: ``conj(D) / (|D|^2 + e^2)``. It is applied
     to the residual of the displacement after fitting a line in the voltage. The response to the
@@ -51,12 +46,6 @@ def remove_dynamics(
     ----------
     displacement_um, voltage_v : ndarray, shape (N,)
         Each displacement is measured before its voltage acts.
-    delay_s : float
-        Additional delay of the displacement.
-
-    Returns
-    -------
-    ndarray, shape (N,)
     """
     added = samples_added(voltage_v.size)
     frequency_hz: FloatArray = np.fft.rfftfreq(
@@ -78,18 +67,7 @@ def held_response(
     dynamics: ElectricVibrationDynamics, frequency_hz: FloatArray, sample_period_s: float,
     delay_s: float = 0.0,
 ) -> ComplexArray:
-    """Response from held values to samples, valid where images of the hold are small.
-
-    Parameters
-    ----------
-    frequency_hz : ndarray, shape (N,)
-    delay_s : float
-        Additional delay of the samples.
-
-    Returns
-    -------
-    ndarray of complex, shape (N,)
-    """
+    """Response from held values to delayed samples, (N,), where images of the hold are small."""
     turn = frequency_hz * sample_period_s
     return dynamics.response(frequency_hz) * np.sinc(turn) * np.exp(
         -1j * np.pi * (turn + 2.0 * frequency_hz * delay_s))
@@ -105,16 +83,9 @@ def samples_added(count: int) -> int:
 
 
 def closed_signal(signal: FloatArray) -> FloatArray:
-    """Add a smooth way back from the end of a signal to its beginning.
+    """Add a smooth way of `samples_added` back from the end of a signal to its beginning.
 
-    Parameters
-    ----------
-    signal : ndarray, shape (N,) or (N, K)
-
-    Returns
-    -------
-    ndarray, shape (M,) or (M, K)
-        M is N plus `samples_added`.
+    The signal has the shape (N,) or (N, K).
     """
     added = samples_added(len(signal))
     way = 0.5 - 0.5 * np.cos(np.pi * (np.arange(added) + 1.0) / (added + 1.0))

@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.estimators.hysteresis.everett_regression import everett_regression
+from piezo_identification.estimators.hysteresis.everett_regression import (
+    everett_regression,
+    remembered_pairs,
+)
 from piezo_identification.estimators.hysteresis.nonnegative import nonnegative_minimum
 from piezo_identification.estimators.hysteresis.penalties import (
     bounded_operator,
@@ -156,8 +159,6 @@ def equations_of_folds(
 
     Parameters
     ----------
-    segments : sequence of HysteresisSegment
-        Segments, each with its own offsets and transients.
     levels_v : ndarray, shape (n + 1,)
     folds : sequence of ndarray of int, optional
         For every segment, the fold of each of its samples; by default a single fold.
@@ -171,7 +172,7 @@ def equations_of_folds(
     """
     if folds is None:
         folds = [np.zeros(segment.samples.size, dtype=int) for segment in segments]
-    histories = [everett_regression(segment.voltage_v, levels_v, segment.samples).history
+    histories = [remembered_pairs(segment.voltage_v, levels_v, segment.samples)[1]
                  for segment in segments]
     widths = [
         1 + int(history.max(initial=0)) + segment.transients.shape[1]

@@ -8,7 +8,6 @@ densities. Crossings (i + 1, j) and cells (i, j) have the same numbers: i-major 
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numba import njit
@@ -57,11 +56,10 @@ def everett_regression(
     """
     samples = np.arange(len(voltage_v)) if samples is None else samples
     size = levels_v.size - 1
-    position = _positions(voltage_v, levels_v)
-    values, columns, starts, history = _rows(position, size, np.asarray(samples, dtype=np.int64))
+    pairs, history = _pairs(
+        _positions(voltage_v, levels_v), size, np.asarray(samples, dtype=np.int64))
     matrix = csr_array(
-        (values, columns, starts), shape=(len(samples), size * (size + 3) // 2)
-    )
+        _rows(pairs, size, len(samples)), shape=(len(samples), size * (size + 3) // 2))
     return EverettRegression(matrix, history)
 
 
@@ -94,11 +92,6 @@ def remembered_pairs(
 
 def density_operator(size: int) -> csr_array:
     """Densities of the cells, times the area of a full one, from the unknowns of the regression.
-
-    Parameters
-    ----------
-    size : int
-        Number n of cells along each threshold.
 
     Returns
     -------
@@ -160,7 +153,7 @@ def visited_cells(voltage_v: FloatArray, levels_v: FloatArray,
 def summed_over_corners(
     values: FloatArray, voltage_v: FloatArray, levels_v: FloatArray,
 ) -> FloatArray:
-    """Sum a value of the cells over the corners of the memory at each sample.
+    """Sum a value of the cells over the corners of the memory at each sample, (N,).
 
     Parameters
     ----------
@@ -170,13 +163,15 @@ def summed_over_corners(
         Voltages after negative saturation.
     levels_v : ndarray, shape (n + 1,)
         Uniform and increasing.
-
-    Returns
-    -------
-    ndarray, shape (N,)
     """
+    # After the lowest level, the memory of every sample is known.
     position = np.concatenate([[0.0], _positions(voltage_v, levels_v)])
-    return _summed(np.ascontiguousarray(values, dtype=float), position)[1:]
+    pairs, _ = _pairs(position, len(values), np.arange(1, position.size))
+    # On an edge, the cell whose upper edge it is.
+    upper = np.maximum(np.ceil(pairs[:, 1]).astype(int) - 1, 0)
+    lower = np.minimum(pairs[:, 2].astype(int), upper)
+    return np.asarray(np.bincount(
+        pairs[:, 0].astype(int), values[upper, lower], len(voltage_v)), dtype=float)
 
 
 def _positions(voltage_v: FloatArray, levels_v: FloatArray) -> FloatArray:
@@ -230,15 +225,6 @@ def _everett_row(values: FloatArray, columns: IntArray, count: int, sign: float,
 
 
 @njit(cache=True)
-def _longer(values: Any, room: int) -> Any:
-    if room <= values.size:
-        return values
-    longer = np.empty(max(2 * values.size, room), values.dtype)
-    longer[: values.size] = values
-    return longer
-
-
-@njit(cache=True)
 def _follow(position: FloatArray, n: int, extremes: FloatArray, top: int, seen: FloatArray,
             size: int) -> tuple[FloatArray, int, int]:
     """Memory after sample n: extremes, top, and history number (see above).
@@ -279,34 +265,19 @@ def _follow(position: FloatArray, n: int, extremes: FloatArray, top: int, seen: 
 
 
 @njit(cache=True)
-def _rows(position: FloatArray, size: int,
-          samples: IntArray) -> tuple[FloatArray, IntArray, IntArray, IntArray]:
-    values = np.empty(16 * samples.size + 64)
-    columns = np.empty(16 * samples.size + 64, np.int64)
-    starts = np.zeros(samples.size + 1, np.int64)
-    history = np.empty(samples.size, np.int64)
-    extremes = np.empty(16)
-    seen = np.zeros(4)
-    top, row, count = 0, 0, 0
-    for n in range(position.size):
-        extremes, top, number = _follow(position, n, extremes, top, seen, size)
-        if row < samples.size and samples[row] == n:
-            history[row] = number
-            if number >= 0:
-                values = _longer(values, count + 8 * top)
-                columns = _longer(columns, count + 8 * top)
-                for k in range(1, top + 1):
-                    if k % 2 == 1:
-                        count = _everett_row(
-                            values, columns, count, 1.0, extremes[k], extremes[k - 1], size
-                        )
-                    else:
-                        count = _everett_row(
-                            values, columns, count, -1.0, extremes[k - 1], extremes[k], size
-                        )
-            row += 1
-            starts[row] = count
-    return values[:count], columns[:count], starts, history
+def _rows(pairs: FloatArray, size: int, count: int) -> tuple[FloatArray, IntArray, IntArray]:
+    """Values, columns and starts of the sparse rows of samples with some pairs."""
+    values = np.empty(8 * len(pairs))
+    columns = np.empty(8 * len(pairs), np.int64)
+    starts = np.zeros(count + 1, np.int64)
+    used = 0
+    for pair in range(len(pairs)):
+        row, alpha, beta, sign = pairs[pair, 0], pairs[pair, 1], pairs[pair, 2], pairs[pair, 3]
+        used = _everett_row(values, columns, used, sign, alpha, beta, size)
+        starts[int(row) + 1] = used
+    for row in range(count):
+        starts[row + 1] = max(starts[row + 1], starts[row])
+    return values[:used], columns[:used], starts
 
 
 @njit(cache=True)
@@ -366,22 +337,6 @@ def _visited(position: FloatArray, known: BoolArray, size: int) -> BoolArray:
             last = _upper_cell(min(before, extremes[top - 1]))
             visited[i, cell_of(v, size) : min(last, i) + 1] = True
     return visited
-
-
-@njit(cache=True)
-def _summed(values: FloatArray, position: FloatArray) -> FloatArray:
-    size = len(values)
-    sums = np.zeros(position.size)
-    extremes = np.empty(16)
-    seen = np.zeros(4)
-    top = 0
-    for n in range(position.size):
-        extremes, top, number = _follow(position, n, extremes, top, seen, size)
-        for k in range(1, top + 1):
-            alpha, beta = max(extremes[k], extremes[k - 1]), min(extremes[k], extremes[k - 1])
-            i = _upper_cell(alpha)
-            sums[n] += values[i, min(cell_of(beta, size), i)]
-    return sums
 
 
 @njit(cache=True)

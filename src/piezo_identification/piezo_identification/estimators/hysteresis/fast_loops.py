@@ -134,16 +134,12 @@ class LoopRegression:
         return LoopFit(columns, inverse, unknowns, np.append(residual_um, np.sqrt(max(bent, 0.0))))
 
     def slopes(self, fit: LoopFit, changes: Callable[[FloatArray], ComplexArray]) -> FloatArray:
-        """Return the derivatives of a fit's residual by the parameters of its response.
+        """Return the derivatives of a fit's residual by the parameters of its response, (R + 1, P).
 
         Parameters
         ----------
         changes : callable
             Derivatives of the response by the parameters, shape (P, F), at frequencies (Hz).
-
-        Returns
-        -------
-        ndarray, shape (R + 1, P)
         """
         size = self._bending.shape[0]
         driven = np.vstack([

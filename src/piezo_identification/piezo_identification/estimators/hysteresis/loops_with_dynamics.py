@@ -74,13 +74,7 @@ class LoopsWithDynamics:
 
 
 def hysteresis_with_dynamics(recordings: Sequence[FastLoops]) -> LoopsWithDynamics:
-    """Fit a hysteresis of few cells, the dynamics that follow it and a delay together.
-
-    Parameters
-    ----------
-    recordings : sequence of FastLoops
-        Recordings with the same sample period.
-    """
+    """Fit a hysteresis of few cells, the dynamics behind it and a delay to rows of equal period."""
     period_s = recordings[0].sample_period_s
     regressions = [LoopRegression(recordings, past) for past in PASTS]
     start = _Point(np.array([np.log(period_s), 0.0]), 0, period_s)

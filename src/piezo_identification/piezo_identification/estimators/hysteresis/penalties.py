@@ -24,12 +24,7 @@ def bounded_operator(size: int) -> csr_array:
 
 
 def curvature_operator(size: int) -> csr_array:
-    """Second differences of the densities of the cells along both thresholds.
-
-    Returns
-    -------
-    csr_array, shape (differences, n (n + 1) / 2)
-    """
+    """Second differences of the n (n + 1) / 2 densities of the cells along both thresholds."""
     cells = np.tril_indices(size)
     number = np.full((size, size), -1)
     number[cells] = np.arange(cells[0].size)
@@ -61,12 +56,7 @@ def reversible_differences(size: int, order: int) -> csr_array:
 
 
 def translation_operator(size: int) -> csr_array:
-    """First differences of the densities of the cells along the diagonal.
-
-    Returns
-    -------
-    csr_array, shape (differences, n (n + 1) / 2)
-    """
+    """First differences of the n (n + 1) / 2 densities of the cells along the diagonal."""
     i, j = np.tril_indices(size - 1)
     rows = np.tile(np.arange(i.size), 2)
     columns = np.concatenate([i * (i + 1) // 2 + j, (i + 1) * (i + 2) // 2 + j + 1])

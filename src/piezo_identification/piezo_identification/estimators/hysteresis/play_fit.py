@@ -14,13 +14,15 @@ import numpy as np
 from numba import njit
 from numpy.polynomial.polynomial import polyval
 from numpy.typing import NDArray
-from scipy.optimize import least_squares, nnls
+from scipy.linalg import block_diag
+from scipy.optimize import least_squares
 
 from piezo_common.arrays import FloatArray
 from piezo_common.cancellation import check_cancelled
 from piezo_common.long_matrix import triangle_of
 from piezo_identification.estimators.hysteresis.equations import HysteresisSegment
 from piezo_identification.estimators.hysteresis.everett_regression import remembered_pairs
+from piezo_identification.fitting.nonnegative_regression import nonnegative_least_squares
 
 WIDTHS = np.concatenate([[0.0], np.arange(0.0025, 0.2, 0.005), np.arange(0.205, 0.5, 0.01),
                          np.arange(0.515, 1.0, 0.03)])
@@ -70,17 +72,7 @@ class PlaySum:
     """Noise of the loops, estimated from the change of the residual from row to row."""
 
     def unknowns(self, size: int) -> FloatArray:
-        """Return the plays as unknowns of `everett_regression` on a grid.
-
-        Parameters
-        ----------
-        size : int
-            Number n of cells along each threshold.
-
-        Returns
-        -------
-        (n (n + 1) / 2 + n,) array
-        """
+        """Return the plays as unknowns of `everett_regression` on a grid of n by n cells."""
         levels = np.linspace(-1.0, 1.0, size + 1)
         upper, lower = np.tril_indices(size)
         reversible_um = _reversible_columns(levels) @ self.slopes
@@ -161,11 +153,7 @@ class _PlayRegression:
         self.count = first
         self._pairs = np.concatenate(self._ways)
         self._row_of_pair = np.concatenate(self._rows)
-        fixed = np.zeros((first, sum(each.shape[1] for each in nuisance)))
-        row = column = 0
-        for each in nuisance:
-            fixed[row : row + len(each), column : column + each.shape[1]] = each
-            row, column = row + len(each), column + each.shape[1]
+        fixed = block_diag(*nuisance)
         scale = np.maximum(np.linalg.norm(fixed, axis=0), np.finfo(float).tiny)
         self._nuisance = np.linalg.svd(fixed / scale, full_matrices=False)[0]
         self._output_um = self._without(np.concatenate(outputs))
@@ -182,9 +170,9 @@ class _PlayRegression:
         the others explain nearly as much.
         """
         columns, triangle = self._regression(curves)
-        weights, residual = _nonnegative(triangle)
+        weights, residual = nonnegative_least_squares(triangle[:, :-1], triangle[:, -1])
         for first in (SLOPE_KNOTS + 1, SLOPE_KNOTS):
-            fewer, without = _nonnegative(triangle[:, first:])
+            fewer, without = nonnegative_least_squares(triangle[:, first:-1], triangle[:, -1])
             if without**2 < LARGEST_GAIN * residual**2:
                 weights = np.concatenate([np.zeros(first), fewer])
                 break
@@ -194,7 +182,7 @@ class _PlayRegression:
         """Return the residual of the best slopes and weights for two curves, in um."""
         check_cancelled()
         columns, triangle = self._regression(curves)
-        self._weights, _ = _nonnegative(triangle)
+        self._weights, _ = nonnegative_least_squares(triangle[:, :-1], triangle[:, -1])
         self._used = columns[:, self._weights > 0.0]
         return self._output_um - columns @ self._weights
 
@@ -223,12 +211,6 @@ class _PlayRegression:
         ways = _curve(rising, self._pairs[:, 0]) - _curve(falling, self._pairs[:, 1])
         return _play_columns(self._row_of_pair, self._pairs[:, 2], ways,
                              _widths(rising, falling), self.count)
-
-
-def _nonnegative(triangle: FloatArray) -> tuple[FloatArray, float]:
-    """Return the non-negative solution of a regression, and the norm of its residual."""
-    solution, norm = nnls(triangle[:, :-1], triangle[:, -1], maxiter=30 * (triangle.shape[1] - 1))
-    return solution, float(norm)
 
 
 def _curve(coefficients: FloatArray, voltage: FloatArray) -> FloatArray:

@@ -54,11 +54,39 @@ SMALL_LOOP = 0.1
 """Size of small loops, relative to the voltage range."""
 
 
+LARGEST_REVERSIBLE_GAIN = 1.06
+"""Largest factor by which the sum of squares may increase when the reversible part is omitted. A
+density near its diagonal has nearly the same effect, and smoothing moves one into the other; see
+`docs/decisions/reversible_part.md`."""
+
+
 def smoothed_density(
     voltage_v: ArrayLike, output_um: FloatArray, levels_v: FloatArray,
     samples: NDArray[np.intp] | None = None, transients: FloatArray | None = None,
     smoothing_weight: float | None = None, level_count: int | None = None,
-    translation_weight: float | None = None,
+    translation_weight: float = 0.0,
+) -> DensityEstimate:
+    """Estimate the density from one stretch as `density_of_segments` does.
+
+    Parameters
+    ----------
+    samples : ndarray of int, optional
+        Increasing indices of the samples to fit; all by default.
+    transients : ndarray, shape (N, k), optional
+        Additional columns of the regression with free coefficients.
+    """
+    voltage_v = np.asarray(voltage_v, dtype=float)
+    segment = HysteresisSegment(
+        voltage_v, output_um, np.arange(voltage_v.size) if samples is None else samples,
+        np.empty((voltage_v.size, 0)) if transients is None else transients)
+    return density_of_segments(
+        [segment], levels_v, level_count, smoothing_weight, translation_weight)
+
+
+def density_of_segments(
+    segments: Sequence[HysteresisSegment], levels_v: FloatArray, level_count: int | None = None,
+    smoothing_weight: float | None = None, translation_weight: float = 0.0,
+    is_line: bool = False, near: DensityEstimate | None = None,
 ) -> DensityEstimate:
     """Density that is non-negative and as smooth as the data allow.
 
@@ -71,62 +99,20 @@ def smoothed_density(
 
     Parameters
     ----------
-    voltage_v, output_um : ndarray, shape (N,)
-        Any input, and the output of the hysteresis. For the start see `everett_regression`.
+    segments : sequence of HysteresisSegment
+        Segments of one stage, each with its own offset; that of the model is the first one with a
+        known past. For their start see `everett_regression`.
     levels_v : ndarray, shape (n + 1,)
         Edges of the cells, uniform and increasing.
-    samples : ndarray of int, optional
-        Increasing indices of the samples to fit; all by default.
-    transients : ndarray, shape (N, k), optional
-        Additional columns of the regression with free coefficients.
+    level_count : int, optional
+        Number of equal voltage steps that define visited cells; n by default.
     smoothing_weight : float, optional
         By default the largest that predicts held-out branches as well as any, see
         `smoothing_choice.choose_penalties`.
-    level_count : int, optional
-        Number of equal voltage steps that define visited cells; n by default.
-    translation_weight : float, optional
+    translation_weight : float
         Weight of the integral of the squared first derivative of the density along the diagonal. A
         small weight makes the density outside the visited cells equal to that of equally wide loops
-        elsewhere, where the curvature alone would extrapolate linearly. By default 0 if every cell
-        is visited or the smoothing is given, otherwise chosen like the smoothing.
-
-    Raises
-    ------
-    ValueError
-        If no sample can be used.
-    """
-    voltage_v = np.asarray(voltage_v, dtype=float)
-    segment = HysteresisSegment(
-        voltage_v, output_um, np.arange(voltage_v.size) if samples is None else samples,
-        np.empty((voltage_v.size, 0)) if transients is None else transients)
-    return density_of_segments(
-        [segment], levels_v, level_count, smoothing_weight, translation_weight)
-
-
-LARGEST_TRANSLATION_COST = 1.3
-"""Largest factor by which a translation weight that was chosen on few cells may increase the sum of
-squares on all of them."""
-
-LARGEST_REVERSIBLE_GAIN = 1.06
-"""Largest factor by which the sum of squares may increase when the reversible part is omitted. A
-density near its diagonal has nearly the same effect, and smoothing moves one into the other; see
-`docs/decisions/reversible_part.md`."""
-
-
-def density_of_segments(
-    segments: Sequence[HysteresisSegment], levels_v: FloatArray, level_count: int | None = None,
-    smoothing_weight: float | None = None, translation_weight: float | None = None,
-    is_line: bool = False, near: DensityEstimate | None = None,
-) -> DensityEstimate:
-    """Estimate the density as `smoothed_density` does, from several segments of one stage.
-
-    Parameters
-    ----------
-    segments : sequence of HysteresisSegment
-        Segments, each with its own offset; that of the model is the first one with a known past.
-    levels_v : ndarray, shape (n + 1,)
-    smoothing_weight, translation_weight : float, optional
-        As in `smoothed_density`.
+        elsewhere, where the curvature alone would extrapolate linearly.
     is_line : bool
         True if the voltage shows only a line.
     near : DensityEstimate, optional
@@ -136,6 +122,11 @@ def density_of_segments(
     -------
     DensityEstimate
         Its method is `LINE` if a line predicts held-out data as well as any density.
+
+    Raises
+    ------
+    ValueError
+        If no sample can be used.
     """
     size = levels_v.size - 1
     level_count = size if level_count is None else level_count
@@ -144,8 +135,6 @@ def density_of_segments(
                       segment.samples)
         for segment in segments], axis=0)
     whole_plane = bool(seen[np.tril_indices(level_count)].all())
-    if translation_weight is None and (whole_plane or smoothing_weight is not None):
-        translation_weight = 0.0
     plays, parts, multiplier, is_enough = None, 1, None, is_line
     if is_line:
         penalties = Penalties(0.0)
@@ -161,7 +150,7 @@ def density_of_segments(
         choice = _on_finer_grids(segments, levels_v, choice, whole_plane, plays)
         penalties, multiplier, is_enough = choice.penalties, choice.forces, choice.is_enough
     else:
-        penalties = Penalties(smoothing_weight, translation_weight or 0.0)
+        penalties = Penalties(smoothing_weight, translation_weight)
     about = None if plays is None else plays.unknowns(size)
     [equations] = equations_of_folds(segments, levels_v, about=about)
     is_line = is_enough and plays is None
@@ -173,13 +162,6 @@ def density_of_segments(
     else:
         unknowns, coefficients, multiplier = equations.solve(penalties, multiplier)
         with while_time_lasts("a density of fewer parts"):
-            if translation_weight is None and penalties.translation and plays is None:
-                # Loops that are equal on the coarse grid need not be so on the fine one.
-                free = choice.without_translation
-                others = equations.solve(free, multiplier)[:2]
-                if equations.misfit(unknowns, coefficients) > (
-                        LARGEST_TRANSLATION_COST * equations.misfit(*others)):
-                    penalties, (unknowns, coefficients) = free, others
             without = equations.solve(replace(penalties, is_reversible=False), multiplier)[:2]
             if equations.misfit(*without) < (
                     LARGEST_REVERSIBLE_GAIN * equations.misfit(unknowns, coefficients)):
@@ -242,7 +224,7 @@ def _added(more: FloatArray, of_plays: FloatArray, mean_in_cell: FloatArray) -> 
 
 
 def _choice_for(
-    segments: Sequence[HysteresisSegment], levels_v: FloatArray, translation: float | None,
+    segments: Sequence[HysteresisSegment], levels_v: FloatArray, translation: float,
     near: DensityEstimate | None,
 ) -> tuple[PenaltyChoice, PlaySum | None, Sequence[HysteresisSegment], int]:
     """Choose the weights, and whether the density is smoothed about a sum of plays.
@@ -254,7 +236,7 @@ def _choice_for(
     coarse_v = np.linspace(levels_v[0], levels_v[-1], min(size, CELLS_FOR_THE_WEIGHT) + 1)
     first = known = choice = None
     if near is not None and near.smoothing_weight:
-        first, known = Penalties(near.smoothing_weight, near.translation_weight), near.plays
+        first, known = near.smoothing_weight, near.plays
     if known is None:
         choice = choose_penalties(segments, coarse_v, translation, near=first)
         if choice.is_enough:

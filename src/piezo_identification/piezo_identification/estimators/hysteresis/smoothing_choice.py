@@ -21,9 +21,6 @@ from piezo_identification.estimators.hysteresis.equations import (
 SMOOTHING_WEIGHTS = tuple(10.0**power for power in range(-6, -19, -1))
 """Weights of the density's curvature, in descending order."""
 
-TRANSLATION_WEIGHTS = tuple(10.0**power for power in range(-6, -12, -1))
-"""Weights of the density's change along the diagonal, in descending order."""
-
 FOLDS = 5
 """Number of folds of the branches, each held out once; odd, so that they mix both directions."""
 
@@ -51,8 +48,6 @@ class PenaltyChoice:
 
     penalties: Penalties
 
-    without_translation: Penalties
-    """Weights to use without a penalty of the change along the diagonal."""
     forces: FloatArray
     """Multipliers of the bounds, on the grid on which the weights were chosen."""
     misfit: float
@@ -90,45 +85,32 @@ def _branches(segment: HysteresisSegment) -> NDArray[np.intp]:
 
 
 def choose_penalties(
-    segments: Sequence[HysteresisSegment], levels_v: FloatArray, translation: float | None = None,
-    about: FloatArray | None = None, near: Penalties | None = None,
+    segments: Sequence[HysteresisSegment], levels_v: FloatArray, translation: float = 0.0,
+    about: FloatArray | None = None, near: float | None = None,
 ) -> PenaltyChoice:
-    """Choose the weights that predict held-out branches as well as any.
+    """Choose the largest weight of the curvature that predicts held-out branches as well as any.
 
-    Among these, the curvature has the largest weight. The change along the diagonal has the
-    smallest, and zero unless it predicts better, because the densities of few stages are constant
-    along it. "As well as any" means that the mean over the folds is worse by no more than the
-    standard error of the difference, or the random variation of a mean square.
+    "As well as any" means that the mean over the folds is worse by no more than the standard error
+    of the difference, or the random variation of a mean square.
 
     Parameters
     ----------
     levels_v : ndarray, shape (n + 1,)
-    translation : float, optional
-        Weight of the change along the diagonal; by default it is chosen.
+    translation : float
+        Weight of the change along the diagonal.
     about : ndarray, optional
         See `Equations`.
-    near : Penalties, optional
-        Weights chosen from nearly the same segments: the starting point of the smoothing.
+    near : float, optional
+        Weight of the curvature chosen from nearly the same segments, from which the search starts.
     """
     trials = _Trials(equations_of_folds(segments, levels_v, branch_folds(segments), about))
     if near is None and not has_time_for(FURTHER_WEIGHTS, WEIGHTS):
-        near = Penalties(USUAL, translation or 0.0)
-    if near is not None:
-        penalties = trials.best_near(near)
-        # With plays, there is no translation weight to choose.
-        free = penalties if about is not None else trials.best_near(
-            replace(near, translation=translation or 0.0))
-    else:
-        penalties = free = trials.best(
-            Penalties(weight, translation or 0.0) for weight in SMOOTHING_WEIGHTS)
-    if translation is None and near is None:
-        penalties = trials.best(
-            replace(penalties, translation=weight)
-            for weight in (0.0, *reversed(TRANSLATION_WEIGHTS)))
-        penalties = trials.best(
-            replace(penalties, smoothing=weight) for weight in SMOOTHING_WEIGHTS)
+        near = USUAL
+    penalties = trials.best(
+        Penalties(weight, translation) for weight in SMOOTHING_WEIGHTS
+    ) if near is None else trials.best_near(Penalties(near, translation))
     return PenaltyChoice(
-        penalties, free, trials.forces(penalties), float(trials.misfits(penalties).sum()),
+        penalties, trials.forces(penalties), float(trials.misfits(penalties).sum()),
         trials.nothing_more_predicts(penalties))
 
 
@@ -192,8 +174,7 @@ class _Trials:
     def _forces_near(self, penalties: Penalties) -> list[FloatArray]:
         """Return the multipliers of the most similar weights, by folds; empty if there are none."""
         def decades(known: Penalties) -> float:
-            return abs(np.log10(known.smoothing / penalties.smoothing)) + (
-                known.translation != penalties.translation)
+            return float(abs(np.log10(known.smoothing / penalties.smoothing)))
 
         return self._forces[min(self._forces, key=decades)] if self._forces else []
 

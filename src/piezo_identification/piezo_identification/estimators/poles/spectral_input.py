@@ -139,16 +139,9 @@ class SpectralInput:
     def responses(
         self, poles: ComplexArray, delay: float, rows: NDArray[np.intp] | None = None,
     ) -> PoleResponses:
-        """Return the response of every pole to the input.
+        """Return the response of every pole to the input; see `HeldInput.responses`.
 
-        Parameters
-        ----------
-        poles : ndarray of complex, shape (n,)
-            Stable poles in rad/s.
-        delay : float
-            Delay in sample periods, as in `pole_responses.HeldInput`.
-        rows : ndarray of int, optional
-            Indices of the 2 K rows to compute; by default all.
+        The rows are indices of the 2 K rows to compute; by default all.
         """
         at, mirrored = (self._at_lines(poles, delay, sign) for sign in (1.0, -1.0))
         values = []

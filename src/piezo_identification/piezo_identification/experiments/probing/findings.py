@@ -45,10 +45,6 @@ class Rest:
         """Return a copy with the resolution determined from a motion.
 
         At rest, a converter whose steps are larger than the noise gives constant readings.
-
-        Parameters
-        ----------
-        displacement_um : ndarray, shape (N,)
         """
         finest_um = min(self.resolution_um or np.inf, _smallest_change_um(displacement_um))
         if not np.isfinite(finest_um):
@@ -101,12 +97,7 @@ class Findings:
 
 
 def measure_rest(displacement_um: FloatArray) -> Rest:
-    """Measure level and noise of a stage that rests.
-
-    Parameters
-    ----------
-    displacement_um : ndarray, shape (N,)
-    """
+    """Measure level and noise of a stage that rests."""
     time = np.arange(displacement_um.size) - 0.5 * (displacement_um.size - 1)
     slope = float(time @ displacement_um / (time @ time))
     level_um = float(displacement_um.mean())
@@ -124,16 +115,7 @@ def _smallest_change_um(displacement_um: FloatArray) -> float:
 
 
 def measure_pulse(displacement_um: FloatArray, rise: int, fall: int, noise_um: float) -> Pulse:
-    """Measure the response to one pulse.
-
-    Parameters
-    ----------
-    displacement_um : ndarray, shape (N,)
-    rise, fall : int
-        Samples at which the voltage begins to rise and to fall.
-    noise_um : float
-        RMS noise of a sample.
-    """
+    """Measure the response, (N,), to a pulse that begins to rise and to fall at these samples."""
     before_um = float(displacement_um[:rise].mean())
     quarter = max(1, (fall - rise) // 4)
     top_um = float(displacement_um[fall - quarter:fall].mean())
@@ -158,8 +140,6 @@ def measure_response(displacement_um: FloatArray, rises: Sequence[int], dwell: i
         Samples at which the voltage rises; it falls `dwell` samples later.
     dwell : int
         Samples from one change of the voltage to the next.
-    rest : Rest
-        Rest of the stage, which gives the noise.
     """
     up_um = np.mean([displacement_um[n:n + dwell] for n in rises], axis=0)
     down_um = np.mean([displacement_um[n + dwell:n + 2 * dwell] for n in rises], axis=0)
@@ -184,8 +164,6 @@ def measure_creep(time_s: FloatArray, displacement_um: FloatArray, steps_s: Floa
     displacement_um : ndarray, shape (N,)
     steps_s : ndarray, shape (S,)
         Times of all steps, alternately up and down; the last is at 0.
-    noise_um : float
-        Standard deviation of each sample.
     """
     displacement_um = displacement_um - displacement_um[time_s < 0.0].mean()
     after = time_s > 0.0

@@ -17,12 +17,13 @@ from piezo_common.schema import (
     load_document,
 )
 from piezo_common.text_file import replace_document
-from piezo_identification.experiments.probing.expectation import (
+from piezo_identification.experiments.probing.findings import Findings
+from piezo_identification.experiments.probing.fitted import (
     ExpectedErrors,
     expected_errors,
+    fitted_limits,
+    fitted_parameters,
 )
-from piezo_identification.experiments.probing.findings import Findings
-from piezo_identification.experiments.probing.fitted import fitted_limits, fitted_parameters
 from piezo_identification.experiments.stage_limits import StageLimits
 
 NAME = "probe.json"
@@ -154,12 +155,7 @@ class ProbeDocument(Document):
         return part.model_dump() if isinstance(part, Part) else {}
 
     def usable(self, limits: StageLimits) -> StageLimits:
-        """Return the limits within which the experiments stay.
-
-        Parameters
-        ----------
-        limits : StageLimits
-            Limits of the stage that will play them.
+        """Return the limits within which the experiments stay on a stage.
 
         Raises
         ------

@@ -79,12 +79,7 @@ class StepResponse:
 def step_response(response: FloatArray, noise: float, sample_period_s: float) -> StepResponse:
     """Fit a step response by a matrix pencil (Hua and Sarkar, IEEE Trans. ASSP 38, 1990).
 
-    Parameters
-    ----------
-    response : ndarray, shape (N,)
-        Response from the step on: 0 at the step and about 1 at the end.
-    noise : float
-        Standard deviation of each sample.
+    The response, (N,), is 0 at the step and about 1 at the end.
     """
     response = np.asarray(response, dtype=float)
     begin = _first_motion(response, noise)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from piezo_identification.diagnosis.comparison.undecided import in_place_of_the_found
+from piezo_identification.diagnosis.comparison.selection import in_place_of_the_found
 from piezo_identification.experiments import catalogue as experiments
 from piezo_identification.fitting.dataset import simulate_recordings
 from piezo_identification.fitting.effect_fit import fit_effects

@@ -140,8 +140,7 @@ def test_conditioned_recordings_tell_their_faults(model):
     voltage_v = voltages("levels")
     down = recorded(voltage_v, -answered(voltage_v))
     given = condition(model, [replace(down, path="down")], None)
-    assert given.reversed == ["down"]
-    assert [fault.name for fault in given.faults] == ["wrong_sign"]
+    assert [(fault.name, fault.recording) for fault in given.faults] == [("wrong_sign", "down")]
 
 
 def test_the_group_delay_is_the_slope_of_the_phase():

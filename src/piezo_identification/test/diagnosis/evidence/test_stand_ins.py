@@ -3,7 +3,7 @@
 
 import pytest
 
-from piezo_identification.diagnosis.evidence.stand_ins import name_of, with_stand_ins
+from piezo_identification.diagnosis.evidence.effect_entries import name_of, with_stand_ins
 from piezo_models.effects import Extent
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.gain_drift import GainDrift

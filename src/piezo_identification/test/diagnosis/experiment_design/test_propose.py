@@ -10,15 +10,16 @@ import pytest
 from piezo_identification.commands import propose_work
 from piezo_identification.commands.propose_command import main
 from piezo_identification.conditioning.row_alignment import rows_read_at_start
-from piezo_identification.diagnosis.comparison.reasons import Reason
+from piezo_identification.diagnosis.comparison.criteria import Reason
 from piezo_identification.diagnosis.experiment_design import expected_outcome as expected
 from piezo_identification.diagnosis.experiment_design.alternative_explanations import effects_of
-from piezo_identification.diagnosis.experiment_design.candidate_waveforms import grid, waveform
 from piezo_identification.diagnosis.experiment_design.propose import (
     Proposal,
     alternatives_of_files,
+    grid,
     propose,
     save_proposal,
+    waveform,
 )
 from piezo_identification.experiments.catalogue import Experiment, StageLimits
 from piezo_models.effects.delay import Delay

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from piezo_identification.commands.diagnose_command import main
-from piezo_identification.diagnosis.experiment_design import what_would_decide as module
-from piezo_identification.diagnosis.experiment_design.candidate_waveforms import grid
+from piezo_identification.diagnosis.experiment_design import propose as module
+from piezo_identification.diagnosis.experiment_design.propose import grid
 from piezo_identification.diagnosis.report import diagnosis_results
 from piezo_identification.experiments.catalogue import Experiment
 from piezo_models.effects.delay import Delay

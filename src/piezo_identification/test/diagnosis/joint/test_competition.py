@@ -164,7 +164,7 @@ def test_recordings_that_do_not_show_an_effect_do_not_tell_when_it_came():
 
 def test_progress_of_a_model_that_does_not_settle_ends_before_effects_compete():
     """A problem whose fits go on improving: every turn is taken, and told."""
-    fit = SimpleNamespace(has_converged=False, effects=())
+    fit = SimpleNamespace(has_converged=False, effects=(), later=())
     problem = SimpleNamespace(own=(), fit=lambda *_, **__: fit)
     told = []
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
 
-from piezo_identification.diagnosis.joint.far_starts import from_afar
+from piezo_identification.diagnosis.joint.alternatives import from_afar
 from piezo_identification.fitting.joint_fit import JointProblem
 from piezo_models.cascade import StageModel
 from piezo_models.effects.backlash import Backlash

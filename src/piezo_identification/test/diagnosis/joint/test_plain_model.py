@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from piezo_identification.diagnosis.diagnose import diagnose
-from piezo_identification.diagnosis.joint.plain_model import plain_model
+from piezo_identification.diagnosis.joint.competition import plain_model
 from piezo_identification.prediction import predict
 from piezo_models.cascade import StageModel
 from piezo_models.effects.band_limited_voltage import BandLimitedVoltage

@@ -4,12 +4,11 @@
 import numpy as np
 import pytest
 
-from piezo_identification.diagnosis.joint.expected_errors import SETTINGS, ExpectedErrors
 from piezo_identification.diagnosis.joint.probabilities import (
-    SETTINGS as PRIOR,
-)
-from piezo_identification.diagnosis.joint.probabilities import (
+    ONE_CAUSE,
+    SETTINGS,
     Evidence,
+    ExpectedErrors,
     listed_probabilities,
     probabilities,
 )
@@ -45,8 +44,8 @@ def test_they_sum_to_one_and_the_largest_comes_first():
 
 def test_what_explains_nothing_is_less_probable_by_its_prior_and_what_its_numbers_cost():
     found = shares(("none", 0.01, 0.0), ("delay", 0.01, 3.0), ("creep+delay", 0.01, 3.0))
-    assert found["none"] / found["delay"] == pytest.approx(np.exp(3.0) / PRIOR.one_cause)
-    assert found["delay"] / found["creep+delay"] == pytest.approx(1.0 / PRIOR.one_cause)
+    assert found["none"] / found["delay"] == pytest.approx(np.exp(3.0) / ONE_CAUSE)
+    assert found["delay"] / found["creep+delay"] == pytest.approx(1.0 / ONE_CAUSE)
 
 
 def test_an_alternative_in_two_ways_has_the_probability_of_both():

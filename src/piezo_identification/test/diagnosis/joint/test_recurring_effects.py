@@ -81,7 +81,8 @@ def test_hum_that_came_later_is_not_in_the_identification():
 ], ids=["hum", "drift"])
 def test_recordings_of_the_identification_have_none_left_and_the_derivatives_are_right(
         outside, effect):
-    problem = JointProblem(LINE, [recording(1, outside)], [recording(2, outside)], steps=40)
+    problem = JointProblem(LINE, [recording(1, outside)], [recording(2, outside)])
+    problem.steps = 40
     fitted = problem.start.estimation
     errors = JointErrors(problem.dataset, fitted, fitted | problem.start.validation, 1, (effect,),
                          frozenset())

@@ -16,8 +16,8 @@ from piezo_identification.estimators.dynamics.fast_dynamics import (
     lag_difference,
     with_lags_apart,
 )
+from piezo_identification.estimators.dynamics.fast_estimate import mean_period
 from piezo_identification.estimators.dynamics.fit_deviations import fit_covariance
-from piezo_identification.estimators.dynamics.square_wave import mean_period
 from piezo_models.linear.dynamics import CreepDynamics
 
 PERIOD_S, NOISE_UM, LAG_S = 25e-6, 0.009, 1.25e-4

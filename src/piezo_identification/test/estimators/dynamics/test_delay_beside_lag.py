@@ -11,9 +11,9 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from independent_stage import IndependentStage, square_wave_v
 
 from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
+from piezo_identification.estimators.dynamics.fast_estimate import estimate_dynamics, mean_period
 from piezo_identification.estimators.dynamics.fast_record import FastFit
 from piezo_identification.estimators.dynamics.fit_deviations import delay_deviation, fit_covariance
-from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics, mean_period
 from piezo_models.linear.dynamics import CreepDynamics
 
 PERIOD_S, DELAY = 1e-3, 0.75

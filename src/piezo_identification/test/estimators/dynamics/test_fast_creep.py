@@ -13,8 +13,8 @@ from piezo_identification.estimators.dynamics.fast_creep import (
     joined_creep,
     sought_rates,
 )
+from piezo_identification.estimators.dynamics.fast_estimate import estimate_dynamics, mean_period
 from piezo_identification.estimators.dynamics.fast_record import FastRecord, FreeFit, independent
-from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics, mean_period
 from piezo_identification.estimators.poles.pole_responses import HeldInput
 from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording

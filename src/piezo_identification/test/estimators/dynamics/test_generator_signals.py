@@ -8,8 +8,8 @@ import pytest
 
 from piezo_identification.conditioning.generator_edges import generator_edges
 from piezo_identification.conditioning.waveforms import square_wave
-from piezo_identification.estimators.dynamics.any_input import estimate_dynamics_any
-from piezo_identification.estimators.dynamics.fast_signals import joined_signals
+from piezo_identification.estimators.dynamics.fast_estimate import estimate_dynamics
+from piezo_identification.estimators.dynamics.fast_signals import joined_record
 from piezo_identification.estimators.dynamics.generator_signals import with_edges_between
 from piezo_identification.identification.identify import identify
 from piezo_models.linear.dynamics import CreepDynamics
@@ -71,7 +71,7 @@ def edges_s(rows_of_period, duty, first_row):
 def test_what_follows_the_edges_of_a_free_running_generator_is_told_to_the_noise(
         rows_of_period, duty, delay_rows):
     recording = record(edges_s(rows_of_period, duty, 120.317), delay_rows * PERIOD_S)
-    estimate = estimate_dynamics_any([recording], CreepDynamics())
+    estimate = estimate_dynamics([recording], CreepDynamics())
     assert estimate.residual_rms < 1.02 * 13.0 * NOISE
     assert [effect.name for effect in estimate.effects].count("sensor_lag") == 0
     off = (estimate.delay.samples - delay_rows) * PERIOD_S
@@ -98,9 +98,9 @@ def test_the_period_is_found_where_only_later_edges_are_fitted():
     recording = record(edges, 2.6 * PERIOD_S)
     wave = square_wave(recording)
     timed = with_edges_between(
-        joined_signals([recording], [wave.level], [6000], CreepDynamics()),
+        joined_record([recording], [wave.level], [6000], CreepDynamics()),
         [generator_edges(wave)])
-    off = timed.early[wave.steps] - (wave.steps - edges / PERIOD_S)
+    off = timed.input.early[wave.steps] - (wave.steps - edges / PERIOD_S)
     assert np.ptp(off) < 3e-3
 
 
@@ -112,7 +112,7 @@ def test_a_first_level_that_the_stage_does_not_come_back_to_makes_no_modes():
     downward = replace(
         other, voltage_v=70.0 - other.voltage_v,
         displacement_um=13.0 - other.displacement_um - higher_um)
-    estimate = estimate_dynamics_any([upward, downward], CreepDynamics())
+    estimate = estimate_dynamics([upward, downward], CreepDynamics())
     found = [*estimate.model.mode_frequencies_rad_per_s, *(
         effect.frequency_rad_per_s for effect in estimate.effects
         if effect.name == "vibration_mode")]

@@ -13,8 +13,8 @@ from independent_stage import IndependentStage, square_wave_v
 
 from piezo_identification.adequacy.component_adequacy import INADEQUATE, adequacy_of
 from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
+from piezo_identification.estimators.dynamics.fast_estimate import estimate_dynamics, mean_period
 from piezo_identification.estimators.dynamics.output_error import fit_output_error
-from piezo_identification.estimators.dynamics.square_wave import estimate_dynamics, mean_period
 from piezo_identification.identification.linear_dynamics import LinearDynamics
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel

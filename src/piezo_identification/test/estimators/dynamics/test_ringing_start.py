@@ -4,8 +4,11 @@
 import numpy as np
 import pytest
 
-from piezo_identification.estimators.dynamics.any_input import AT_REST, _first_kept
-from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S
+from piezo_identification.estimators.dynamics.fast_estimate import (
+    AT_REST,
+    WARM_UP_S,
+    _first_kept,
+)
 
 PERIOD_S, REST_ROWS = 5e-5, 130
 

@@ -11,8 +11,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2]))
 from independent_stage import IndependentStage
 
-from piezo_identification.estimators.dynamics import slow_misfit
-from piezo_identification.estimators.dynamics.fast_signals import joined_signals
+from piezo_identification.estimators.dynamics import fast_creep
+from piezo_identification.estimators.dynamics.fast_signals import joined_record
 from piezo_models.linear.dynamics import CreepDynamics
 
 PERIOD_S = 1e-4
@@ -28,7 +28,7 @@ def growing_sine(rows=15_000):
     stage = IndependentStage(1.6e-4, ((MODE_RAD_PER_S, 0.02, 1.0),), gains_um_per_v=(0.8,),
                              half_widths_v=(0.0,))
     recording = stage.record(voltage_v, PERIOD_S, 0.002, 5)
-    return joined_signals([recording], [voltage_v], [0], CreepDynamics()).record()
+    return joined_record([recording], [voltage_v], [0], CreepDynamics())
 
 
 def give_poles(monkeypatch, *modes):
@@ -37,7 +37,7 @@ def give_poles(monkeypatch, *modes):
     for frequency, damping in modes:
         pole = frequency * (-damping + 1j * np.sqrt(1.0 - damping**2))
         poles += [pole, np.conj(pole)]
-    monkeypatch.setattr(slow_misfit, "best_free_fit",
+    monkeypatch.setattr(fast_creep, "best_free_fit",
                         lambda coarse: SimpleNamespace(poles=np.array(poles)))
 
 
@@ -49,14 +49,14 @@ def test_a_record_may_hold_slow_motion_where_slow_poles_are_no_vibration(
         monkeypatch, low_hz, damping, mode_rad_per_s, needs_waves):
     record = growing_sine()
     give_poles(monkeypatch, (2.0 * np.pi * low_hz, damping), (mode_rad_per_s, 0.02))
-    projected = slow_misfit.project_out_slow_error(record)
+    projected = fast_creep.project_out_slow_error(record)
     assert (projected.fixed.shape[1] > record.fixed.shape[1]) == needs_waves
 
 
 def test_slow_lines_of_a_long_record_are_left_out(monkeypatch):
     record = growing_sine(25_000)
     give_poles(monkeypatch, (2.0 * np.pi * 5.0, 0.5), (MODE_RAD_PER_S, 0.02))
-    projected = slow_misfit.project_out_slow_error(record)
+    projected = fast_creep.project_out_slow_error(record)
     assert projected.fixed is record.fixed
     slowest = [each.at_lines(600).input.phases.min() for each in (record, projected)]
     assert slowest[0] < 0.01 * MODE_RAD_PER_S * PERIOD_S < 0.04 * MODE_RAD_PER_S * PERIOD_S
@@ -67,13 +67,13 @@ def test_loops_are_as_fast_as_nearly_all_of_their_power():
     time_s = np.arange(20_000) * PERIOD_S
     sine = np.sin(2.0 * np.pi * 5.0 * time_s)
     noise = np.random.default_rng(1).normal(size=time_s.size)
-    assert 30.0 < slow_misfit.loop_rad_per_s(sine + 0.1 * noise, PERIOD_S) < 40.0
-    assert slow_misfit.loop_rad_per_s(noise, PERIOD_S) > 0.9 * np.pi / PERIOD_S
+    assert 30.0 < fast_creep.loop_rad_per_s(sine + 0.1 * noise, PERIOD_S) < 40.0
+    assert fast_creep.loop_rad_per_s(noise, PERIOD_S) > 0.9 * np.pi / PERIOD_S
 
 
 def test_slow_waves_hold_any_slow_motion():
     time_s = np.linspace(2.0, 3.0, 1000)
-    basis = np.column_stack([np.ones_like(time_s), slow_misfit.slow_waves(np.arange(1000), 20)])
+    basis = np.column_stack([np.ones_like(time_s), fast_creep.slow_waves(np.arange(1000), 20)])
 
     def left(signal):
         rest = signal - basis @ np.linalg.lstsq(basis, signal, rcond=None)[0]

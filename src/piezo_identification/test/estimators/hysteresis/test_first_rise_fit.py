@@ -13,8 +13,7 @@ from piezo_identification.estimators.hysteresis.first_rise_fit import (
     estimate_first_rise,
     without_first_rise,
 )
-from piezo_identification.identification.estimated_loops import estimate_loops
-from piezo_identification.identification.given_hysteresis import DensityOptions
+from piezo_identification.identification.estimated_loops import DensityOptions, estimate_loops
 from piezo_identification.identification.linear_dynamics import LinearDynamics
 from piezo_identification.prediction import predict
 from piezo_identification.simulation.past_search import simulated_recording

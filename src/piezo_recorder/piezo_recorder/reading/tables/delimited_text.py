@@ -5,7 +5,8 @@ import io
 import math
 import re
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import islice
@@ -17,7 +18,6 @@ from piezo_common.cancellation import check_cancelled
 from piezo_recorder.reading.recording import RecordingError
 from piezo_recorder.reading.tables.cells import across_midnight, clock_seconds, is_time_of_day
 from piezo_recorder.reading.tables.dialect import DELIMITERS, Dialect, dialect_of, is_comment
-from piezo_recorder.reading.tables.footer import footer_lines, without_last
 from piezo_recorder.reading.tables.labview_text import TIME, LabviewPreamble, labview_preamble
 from piezo_recorder.reading.tables.table import Progress, Table
 from piezo_recorder.reading.units import name_and_unit
@@ -350,3 +350,46 @@ class _UnusableColumn(Exception):
     def __init__(self, column: int, what: str):
         super().__init__(what)
         self.column, self.what = column, what
+
+
+TAIL_BYTES = 1 << 14
+MOST_LINES = 40
+"""Largest number of lines; a longer end without rows is damage, and reported at its beginning."""
+
+
+def footer_lines(path: Path, encoding: str, dialect: Dialect) -> list[str]:
+    """Return the lines at the end of a file that begin with text, unlike the rows.
+
+    Returns
+    -------
+    list of str
+        Includes comments and empty lines between and below them; empty if the last line with any
+        content is a row, or the end without rows is long.
+    """
+    if dialect.kinds[0] == "text":
+        return []
+    with open(path, "rb") as file:
+        size = file.seek(0, 2)
+        # Two-byte characters begin at even positions.
+        start = max(size - TAIL_BYTES, 0) // 2 * 2
+        file.seek(start)
+        text = file.read().decode(encoding, errors="replace")
+    lines = text.splitlines()[1 if start else 0:]
+    count = 0
+    for number, line in enumerate(reversed(lines), start=1):
+        if is_comment(line):
+            continue
+        cells = dialect.split(line)
+        if dialect.kind(cells[0]) != "text" or cells[0] in dialect.header:
+            break
+        count = number
+    return lines[len(lines) - count:] if 0 < count <= MOST_LINES else []
+
+
+def without_last(lines: Iterable[str], count: int) -> Iterator[str]:
+    """Yield all lines except the last ones."""
+    held: deque[str] = deque()
+    for line in lines:
+        held.append(line)
+        if len(held) > count:
+            yield held.popleft()

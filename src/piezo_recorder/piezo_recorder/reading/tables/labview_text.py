@@ -27,11 +27,6 @@ class LabviewPreamble:
 def labview_preamble(lines: Sequence[str]) -> LabviewPreamble | None:
     """Read the preamble of a LabVIEW measurement file.
 
-    Parameters
-    ----------
-    lines : sequence of str
-        First lines of the file.
-
     Returns
     -------
     LabviewPreamble or None

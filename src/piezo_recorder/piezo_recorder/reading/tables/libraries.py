@@ -16,11 +16,6 @@ PACKAGES = {"h5py": "h5py", "nptdms": "nptdms", "openpyxl": "openpyxl",
 def library(module: str, path: Path) -> Any:
     """Import a library that reads a kind of file.
 
-    Parameters
-    ----------
-    path : Path
-        The file, for the message.
-
     Raises
     ------
     RecordingError

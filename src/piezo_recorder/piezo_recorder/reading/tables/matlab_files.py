@@ -30,13 +30,7 @@ LONGEST_NAME = 64
 
 
 def is_version_4(head: bytes) -> bool:
-    """Return whether a file is MATLAB version 4, which has no magic, by its first matrix header.
-
-    Parameters
-    ----------
-    head : bytes
-        The first hundred bytes of the file.
-    """
+    """Return whether a file is MATLAB version 4, which has no magic, by its first matrix header."""
     if len(head) < 20:
         return False
     for order in "<>":

@@ -76,10 +76,6 @@ def array_columns(name: str, values: Any) -> dict[str, np.ndarray]:
     ----------
     name : str
         Name; a two-dimensional array has columns NAME.1, NAME.2, ...; a structured one NAME.FIELD.
-
-    Returns
-    -------
-    dict of str to ndarray, shape (N,)
     """
     array = np.asarray(values)
     if array.dtype.names:

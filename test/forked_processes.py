@@ -13,8 +13,9 @@ from multiprocessing.context import ForkServerContext
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
+from undrawn import work_undrawn
+
 from piezo_bringup.processes import EXECUTABLES, NodeProcess, Processes
-from piezo_studies.undrawn import work_undrawn
 
 
 class ForkedProcesses(Processes):
@@ -94,7 +95,7 @@ class ForkedNode:
 def _server() -> ForkServerContext:
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([
-        *(_entry(name).__module__ for name in EXECUTABLES), f"{__package__}.loaded_kernels",
+        *(_entry(name).__module__ for name in EXECUTABLES), "loaded_kernels",
         work_undrawn.__module__,
         "rosidl_generator_py"])  # by which a node imports its messages
     return context

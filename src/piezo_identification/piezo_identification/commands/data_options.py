@@ -1,8 +1,23 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Options for frequency responses, which may include a zero-order hold."""
+"""Options for the rows of a logger, and for frequency responses that may include a hold."""
 
 import argparse
 import math
+
+E_Y = ("e_y: norm of the difference over that of the measured displacement without its mean "
+       "(4.20), percent")
+
+READINGS = {"start": 0.0, "end": 1.0}
+"""Reading times, in sample periods after the change of the voltage of a row."""
+
+
+def add_rows_option(parser: argparse.ArgumentParser) -> None:
+    """Add ``--rows-read``."""
+    parser.add_argument(
+        "--rows-read", choices=tuple(READINGS), default="start",
+        help="when the displacement of a row is read: as its voltage changes (default), or at the "
+        "end of the hold, just before the next voltage")
+
 
 HELD = "zero-order-hold"
 USUAL_RATE_HZ = 40000.0
@@ -23,11 +38,6 @@ def add_response_options(parser: argparse.ArgumentParser) -> None:
 
 def hold_s_of(options: argparse.Namespace) -> float:
     """Return the hold time included in a response, 0 if there is none, and print it.
-
-    Parameters
-    ----------
-    options : argparse.Namespace
-        Options of a parser with `add_response_options`.
 
     Raises
     ------
@@ -59,7 +69,9 @@ def rate_hz_of(options: argparse.Namespace) -> float:
     return rate_hz
 
 
-def useless_response_options(options: argparse.Namespace) -> dict[str, bool]:
-    """Return for each option whether it was given; they apply only to frequency responses."""
-    return {"--response": options.response is not None,
-            "--response-rate-hz": options.response_rate_hz is not None}
+def refuse_response_options(options: argparse.Namespace) -> None:
+    """Raise ValueError for options that apply only to frequency responses."""
+    for name in ("response", "response_rate_hz"):
+        if getattr(options, name) is not None:
+            raise ValueError(f"--{name.replace('_', '-')} has nothing to act on: leave it out, or "
+                             "give a frequency response")

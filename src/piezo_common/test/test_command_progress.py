@@ -6,7 +6,7 @@ import re
 import pytest
 
 from piezo_common.budget import Budget
-from piezo_common.progress_lines import SILENT_S, ProgressLines, progress_printed
+from piezo_common.progress_line import SILENT_S, CommandProgress, progress_printed
 
 
 class Clock:
@@ -25,7 +25,7 @@ def clock():
 
 
 def test_a_long_step_is_printed_again_with_what_is_left(clock, capsys):
-    lines = ProgressLines(Budget(None, clock), clock)
+    lines = CommandProgress(Budget(None, clock), clock)
     lines.report("creep", 0.0)
     clock.seconds = 10.0
     lines.report("dynamics", 0.25)
@@ -39,7 +39,7 @@ def test_a_long_step_is_printed_again_with_what_is_left(clock, capsys):
 
 
 def test_a_step_that_takes_longer_than_all_that_was_left_says_so(clock, capsys):
-    lines = ProgressLines(Budget(None, clock), clock)
+    lines = CommandProgress(Budget(None, clock), clock)
     clock.seconds = 9.0
     lines.report("dynamics", 0.9)
     clock.seconds += SILENT_S
@@ -60,7 +60,7 @@ def test_a_terminal_shows_one_line_that_is_cleared_at_the_end(capsys, monkeypatc
 
 
 def test_a_last_step_that_begins_early_is_not_said_to_be_late(clock, capsys):
-    lines = ProgressLines(Budget(None, clock), clock)
+    lines = CommandProgress(Budget(None, clock), clock)
     clock.seconds = 3.0
     lines.report("write the report", 0.9)
     assert capsys.readouterr().out == " 90 %  write the report, 3 s so far\n"
@@ -68,7 +68,7 @@ def test_a_last_step_that_begins_early_is_not_said_to_be_late(clock, capsys):
 
 def test_steps_that_take_their_parts_of_the_time_leave_what_is_left(clock, capsys):
     whole_s, parts = 200.0, (0.0, 0.02, 0.1, 0.12, 0.3, 0.85, 0.9, 1.0)
-    lines = ProgressLines(Budget(None, clock), clock)
+    lines = CommandProgress(Budget(None, clock), clock)
     for begin, end in zip(parts[:-1], parts[1:], strict=True):
         lines.report("step", begin)
         while clock.seconds < end * whole_s:
@@ -82,14 +82,14 @@ def test_steps_that_take_their_parts_of_the_time_leave_what_is_left(clock, capsy
 
 
 def test_no_more_is_left_than_the_budget_has(clock, capsys):
-    lines = ProgressLines(Budget(20.0, clock), clock)
+    lines = CommandProgress(Budget(20.0, clock), clock)
     clock.seconds = 10.0
     lines.report("dynamics", 0.1)
     assert capsys.readouterr().out.endswith("about 10 s left\n")
 
 
 def test_a_step_that_ends_later_than_the_budget_promises_no_time(clock, capsys):
-    lines = ProgressLines(Budget(20.0, clock), clock)
+    lines = CommandProgress(Budget(20.0, clock), clock)
     clock.seconds = 21.0
     lines.report("dynamics", 0.1)
     assert capsys.readouterr().out.endswith("21 s so far; the time is over, this step ends\n")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Electric and vibration dynamics from any fast input: chirp, noise, steps, a free square wave.
+"""Electric and vibration dynamics from any fast recordings, for the least output error.
 
 The input of the dynamics is simulated with a known hysteresis or with that of the recordings
 themselves; for two levels it is an offset and a gain (4.5). The measured displacement is fitted to
@@ -15,31 +15,42 @@ from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.generator_edges import generator_edges
 from piezo_identification.conditioning.recording_start import square_part
+from piezo_identification.conditioning.segments import Recordings, listed
 from piezo_identification.conditioning.sensor_noise import noise_floor_um
 from piezo_identification.conditioning.settling import AT_REST, USUAL_SETTLING_S
-from piezo_identification.conditioning.waveforms import two_levels
-from piezo_identification.estimators.dynamics.fast_creep import fit_with_fast_creep
+from piezo_identification.conditioning.waveforms import (
+    SquareWave,
+    first_settled_step,
+    square_wave,
+    two_levels,
+)
+from piezo_identification.estimators.dynamics.fast_creep import (
+    fit_with_fast_creep,
+    project_out_slow_error,
+)
 from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
+from piezo_identification.estimators.dynamics.fast_record import FastRecord
 from piezo_identification.estimators.dynamics.fast_signals import (
     FEWEST_SAMPLES,
     LATE_ROWS,
-    FastSignals,
     drift_basis,
-    fit_signals,
-    joined_signals,
+    joined_record,
     played_at_the_clock,
     through_hysteresis,
 )
 from piezo_identification.estimators.dynamics.generator_signals import with_edges_between
 from piezo_identification.estimators.dynamics.output_error import fit_output_error
-from piezo_identification.estimators.dynamics.slow_misfit import project_out_slow_error
-from piezo_identification.estimators.dynamics.square_wave import WARM_UP_S
 from piezo_identification.estimators.estimate import Estimate
 from piezo_identification.estimators.hysteresis.fast_loops import FastLoops
 from piezo_identification.estimators.hysteresis.loops_with_dynamics import hysteresis_with_dynamics
+from piezo_identification.estimators.poles.pole_responses import HeldInput
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
+
+WARM_UP_S = 0.3
+"""Smallest part at the start of a square wave that is not used, because the approach from rest
+still affects it."""
 
 MODES_OF_A_LINE = 2
 """Number of vibration modes with which a line is compared with a hysteresis."""
@@ -63,66 +74,124 @@ NEAR_AN_EXTREME = 0.05
 past to act only as an offset."""
 
 
-def estimate_dynamics_any(
-    recordings: Sequence[Recording], creep: CreepDynamics,
-    hysteresis: PreisachModel | None = None, mode_count: int | None = None,
-    among: Collection[ModeOrder] = (),
+def estimate_dynamics(
+    recordings: Recordings, creep: CreepDynamics, mode_count: int | None = None,
+    delay: float | None = None, among: Collection[ModeOrder] = (),
+    hysteresis: PreisachModel | None = None,
 ) -> Estimate:
-    """Estimate electric lag and vibration modes (4.3) from recordings of any fast input.
+    """Estimate electric lag, vibration modes (4.3) and delay from fast recordings.
+
+    The creep is removed by its inverse. A vector fit finds initial poles, and the physical
+    parameters are then fitted for the least output error of the exactly sampled model, with offset
+    and initial creep free. Of a square wave with a period of a whole number of samples, the mean
+    period is fitted.
 
     Parameters
     ----------
-    recordings : sequence of Recording
-        Recordings without gaps, at the full sample clock and with the same sample period. Each
-        has its own offset and initial creep.
+    recordings : Recording or sequence of Recording
+        Recordings of any fast voltage without gaps, at the full sample clock and with the same
+        sample period. Each has its own offset and initial creep.
+    mode_count : int, optional
+        Number of modes in series without antiresonances; by default as many of both, and of
+        parallel modes, as the evidence justifies.
+    delay : float, optional
+        Delay of the rows in sample periods; by default it is estimated.
+    among : collection of ModeOrder
+        See `output_error.fit_output_error`.
     hysteresis : PreisachModel, optional
         Known hysteresis, valid for the voltages of the recordings. By default it is estimated
         from the recordings together with the dynamics; for two levels, it is an offset and a
         gain.
-    mode_count : int, optional
-        By default as many as the Bayesian information criterion justifies.
-    among : collection of ModeOrder
-        See `output_error.fit_output_error`.
 
     Returns
     -------
     Estimate
-        Its model is an `ElectricVibrationDynamics`; its order counts modes.
+        Its model is an `ElectricVibrationDynamics`; its order counts modes. The standard
+        deviations assume exact hysteresis and creep.
 
     Raises
     ------
     ValueError
         If a recording has gaps, is averaged, leaves the hysteresis' range, or is too short.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from piezo_models import (
+    ...     CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel)
+    >>> from piezo_recorder import recording_of
+    >>> line = PreisachModel.line(0.0, 10.0, 2.0)
+    >>> mode = ElectricVibrationDynamics(0.0, (1000.0,), (0.02,))
+    >>> stage = StageModel(line, CreepDynamics(), mode)
+    >>> sample = np.arange(6000)
+    >>> voltage_v = np.where(sample % 1000 < 500, 0.0, 10.0)
+    >>> estimate = estimate_dynamics(recording_of({
+    ...     "time_s": 1e-4 * sample, "voltage_v": voltage_v,
+    ...     "displacement_um": stage.simulate(voltage_v, 1e-4)}), CreepDynamics(), mode_count=1)
+    >>> print(np.round(estimate.model.mode_frequencies_rad_per_s))
+    [1000.]
     """
-    parts = [played_at_the_clock(recording) for recording in recordings]
+    given = listed(recordings)
+    parts = [played_at_the_clock(recording) for recording in given]
     squares = [square_part(part) for part in parts]
     waves = [wave for square in squares if (wave := two_levels(square)) is not None]
+    if len(waves) == len(parts) == 1 and _is_periodic(parts[0], waves[0]):
+        return fit_with_fast_creep(
+            lambda known: mean_period(parts[0], known), creep, mode_count, delay, among)
     if len(waves) == len(parts):
         levels = [wave.level for wave in waves]
         timed = with_edges_between(
-            _signals(squares, levels, creep), [generator_edges(wave) for wave in waves])
+            _record(squares, levels, creep), [generator_edges(wave) for wave in waves])
         return fit_with_fast_creep(
-            lambda known: replace(_signals(squares, levels, known), early=timed.early,
-                                  phase_room=timed.phase_room).record(),
-            creep, mode_count, among=among)
+            lambda known: replace(_record(squares, levels, known), input=timed.input,
+                                  phase_room=timed.phase_room),
+            creep, mode_count, delay, among)
     if hysteresis is not None:
         entering_um = [through_hysteresis(recording, part, hysteresis)
-                       for recording, part in zip(recordings, parts, strict=True)]
+                       for recording, part in zip(given, parts, strict=True)]
         return fit_with_fast_creep(
-            lambda known: project_out_slow_error(_signals(parts, entering_um, known).record()),
-            creep, mode_count, among=among)
-    without_hysteresis = _signals(
+            lambda known: project_out_slow_error(_record(parts, entering_um, known)),
+            creep, mode_count, delay, among)
+    without_hysteresis = _record(
         parts, [np.asarray(part.voltage_v, dtype=float) for part in parts], creep)
-    linear = fit_signals(without_hysteresis, MODES_OF_A_LINE)
-    estimate = _with_hysteresis(parts, creep, mode_count, among)
+    linear = fit_output_error(without_hysteresis, MODES_OF_A_LINE, delay)
+    estimate = _with_hysteresis(parts, creep, mode_count, delay, among)
     if estimate.residual_rms < linear.residual_rms:
         return estimate
-    return fit_signals(without_hysteresis, mode_count)
+    return fit_output_error(without_hysteresis, mode_count, delay)
+
+
+def _is_periodic(part: Recording, wave: SquareWave) -> bool:
+    """Return whether a square wave has a period of a whole number of samples."""
+    steps = wave.steps[wave.steps >= WARM_UP_S / part.sample_period_s]
+    return steps.size >= 3 and bool(np.all(steps[2:] - steps[:-2] == steps[2] - steps[0]))
+
+
+def mean_period(recording: Recording, creep: CreepDynamics) -> FastRecord:
+    """Return the mean period of a periodic square wave with the creep removed."""
+    part = square_part(played_at_the_clock(recording))
+    period_s = part.sample_period_s
+    wave = square_wave(part)
+    quick_um = remove_creep(part.displacement_um, creep, period_s)
+    earliest = int(np.ceil(WARM_UP_S / period_s))
+    steps = wave.steps[first_settled_step(quick_um, wave.steps, earliest) :]
+    length = steps[2] - steps[0]
+    runs = (steps[-1] - steps[0]) // length
+
+    def fold(signal: FloatArray) -> FloatArray:
+        signal = signal[steps[0] : steps[0] + runs * length]
+        return signal.reshape(runs, length, *signal.shape[1:]).mean(axis=0)
+
+    measured_um = fold(quick_um)
+    drift = drift_basis(period_s * np.arange(quick_um.size, dtype=float), creep)
+    return FastRecord(
+        HeldInput(wave.level[steps[0] : steps[0] + length], period_s, is_periodic=True),
+        np.arange(length), measured_um, fold(drift))
 
 
 def _with_hysteresis(
     parts: Sequence[Recording], creep: CreepDynamics, mode_count: int | None,
-    among: Collection[ModeOrder],
+    delay: float | None, among: Collection[ModeOrder],
 ) -> Estimate:
     """Fit the dynamics behind the hysteresis estimated from the same recordings."""
     loops = [
@@ -132,13 +201,13 @@ def _with_hysteresis(
         for part in parts]
     found = hysteresis_with_dynamics(loops)
     entering = [found.entering_um(each) for each in loops]
-    return fit_output_error(
-        project_out_slow_error(_signals(parts, entering, creep).record()), mode_count, among=among)
+    record = project_out_slow_error(_record(parts, entering, creep))
+    return fit_output_error(record, mode_count, delay, among)
 
 
-def _signals(
+def _record(
     parts: Sequence[Recording], inputs: Sequence[FloatArray], creep: CreepDynamics,
-) -> FastSignals:
+) -> FastRecord:
     """Join recordings with known inputs, from where the past of each no longer matters."""
     first_kept = [_first_kept(part) for part in parts]
     for part, first in zip(parts, first_kept, strict=True):
@@ -147,7 +216,7 @@ def _signals(
             raise ValueError(
                 f"{part.path} has {max(remaining, 0)} samples after its start has settled, "
                 f"fewer than {FEWEST_SAMPLES}: record the dynamics longer or faster")
-    return joined_signals(parts, inputs, first_kept, creep)
+    return joined_record(parts, inputs, first_kept, creep)
 
 
 def _first_kept(part: Recording) -> int:
