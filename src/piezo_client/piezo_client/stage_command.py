@@ -18,7 +18,9 @@ Commands: TypeAlias = "argparse._SubParsersAction[_Parser]"
 INPUTS = ("model", "file", "waveform", "scan", "controller", "feedback", "data", "holdout",
           "recordings", "extended_model", "specimen")
 SHAPES = "harmonic", "triangle"
-LINES = 64
+DRAWN = {"shape": SHAPES[0], "frequency_hz": 100.0, "amplitude_um": 40.0, "centre_um": 50.0,
+         "lines": 64}
+"""Options that draw a reference, and their defaults."""
 IDENTIFY = "`./run piezo_client stage identify --output DIR`"
 
 
@@ -123,20 +125,21 @@ def _add_track(commands: Commands) -> None:
     parser.add_argument("--file", type=Path, metavar="CSV",
                         help="reference: one period, time_s,displacement_um at the sample rate; of "
                         "several axes x_displacement_um and so on, such as path.csv of scan")
-    parser.add_argument("--shape", choices=(*SHAPES, *WITHOUT_FILE), default=SHAPES[0],
-                        help="reference where no file is given (default: %(default)s); shapes "
-                        "other than harmonic and triangle are paths of several axes, about the "
-                        "operating point of the model")
-    parser.add_argument("--lines", type=count, default=LINES, metavar="NUMBER",
+    parser.add_argument("--shape", choices=(*SHAPES, *WITHOUT_FILE),
+                        help=f"reference where no file is given (default: {DRAWN['shape']}); "
+                        "shapes other than harmonic and triangle are paths of several axes, about "
+                        "the operating point of the model")
+    parser.add_argument("--lines", type=count, metavar="NUMBER",
                         help="lines, turns or lobes of a path of several axes (default: "
-                        "%(default)s)")
-    for option, default, text in (
-            ("--frequency-hz", 100.0, "of the reference; lines or turns a second of a path"),
-            ("--amplitude-um", 40.0, "of the reference, peak to peak; size of a path"),
-            ("--centre-um", 50.0, "mean displacement"),
-            ("--duration-s", 1.0, "how long")):
-        parser.add_argument(option, type=float, default=default, metavar="NUMBER",
-                            help=f"{text} (default: %(default)s)")
+                        f"{DRAWN['lines']})")
+    for name, text in (
+            ("frequency_hz", "of the reference; lines or turns a second of a path"),
+            ("amplitude_um", "of the reference, peak to peak; size of a path"),
+            ("centre_um", "mean displacement")):
+        parser.add_argument(f"--{name.replace('_', '-')}", type=float, metavar="NUMBER",
+                            help=f"{text} (default: {DRAWN[name]})")
+    parser.add_argument("--duration-s", type=float, default=1.0, metavar="NUMBER",
+                        help="how long (default: %(default)s)")
 
 
 def _add_play(commands: Commands) -> None:

@@ -7,6 +7,7 @@ import signal
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from piezo_client.client import GoalFailed
 from piezo_client.overview import stages_seen, status_lines
@@ -14,6 +15,7 @@ from piezo_client.references import harmonic, path, triangle
 from piezo_client.results import Tracking
 from piezo_client.scans import Scanned, images_of
 from piezo_client.stage import Stage
+from piezo_client.stage_command import DRAWN
 from piezo_common.command_line import BAD_INPUT, INTERRUPTED, next_line
 from piezo_common.progress_line import ProgressLine
 from piezo_common.text_file import read_bounded_text
@@ -99,17 +101,28 @@ def _identify(stage: Stage, options: argparse.Namespace) -> list[str]:
             _next(options, "track", "--model", identification.path, "--output", options.output)]
 
 
-def _track(stage: Stage, options: argparse.Namespace) -> list[str]:
+def _reference_of(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the reference that options describe; refuse those without effect on it."""
+    given = {name: value for name in DRAWN if (value := getattr(options, name)) is not None}
+    drawn: dict[str, Any] = DRAWN | given
+    taken = {"shape", "frequency_hz", "amplitude_um",
+             "centre_um" if drawn["shape"] in SHAPES else "lines"}
+    ignored = [f"--{name.replace('_', '-')}" for name in given
+               if options.file or name not in taken]
+    if ignored:
+        raise ValueError(f"the reference {options.file or drawn['shape']} does not depend on "
+                         f"{', '.join(ignored)}: leave out what has no effect")
     if options.file:
-        reference = {"kind": "file", "file": str(options.file)}
-    elif options.shape in SHAPES:
-        reference = SHAPES[options.shape](
-            options.frequency_hz, options.amplitude_um, options.centre_um)
-    else:
-        reference = path(
-            options.shape, options.frequency_hz, options.amplitude_um, options.lines)
-    run = stage.track(reference, options.model, options.mode, options.duration_s, options.output,
-                      options.controller or "")
+        return {"kind": "file", "file": str(options.file)}
+    numbers = drawn["frequency_hz"], drawn["amplitude_um"]
+    if drawn["shape"] in SHAPES:
+        return SHAPES[drawn["shape"]](*numbers, drawn["centre_um"])
+    return path(drawn["shape"], *numbers, drawn["lines"])
+
+
+def _track(stage: Stage, options: argparse.Namespace) -> list[str]:
+    run = stage.track(_reference_of(options), options.model, options.mode, options.duration_s,
+                      options.output, options.controller or "")
     return [f"e_rms_percent {run.e_rms_percent:.4g}",
             f"largest_error_um {run.largest_error_um:.4g}",
             *filter(None, [run.message]), f"recorded {run.path}", _diagnosis_of(run, options)]
@@ -152,6 +165,8 @@ def _scan(stage: Stage, options: argparse.Namespace) -> list[str]:
     if (options.scan is None) == (options.pattern is None):
         raise ValueError("there is no path, or there are two: give a folder of `scan`, or "
                          "--pattern with --model")
+    if options.scan is not None:
+        _check_planned(options)
     if options.learn and options.model is None:
         raise ValueError("learning divides the error by the response of a model: give --model")
     if options.learn and options.feedback:
@@ -176,6 +191,19 @@ def _scan(stage: Stage, options: argparse.Namespace) -> list[str]:
             *_images(stage, shown, options),
             next_line("stage", "piezo_identification", "simulate", "--model",
                       options.model or "<MODEL>", "--data", run.path, "--output", options.output)]
+
+
+def _check_planned(options: argparse.Namespace) -> None:
+    """Raise ValueError if options would change a path that is planned already."""
+    # Imported here, as it takes seconds that other commands do not need.
+    from piezo_controller.commands.scan_command import OF_PATTERN
+    from piezo_controller.commands.scan_work import OF_PLAN
+
+    ignored = [f"--{name.replace('_', '-')}" for name in (*OF_PATTERN, *OF_PLAN, "compare")
+               if getattr(options, name) not in (None, False)]
+    if ignored:
+        raise ValueError(f"{options.scan} is planned already: leave out {', '.join(ignored)}, or "
+                         "plan again with --pattern and --model")
 
 
 def _marked_by_position(stage: Stage, run: Scanned, options: argparse.Namespace) -> Scanned:

@@ -104,6 +104,17 @@ def test_command_prints_the_error_of_each_axis_and_what_may_follow(folder, monke
     assert "next: ./run piezo_identification simulate --model <MODEL> --data run" in printed
 
 
+@pytest.mark.parametrize("given", [
+    ["--size-um", "5", "5"], ["--rate-hz", "5"], ["--both-directions"], ["--file", "path.csv"],
+    ["--voltage-range-v", "0", "90"], ["--compare"]])
+def test_command_refuses_options_that_a_planned_path_ignores(folder, monkeypatch, capsys, given):
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(stage_work.signal, "signal", lambda *_: None)
+    monkeypatch.setattr(stage_work, "Stage", lambda *_: nullcontext(MagicMock()))
+    assert stage_command.main(["scan", str(folder), "--output", "runs", *given]) == 2
+    assert f"is planned already: leave out {given[0]}, or plan again" in capsys.readouterr().err
+
+
 def test_command_that_learns_prints_every_run_and_wants_a_model(folder, monkeypatch, capsys):
     scan = read_scan(folder)
     runs = [scanned(scan, Kept(Path(f"run_{number}"), recorded(scan, 2, error_um)), 2)

@@ -101,6 +101,22 @@ def test_who_tracks_without_a_model_is_told_how_to_make_one(capsys):
     assert makes_one in printed
 
 
+@pytest.mark.parametrize(("given", "ignored"), [
+    (["--file", "path.csv", "--frequency-hz", "20"], "path.csv does not depend on --frequency-hz"),
+    (["--file", "path.csv", "--shape", "raster"], "path.csv does not depend on --shape"),
+    (["--shape", "raster", "--centre-um", "5"], "raster does not depend on --centre-um"),
+    (["--lines", "5"], "harmonic does not depend on --lines")])
+def test_options_without_effect_on_a_reference_are_refused(
+        monkeypatch, tmp_path, capsys, given, ignored):
+    monkeypatch.chdir(tmp_path)
+    for name in ("model.json", "path.csv"):
+        Path(name).write_text("{}")
+    monkeypatch.setattr(stage_work.signal, "signal", lambda *_: None)
+    monkeypatch.setattr(stage_work, "Stage", lambda *_: nullcontext(MagicMock()))
+    assert stage_command.main(["track", "--model", "model.json", "--output", "runs", *given]) == 2
+    assert ignored in capsys.readouterr().err
+
+
 def test_path_of_several_axes_is_tracked_by_its_shape(monkeypatch, tmp_path, capsys):
     model = tmp_path / "model.json"
     model.write_text(json.dumps({"format": "piezo_stage_model", "axes": ["x", "y"]}))

@@ -83,6 +83,9 @@ class ActuatorPart(Part):
         "Hysteresis. Its output over its mean slope is the voltage that it passes on; left out "
         "where the voltage passes as it is.", default=None)
     creep: CreepPart = entry("Creep of the voltage behind it.")
+    amplifier_lag_s: NotNegative = entry(
+        "Time constant of the amplifier in front of it, which is also a pole of the modes.",
+        unit="s", default=0.0)
 
 
 class CouplingPart(Part):
@@ -185,6 +188,7 @@ def _document_of(identified: IdentifiedAxes) -> dict[str, Any]:
     actuators = {} if not model.actuators else {"actuators": [
         {**({} if each.hysteresis is None else {
             "hysteresis": document_of_hysteresis(each.hysteresis)}),
+         **({"amplifier_lag_s": each.lag_s} if each.lag_s else {}),
          "creep": document_of_creep(each.creep)} for each in model.actuators]}
     softening = {} if model.softening is None else {"softening": {
         "elongation_re": model.softening.elongations.real.tolist(),
@@ -230,7 +234,8 @@ def _built(document: AxesDocument) -> IdentifiedAxes:
             (softening.range_v[0], softening.range_v[1])),
         tuple(Actuator(
             None if part.hysteresis is None else built_hysteresis(part.hysteresis),
-            CreepDynamics(tuple(part.creep.poles_rad_per_s), tuple(part.creep.zeros_rad_per_s)))
+            CreepDynamics(tuple(part.creep.poles_rad_per_s), tuple(part.creep.zeros_rad_per_s)),
+            part.amplifier_lag_s)
             for part in document.actuators))
     coupling = Coupling(
         np.array([each.frequency_hz for each in document.coupling]),

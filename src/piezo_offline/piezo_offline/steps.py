@@ -48,6 +48,7 @@ from piezo_offline.python_data import (
     DataWarning,
     axes_data_of,
     axes_recordings_of,
+    axes_response_in,
     in_list,
     read,
     recordings_of,
@@ -199,7 +200,7 @@ def diagnose(model: AnyModel | IdentifiedAxes, data: Any, holdout: Any = None, *
              budget_s: float | None = None) -> Verdict | AxesDiagnosis:
     """Find what a model lacks to explain recordings.
 
-    A model of several axes takes one recording and no other option.
+    A model of several axes takes one recording or frequency response, and no other option.
 
     Parameters
     ----------
@@ -244,7 +245,7 @@ def diagnose(model: AnyModel | IdentifiedAxes, data: Any, holdout: Any = None, *
         if holdout is not None or identified_from is not None:
             raise ValueError("holdout and identified_from are for a model of one axis: leave them "
                              "out")
-        return diagnose_axes(opened, _one_of_axes(data))
+        return diagnose_axes(opened, axes_response_in(data) or _one_of_axes(data))
     stage_model = opened if isinstance(opened, StageModel) else opened.model
     response = response_in(data)
     if response is not None:

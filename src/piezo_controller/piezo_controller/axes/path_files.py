@@ -4,9 +4,16 @@
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
+from piezo_common.schema import load_document
+from piezo_controller.axes.path_marks import lead_samples
 from piezo_controller.references.kind import InvalidReference
+from piezo_recorder.images.scan_frame import SCAN_FILE, ScanFrame
+from piezo_recorder.reading.axes import axes_with_voltage
+from piezo_recorder.reading.detected import marks_in
+from piezo_recorder.sample_block import Mark
 
 SUFFIX = "_displacement_um"
 
@@ -19,7 +26,11 @@ def points_of_file(path: str | Path) -> tuple[tuple[str, ...], FloatArray]:
 
     Raises `InvalidReference` if there are none, or a row is not of numbers.
     """
-    columns = _columns(Path(path))
+    return _points_in(_columns(Path(path)), path)
+
+
+def _points_in(columns: dict[str, FloatArray],
+               path: str | Path) -> tuple[tuple[str, ...], FloatArray]:
     axes = tuple(name.removesuffix(SUFFIX) for name in columns if name.endswith(SUFFIX))
     if len(axes) < 2:
         raise InvalidReference(f"{path} has the columns {', '.join(columns)}: give two or three "
@@ -27,15 +38,20 @@ def points_of_file(path: str | Path) -> tuple[tuple[str, ...], FloatArray]:
     return axes, np.column_stack([columns[axis + SUFFIX] for axis in axes])
 
 
-def positions_of_file(path: str | Path,
-                      sample_period_s: float) -> tuple[tuple[str, ...], FloatArray]:
-    """Read one period of a path, sampled at the sample rate; see `points_of_file`.
+def positions_of_file(
+    path: str | Path, sample_period_s: float,
+) -> tuple[tuple[str, ...], FloatArray, NDArray[np.int64]]:
+    """Read one period of a path, sampled at the sample rate, with its marks; see `points_of_file`.
+
+    The marks are those of columns such as ``pixel`` and ``line``. A plan of `scan` has them earlier
+    than their places by the delay of its sensors, which its description beside it contains.
 
     Raises `InvalidReference` if its times are not those of the samples, or its end jumps to its
     beginning.
     """
-    axes, position_um = points_of_file(path)
-    time_s = _columns(Path(path)).get("time_s")
+    columns = _columns(Path(path))
+    axes, position_um = _points_in(columns, path)
+    time_s = columns.get("time_s")
     samples = np.arange(len(position_um))
     if time_s is None or np.abs(time_s - time_s[0] - samples * sample_period_s).max() > (
             0.01 * sample_period_s):
@@ -45,7 +61,15 @@ def positions_of_file(path: str | Path,
     if steps[-1] > LARGEST_STEP * max(steps[-2], steps[0]):
         raise InvalidReference(f"{path} jumps by {steps[-1]:.4g} um from its last position to its "
                                "first: let it end where it begins")
-    return axes, position_um
+    marks = np.resize(marks_in(columns), len(position_um)).astype(int)
+    described = Path(path).parent / SCAN_FILE
+    if axes_with_voltage(list(columns)) and described.exists():
+        frame = load_document(ScanFrame, described)
+        own = [axes.index(axis) for axis in frame.axes]
+        marks = np.roll(marks, lead_samples(
+            position_um[:, own], marks, np.array(frame.sensor_delay_s) / sample_period_s))
+    marks[0] |= 0 if np.any(marks & Mark.FRAME) else Mark.FRAME
+    return axes, position_um, marks
 
 
 def _columns(path: Path) -> dict[str, FloatArray]:

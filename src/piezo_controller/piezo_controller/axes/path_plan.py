@@ -108,19 +108,26 @@ class PathPlan:
         if not marked:
             return None
         moved_um = np.abs(np.gradient(path.position_um, axis=0))
-        both = np.sort(np.argsort(-moved_um.sum(axis=0), kind="stable")[:2])
+        both, centre_um = np.sort(np.argsort(-moved_um.sum(axis=0), kind="stable")[:2]), (
+            path.centre_um)
         if path.kind == "raster":  # lines run along the axis that moves at the pixels
             at_pixels_um = moved_um[path.marks & Mark.PIXEL > 0].sum(axis=0)
             both = both[np.argsort(-at_pixels_um[both], kind="stable")]
             pixels = np.array([marked // lines, lines])
             pixel_um = path.size_um[both] / (pixels - [0, 1])
+        elif path.kind == "file" and lines > 1 and marked >= 2 * lines:
+            at_um = path.position_um[path.marks & Mark.PIXEL > 0]
+            both = both[np.argsort(-np.abs(np.diff(at_um, axis=0)).sum(axis=0)[both])]
+            pixels = np.array([marked // lines, lines])
+            pixel_um = np.ptp(at_um, axis=0)[both] / (pixels - 1)
+            centre_um = 0.5 * (at_um.min(axis=0) + at_um.max(axis=0))
         else:
             pixels = np.full(2, round(np.sqrt(marked)))
             pixel_um = path.size_um[both] / pixels
         return ScanFrame(
             format=FORMAT, version=VERSION, path=str(path), marked_pixels=marked,
             axes=[path.axes[axis] for axis in both], pixels=pixels.tolist(),
-            pixel_um=pixel_um.tolist(), centre_um=path.centre_um[both].tolist(),
+            pixel_um=pixel_um.tolist(), centre_um=centre_um[both].tolist(),
             sensor_delay_s=self.sensor_delay_s[both].tolist())
 
     @cached_property

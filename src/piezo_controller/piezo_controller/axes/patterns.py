@@ -291,9 +291,7 @@ def _points(pattern: ScanPattern, sample_period_s: float, axes: tuple[str, ...])
 def _of_file(pattern: ScanPattern, sample_period_s: float) -> ScanPath:
     if pattern.file is None:
         raise InvalidReference("a path of the kind file has no file: name a CSV")
-    axes, position_um = positions_of_file(pattern.file, sample_period_s)
-    marks = np.zeros(len(position_um), dtype=int)
-    marks[0] = Mark.FRAME
+    axes, position_um, marks = positions_of_file(pattern.file, sample_period_s)
     return ScanPath("file", axes, sample_period_s, position_um, marks,
                     1.0 / (len(position_um) * sample_period_s), np.ptp(position_um, axis=0),
                     position_um.mean(axis=0))

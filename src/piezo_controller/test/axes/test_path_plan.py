@@ -13,6 +13,7 @@ from piezo_controller.axes.coupled_inverse import invert_path
 from piezo_controller.axes.path_plan import UnreachablePath
 from piezo_controller.axes.repeated_period import repeated
 from piezo_controller.axes.scan import scan
+from piezo_controller.axes.stored_scan import stored_scan, write_scan
 from piezo_controller.references.kind import InvalidReference
 from piezo_models import CoupledModel, Coupling, IdentifiedAxes, Softening
 from piezo_models.axes.actuator import Actuator
@@ -123,6 +124,18 @@ def test_what_is_said_to_be_in_reach_is_in_reach(model):
     fields["rate_hz"] = refused.value.reachable_rate_hz
     assert 50.0 < fields["rate_hz"] < 200.0
     scan(model, "raster", size_um=(10, 10), **fields, **limits)
+
+
+def test_a_plan_that_is_planned_again_from_its_file_has_its_marks_and_pixels(model, tmp_path):
+    plan = plan_of(model, "raster", size_um=(5.0, 5.0), rate_hz=50.0, lines=8, pixels=6,
+                   sensor_delay_s=(3e-4, 7e-4))
+    write_scan(stored_scan(plan), tmp_path)
+    again = plan_of(model, "file", file=tmp_path / "path.csv", sensor_delay_s=(3e-4, 7e-4))
+    assert plan.marks.any() and not np.array_equal(plan.marks, plan.path.marks)
+    np.testing.assert_array_equal(again.marks, plan.marks)
+    assert (again.frame.axes, again.frame.pixels) == (plan.frame.axes, plan.frame.pixels)
+    assert again.frame.pixel_um == pytest.approx(plan.frame.pixel_um, rel=0.05)
+    assert again.frame.centre_um == pytest.approx(plan.frame.centre_um, abs=0.1)
 
 
 def test_marks_come_before_the_readings_by_the_delay_of_the_axis_that_moves_fast(model):

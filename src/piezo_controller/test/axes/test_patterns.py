@@ -13,6 +13,7 @@ from piezo_controller.axes.patterns import KINDS, PATTERNS, ScanPattern, scan_pa
 from piezo_controller.axes.spec_path import path_of_spec, spec_of_file
 from piezo_controller.commands import scan_command
 from piezo_controller.references.kind import InvalidReference
+from piezo_recorder.reading.detected import mark_columns
 from piezo_recorder.sample_block import Mark
 
 PERIOD_S = 1e-4
@@ -132,6 +133,18 @@ def test_a_file_is_read_as_it_was_written(tmp_path):
     file.write_text("time_s,x_displacement_um\n0,zero\n")
     with pytest.raises(InvalidReference, match="a row is not of numbers"):
         drawn(kind="file", file=file)
+
+
+def test_a_file_has_the_marks_of_its_columns(tmp_path):
+    path = drawn(kind="raster", lines=8, pixels=6)
+    table = np.column_stack([path.time_s, path.position_um, *mark_columns(path.marks).values()])
+    header = ",".join(["time_s,x_displacement_um,y_displacement_um", *mark_columns(path.marks)])
+    np.savetxt(tmp_path / "own.csv", table, "%.12g", ",", header=header, comments="")
+    again = drawn(kind="file", file=tmp_path / "own.csv")
+    np.testing.assert_array_equal(again.marks, path.marks)
+    without = header.replace(",frame", ",spare")
+    np.savetxt(tmp_path / "own.csv", table, "%.12g", ",", header=without, comments="")
+    assert drawn(kind="file", file=tmp_path / "own.csv").marks[0] & Mark.FRAME
 
 
 @pytest.mark.parametrize(("fields", "said"), [

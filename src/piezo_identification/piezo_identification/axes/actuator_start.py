@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezo_common.budget import has_time_for
+from piezo_identification.axes.actuator_drive import with_drive
 from piezo_identification.axes.actuator_estimate import estimate_actuators
+from piezo_identification.axes.amplifier_lags import with_amplifier_lags
 from piezo_identification.axes.coupled_fit import CoupledFit
 from piezo_identification.axes.modal_model import coupled_model
 from piezo_identification.axes.modes_fit import (
@@ -16,14 +18,8 @@ from piezo_identification.axes.modes_fit import (
     fitted_modes,
     without_slow_poles,
 )
-from piezo_identification.axes.predict_axes import (
-    circumstances_of,
-    creep_decays,
-    fitted,
-    predict_several_axes,
-    simulated_um,
-)
-from piezo_identification.axes.spectra import Spectrum, played_lines, spectra_of_levels
+from piezo_identification.axes.predict_axes import predict_several_axes
+from piezo_identification.axes.spectra import Spectrum, spectra_of_levels
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
 from piezo_models.axes.coupled import CoupledModel
 from piezo_recorder.reading.axes import AxesRecording
@@ -35,6 +31,9 @@ fitted without hysteresis, more would follow errors of the modes."""
 SECOND_ESTIMATE, FIRST = "second estimate of hysteresis and creep, with the modes", 0.6
 """What is omitted, and from which share of the time: it takes up to a third of it."""
 
+LAGS = "lags of the amplifiers"
+"""What is omitted from the same share of the time."""
+
 
 @dataclass(frozen=True, eq=False)
 class StartedStage:
@@ -45,28 +44,6 @@ class StartedStage:
     spectra: list[Spectrum]
     """That were fitted."""
     model: CoupledModel
-
-
-def with_drive(model: CoupledModel, recording: AxesRecording) -> AxesRecording:
-    """Return a recording with the drive of the modes as its voltage, without earlier creep.
-
-    The drive of a periodic voltage is reduced to the lines of the voltage: between them hysteresis
-    adds too little to determine a response.
-    """
-    periods = recording.periods or 1
-    voltage_v = recording.voltage_v.reshape(periods, -1, len(model.axes)).mean(axis=0)
-    circumstances = circumstances_of(model, recording)
-    drive_v = model.drive_v(voltage_v, bool(recording.periods), circumstances.pasts)
-    resting = np.ptp(voltage_v, axis=0) == 0.0
-    drive_v[:, resting] = drive_v[0, resting]  # without the rounding of the creep
-    if recording.periods:
-        lines = np.fft.rfft(drive_v, axis=0)
-        lines[~played_lines(np.fft.rfft(voltage_v, axis=0))] = 0.0
-        drive_v = drive_v.mean(axis=0) + np.fft.irfft(lines, len(drive_v), axis=0)
-    crept_um = fitted(creep_decays(model, recording), recording.displacement_um - simulated_um(
-        model, recording, circumstances))
-    return replace(recording, voltage_v=np.tile(drive_v, (periods, 1)),
-                   displacement_um=recording.displacement_um - crept_um)
 
 
 def start_of_actuators(
@@ -114,9 +91,16 @@ def start_of_actuators(
         found.append(_behind(replace(model, actuators=actuators), fast, pairs))
         model = found[-1].model
     best = min(found, key=lambda each: _residual(each.model, recordings))
+    if has_time_for(LAGS, FIRST):
+        progress(LAGS, 0.75)
+        lagging = with_amplifier_lags(best.model, best.fit.numbers.steps, fast)
+        if any(each.lag_s for each in lagging.actuators):
+            found = [best, _behind(lagging, fast, pairs)]
+            best = min(found, key=lambda each: _residual(each.model, recordings))
     for axis, actuator in zip(model.axes, best.model.actuators, strict=True):
         shown = "hysteresis" if actuator.hysteresis else "no hysteresis"
-        note(f"{axis}: {shown}, {len(actuator.creep.poles_rad_per_s)} pairs of creep")
+        lag = f", an amplifier lag of {actuator.lag_s:.3g} s" if actuator.lag_s else ""
+        note(f"{axis}: {shown}, {len(actuator.creep.poles_rad_per_s)} pairs of creep{lag}")
     return best
 
 

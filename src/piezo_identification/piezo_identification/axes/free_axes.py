@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The free parameters of a model of several axes in a joint fit, as changes in prior widths.
 
-Each actuator has those of the creep and the hysteresis of one axis, see `free_parameters`. The
-poles follow, and then the gains of each motion.
+Each actuator has those of the creep and the hysteresis of one axis, see `free_parameters`, and then
+the lag of its amplifier, if it has one. The poles follow, and then the gains of each motion.
 """
 
 from dataclasses import replace
@@ -73,9 +73,11 @@ class FreeAxes:
     def actuator_at(self, axis: int, changes: FloatArray) -> Actuator:
         """Return the actuator of an axis after changes of all parameters."""
         stage, own = self._stages[axis], changes[self.of_actuators[axis]]
-        changed = changed_model(stage, np.pad(own, (0, free_count(stage) - own.size)))
-        return Actuator(self.model.actuators[axis].hysteresis and changed.hysteresis,
-                        changed.creep)
+        actuator = self.model.actuators[axis]
+        of_stage, of_lag = np.split(own, [own.size - (actuator.lag_s > 0.0)])
+        changed = changed_model(stage, np.pad(of_stage, (0, free_count(stage) - of_stage.size)))
+        return Actuator(actuator.hysteresis and changed.hysteresis, changed.creep,
+                        actuator.lag_s * float(np.exp(WIDTHS.logarithm * of_lag.sum())))
 
     def model_at(self, changes: FloatArray) -> CoupledModel:
         """Return the model after changes of all parameters."""
@@ -138,5 +140,6 @@ def _stage_of(actuator: Actuator) -> StageModel:
 
 def _lowest(actuator: Actuator, stage: StageModel) -> FloatArray:
     free = np.full(physical_count(stage), -np.inf)
-    return free if actuator.hysteresis is None else np.concatenate(
-        [free, lowest_changes(stage.hysteresis)])
+    if actuator.hysteresis is not None:
+        free = np.concatenate([free, lowest_changes(stage.hysteresis)])
+    return np.append(free, [-np.inf] * (actuator.lag_s > 0.0))

@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Initial guess of a mode that one axis drives, from the errors of a model."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize
 from scipy.signal.windows import hann
 
-from piezo_common.arrays import FloatArray
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.axes.axis_effects import DAMPING_RATIOS, ModeOfAxis, held_mode
-from piezo_recorder.reading.axes import AxesRecording
 
 FEWEST_PERIODS = 10.0
 """Periods of a mode in a recording, below which it is a slow error and not a resonance."""
@@ -27,41 +26,67 @@ BAND = 2.0
 a gain does, or not at all."""
 
 
-def guessed(mode: ModeOfAxis, driven: AxesRecording, residual_um: FloatArray,
-            tolerance_um: FloatArray, delays_s: FloatArray) -> ModeOfAxis:
+@dataclass(frozen=True, eq=False)
+class ErrorLines:
+    """Errors of a model, and the drive of one axis, at lines of a spectrum."""
+
+    rates: FloatArray
+    """Angular frequencies, (K,)."""
+    drive: ComplexArray
+    """Shape (K,)."""
+    errors: ComplexArray
+    tolerance: FloatArray
+    """Standard deviation of the errors of each sensor without the mode, (K, n)."""
+    lowest: float
+    """Lowest frequency of a mode in rad/s."""
+
+
+def lines_of(drive_v: FloatArray, errors_um: FloatArray, tolerance_um: FloatArray,
+             sample_period_s: float) -> ErrorLines:
+    """Return the lines of a recording.
+
+    Parameters
+    ----------
+    drive_v : (N,) array
+    errors_um : (N, n) array
+    tolerance_um : (n,) array
+        Standard deviation of the errors of each sensor.
+    """
+    samples = len(errors_um)
+    window = hann(samples, sym=False)
+    drive = np.fft.rfft(window * (drive_v - drive_v.mean()))
+    errors = np.fft.rfft(window[:, None] * errors_um, axis=0)
+    return ErrorLines(
+        np.asarray(2.0 * np.pi * np.fft.rfftfreq(samples, sample_period_s), float), drive, errors,
+        np.tile(tolerance_um, (drive.size, 1)),
+        2.0 * np.pi * FEWEST_PERIODS / (samples * sample_period_s))
+
+
+def guessed(mode: ModeOfAxis, sample_period_s: float, lines: ErrorLines,
+            delays_s: FloatArray) -> ModeOfAxis:
     """Return a mode with the values that explain most of the errors of a model.
 
     Parameters
     ----------
-    driven : AxesRecording
-        With the drive of the modes in place of the voltage.
-    residual_um : (N, n) array
-        Errors of the model.
-    tolerance_um : (n,) array
-        Standard deviation of the errors of each sensor without the mode.
     delays_s : (n,) array
         Delay of each sensor.
     """
-    samples, period_s = len(residual_um), driven.sample_period_s
-    drive_v = driven.voltage_v[:, driven.axes.index(mode.axis)]
-    window = hann(samples, sym=False)
-    drive = np.fft.rfft(window * (drive_v - drive_v.mean()))[:, None]
-    errors = np.fft.rfft(window[:, None] * residual_um, axis=0)
-    rates = 2.0 * np.pi * np.fft.rfftfreq(samples, period_s)
 
     def gains(frequency: float, damping: float) -> tuple[FloatArray, float]:
         """Return the static gains that fit best, (n,), and the squares that they explain."""
-        lines = slice(*np.searchsorted(rates, (frequency / BAND, frequency * BAND)))
-        turns = 1j * rates[lines, None]
-        pole, residue = held_mode(frequency, damping, period_s)
-        z, step = np.exp(turns * period_s), np.exp(pole * period_s)
-        motion = drive[lines] * np.exp(-turns * delays_s) * (
+        near = slice(*np.searchsorted(lines.rates, (frequency / BAND, frequency * BAND)))
+        turns = 1j * lines.rates[near, None]
+        pole, residue = held_mode(frequency, damping, sample_period_s)
+        z, step = np.exp(turns * sample_period_s), np.exp(pole * sample_period_s)
+        tolerance = lines.tolerance[near]
+        motion = lines.drive[near, None] / tolerance * np.exp(-turns * delays_s) * (
             residue / (z - step) + residue.conjugate() / (z - step.conjugate()))
         power = np.maximum(np.sum(np.abs(motion) ** 2, axis=0), np.finfo(float).tiny)
-        fitted: FloatArray = np.sum(motion.conj() * errors[lines], axis=0).real / power
-        return fitted, float(np.sum(fitted**2 * power / tolerance_um**2))
+        pull = np.sum(motion.conj() * lines.errors[near] / tolerance, axis=0).real
+        fitted: FloatArray = pull / power
+        return fitted, float(np.sum(fitted**2 * power))
 
-    lowest, highest = 2.0 * np.pi * FEWEST_PERIODS / (samples * period_s), HIGHEST * rates[-1]
+    lowest, highest = lines.lowest, min(lines.rates[-1], HIGHEST * np.pi / sample_period_s)
     tried = np.exp(np.arange(np.log(lowest), np.log(highest), SPACING))
     best = max(tried, key=lambda each: gains(each, GUESSED_DAMPING)[1])
     start = np.log([best, GUESSED_DAMPING])

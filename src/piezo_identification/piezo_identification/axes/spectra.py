@@ -92,7 +92,7 @@ def spectra_of_level(recordings: Sequence[AxesRecording]) -> list[Spectrum]:
                 and each.voltage_v.shape == first.voltage_v.shape for each in recordings)
     if alike and len(recordings) > n:
         return _linear_approximation(recordings)
-    return [_spectrum_of(each) for each in recordings]
+    return [spectrum_of(each) for each in recordings]
 
 
 def spectra_of_response(response: AxesResponse) -> list[Spectrum]:
@@ -119,6 +119,18 @@ def spectra_of_response(response: AxesResponse) -> list[Spectrum]:
         return [replace(each, weight=np.ones(each.weight.shape) / typical)
                 for each, typical in zip(spectra, rough, strict=True)]
     return spectra
+
+
+def with_rough_deviations(response: AxesResponse) -> list[Spectrum]:
+    """Return the spectra of a response with their deviations, or with what neighbouring lines show.
+
+    Near a resonance that is only some lines wide, these are larger than the noise.
+    """
+    spectra = spectra_of_response(response)
+    if response.known_deviation() is not None:
+        return spectra
+    return [reweighted(each, np.maximum(np.abs(_rough_part(each)), _rounding(each)))
+            for each in spectra]
 
 
 def weight_by_residual(response: Spectrum, left: ComplexArray) -> FloatArray:
@@ -154,7 +166,7 @@ def reweighted(spectrum: Spectrum, residual: ComplexArray) -> Spectrum:
     return replace(spectrum, weight=1.0 / np.maximum(deviation, np.finfo(float).tiny))
 
 
-def _spectrum_of(recording: AxesRecording) -> Spectrum:
+def spectrum_of(recording: AxesRecording) -> Spectrum:
     """Return the spectrum of a recording, with the deviations that neighbouring lines show."""
     z, _, (drive, motion) = _lines(recording)
     drive, motion = drive.mean(axis=0), motion.mean(axis=0)
@@ -163,6 +175,14 @@ def _spectrum_of(recording: AxesRecording) -> Spectrum:
         z[kept], drive[kept], motion[kept], np.ones((kept.size, motion.shape[1])),
         recording.amplitude_v, transient=not recording.periods)
     return reweighted(spectrum, _rough_part(spectrum))
+
+
+def driven_otherwise(spectrum: Spectrum, recording: AxesRecording) -> Spectrum:
+    """Return the spectrum of a recording with the drive of another one of the same samples."""
+    periods = recording.periods or 1
+    drive_v = recording.voltage_v.reshape(periods, -1, spectrum.drive.shape[1]).mean(axis=0)
+    lines = np.round(np.angle(spectrum.z) * len(drive_v) / (2.0 * np.pi)).astype(int)
+    return replace(spectrum, drive=np.fft.rfft(drive_v, axis=0)[lines])
 
 
 def _rough_part(spectrum: Spectrum) -> ComplexArray:

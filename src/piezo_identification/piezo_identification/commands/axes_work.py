@@ -23,6 +23,7 @@ from piezo_identification.axes.spectra import levels_of
 from piezo_identification.commands.data_options import (
     E_Y,
     HELD,
+    hold_s_of,
     rate_hz_of,
     refuse_response_options,
 )
@@ -76,15 +77,15 @@ def identify_axes_files(options: argparse.Namespace,
     return None
 
 
-def _dynamics(options: argparse.Namespace,
-              paths: Sequence[Path]) -> list[AxesRecording] | AxesResponse:
-    """Read the recordings of the dynamics, or the frequency response."""
+def _dynamics(options: argparse.Namespace, paths: Sequence[Path],
+              option: str = "--dynamics") -> list[AxesRecording] | AxesResponse:
+    """Read the recordings that an option names, or the frequency response."""
     response = next(filter(is_axes_response, paths), None)
     if response is None:
         refuse_response_options(options)
         return _read(paths)
     if len(paths) > 1:
-        raise ValueError(f"{response} is a frequency response: give no other file to --dynamics")
+        raise ValueError(f"{response} is a frequency response: give no other file to {option}")
     print(f"reading {response}", flush=True)
     return read_axes_response(response, rate_hz_of(options), options.response == HELD)
 
@@ -110,16 +111,20 @@ def simulate_axes_file(options: argparse.Namespace) -> None:
 
 
 def diagnose_axes_file(options: argparse.Namespace) -> None:
-    """Diagnose one recording with a model of several axes, and write and print the results."""
+    """Diagnose a recording or response of several axes, and write and print the results."""
     for name in ("holdout", "identified_from"):
         if getattr(options, name):
             raise ValueError(f"--{name.replace('_', '-')} is for a model of one axis: leave it out")
     identified = load_axes_model(options.model)
-    recordings = _read(options.data)
-    if len(recordings) != 1:
-        raise ValueError(f"--data holds {len(recordings)} recordings: give one recording for a "
+    data: Sequence[AxesRecording] | Sequence[AxesResponse] | AxesResponse = _dynamics(
+        options, options.data, "--data")
+    if isinstance(data, AxesResponse):
+        hold_s_of(options)  # refuses a rate that a continuous response does not have
+        data = [data]
+    if len(data) != 1:
+        raise ValueError(f"--data holds {len(data)} recordings: give one recording for a "
                          "model of several axes")
-    diagnosis = diagnose_axes(identified, recordings[0])
+    diagnosis = diagnose_axes(identified, data[0])
     diagnosis.write(options.output)
     print(diagnosis)
     print(f"written to {options.output}")

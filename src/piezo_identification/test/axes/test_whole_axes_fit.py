@@ -35,7 +35,7 @@ def actuator(axis):
 
 
 TRUE = replace(modal_model(NUMBERS, np.array([0, 2]), ("x", "y"), PERIOD_S),
-               actuators=(actuator(0), actuator(1)))
+               actuators=(replace(actuator(0), lag_s=1.5e-4), actuator(1)))
 
 
 @pytest.fixture(scope="module")

@@ -23,6 +23,9 @@ class Actuator:
     changes by as much as the voltage; beyond the range it follows the voltage."""
     creep: CreepDynamics = CreepDynamics()
     """Creep of the drive, behind the hysteresis."""
+    lag_s: float = 0.0
+    """Time constant of the amplifier, which the hysteresis follows. The drive is the voltage that
+    would move a stage without hysteresis and creep alike: the modes contain this lag as a pole."""
 
     @property
     def slope_um_per_v(self) -> float:
@@ -58,18 +61,15 @@ class Actuator:
         If it goes on, the voltage changes linearly between samples; else it is held, and the drive
         is that at the end of the sample. The other arguments are those of `passed_v`.
         """
-        passed_v = self.passed_v(voltage_v, periodic, past)
+        lag = _kept(self.lag_s, sample_period_s)
+        passed_v = self.passed_v(_followed_v(voltage_v, lag, 0.0, periodic), periodic, past)
+        before_v = np.append(passed_v[-1 if periodic else 0], passed_v[:-1])
+        passed_v = (passed_v - lag * before_v) / (1.0 - lag)
         drive_v = passed_v.copy()
         for gain, rate in zip(self.creep_gains, self.creep.poles_rad_per_s, strict=True):
             kept = np.exp(-rate * sample_period_s)
             behind = (1.0 - kept) / (rate * sample_period_s) - kept if goes_on else 0.0
-            follows, last_v = [1.0 - kept - behind, behind], passed_v[-1 if periodic else 0]
-            crept_v = last_v
-            if periodic:
-                decayed_v, _ = lfilter(follows, [1.0, -kept], passed_v, zi=[behind * last_v])
-                crept_v = decayed_v[-1] / (1.0 - kept ** passed_v.size)
-            drive_v += gain * lfilter(follows, [1.0, -kept], passed_v,
-                                      zi=[kept * crept_v + behind * last_v])[0]
+            drive_v += gain * _followed_v(passed_v, kept, behind, periodic)
         return drive_v
 
     @property
@@ -110,17 +110,48 @@ class Actuator:
         lines = np.fft.rfft(drive_v)
         lines /= self.creep_response(
             np.fft.rfftfreq(drive_v.size, sample_period_s), sample_period_s)
-        passed_v: FloatArray = np.fft.irfft(lines, drive_v.size)
+        lag = _kept(self.lag_s, sample_period_s)
+        passed_v = _followed_v(np.fft.irfft(lines, drive_v.size), lag, 0.0, periodic=True)
         hysteresis = self.hysteresis
         if hysteresis is None:
-            return passed_v
+            return np.asarray(np.fft.irfft(lines, drive_v.size))
         within_v = self._within(passed_v)
         wanted_um = hysteresis.offset_um + self.slope_um_per_v * (
             within_v - hysteresis.voltage_min_v)
         memory = hysteresis.memory()
         hysteresis.invert(wanted_um, memory)  # first pass: the past is the period itself
-        return hysteresis.invert(wanted_um, memory) + passed_v - within_v
+        followed_v = hysteresis.invert(wanted_um, memory) + passed_v - within_v
+        return (followed_v - lag * np.roll(followed_v, 1)) / (1.0 - lag)
 
     def _within(self, voltage_v: FloatArray) -> FloatArray:
         assert self.hysteresis is not None
         return np.clip(voltage_v, self.hysteresis.voltage_min_v, self.hysteresis.voltage_max_v)
+
+
+def _kept(time_constant_s: float, sample_period_s: float) -> float:
+    """Return the part of a voltage that is kept over a sample by a lag."""
+    return float(np.exp(-sample_period_s / time_constant_s)) if time_constant_s > 0.0 else 0.0
+
+
+def _followed_v(voltage_v: FloatArray, kept: float, behind: float,
+                periodic: bool) -> FloatArray:
+    """Return a voltage behind a lag of first order, at the ends of the samples.
+
+    Parameters
+    ----------
+    voltage_v : (N,) array
+    kept : float
+        Part that is kept over a sample.
+    behind : float
+        Weight of the sample before: 0 for a voltage that is held.
+    periodic : bool
+        True if the voltage has been repeated before; else the lag has settled at its beginning.
+    """
+    follows, last_v = [1.0 - kept - behind, behind], voltage_v[-1 if periodic else 0]
+    settled_v = last_v
+    if periodic:
+        decayed_v, _ = lfilter(follows, [1.0, -kept], voltage_v, zi=[behind * last_v])
+        settled_v = decayed_v[-1] / (1.0 - kept ** voltage_v.size)
+    followed_v: FloatArray = lfilter(follows, [1.0, -kept], voltage_v,
+                                     zi=[kept * settled_v + behind * last_v])[0]
+    return followed_v
