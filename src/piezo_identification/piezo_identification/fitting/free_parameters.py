@@ -196,9 +196,11 @@ def changed_model(model: StageModel, changes: FloatArray) -> StageModel:
     count = np.count_nonzero(physical)
     factors = np.exp(WIDTHS.logarithm * changes[:count])
     poles, zeros, rest = np.split(physical, [pairs, 2 * pairs])
-    sizes = (zeros - poles) / poles * factors[pairs : 2 * pairs]
+    ratios = 1.0 + (zeros - poles) / poles * factors[pairs : 2 * pairs]
+    # Creep against the voltage may grow, but its zero stays in the left half plane.
+    zeros = poles * factors[:pairs] * np.maximum(
+        ratios, 0.5 * np.minimum(zeros / poles, 1.0))
     poles = poles * factors[:pairs]
-    zeros = poles * (1.0 + sizes)
     rest[rest > 0.0] *= factors[2 * pairs :]
     surfaces, hats = _shapes(hysteresis)
     factors, additions = np.split(changes[count:], [surfaces.shape[1]])

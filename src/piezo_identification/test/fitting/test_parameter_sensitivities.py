@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Changes of a model: what a sensitivity promises, and what a change must leave as it is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from piezo_identification.fitting.free_parameters import changed_model, free_sensitivities
 from piezo_identification.fitting.parameter_sensitivities import (
     WIDTHS,
     parameter_sensitivities,
@@ -34,6 +37,16 @@ def simulated(model):
         sample_periods_s=np.full(SAMPLES, PERIOD_S), voltage_v=voltage_v,
         displacement_um=np.zeros(SAMPLES), flags=np.full(SAMPLES, Flag.PLAYING, dtype=np.uint32)),
         ())
+
+
+@pytest.mark.parametrize(("zero", "change", "changed"), [
+    (0.7, 3.0, 0.4534), (0.7, 9.0, 0.35), (3.0, -9.0, 1.3306)])
+def test_creep_of_either_sign_keeps_its_zero_in_the_left_half_plane(zero, change, changed):
+    model = replace(stage(np.tril(np.full((4, 4), 1e-3))), creep=CreepDynamics((1.0,), (zero,)))
+    changes = np.zeros(free_sensitivities(simulated(model), np.arange(2)).shape[1])
+    changes[1] = change
+    zeros = changed_model(model, changes).creep.zeros_rad_per_s
+    np.testing.assert_allclose(zeros, changed, atol=1e-4)
 
 
 def test_every_sensitivity_is_the_slope_of_the_changed_model():
