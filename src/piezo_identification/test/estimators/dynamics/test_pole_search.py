@@ -55,7 +55,7 @@ def test_the_poles_of_a_record_are_sought_once_and_as_if_for_the_first_time():
     (1e-3, 0.9 * 2.0 * np.pi / (PERIOD_S * COUNT), MODE_RAD_PER_S, "a mode whose period is longer"),
     (1e-3, MODE_RAD_PER_S, 0.9 * 2.0 * np.pi / (PERIOD_S * COUNT), "a mode whose period is longer"),
     (1e-3, MODE_RAD_PER_S, 1.1 * 2.0 * np.pi / (PERIOD_S * COUNT), ""),
-    (1e-3, 1.1 * np.pi / PERIOD_S, MODE_RAD_PER_S, "a mode that rings faster than the rows show")])
+    (1e-3, 1.1 * np.pi / PERIOD_S, MODE_RAD_PER_S, "a mode that rings faster")])
 def test_parts_that_a_record_cannot_show_are_named(
         lag_s, mode_rad_per_s, beside_rad_per_s, part):
     vector = np.append(np.log([lag_s, mode_rad_per_s, 0.01, beside_rad_per_s, 0.3]), 0.3)
