@@ -97,7 +97,7 @@ KINDS = {
     "data.csv": (write_csv, read_recording, is_a_recording),
     "data.mcap": (write_mcap, read_recording, is_a_recording),
     "weights.yaml": (lambda path: path.write_text(BUILT_IN["default"].read_text()),
-                     load_weights, lambda weights: weights.as_dict),
+                     load_weights, lambda weights: weights.at_tick(1e-3)),
     "calibration.yaml": (
         lambda path: path.write_bytes(
             (SOURCE / "piezo_stage_driver/config/nidaqmx_calibration.yaml").read_bytes()),

@@ -31,6 +31,7 @@ class FeedbackBeforeInverse:
                  samples_per_tick: int, max_feedback_v: float = 20.0,
                  rest_voltage_v: float = 0.0) -> None:
         self._feedback = MultirateFeedback(controller, max_feedback_v)
+        gain_um_per_v = controller.hysteresis_gain_um_per_v
         self._max_v = float(max_feedback_v)
         self._plan = plan
         self._samples = samples_per_tick
@@ -38,7 +39,7 @@ class FeedbackBeforeInverse:
         # The answer to a block acts when the block after the next begins.
         self._next_sample = (first_block + 2) * samples_per_tick
         self._inverse = RunningInverse(InverseHysteresis(
-            model.hysteresis, controller.hysteresis_gain_um_per_v, held=True), rest_voltage_v)
+            model.hysteresis, gain_um_per_v, held=True), rest_voltage_v)
         self._inverse.follow(plan.voltage_v(0, self._next_sample))
 
     def step(self, expected_um: FloatArray | float, displacement_um: FloatArray | float) -> float:

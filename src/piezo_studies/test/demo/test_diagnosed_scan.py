@@ -6,7 +6,7 @@ from itertools import permutations
 import pytest
 
 from piezo_common.report_page import render_page
-from piezo_identification.axes import diagnose_axes
+from piezo_identification.axes import diagnosed_errors
 from piezo_identification.axes.axis_effects import AxisEffect
 from piezo_identification.experiments.several_axes import orthogonal_multisines
 from piezo_models.axes_model_file import load_axes_model
@@ -22,7 +22,7 @@ def drawn(tmp_path_factory, picture_faults):
         patched.setattr(xy_stage, "axes_experiments", lambda *_: orthogonal_multisines(
             xy_stage.LIMITS, period_s=0.2, highest_hz=1500.0))
         # Which of all effects is named is asked in the tests of the diagnosis.
-        patched.setattr(diagnose_axes, "all_effects", lambda axes: [
+        patched.setattr(diagnosed_errors, "all_effects", lambda axes: [
             AxisEffect("cross_coupling", *pair) for pair in permutations(axes)])
         faults = picture_faults(lambda: scans.append(diagnosed_scan(directory, 64)))
     return scans[0], directory, faults
