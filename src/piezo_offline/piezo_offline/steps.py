@@ -22,7 +22,7 @@ from piezo_controller.feedback.synthesis.design_choices import (
 from piezo_identification.axes.diagnose_axes import AxesDiagnosis, diagnose_axes
 from piezo_identification.axes.identify_axes import identify_several_axes
 from piezo_identification.axes.predict_axes import AxesPrediction, predict_several_axes
-from piezo_identification.commands.data_options import READINGS
+from piezo_identification.commands.response_options import READINGS
 from piezo_identification.diagnosis.diagnose import Diagnosis
 from piezo_identification.diagnosis.diagnose import diagnose as diagnose_recordings
 from piezo_identification.diagnosis.evidence.known_noise import noise_of_model

@@ -20,7 +20,7 @@ from piezo_identification.axes.diagnose_axes import diagnose_axes
 from piezo_identification.axes.identify_axes import identify_several_axes
 from piezo_identification.axes.predict_axes import predict_several_axes
 from piezo_identification.axes.spectra import levels_of
-from piezo_identification.commands.data_options import (
+from piezo_identification.commands.response_options import (
     E_Y,
     HELD,
     hold_s_of,

@@ -5,7 +5,7 @@ import argparse
 from pathlib import Path
 
 from piezo_common.command_line import Command, add_budget_option
-from piezo_identification.commands.data_options import add_response_options
+from piezo_identification.commands.response_options import add_response_options
 from piezo_recorder.commands.data_flags import add_columns_option
 
 

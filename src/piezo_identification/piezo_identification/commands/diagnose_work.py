@@ -8,7 +8,7 @@ from piezo_common.budget import Budget
 from piezo_common.command_line import INTERRUPTED, budget_of, print_next
 from piezo_common.progress_line import progress_printed
 from piezo_identification.commands.axes_work import diagnose_axes_file
-from piezo_identification.commands.data_options import hold_s_of, refuse_response_options
+from piezo_identification.commands.response_options import hold_s_of, refuse_response_options
 from piezo_identification.diagnosis.evidence.effect_entries import name_of
 from piezo_identification.diagnosis.joint.probabilities import LISTED
 from piezo_identification.diagnosis.report.diagnosis_report import verdict_sentence

@@ -11,7 +11,7 @@ from piezo_common.command_line import (
     add_report_option,
     check_output_file,
 )
-from piezo_identification.commands.data_options import add_response_options, add_rows_option
+from piezo_identification.commands.response_options import add_response_options, add_rows_option
 from piezo_recorder.commands.data_flags import add_columns_option
 
 EXPERIMENTS = {

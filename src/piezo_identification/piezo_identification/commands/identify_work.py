@@ -10,13 +10,13 @@ from piezo_common.command_line import INTERRUPTED, budget_of, print_next, write_
 from piezo_common.progress_line import progress_printed
 from piezo_identification.adequacy.component_adequacy import adequacy_table
 from piezo_identification.commands.axes_work import are_of_axes, identify_axes_files
-from piezo_identification.commands.data_options import (
+from piezo_identification.commands.identify_command import EXPERIMENTS
+from piezo_identification.commands.response_options import (
     E_Y,
     READINGS,
     hold_s_of,
     refuse_response_options,
 )
-from piezo_identification.commands.identify_command import EXPERIMENTS
 from piezo_identification.conditioning.segments import Recordings
 from piezo_identification.estimators.frequency_response.response_file import (
     FrequencyResponse,

@@ -5,7 +5,7 @@ import argparse
 from pathlib import Path
 
 from piezo_common.command_line import Command, add_report_option
-from piezo_identification.commands.data_options import add_rows_option
+from piezo_identification.commands.response_options import add_rows_option
 from piezo_recorder.commands.data_flags import FILE_HELP, add_columns_option
 
 

@@ -10,7 +10,7 @@ from piezo_common.arrays import FloatArray
 from piezo_common.command_line import print_next, write_report
 from piezo_common.picture_style import to_png
 from piezo_identification.commands.axes_work import simulate_axes_file
-from piezo_identification.commands.data_options import E_Y, READINGS
+from piezo_identification.commands.response_options import E_Y, READINGS
 from piezo_identification.prediction import Prediction
 from piezo_identification.prediction.outside_identified import outside_identified
 from piezo_identification.prediction.row_reading import predict_as_identified

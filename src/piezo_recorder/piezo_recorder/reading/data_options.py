@@ -14,6 +14,7 @@ from piezo_recorder.reading.tables.table import no_progress
 WORTH_A_LINE_BYTES = 30_000_000
 """Size from which on progress is printed; smaller files are read in about a second."""
 
+
 def read_all_given(path: str | PathLike[str], options: argparse.Namespace,
                    several_axes: bool = False) -> list[Recording]:
     """Read all recordings of a file, and print the notes on them.
