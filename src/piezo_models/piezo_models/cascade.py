@@ -132,6 +132,15 @@ class StageModel:
             response = response * effect.response(s)
         return response
 
+    def small_signal_response(self, frequency_hz: ArrayLike) -> ComplexArray:
+        """Return `response` with the linear effects on voltage, displacement and sensor."""
+        response = self.response(frequency_hz)
+        s = 2j * np.pi * np.asarray(frequency_hz, dtype=float)
+        for effect in self.effects:
+            if effect.place in ("voltage", "displacement", "sensor"):
+                response = response * effect.response(s)
+        return response
+
     def amplified(self, voltage_v: ArrayLike, sample_period_s: float,
                   memory: StageMemory | None = None) -> FloatArray:
         """Return the voltage behind the effects that act on it, shape (N,); update the memory."""

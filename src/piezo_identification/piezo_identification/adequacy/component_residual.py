@@ -256,8 +256,7 @@ def _of_response(model: StageModel, data: FrequencyResponse) -> ComponentResidua
     lags, _ = leading_lags(model.effects_at("displacement") + model.effects_at("sensor"), 1)
     system, delay_s = behind_lags(model.linear(), lags)
     measured = without_hold(data, system, delay_s)
-    s = 2j * np.pi * measured.frequency_hz
-    modelled = system(s, squeeze=True) * np.exp(-s * delay_s)
+    modelled = model.small_signal_response(measured.frequency_hz)
     gain = np.vdot(modelled, measured.gain).real / np.vdot(modelled, modelled).real
     low_um, high_um = model.hysteresis.output_range_um
     travel_um = (high_um - low_um) / gain

@@ -34,6 +34,7 @@ from piezo_identification.fitting.free_parameters import (
     lowest_changes,
     physical_count,
 )
+from piezo_identification.fitting.measured_response import MeasuredResponse
 from piezo_identification.fitting.regression import accuracies_um
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
@@ -143,6 +144,9 @@ class _Point:
     sizes: list[FloatArray]
     residual_um: list[FloatArray]
 
+    of_responses: list[FloatArray]
+    """Weighted errors of the responses."""
+
 
 class JointErrors:
     """Errors of a model with effects as a function of changes of their parameters.
@@ -170,6 +174,10 @@ class JointErrors:
         are computed.
     hysteresis_width : float
         Prior width of the changes of the hysteresis, relative to that of `free_parameters`.
+    responses : sequence of MeasuredResponse
+        Frequency responses that the model is fitted to, besides the recordings.
+    are_all_fitted : bool
+        Fit the held-out frequencies of the responses, too.
 
     Attributes
     ----------
@@ -183,8 +191,11 @@ class JointErrors:
                  pieces_um: Sequence[Sequence[FloatArray]] | None = None,
                  columns: FloatArray | None = None,
                  hysteresis_width: float = 1.0,
-                 of_pieces_um: dict[int, FloatArray] | None = None) -> None:
-        self._of_pieces_um = of_pieces_um
+                 of_pieces_um: dict[int, FloatArray] | None = None,
+                 responses: Sequence[MeasuredResponse] = (),
+                 are_all_fitted: bool = False) -> None:
+        self._of_pieces_um, self._responses = of_pieces_um, tuple(responses)
+        self._at_frequencies = [each.for_estimation | are_all_fitted for each in responses]
         self.dataset, self.new_count, self.later = dataset, new_count, later
         self.count = dataset.regressors.shape[1] - dataset.nuisance_count
         self._fitted = [fitted[mask] for mask in dataset.masks()]
@@ -202,7 +213,10 @@ class JointErrors:
         self.low, self.high = np.concatenate([least, *lows]), np.concatenate([free, *highs])
         self.longest = np.full(self.low.size, np.inf)
         self.longest[: self.count] = SETTINGS.longest
-        self.accuracy_um = accuracies_um(dataset)
+        self.accuracy_um = np.append(
+            accuracies_um(dataset), [each.accuracy for each in responses])
+        self._counts = np.array([
+            *[INDEPENDENT] * len(dataset.simulated), *(each.independent for each in responses)])
         self._own_count = [part.nuisance_regressors(rows[:1]).shape[1] for part, rows in zip(
             dataset.simulated, dataset.rows, strict=True)]
         self._pieces_um = pieces_um
@@ -248,9 +262,8 @@ class JointErrors:
             for signals in part.recurrences(self.effects_at(vector), rows[:1]))
 
     def squares_um2(self, vector: FloatArray) -> FloatArray:
-        """Return the mean square error on the fitted rows of each recording, (R,)."""
-        return np.array([np.mean(residual_um[fitted] ** 2) for residual_um, fitted in zip(
-            self._at(vector).residual_um, self._fitted, strict=True)])
+        """Return the mean square error on the fitted rows of each recording and response, (R,)."""
+        return np.array([np.mean(each**2) for each, _ in self.residual_um(vector)])
 
     def value(self, vector: FloatArray) -> float:
         """Return the function to minimise; infinite where there is no finite simulation."""
@@ -259,8 +272,7 @@ class JointErrors:
         except np.linalg.LinAlgError:  # such as a filter much slower than its samples
             return np.inf
         changes = self._prior * vector[: self.count]
-        against = float(
-            0.5 * INDEPENDENT * np.log(squares).sum() + 0.5 * changes @ changes)
+        against = float(0.5 * self._counts @ np.log(squares) + 0.5 * changes @ changes)
         return against if np.isfinite(against) else np.inf
 
     def linearised(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -275,8 +287,8 @@ class JointErrors:
         if not self._columns[1] or vector.size == self.count:
             return None
         residual, jacobian = self._weighted(vector, self._columns[1])
-        stretch = self.dataset.stretch[np.concatenate(self._fitted)]
-        return clustered_covariance(jacobian, residual, stretch)[self.count :, self.count :]
+        return clustered_covariance(
+            jacobian, residual, self._stretch())[self.count :, self.count :]
 
     def covariance_of_all(self, vector: FloatArray, physical: int) -> FloatArray:
         """Return the covariance of all unknowns, without the prior of the first ones.
@@ -293,7 +305,7 @@ class JointErrors:
             do not determine have infinite variance.
         """
         residual, jacobian = self._weighted(vector, self._columns_at(vector))
-        stretch = self.dataset.stretch[np.concatenate(self._fitted)]
+        stretch = self._stretch()
         jacobian[stretch.size : stretch.size + physical] = 0.0
         covariance = clustered_covariance(jacobian, residual, stretch)
         unknown = scaled_inverse(jacobian)[1]
@@ -302,9 +314,15 @@ class JointErrors:
         return covariance
 
     def residual_um(self, vector: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-        """Return the residuals of the fitted and of the held-out rows of each recording."""
-        return [(each_um[fitted], each_um[good & ~fitted]) for each_um, fitted, good in zip(
-            self._at(vector).residual_um, self._fitted, self._good, strict=True)]
+        """Return the residuals of the fitted and of the held-out rows of each recording.
+
+        Those of the responses follow, in the unit of their weighted gain.
+        """
+        point = self._at(vector)
+        return [*((each_um[fitted], each_um[good & ~fitted]) for each_um, fitted, good in zip(
+            point.residual_um, self._fitted, self._good, strict=True)),
+            *((each[fitted], each[~fitted]) for each, fitted in zip(
+                point.of_responses, self._at_frequencies, strict=True))]
 
     def forget(self) -> None:
         """Drop the simulations, which are many times as large as the recordings.
@@ -320,13 +338,19 @@ class JointErrors:
         point = self._at(vector)
         squares = self.squares_um2(vector) + self.accuracy_um**2
         residuals, jacobians = [], []
-        for index, (fitted, square) in enumerate(zip(self._fitted, squares, strict=True)):
-            weight = np.sqrt(INDEPENDENT / (np.count_nonzero(fitted) * square))
+        for index, (fitted, square) in enumerate(zip(self._fitted, squares, strict=False)):
+            weight = np.sqrt(self._counts[index] / (np.count_nonzero(fitted) * square))
             remaining = point.nuisance[index].projected_out_of(columns[index])
             moved = self._moved_with_rates(point, index)
             remaining[:, : moved.shape[1]] += moved
             residuals.append(weight * point.residual_um[index][fitted])
             jacobians.append(-weight * remaining[fitted])
+        for number, (residual, fitted) in enumerate(zip(
+                point.of_responses, self._at_frequencies, strict=True), len(self._fitted)):
+            weight = np.sqrt(
+                self._counts[number] / (np.count_nonzero(fitted) * squares[number]))
+            residuals.append(weight * residual[fitted])
+            jacobians.append(weight * self._of_response(number, vector)[fitted])
         prior = np.eye(self.count, vector.size) * self._prior[:, None]
         return (np.concatenate([*residuals, self._prior * vector[: self.count]]),
                 np.vstack([*jacobians, prior]))
@@ -350,8 +374,38 @@ class JointErrors:
             nuisance, sizes, remaining = (list(each) for each in zip(
                 *side_by_side(of_recording, range(len(dataset.rows))), strict=True))
             self._points = dict([*self._points.items()][-1:])
-            self._points[key] = _Point(dataset, effects, nuisance, sizes, remaining)
+            model = replace(dataset.model, effects=effects)
+            self._points[key] = _Point(dataset, effects, nuisance, sizes, remaining, [
+                each.residual(model) for each in self._responses])
         return self._points[key]
+
+    def _of_response(self, number: int, vector: FloatArray) -> FloatArray:
+        """Return the derivatives of the error of a response by the unknowns, numerically."""
+        response = self._responses[number - len(self._fitted)]
+        unmoved = self._at(vector).of_responses[number - len(self._fitted)]
+        # Its gain is free, so it does not depend on the hysteresis.
+        physical = physical_count(self.dataset.model) if self.count else 0
+        columns = np.zeros((unmoved.size, vector.size))
+        for place in (*range(physical), *range(self.count, vector.size)):
+            moved, step = self._moved(vector, place)
+            model = changed_model(self.dataset.model, moved[: self.count])
+            columns[:, place] = (response.residual(
+                replace(model, effects=self.effects_at(moved))) - unmoved) / step
+        return columns
+
+    def _moved(self, vector: FloatArray, place: int) -> tuple[FloatArray, float]:
+        """Return unknowns with one of them moved within its bounds, and by how much."""
+        step = SETTINGS.derivative_step * max(1.0, abs(vector[place]))
+        moved = vector.copy()
+        moved[place] += step if moved[place] + step <= self.high[place] else -step
+        return moved, float(moved[place] - vector[place])
+
+    def _stretch(self) -> NDArray[np.intp]:
+        """Return the number of the stretch of each fitted row and value of a response, (n,)."""
+        stretches = [self.dataset.stretch[np.concatenate(self._fitted)]]
+        for response, fitted in zip(self._responses, self._at_frequencies, strict=True):
+            stretches.append(stretches[-1][-1] + 1 + response.stretch[fitted])
+        return np.concatenate(stretches)
 
     def _columns_at(self, vector: FloatArray) -> list[FloatArray]:
         """Return the derivatives of the displacement of each recording by the unknowns."""
@@ -392,15 +446,13 @@ class JointErrors:
                     unmoved_um: FloatArray) -> FloatArray:
         """Return the derivative by one parameter of the effects, numerically."""
         part, rows = point.dataset.simulated[index], point.dataset.rows[index]
-        step = SETTINGS.derivative_step * max(1.0, abs(vector[number]))
-        moved = vector.copy()
-        moved[number] += step if moved[number] + step <= self.high[number] else -step
+        moved, step = self._moved(vector, number)
         effects = self.effects_at(moved)
         moved_um = part.simulate(effects, rows=rows) - unmoved_um
         nuisance = point.nuisance[index].regressors
         if nuisance.shape[1] > self._own_count[index]:
             moved_um += (_projected_out(part, rows, effects) - nuisance) @ point.sizes[index]
-        return moved_um / (moved[number] - vector[number])
+        return moved_um / step
 
     def _moved_with_rates(self, point: _Point, index: int) -> FloatArray:
         """Return the part of the derivatives by which decay coefficients follow decay rates.

@@ -467,7 +467,7 @@ def _apart(modes: Sequence[VibrationMode]) -> list[VibrationMode]:
 
 
 def _rings(problem: WholeModel, mode: VibrationMode) -> bool:
-    fastest = _highest_rad_per_s(problem.sample_period_s)
+    fastest = _end_of_band_rad_per_s(problem)
     return (mode.damping_ratio < SETTINGS.most_damped
             and SETTINGS.slowest * fastest <= mode.frequency_rad_per_s <= fastest)
 
@@ -495,8 +495,14 @@ def is_better(fit: WholeFit, other: WholeFit) -> bool:
 
 def has_modes_in_band(problem: WholeModel, fit: WholeFit) -> bool:
     """Return whether the frequencies of all additional modes are within the sampled band."""
-    return all(effect.frequency_rad_per_s <= _highest_rad_per_s(problem.sample_period_s)
+    return all(effect.frequency_rad_per_s <= _end_of_band_rad_per_s(problem)
                for effect in fit.model.effects if type(effect) is VibrationMode)
+
+
+def _end_of_band_rad_per_s(problem: WholeModel) -> float:
+    """Return the highest frequency that the recordings or a response show."""
+    return max([_highest_rad_per_s(problem.sample_period_s),
+                *(each.highest_rad_per_s for each in problem.responses)])
 
 
 def _highest_rad_per_s(sample_period_s: float) -> float:
@@ -624,6 +630,8 @@ def _with_more(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
     creep = _creep_as_far_as(model.creep, 1.0 / problem.sample_period_s, 1)
     if creep != model.creep:
         yield Structure("with faster creep", replace(model, creep=creep), delay_s)
+    if problem.responses:
+        return  # The search for the order of the response has chosen its modes.
     shown = min(problem.evidence(fit), key=lambda evidence: evidence.sample_period_s)
     for mode in VibrationMode.starts(shown)[:1]:
         yield Structure(f"with a mode of {mode.frequency_rad_per_s:.4g} rad/s",

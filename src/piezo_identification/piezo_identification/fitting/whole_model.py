@@ -12,6 +12,7 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.conditioning.settling import rings_unresolved, slow_dynamics
+from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.fitting.dataset import dataset_of
 from piezo_identification.fitting.evidence import independent_errors, log_evidence
 from piezo_identification.fitting.free_parameters import (
@@ -25,6 +26,7 @@ from piezo_identification.fitting.free_parameters import (
 from piezo_identification.fitting.joint_errors import JointErrors, simulated_by
 from piezo_identification.fitting.joint_fit import SETTINGS as JOINT
 from piezo_identification.fitting.levenberg_marquardt import descend
+from piezo_identification.fitting.measured_response import MeasuredResponse
 from piezo_identification.fitting.noise_estimate import estimate_noise
 from piezo_identification.fitting.recording_evidence import recording_evidence
 from piezo_identification.fitting.regression import SETTINGS as FIT
@@ -56,7 +58,7 @@ model only need small corrections."""
 
 @dataclass(frozen=True, eq=False)
 class WholeFit:
-    """A fitted model and its residuals on all recordings."""
+    """A fitted model and its residuals on all recordings and responses, R in total."""
 
     model: StageModel
     """Model with its effects, but without its delay."""
@@ -168,6 +170,8 @@ class WholeModel:
         Time by which each recording reads its rows after the voltage.
     later_s : float
         Further time by which the rows may be read late, as a negative delay.
+    responses : sequence of FrequencyResponse
+        Measured responses with the sign of the model.
 
     Raises
     ------
@@ -179,12 +183,17 @@ class WholeModel:
     """Initial model with its hysteresis."""
 
     def __init__(self, model: StageModel, recordings: Sequence[Recording],
-                 read_late_s: Sequence[float], later_s: float = 0.0) -> None:
+                 read_late_s: Sequence[float], later_s: float = 0.0,
+                 responses: Sequence[FrequencyResponse] = ()) -> None:
         self.given, self._hysteresis_width = model, WIDE_PRIOR
         simulated = _simulated(model, recordings, read_late_s)
-        self.sample_period_s = min(part.sample_period_s for part in simulated)
-        # Rows of means cannot be read at another time.
-        self.is_sampled = all(part.samples_per_mean == 1 for part in simulated)
+        self.responses = [MeasuredResponse.of(each, model) for each in responses]
+        self.sample_period_s = min(
+            *(part.sample_period_s for part in simulated),
+            *(np.pi / each.highest_rad_per_s for each in self.responses), np.inf)
+        # Rows of means cannot be read at another time, and a response shows the delay of the stage.
+        self.is_sampled = not responses and all(
+            part.samples_per_mean == 1 for part in simulated)
         self._earliest_s = max(
             EARLIEST * self.sample_period_s, later_s) if self.is_sampled else 0.0
         self._dataset = dataset_of(simulated, recordings, lambda _, rows: np.zeros((rows.size, 0)))
@@ -194,7 +203,8 @@ class WholeModel:
             rings_unresolved(slow, part.voltage_v, part.sample_period_s) for part in simulated])
         self._fitted, self._good = self._dataset.for_estimation & good, good
         # Shared with all fits, and with copies of the problem that have another hysteresis.
-        self._counts = np.zeros(len(simulated))
+        self._counts = np.zeros(len(simulated) + len(responses))
+        self._are_all_fitted = False
         self.about_here()
 
     def with_hysteresis(self, model: StageModel, width: float) -> "WholeModel":
@@ -243,6 +253,7 @@ class WholeModel:
         """
         problem = self.with_hysteresis(fit.delayed_model, self._hysteresis_width)
         problem._fitted, problem._counts = self._good, np.zeros_like(self._counts)
+        problem._are_all_fitted = True
         return problem
 
     def with_line(self) -> "WholeModel":
@@ -316,13 +327,16 @@ class WholeModel:
             errors.count - begun.size if self._hysteresis_width >= 1.0 else 0)
 
     def over_noise(self, fit: WholeFit) -> FloatArray:
-        """Return the residual of each recording over its noise and its accuracy, (R,)."""
+        """Return the residual of each recording and response over its noise and accuracy, (R,)."""
         residual_um = [np.sqrt(np.mean(residual**2)) for residual, _ in fit.residual_um]
-        return np.array(residual_um) / np.hypot(self.noise.noise_um, fit.accuracy_um)
+        noise_um = [*self.noise.noise_um, *(each.noise for each in self.responses)]
+        return np.array(residual_um) / np.hypot(noise_um, fit.accuracy_um)
 
     def fastest_over_noise(self, fit: WholeFit) -> float:
-        """Return the residual of the recording with the shortest sample period, over its noise."""
+        """Return the residual of the fastest data, over its noise; responses are the fastest."""
         parts = self._dataset.simulated
+        if self.responses:
+            return float(self.over_noise(fit)[len(parts) :].max())
         fastest = min(range(len(parts)), key=lambda index: parts[index].sample_period_s)
         return float(self.over_noise(fit)[fastest])
 
@@ -333,7 +347,8 @@ class WholeModel:
         prior = np.eye(dataset.regressors.shape[1])[dataset.nuisance_count :]
         scale_um = dataset.of_each(
             [np.hypot(np.sqrt(np.mean(residual**2)), accuracy_um)
-             for (residual, _), accuracy_um in zip(fit.residual_um, fit.accuracy_um, strict=True)])
+             for (residual, _), accuracy_um in zip(
+                 fit.residual_um[: len(dataset.rows)], fit.accuracy_um, strict=False)])
         regression = Regression(dataset, self.noise, scale_um, self._fitted,
                                 self._good & ~self._fitted, prior)
         return recording_evidence(regression, fit.errors.effects_at(fit.vector))
@@ -356,7 +371,8 @@ class WholeModel:
             dataset, self._fitted, self._good, len(dataset.simulated), effects, frozenset(),
             pieces_um=self._pieces_um,
             hysteresis_width=self._hysteresis_width,
-            of_pieces_um=self._of_pieces_um.setdefault(smooth, {}))
+            of_pieces_um=self._of_pieces_um.setdefault(smooth, {}),
+            responses=self.responses, are_all_fitted=self._are_all_fitted)
         errors.accuracy_um = (
             FIT.adequate_tolerance / FIT.model_tolerance * errors.accuracy_um)
         return errors

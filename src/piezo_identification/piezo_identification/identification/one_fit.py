@@ -220,9 +220,9 @@ def fitted_together(
     """
     samples = {name: data for name, data in recordings.items()
                if not isinstance(data, FrequencyResponse)}
-    if len(samples) < len(recordings):
-        # The fit simulates samples, which a response does not have.
-        return fitted, dict(read_at)
+    responses = [data for data in recordings.values() if isinstance(data, FrequencyResponse)]
+    if not any(experiment_of(name) != "validation" for name in samples):
+        return fitted, dict(read_at)  # The fit of the response is the fit of the whole model.
     used = _long_ones(fitted.model, {
         name: data for name, data in samples.items() if experiment_of(name) != "validation"})
     parts = {name: played(data) for name, data in used.items()}
@@ -233,7 +233,7 @@ def fitted_together(
         return fitted, dict(read_at)
     # Rows read late are a negative delay, which the search may remove: a lag that belongs in front
     # of the hysteresis is often taken for them.
-    late_s = _late_s(read_at, parts)
+    late_s = 0.0 if responses else _late_s(read_at, parts)
     read_late_s = {
         name: max(read_at[name] * played(data).sample_period_s - late_s, 0.0)
         for name, data in samples.items()}
@@ -242,7 +242,7 @@ def fitted_together(
     try:
         problem = WholeModel(
             fitted.model, list(used.values()),
-            [read_late_s[name] for name in parts], late_s)
+            [read_late_s[name] for name in parts], late_s, responses)
     except ValueError as error:
         note(f"the model is that of the separate steps, as {error}")
         return fitted, dict(read_at)
@@ -256,7 +256,7 @@ def fitted_together(
                        for name, late_s in read_later(read_late_s, best).items()}
     if max(read_at_samples.values()) > LATEST_READING:
         return fitted, dict(read_at)
-    return with_fit(fitted, best), read_at_samples
+    return with_fit(fitted, best), dict(read_at) | read_at_samples
 
 
 def _long_ones(model: StageModel, recordings: Mapping[str, Recording]) -> dict[str, Recording]:
@@ -331,7 +331,8 @@ def _scaled(deviations: Any, factor: float) -> Any:
 def structure_table(tried: Tried, best: WholeFit) -> str:
     """Return a table of all fits for the user, with the best one marked."""
     first = tried[0][1]
-    lines = [f"{'structure':45}{'parameters':>12}{'evidence':>12}  residual (um)"]
+    lines = [f"{'structure':45}{'parameters':>12}{'evidence':>12}  residual (um; that of a "
+             "response in its unit)"]
     for change, fit in tried:
         residual_um = ", ".join(
             f"{np.sqrt(np.mean(residual**2)):.3g}" for residual, _ in fit.residual_um)

@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from piezo_common.arrays import FloatArray
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, parameter
 from piezo_models.effects.filtering import filtered, filtered_on, unfiltered_period
@@ -40,6 +40,10 @@ class Lag(Effect):
         """Divide the period by the lag, harmonic by harmonic."""
         return unfiltered_period(
             self._numerator(), self._denominator(), wanted, sample_period_s)
+
+    def response(self, s: ComplexArray) -> ComplexArray:
+        """Return the factor of the effect in the frequency response."""
+        return np.asarray(np.polyval(self._numerator(), s) / np.polyval(self._denominator(), s))
 
     @property
     def slow_delay_s(self) -> float:

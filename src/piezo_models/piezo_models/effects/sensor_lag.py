@@ -6,7 +6,6 @@ from typing import ClassVar, Self
 
 import control
 
-from piezo_common.arrays import ComplexArray
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import parameter
 from piezo_models.effects.filtering import slowed
@@ -38,11 +37,6 @@ class SensorLag(Lag):
         # A much faster second lag would only stiffen the system.
         shape = [self.roundness, 1.0, 1.0] if self.roundness > SHARPEST else [1.0, 1.0]
         return slowed([1.0], shape, self.time_constant_s)
-
-    def response(self, s: ComplexArray) -> ComplexArray:
-        """Return the factor of the effect in the frequency response."""
-        square, linear, constant = self._denominator()
-        return 1.0 / ((square * s + linear) * s + constant)
 
     def _denominator(self) -> list[float]:
         return [self.roundness * self.time_constant_s**2, self.time_constant_s, 1.0]

@@ -19,7 +19,6 @@ from piezo_identification.diagnosis.response.response_effect_fit import (
     ResponseFit,
     ResponseProblem,
     describe_residual,
-    full_response,
     held_out_errors,
     is_convincing,
     is_explained,
@@ -119,7 +118,7 @@ def moves_against(model: StageModel, measured: FrequencyResponse) -> bool:
     """Return whether the sensor has the opposite sign of the model at low frequency."""
     slow = np.argsort(measured.frequency_hz)[: max(1, measured.frequency_hz.size // SLOWEST)]
     gain = measured.gain[slow]
-    response = full_response(model, measured.frequency_hz[slow])
+    response = model.small_signal_response(measured.frequency_hz[slow])
     weight = np.abs(gain) * np.abs(response)
     return bool(np.sum((gain * response.conj()).real / np.maximum(weight, 1e-300)) < 0.0)
 

@@ -119,7 +119,8 @@ class ResponseProblem:
     def _residual(self, changes: FloatArray, effects: Sequence[Effect]) -> ComplexArray:
         """Return the residual with the best gain, divided by the tolerance, (N,)."""
         check_cancelled()
-        response = full_response(self._model(changes, effects), self.measured.frequency_hz)
+        response = self._model(changes, effects).small_signal_response(
+            self.measured.frequency_hz)
         response, wanted = response / self.tolerance, self.measured.gain / self.tolerance
         fitted = response[self.estimation]
         gain = np.vdot(fitted, wanted[self.estimation]).real / np.vdot(fitted, fitted).real
@@ -175,17 +176,6 @@ def _least_squares(
         max_nfev=SETTINGS.most_evaluations,
     )
     return whole(solution.x), parameter_deviations(solution.jac) < high - low
-
-
-def full_response(model: StageModel, frequency_hz: FloatArray) -> ComplexArray:
-    """Return the response, (N,), of a model with its linear effects, sensor and delays."""
-    s = np.asarray(2j * np.pi * frequency_hz, dtype=complex)
-    response = model.response(frequency_hz)
-    behind: Sequence[Effect] = [
-        effect for place in ("displacement", "sensor") for effect in model.effects_at(place)]
-    for effect in behind:
-        response = response * effect.response(s)
-    return response
 
 
 @dataclass(frozen=True)

@@ -96,6 +96,8 @@ class ResponseSearch:
         square.
     independent : float
         Number of independent errors, counting real and imaginary parts.
+    noise : float
+        Standard deviation of each part of the weighted gain, as a fit of many poles leaves it.
     """
 
     def __init__(self, measured: FrequencyResponse) -> None:
@@ -108,6 +110,8 @@ class ResponseSearch:
         self.weight = weight_of_noise(residual, self.gain - residual)
         residual = self.weight * self._residual(poles)
         self.independent = independent_rows(np.concatenate([residual.real, residual.imag]))
+        spare = max(2 * self.rate.size - 2 * poles.size - 1, 1)
+        self.noise = float(np.linalg.norm(residual) / np.sqrt(spare))
         self._rounding = finest_power(np.abs(self.gain))
 
     def _residual(self, poles: ComplexArray) -> ComplexArray:

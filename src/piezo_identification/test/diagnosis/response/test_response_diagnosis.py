@@ -14,7 +14,6 @@ from piezo_identification.diagnosis.response import response_diagnosis
 from piezo_identification.diagnosis.response.response_diagnosis import diagnose_response
 from piezo_identification.diagnosis.response.response_effect_fit import (
     ResponseProblem,
-    full_response,
 )
 from piezo_identification.diagnosis.response.response_results import response_sentence
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
@@ -35,7 +34,7 @@ FREQUENCY_HZ = np.geomspace(1.0, 1000.0, 90)
 def measured(extra, noise=2e-4):
     """Return the model's response in another unit times what it does not know."""
     random = np.random.default_rng(7)
-    gain = 0.6 * full_response(MODEL, FREQUENCY_HZ) * extra
+    gain = 0.6 * MODEL.small_signal_response(FREQUENCY_HZ) * extra
     return FrequencyResponse("made up", FREQUENCY_HZ, gain + noise * (
         random.normal(size=gain.size) + 1j * random.normal(size=gain.size)))
 
@@ -48,8 +47,8 @@ def test_a_response_that_the_model_explains_needs_nothing():
 
 def test_where_only_other_dynamics_leave_noise_the_model_has_them():
     moved = replace(MODEL, dynamics=replace(MODEL.dynamics, mode_frequencies_rad_per_s=(2323.0,)))
-    diagnosis = diagnose_response(
-        MODEL, measured(full_response(moved, FREQUENCY_HZ) / full_response(MODEL, FREQUENCY_HZ)))
+    ratio = moved.small_signal_response(FREQUENCY_HZ) / MODEL.small_signal_response(FREQUENCY_HZ)
+    diagnosis = diagnose_response(MODEL, measured(ratio))
     assert (diagnosis.verdict, diagnosis.effects) == ("none", [])
     assert diagnosis.model.dynamics.mode_frequencies_rad_per_s == pytest.approx((2323.0,), rel=1e-4)
     assert diagnosis.after["rms_um"] < 3.0 * diagnosis.noise_floor_um < diagnosis.before["rms_um"]
@@ -156,9 +155,9 @@ def test_a_response_with_few_frequencies_or_beside_another_file_is_refused(tmp_p
 
 
 @pytest.mark.parametrize("roundness", [0.0, 0.1, 0.25, 0.5])
-def test_a_lag_of_the_sensor_is_in_the_full_response(roundness):
+def test_a_lag_of_the_sensor_is_in_the_small_signal_response(roundness):
     lagging = replace(MODEL, effects=(SensorLag(1e-3, roundness),))
-    ratio = full_response(lagging, FREQUENCY_HZ) / full_response(MODEL, FREQUENCY_HZ)
+    ratio = lagging.small_signal_response(FREQUENCY_HZ) / MODEL.small_signal_response(FREQUENCY_HZ)
     slow = 2e-3j * np.pi * FREQUENCY_HZ
     np.testing.assert_allclose(ratio, 1.0 / (1.0 + slow + roundness * slow**2))
 
@@ -182,7 +181,7 @@ def test_the_shape_of_a_lag_stays_where_the_response_does_not_tell_it():
     """Far below its corner, a lag of any shape is one phase."""
     frequency_hz = np.geomspace(0.1, 3.0, 90)
     random = np.random.default_rng(7)
-    gain = full_response(MODEL, frequency_hz) * lag_response(1e-3, 0.25, frequency_hz)
+    gain = MODEL.small_signal_response(frequency_hz) * lag_response(1e-3, 0.25, frequency_hz)
     noise = 1e-4 * (random.normal(size=90) + 1j * random.normal(size=90))
     problem = ResponseProblem(MODEL, FrequencyResponse("slow", frequency_hz, gain + noise))
     fit = problem.fit_last_effect(problem.as_given(), SensorLag(1e-3))

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A measured frequency response as a part of the data of a joint fit."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
+from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
+from piezo_identification.estimators.frequency_response.response_hold import without_hold
+from piezo_identification.estimators.frequency_response.response_search import ResponseSearch
+from piezo_identification.fitting.dataset import SPLIT
+from piezo_identification.fitting.evidence import INDEPENDENT
+from piezo_identification.fitting.regression import SETTINGS as FIT
+from piezo_identification.simulation.sampled_response import behind_lags, leading_lags
+from piezo_models.cascade import StageModel
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredResponse:
+    """A response without hold, whose small-signal gain no other recording shows."""
+
+    frequency_hz: FloatArray = field(repr=False)
+
+    weighted: ComplexArray = field(repr=False)
+    """Gain over its noise at each frequency, relative to its mean noise, (N,)."""
+    weight: FloatArray = field(repr=False)
+    noise: float
+    """Standard deviation of the real and of the imaginary part of the weighted gain."""
+    independent: float
+    """Number of independent errors, which is limited to that of a recording."""
+
+    @classmethod
+    def of(cls, measured: FrequencyResponse, model: StageModel) -> "MeasuredResponse":
+        """Return a response with its noise; a model determines its aliases if it has a hold."""
+        lags, _ = leading_lags(model.effects_at("displacement") + model.effects_at("sensor"), 1)
+        free = without_hold(measured, *behind_lags(model.linear(), lags))
+        search = ResponseSearch(free)
+        return cls(free.frequency_hz, search.weight * free.gain, search.weight, search.noise,
+                   min(search.independent, INDEPENDENT))
+
+    @property
+    def accuracy(self) -> float:
+        """Return the accuracy of a good model, in the unit of the weighted gain."""
+        return float(FIT.model_tolerance * np.sqrt(np.mean(np.abs(self.weighted) ** 2)))
+
+    @property
+    def highest_rad_per_s(self) -> float:
+        """Return the highest measured frequency."""
+        return float(2.0 * np.pi * self.frequency_hz[-1])
+
+    @property
+    def stretch(self) -> NDArray[np.intp]:
+        """Return the number of the stretch of each value of `residual`, (2 N,)."""
+        values = 2 * self.frequency_hz.size
+        return np.arange(values) // 2 * SPLIT.stretches // max(values // 2, SPLIT.stretches)
+
+    @property
+    def for_estimation(self) -> BoolArray:
+        """Return which values of `residual` may be fitted; the others are the validation set."""
+        return np.asarray(self.stretch % SPLIT.held_out != SPLIT.held_out // 2)
+
+    def residual(self, model: StageModel) -> FloatArray:
+        """Return real and imaginary parts of the weighted error with the best gain, (2 N,)."""
+        modelled = self.weight * model.small_signal_response(self.frequency_hz)
+        gain = np.vdot(modelled, self.weighted).real / np.vdot(modelled, modelled).real
+        return np.asarray(self.weighted - gain * modelled).view(float)
