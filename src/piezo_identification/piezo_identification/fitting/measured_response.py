@@ -7,13 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
-from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
-from piezo_identification.estimators.frequency_response.response_hold import without_hold
-from piezo_identification.estimators.frequency_response.response_search import ResponseSearch
 from piezo_identification.fitting.dataset import SPLIT
-from piezo_identification.fitting.evidence import INDEPENDENT
 from piezo_identification.fitting.regression import SETTINGS as FIT
-from piezo_identification.simulation.sampled_response import behind_lags, leading_lags
 from piezo_models.cascade import StageModel
 
 
@@ -29,16 +24,7 @@ class MeasuredResponse:
     noise: float
     """Standard deviation of the real and of the imaginary part of the weighted gain."""
     independent: float
-    """Number of independent errors, which is limited to that of a recording."""
-
-    @classmethod
-    def of(cls, measured: FrequencyResponse, model: StageModel) -> "MeasuredResponse":
-        """Return a response with its noise; a model determines its aliases if it has a hold."""
-        lags, _ = leading_lags(model.effects_at("displacement") + model.effects_at("sensor"), 1)
-        free = without_hold(measured, *behind_lags(model.linear(), lags))
-        search = ResponseSearch(free)
-        return cls(free.frequency_hz, search.weight * free.gain, search.weight, search.noise,
-                   min(search.independent, INDEPENDENT))
+    """Number of independent errors that count, at most that of a recording."""
 
     @property
     def accuracy(self) -> float:

@@ -12,7 +12,6 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.conditioning.settling import rings_unresolved, slow_dynamics
-from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.fitting.dataset import dataset_of
 from piezo_identification.fitting.evidence import independent_errors, log_evidence
 from piezo_identification.fitting.free_parameters import (
@@ -170,8 +169,8 @@ class WholeModel:
         Time by which each recording reads its rows after the voltage.
     later_s : float
         Further time by which the rows may be read late, as a negative delay.
-    responses : sequence of FrequencyResponse
-        Measured responses with the sign of the model.
+    responses : sequence of MeasuredResponse
+        Frequency responses with the sign of the model.
 
     Raises
     ------
@@ -184,10 +183,10 @@ class WholeModel:
 
     def __init__(self, model: StageModel, recordings: Sequence[Recording],
                  read_late_s: Sequence[float], later_s: float = 0.0,
-                 responses: Sequence[FrequencyResponse] = ()) -> None:
+                 responses: Sequence[MeasuredResponse] = ()) -> None:
         self.given, self._hysteresis_width = model, WIDE_PRIOR
         simulated = _simulated(model, recordings, read_late_s)
-        self.responses = [MeasuredResponse.of(each, model) for each in responses]
+        self.responses = tuple(responses)
         self.sample_period_s = min(
             *(part.sample_period_s for part in simulated),
             *(np.pi / each.highest_rad_per_s for each in self.responses), np.inf)

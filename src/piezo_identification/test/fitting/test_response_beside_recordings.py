@@ -8,6 +8,7 @@ import pytest
 
 from piezo_identification import FrequencyResponse
 from piezo_identification.conditioning.outlier_samples import with_outliers_marked
+from piezo_identification.estimators.frequency_response.response_search import ResponseSearch
 from piezo_identification.experiments import catalogue as experiments
 from piezo_identification.fitting.whole_model import WholeModel
 from piezo_models.effects.amplifier_lag import AmplifierLag
@@ -50,7 +51,8 @@ def fitted(plant, measured, slow):
     wrong = replace(
         plant, creep=CreepDynamics((0.0145, 0.165, 1.08, 17.0), (0.0149, 0.1685, 1.1, 17.8)),
         dynamics=ElectricVibrationDynamics(0.0005, (2800.0, 4930.0), (0.70, 0.085)))
-    problem = WholeModel(wrong, [slow], [0.0], responses=[measured])
+    problem = WholeModel(
+        wrong, [slow], [0.0], responses=[ResponseSearch(measured).measured_response()])
     return problem, problem.fit(wrong, None, 8)
 
 

@@ -22,7 +22,8 @@ from piezo_identification.estimators.poles.vector_fitting import (
     residual_of_poles,
     vector_fit,
 )
-from piezo_identification.fitting.evidence import log_evidence
+from piezo_identification.fitting.evidence import INDEPENDENT, log_evidence
+from piezo_identification.fitting.measured_response import MeasuredResponse
 
 SPARE_POLES = 40
 """Number of poles of the fit that determines noise and delay: more than a stage has."""
@@ -137,6 +138,12 @@ class ResponseSearch:
         tried.sort(key=lambda entry: entry[0])
         near = [delay_s for norm, delay_s, _ in tried if norm < NEARLY_AS_LITTLE * tried[0][0]]
         return near[:1] + near[1::-(-len(near) // FEW_DELAYS)], tried[0][2]
+
+    def measured_response(self) -> MeasuredResponse:
+        """Return the response with its noise for a fit together with recordings."""
+        return MeasuredResponse(
+            self.rate / (2.0 * np.pi), self.weight * self.gain, self.weight, self.noise,
+            min(self.independent, INDEPENDENT))
 
     def information(self, fit: ResponseFit) -> float:
         """Bayesian information criterion; the smallest is best."""
