@@ -44,6 +44,7 @@ from piezo_identification.estimators.dynamics.generator_signals import (
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_hold import without_hold
 from piezo_identification.estimators.poles.pole_responses import HeldInput
+from piezo_identification.fitting.measured_response import best_gain
 from piezo_identification.simulation.past_search import after_saturation, starting_past_v
 from piezo_identification.simulation.sampled_response import (
     behind_lags,
@@ -257,9 +258,9 @@ def _of_response(model: StageModel, data: FrequencyResponse) -> ComponentResidua
     system, delay_s = behind_lags(model.linear(), lags)
     measured = without_hold(data, system, delay_s)
     modelled = model.small_signal_response(measured.frequency_hz)
-    gain = np.vdot(modelled, measured.gain).real / np.vdot(modelled, modelled).real
+    gain = best_gain(model, modelled, measured.gain)
     low_um, high_um = model.hysteresis.output_range_um
-    travel_um = (high_um - low_um) / gain
+    travel_um = (high_um - low_um) / abs(gain)
     measured_um, left_um = (
         np.concatenate([part.real, part.imag])
         for part in (travel_um * measured.gain, travel_um * (measured.gain - gain * modelled)))

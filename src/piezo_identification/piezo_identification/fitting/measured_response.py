@@ -11,6 +11,10 @@ from piezo_identification.fitting.dataset import SPLIT
 from piezo_identification.fitting.regression import SETTINGS as FIT
 from piezo_models.cascade import StageModel
 
+MOST_LOSS_RAD = 0.3
+"""Largest lag of small sines due to hysteresis; a full loop whose width is a third of its travel
+has this angle."""
+
 
 @dataclass(frozen=True, eq=False)
 class MeasuredResponse:
@@ -50,5 +54,17 @@ class MeasuredResponse:
     def residual(self, model: StageModel) -> FloatArray:
         """Return real and imaginary parts of the weighted error with the best gain, (2 N,)."""
         modelled = self.weight * model.small_signal_response(self.frequency_hz)
-        gain = np.vdot(modelled, self.weighted).real / np.vdot(modelled, modelled).real
-        return np.asarray(self.weighted - gain * modelled).view(float)
+        return np.asarray(
+            self.weighted - best_gain(model, modelled, self.weighted) * modelled).view(float)
+
+
+def best_gain(model: StageModel, modelled: ComplexArray, measured: ComplexArray) -> complex:
+    """Return the factor by which the response of the linear part of a model fits one measured best.
+
+    It is that of small signals, which no other recording shows. Behind hysteresis, it lags by the
+    same angle at all frequencies.
+    """
+    along = np.vdot(modelled, measured)
+    most_rad = MOST_LOSS_RAD if model.hysteresis.density_um_per_v2.any() else 0.0
+    turn = np.exp(1j * np.clip(np.angle(along), -most_rad, 0.0))
+    return complex((along * turn.conj()).real / np.vdot(modelled, modelled).real * turn)

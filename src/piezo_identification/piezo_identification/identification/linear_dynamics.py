@@ -199,7 +199,8 @@ def estimate_linear_dynamics(
             return found, driving
         begin("dynamics, given the creep" if turn else "dynamics", 0.5 * turn + 0.3)
         if isinstance(dynamics, FrequencyResponse):
-            return found.with_response(_from_response(dynamics, found, order)), driving
+            return found.with_response(_from_response(
+                dynamics, found, order, len(hysteresis) > 0)), driving
         if needs_hysteresis:
             driving = aligned_density(hysteresis, found, driving)[0]
         density = None if driving is None else driving.model()
@@ -324,14 +325,14 @@ def aligned_density(
 
 
 def _from_response(
-    measured: FrequencyResponse, found: LinearDynamics, order: ResponseOrder,
+    measured: FrequencyResponse, found: LinearDynamics, order: ResponseOrder, has_loss: bool,
 ) -> Estimate:
     if "creep" in found.estimates:
         measured = replace(measured, gain=measured.gain / found.creep.response(
             measured.frequency_hz))
         # The requested number of pairs is already in the creep of the recording.
         order = order if order.creep_pairs is None else replace(order, creep_pairs=0)
-    return estimate_from_response(measured, order)
+    return estimate_from_response(measured, order, has_loss=has_loss)
 
 
 def _likely(found: LinearDynamics) -> list[ModeOrder]:

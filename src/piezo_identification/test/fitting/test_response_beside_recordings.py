@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezo_identification import FrequencyResponse
+from piezo_identification import FrequencyResponse, estimate_from_response
 from piezo_identification.conditioning.outlier_samples import with_outliers_marked
 from piezo_identification.estimators.frequency_response.response_search import ResponseSearch
 from piezo_identification.experiments import catalogue as experiments
@@ -81,3 +81,19 @@ def test_a_lag_in_front_of_the_hysteresis_is_part_of_the_response(plant):
     lagging = replace(plant, effects=(AmplifierLag(3e-4),))
     expected = factor(plant, s) / (1.0 + 3e-4 * s)
     np.testing.assert_allclose(lagging.small_signal_response(frequency_hz), expected, rtol=1e-9)
+
+
+def test_the_loss_of_hysteresis_at_small_signals_is_not_taken_for_creep():
+    """Sines of any frequency lag by 3 degrees; the stage has a mode and no creep."""
+    frequency_hz = np.geomspace(1.0, 500.0, 60)
+    s = 2j * np.pi * frequency_hz
+    plain = 0.3 / (1.0 + 0.04 * s / 900.0 + (s / 900.0) ** 2)
+    noise = np.random.default_rng(2).normal(size=(2, 60))
+    measured = FrequencyResponse("response.csv", frequency_hz, plain * np.exp(-0.05j) * (
+        1.0 + NOISE * (noise[0] + 1j * noise[1])))
+    found = estimate_from_response(measured, has_loss=True).model
+    assert found.creep.poles_rad_per_s == ()
+    assert found.dynamics.mode_frequencies_rad_per_s == pytest.approx((900.0,), rel=1e-3)
+    np.testing.assert_allclose(found.response(frequency_hz), plain, rtol=0.01)
+    as_linear = estimate_from_response(measured).model
+    assert np.abs(as_linear.response(frequency_hz) / plain - 1.0).max() > 0.03

@@ -12,6 +12,7 @@ from piezo_common.cancellation import check_cancelled
 from piezo_identification.estimators.estimate import parameter_deviations
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.fitting.dataset import SPLIT
+from piezo_identification.fitting.measured_response import best_gain
 from piezo_identification.fitting.regression import SETTINGS as FIT
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, Extent, fitted_values, with_fitted_values
@@ -122,9 +123,8 @@ class ResponseProblem:
         response = self._model(changes, effects).small_signal_response(
             self.measured.frequency_hz)
         response, wanted = response / self.tolerance, self.measured.gain / self.tolerance
-        fitted = response[self.estimation]
-        gain = np.vdot(fitted, wanted[self.estimation]).real / np.vdot(fitted, fitted).real
-        return wanted - gain * response
+        return np.asarray(wanted - response * best_gain(
+            self.model, response[self.estimation], wanted[self.estimation]))
 
     def _fit(self, changes: FloatArray, effects: Sequence[Effect]) -> ResponseFit:
         return ResponseFit(changes, tuple(effects), self._residual(changes, effects))

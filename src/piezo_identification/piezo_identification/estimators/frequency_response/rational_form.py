@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigvals
 
 from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
+from piezo_identification.fitting.measured_response import MOST_LOSS_RAD
 
 BAND = (0.1, 30.0)
 """Range of poles and zeros, relative to the lowest and the highest measured rate."""
@@ -20,8 +21,9 @@ DAMPINGS = (1.001e-5, 99.9)
 LONGEST_DELAY = 1e4
 """Longest delay in radian periods (1 / rate) of the highest measured frequency."""
 
-DELAY, LAG = 0, 1
-"""Indices in a vector; both values are relative to the inverse of the highest measured rate."""
+DELAY, LAG, LOSS = 0, 1, 2
+"""Indices in a vector. Delay and lag are relative to the inverse of the highest measured rate; the
+loss is the angle in rad by which hysteresis delays small sines of any frequency."""
 
 Reduced = tuple["RationalForm", FloatArray, BoolArray]
 """A form with fewer parameters, its vector, and which of the parameters are free."""
@@ -31,8 +33,8 @@ Reduced = tuple["RationalForm", FloatArray, BoolArray]
 class RationalForm:
     """A delay, a lag, creep pairs, and modes, as the layout of a vector.
 
-    The vector contains the delay and the lag; logarithms of the poles and the zeros of the creep;
-    the gain; logarithms of the modes' frequencies and damping ratios. For modes in series,
+    The vector contains the delay, the lag and the loss; logarithms of the creep's poles and
+    zeros; the gain; logarithms of the modes' frequencies and damping ratios. For modes in series,
     logarithms of the antiresonances' frequencies and damping ratios follow. For parallel modes, the
     gain is that of the instantaneous part, and the participations of the modes follow: of their
     positions, then of their scaled velocities.
@@ -48,12 +50,12 @@ class RationalForm:
     @property
     def creep_places(self) -> NDArray[np.intp]:
         """Indices of poles and zeros of the creep, shape (2, creep_pairs)."""
-        return 2 + np.arange(2 * self.creep_pairs).reshape(2, -1)
+        return LOSS + 1 + np.arange(2 * self.creep_pairs).reshape(2, -1)
 
     @property
     def gain_place(self) -> int:
         """Index of the gain, or of the instantaneous part."""
-        return 2 + 2 * self.creep_pairs
+        return LOSS + 1 + 2 * self.creep_pairs
 
     @property
     def mode_places(self) -> NDArray[np.intp]:
@@ -84,6 +86,7 @@ class RationalForm:
         low[[DELAY, LAG]] = 0.0
         # Slower lags are creep.
         high[[DELAY, LAG]] = LONGEST_DELAY, np.sqrt(rate[-1] / rate[0])
+        low[LOSS], high[LOSS] = 0.0, MOST_LOSS_RAD
         slow, fast = np.log([BAND[0] * rate[0], BAND[1] * rate[-1]])
         low[self.creep_places], high[self.creep_places] = slow, 0.5 * np.log(rate[0] * rate[-1])
         for places in (self.mode_places, self.zero_places):
@@ -96,12 +99,12 @@ class RationalForm:
         s = np.asarray(1j * rate[:, None], dtype=complex)
         scaled = s / rate[-1]
         poles, zeros = np.exp(vector[self.creep_places])
-        before = np.exp(-scaled * vector[DELAY]) / (1.0 + scaled * vector[LAG]) * np.prod(
-            (s + zeros) / (s + poles), axis=1, keepdims=True)
+        late = np.exp(-scaled * vector[DELAY] - 1j * vector[LOSS]) / (1.0 + scaled * vector[LAG])
+        before = late * np.prod((s + zeros) / (s + poles), axis=1, keepdims=True)
         core, slopes = (self._parallel if self.is_parallel else self._in_series)(vector, s)
         whole = before * core
         derivatives = np.hstack([
-            -scaled * whole, -scaled / (1.0 + scaled * vector[LAG]) * whole,
+            -scaled * whole, -scaled / (1.0 + scaled * vector[LAG]) * whole, -1j * whole,
             -poles / (s + poles) * whole, zeros / (s + zeros) * whole, before * slopes])
         return whole[:, 0], derivatives
 
@@ -136,13 +139,13 @@ class RationalForm:
 
     def with_creep(self, vector: FloatArray, free: BoolArray, pole: float, zero: float) -> Reduced:
         """Add a creep pair, given as logarithms."""
-        at = self.creep_places[:, -1] + 1 if self.creep_pairs else [2, 2]
+        at = self.creep_places[:, -1] + 1 if self.creep_pairs else [LOSS + 1] * 2
         return (replace(self, creep_pairs=self.creep_pairs + 1),
                 np.insert(vector, at, [pole, zero]), np.insert(free, at, True))
 
     def reduced(self, vector: FloatArray, free: BoolArray) -> Iterator[Reduced]:
-        """Yield the form without the delay, without the lag, and without each other component."""
-        droppable = [DELAY, LAG]
+        """Yield the form without the delay, the lag, the loss, and each other component."""
+        droppable = [DELAY, LAG, LOSS]
         if self.is_parallel:
             droppable += [self.gain_place] * (self.modes > 0) + self.mode_places[3].tolist()
         for place in droppable:

@@ -57,6 +57,7 @@ STEP = 1e-6
 
 def estimate_from_response(
     measured: FrequencyResponse, order: ResponseOrder = ANY_ORDER, most_states: int = MOST_STATES,
+    has_loss: bool = False,
 ) -> Estimate:
     """Fit a measured frequency response with creep, a lag, modes, antiresonances and a delay.
 
@@ -75,6 +76,9 @@ def estimate_from_response(
         Requested orders; open ones are chosen by the criterion.
     most_states : int
         Largest order that is tried.
+    has_loss : bool
+        Whether the stage has hysteresis, by which sines of any frequency may lag by the same angle.
+        The model does not contain this lag.
 
     Returns
     -------
@@ -112,7 +116,7 @@ def estimate_from_response(
             f"{measured.path} has {frequencies} frequencies, which does not allow order {order}: "
             "ask for fewer modes or antiresonances"
         )
-    search = ResponseSearch(without_hold(measured))
+    search = ResponseSearch(without_hold(measured), has_loss)
     granted: dict[ResponseOrder, ResponseFit] = {}
     fits = _fits(search, order, min(most_states, frequencies // 4))
 
@@ -137,7 +141,8 @@ def estimate_from_response(
     if measured.hold_s:
         # The model determines the aliases.
         model = _model(search, best)
-        search = ResponseSearch(without_hold(measured, model.linear(), model.delay_s))
+        search = ResponseSearch(
+            without_hold(measured, model.linear(), model.delay_s), has_loss)
     best = search.fit((best.form, best.vector, best.free), LAST_STEPS, LAST_ROUNDING)
     model = _model(search, best)
     deviations, of_effects = _deviations(search, best, model)

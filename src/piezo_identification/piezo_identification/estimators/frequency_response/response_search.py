@@ -12,6 +12,7 @@ from piezo_identification.estimators.estimate import finest_power, independent_r
 from piezo_identification.estimators.frequency_response.rational_form import (
     DELAY,
     LAG,
+    LOSS,
     RationalForm,
     Reduced,
 )
@@ -90,6 +91,13 @@ class ResponseFit:
 class ResponseSearch:
     """A measured response, its noise, and fits of forms to it.
 
+    Parameters
+    ----------
+    measured : FrequencyResponse
+        Response without a hold.
+    has_loss : bool
+        Whether the stage has hysteresis, by which small sines of any frequency may lag.
+
     Attributes
     ----------
     weight : ndarray, shape (N,)
@@ -101,7 +109,8 @@ class ResponseSearch:
         Standard deviation of each part of the weighted gain, as a fit of many poles leaves it.
     """
 
-    def __init__(self, measured: FrequencyResponse) -> None:
+    def __init__(self, measured: FrequencyResponse, has_loss: bool = False) -> None:
+        self._has_loss = has_loss
         self.rate, self.gain = 2.0 * np.pi * measured.frequency_hz, measured.gain
         step = -(-self.rate.size // FREQUENCIES_OF_SEARCH)
         self._coarse = slice((self.rate.size - 1) % step, None, step)
@@ -326,7 +335,12 @@ class ResponseSearch:
         error, slopes = self.residual(form, vector, self._coarse)
         linear = form.linear_places
         vector[linear] -= np.linalg.lstsq(slopes[:, linear], error, rcond=None)[0]
-        return self.quick_fit((form, vector, np.ones(form.size, dtype=bool)))
+        return self.quick_fit((form, vector, self._all_free(form)))
+
+    def _all_free(self, form: RationalForm) -> BoolArray:
+        free = np.ones(form.size, dtype=bool)
+        free[LOSS] = self._has_loss
+        return free
 
     def reduced(
         self, fit: ResponseFit, wanted: ResponseOrder, least: float = np.inf,
@@ -373,8 +387,7 @@ class ResponseSearch:
         error, slopes = self.residual(form, vector)
         shape = slopes[:, form.gain_place]
         vector[form.gain_place] -= shape @ error / (shape @ shape)
-        free = np.ones(form.size, dtype=bool)
-        return self.full_fit(self.quick_fit((form, vector, free)))
+        return self.full_fit(self.quick_fit((form, vector, self._all_free(form))))
 
 
 def _leads_to(form: RationalForm, wanted: ResponseOrder) -> bool:

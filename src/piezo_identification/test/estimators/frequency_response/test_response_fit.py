@@ -87,9 +87,9 @@ def test_standard_deviations_are_those_of_repeated_draws():
 
 @pytest.mark.parametrize("form, vector", [
     (RationalForm(1, 1, 1, is_parallel=False), [
-        0.5, 0.7, *np.log([20.0, 26.0]), 0.6, *np.log([2300.0, 0.02, 2400.0, 0.03])]),
+        0.5, 0.7, 0.05, *np.log([20.0, 26.0]), 0.6, *np.log([2300.0, 0.02, 2400.0, 0.03])]),
     (RationalForm(1, 2), [
-        0.5, 0.7, *np.log([20.0, 26.0]), 0.6, *np.log([2300.0, 5000.0, 0.02, 3.0]),
+        0.5, 0.7, 0.05, *np.log([20.0, 26.0]), 0.6, *np.log([2300.0, 5000.0, 0.02, 3.0]),
         0.3, -0.2, 0.1, 0.4])])
 def test_the_derivatives_of_a_form_are_those_of_its_response(form, vector):
     vector, rate = np.array(vector), 2.0 * np.pi * FREQUENCY_HZ
