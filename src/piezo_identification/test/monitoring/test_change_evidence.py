@@ -3,8 +3,15 @@
 
 import numpy as np
 import pytest
+from scipy.stats import t
 
-from piezo_identification.monitoring.usual_error import STRAY, STRAY_RANGE, ChangeEvidence, Expected
+from piezo_identification.monitoring.usual_error import (
+    FACTORS,
+    STRAY,
+    STRAY_RANGE,
+    ChangeEvidence,
+    Expected,
+)
 
 EXPECTED = Expected(np.log(0.02), 0.25, 40.0)
 
@@ -42,6 +49,18 @@ def test_a_doubled_error_is_found_within_ten_blocks_and_its_beginning_estimated(
     assert min(delays) > 0
     assert np.median(delays) <= 10
     assert abs(np.median(begins) - before) <= 2
+
+
+def test_the_evidence_of_one_block_is_the_mean_of_the_ratios_of_its_densities():
+    value, scale = EXPECTED.middle + 1.5, EXPECTED.scale
+    growth = np.log(FACTORS)
+
+    def density(middle, scale):
+        return (1.0 - STRAY) * t.pdf(value, EXPECTED.freedom, middle, scale) + STRAY / STRAY_RANGE
+
+    grown = density(EXPECTED.middle + growth, np.hypot(scale, 0.5 * (growth[1] - growth[0])))
+    assert ChangeEvidence().add(value, EXPECTED).logarithm == pytest.approx(
+        np.log(np.mean(grown / density(EXPECTED.middle, scale))), rel=1e-9)
 
 
 def test_one_block_shows_no_change():
